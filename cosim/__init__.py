@@ -1,0 +1,1 @@
+"""Co-simulation: slaves, master, results, metrics, reports and the command line."""

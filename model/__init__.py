@@ -1,0 +1,1 @@
+"""Elastodynamic model of the flexible five-bar robot: scene, effects, equations of motion, statics and modes."""

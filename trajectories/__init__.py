@@ -1,0 +1,1 @@
+"""Pick-and-place trajectories: blends, motion profiles, paths and joint trajectories."""
