@@ -1,0 +1,69 @@
+/* The contract between a generated model and the runtime.
+ *
+ * A model is a constant description (this header) plus generated functions. Its equations are of second order in n
+ * unknown coordinates y, driven by m inputs u and by n_derived parameters d that follow from the FMI parameters p:
+ *
+ *     r(y, v, a, u, d) = M(y, u, d) a + b(y, v, u, d) = 0,     v = dy/dt, a = dv/dt.
+ *
+ * All vectors and matrices are dense; matrices are stored by columns. Nothing here is ever written at run time. */
+#ifndef FLEXFMU_MODEL_H
+#define FLEXFMU_MODEL_H
+
+/* signature of every function that CasADi generates (casadi_real = double, casadi_int = int) */
+typedef int (*flex_casadi_call)(const double **arg, double **res, int *iw, double *w, int mem);
+
+/* a generated function with the sizes of the work arrays that it needs */
+typedef struct {
+  flex_casadi_call call;
+  int n_arg, n_res, n_iw, n_w;
+} flex_function;
+
+/* a scalar real variable as FMI shows it; minimum and maximum are -HUGE_VAL and HUGE_VAL where there is no limit */
+typedef struct {
+  const char *name;
+  const char *unit;
+  double start, minimum, maximum;
+  int tunable; /* parameters: 1 = may change between communication steps, 0 = fixed after initialisation */
+} flex_variable;
+
+typedef struct {
+  const char *name;
+  const char *guid;
+
+  int n;            /* unknown coordinates; 0 is valid (a rigid model) */
+  int n_inputs;     /* m */
+  int n_parameters; /* FMI parameters p */
+  int n_derived;    /* derived parameters d */
+  int n_outputs;
+  int max_input_order; /* highest order that fmi2SetRealInputDerivatives accepts */
+
+  const flex_variable *inputs, *parameters, *outputs;
+
+  int static_start;          /* start value of `initial`: 1 = static equilibrium, 0 = undeformed */
+  double default_tolerance;  /* relative tolerance where fmi2SetupExperiment gives none */
+  double minimum_margin;     /* smallest admissible value of `singularity` */
+  const char *margin_name;   /* what `singularity` measures, for messages */
+
+  flex_function derive;         /* (p) -> d */
+  flex_function initial_inputs; /* (p) -> u: inputs at the start pose, for inputs that nobody has set */
+  flex_function residual;       /* (y, v, a, u, d) -> r [n] */
+  flex_function mass_matrix;    /* (y, u, d) -> M [n x n], symmetric, positive definite */
+  flex_function outputs;        /* (y, v, a, u, d) -> o [n_outputs] */
+
+  /* time derivatives along the motion; j = da/dt, s = dj/dt, u1 = du/dt, u2 = d2u/dt2.
+   * residual_rate is M j + (terms without j), residual_rate2 is M s + (terms without s). */
+  flex_function residual_rate;  /* (y, v, a, j, u, u1, d) -> dr/dt [n] */
+  flex_function residual_rate2; /* (y, v, a, j, s, u, u1, u2, d) -> d2r/dt2 [n] */
+  flex_function outputs_rate;   /* (y, v, a, j, u, u1, d) -> do/dt [n_outputs] */
+  flex_function outputs_rate2;  /* (y, v, a, j, s, u, u1, u2, d) -> d2o/dt2 [n_outputs] */
+
+  flex_function singularity; /* (y, u, d) -> one number, at least minimum_margin at admissible poses, NaN where the
+                                mechanism cannot be assembled */
+  flex_function error_scale; /* (d) -> [kappa (n), mu (n), floor]: error norm = sqrt(sum kappa_i dy_i^2 + mu_i dv_i^2),
+                                relative to its own running maximum over the motion, at least floor */
+} flex_model;
+
+/* the one model of this binary, defined by the generated file */
+extern const flex_model flex_the_model;
+
+#endif

@@ -1,0 +1,99 @@
+"""A symbolic model: the equations of a plant as CasADi functions, with the variables that a user sees.
+
+The equations are of second order in ``n`` unknown coordinates ``y`` (motion-driven plant: the elastic coordinates;
+torque-driven plant: actuated and elastic coordinates)::
+
+    r(y, y', y'', u, d) = M(y, u, d) y'' + b(y, y', u, d) = 0
+
+with the inputs ``u`` and the derived parameters ``d``, which follow from the FMI parameters ``p`` once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import casadi
+
+Causality = Literal["input", "parameter", "output"]
+
+FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "derive": (("p",), "d"),
+    "initial_inputs": (("p",), "u"),
+    "residual": (("y", "v", "a", "u", "d"), "r"),
+    "mass_matrix": (("y", "u", "d"), "m"),
+    "outputs": (("y", "v", "a", "u", "d"), "o"),
+    "residual_rate": (("y", "v", "a", "j", "u", "u1", "d"), "r1"),
+    "residual_rate2": (("y", "v", "a", "j", "s", "u", "u1", "u2", "d"), "r2"),
+    "outputs_rate": (("y", "v", "a", "j", "u", "u1", "d"), "o1"),
+    "outputs_rate2": (("y", "v", "a", "j", "s", "u", "u1", "u2", "d"), "o2"),
+    "singularity": (("y", "u", "d"), "margin"),
+    "error_scale": (("d",), "scale"),
+}
+"""Name of each function → (arguments, result). See `fmu_build/c-runtime/model.h` for shapes and meaning."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A scalar variable of the model as FMI shows it.
+
+    Attributes:
+        name: structured FMI name, for example ``joint1.torque``.
+        unit: unit in the spelling of `flexfmu.fmu_build.description`, for example ``N.m``; ``1`` for none.
+        description: one sentence.
+        causality: input, parameter or output.
+        start: start value in ``unit`` (inputs and parameters; outputs are calculated and have none).
+        minimum, maximum: admissible range in ``unit``; None where there is no limit.
+        nominal: typical magnitude in ``unit``.
+        derivative_of: name of the output whose time derivative this output is; None otherwise.
+        tunable: True for a parameter that may change between communication steps, False for one fixed after
+            initialisation.
+    """
+
+    name: str
+    unit: str
+    description: str
+    causality: Causality
+    start: float | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+    nominal: float | None = None
+    derivative_of: str | None = None
+    tunable: bool = False
+
+
+@dataclass(frozen=True)
+class SymbolicModel:
+    """A plant as equations and variables; a pure value that `flexfmu.fmu_build` turns into C.
+
+    Attributes:
+        name: model name, a C identifier after `flexfmu.fmu_build` has cleaned it.
+        description: one sentence for the model description.
+        unknowns: names of the ``n`` unknown coordinates, in the order of ``y``.
+        inputs, parameters, outputs: variables in the order of ``u``, ``p`` and ``o``.
+        functions: one CasADi function for each entry of `FUNCTION_SIGNATURES`, all arguments and results dense.
+        feedthrough: for each output the names of the inputs that it depends on algebraically.
+        static_start: start value of the FMI enumeration ``initial``: True for static equilibrium, False for undeformed.
+        margin_name: what `singularity` measures, with its unit, for messages.
+        minimum_margin: smallest admissible value of that measure.
+        effects: what the model contains, for documentation: effect → sentence.
+    """
+
+    name: str
+    description: str
+    unknowns: tuple[str, ...]
+    inputs: tuple[Variable, ...]
+    parameters: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    functions: Mapping[str, casadi.Function]
+    feedthrough: Mapping[str, tuple[str, ...]]
+    static_start: bool
+    margin_name: str
+    minimum_margin: float
+    effects: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of unknown coordinates n."""
+        return len(self.unknowns)
