@@ -1,0 +1,207 @@
+"""The scene: everything that a simulation depends on, as frozen sections that mirror the TOML file (SI units, rad)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+MAXIMUM_MODES = 40
+"""Largest number of modes of one family; far above what the 1e-10 orthogonality of the shapes has been tested for."""
+
+
+def _as_tuple(value: Any) -> Any:
+    """TOML arrays are lists; vectors are tuples."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def quantity(unit: str, **bounds: Any) -> Any:
+    """A field whose unit goes into error messages and documentation."""
+    return Field(json_schema_extra={"unit": unit}, **bounds)
+
+
+Length = Annotated[float, quantity("m", gt=0.0)]
+LengthOrZero = Annotated[float, quantity("m", ge=0.0)]
+Seconds = Annotated[float, quantity("s", gt=0.0)]
+SecondsOrZero = Annotated[float, quantity("s", ge=0.0)]
+Point = Annotated[tuple[float, float], BeforeValidator(_as_tuple), quantity("m")]
+Direction = Annotated[tuple[float, float], BeforeValidator(_as_tuple), quantity("1")]
+ModeCount = Annotated[int, quantity("modes", ge=0, le=MAXIMUM_MODES)]
+
+
+class Section(BaseModel):
+    """A frozen section of the scene file: unknown keys, wrong types, NaN and infinity are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Link(Section):
+    """A round rod; `inner_diameter` makes it a tube."""
+
+    length: Length
+    diameter: Length
+    inner_diameter: LengthOrZero = 0.0
+
+    @model_validator(mode="after")
+    def _tube_has_a_wall(self) -> Self:
+        if self.inner_diameter >= self.diameter:
+            raise ValueError(f"`inner_diameter` must be below `diameter` = {self.diameter} m, got {self.inner_diameter} m")
+        return self
+
+
+class Material(Section):
+    """Linear elastic material of all links."""
+
+    density: Annotated[float, quantity("kg/m3", gt=0.0)]
+    youngs_modulus: Annotated[float, quantity("Pa", gt=0.0)]
+
+
+class Mechanism(Section):
+    """The five-bar mechanism: bases at (-base_half_distance, 0) and (+base_half_distance, 0), leg 1 at the negative side."""
+
+    base_half_distance: Length
+    working_mode: Literal["elbows-out", "elbows-in", "left", "right"]
+    assembly_mode: Literal["left", "right"]
+    proximal: Link
+    distal: Link
+    material: Material
+
+
+class Payload(Section):
+    """Point mass at the end effector; zero is valid and leaves the payload out of the model."""
+
+    mass: Annotated[float, quantity("kg", ge=0.0)]
+
+
+class NoDamping(Section):
+    """No structural damping."""
+
+    kind: Literal["none"] = "none"
+
+
+class ModalDamping(Section):
+    """C_ii = 2 ratio sqrt(K_ii M_ii) for every mode of every link, with the link's own modal mass and stiffness."""
+
+    kind: Literal["modal"]
+    ratio: Annotated[float, quantity("1", ge=0.0, lt=1.0)]
+
+
+class StiffnessDamping(Section):
+    """C = time * K on the elastic coordinates."""
+
+    kind: Literal["stiffness"]
+    time: Annotated[float, quantity("s", ge=0.0)]
+
+
+Damping = Annotated[NoDamping | ModalDamping | StiffnessDamping, Field(discriminator="kind")]
+
+
+class Effects(Section):
+    """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code."""
+
+    gravity: Annotated[tuple[float, float], BeforeValidator(_as_tuple), quantity("m/s2")]
+    basis: Literal["assumed-modes"]
+    proximal_bending: ModeCount = 0
+    proximal_axial: ModeCount = 0
+    distal_bending: ModeCount = 0
+    distal_axial: ModeCount = 0
+    damping: Damping = NoDamping()
+
+
+class Blend(Section):
+    """Rounding of the path's two corners: d = height along the lift, e = width along the crossing."""
+
+    kind: Literal["lame", "clothoid", "polar"]
+    height: Length
+    width: Length
+
+
+class Profile(Section):
+    """Motion along the path; `ramp` is the fraction of the duration of each ramp of the trapezoidal velocity."""
+
+    kind: Literal["poly7", "bang-bang", "trapezoidal"]
+    ramp: Annotated[float, quantity("1", gt=0.0, le=0.5)] | None = None
+
+    @model_validator(mode="after")
+    def _ramp_belongs_to_trapezoidal(self) -> Self:
+        if self.kind == "trapezoidal" and self.ramp is None:
+            raise ValueError("`ramp` is missing: profile `trapezoidal` needs 0 < ramp <= 0.5 (fraction of the duration)")
+        if self.kind != "trapezoidal" and self.ramp is not None:
+            raise ValueError(f"`ramp` = {self.ramp} belongs to profile `trapezoidal` alone: remove it from `{self.kind}`")
+        return self
+
+
+class TrajectorySection(Section):
+    """The Adept half cycle: lift, crossing and lowering with blended corners, then a standstill of `dwell`."""
+
+    start: Point
+    lift: Direction
+    height: Length
+    width: Length
+    blend: Blend
+    profile: Profile
+    duration: Seconds
+    dwell: SecondsOrZero = 0.0
+
+    @model_validator(mode="after")
+    def _blends_fit(self) -> Self:
+        if math.hypot(*self.lift) == 0.0:
+            raise ValueError("`lift` must be a direction with a length above zero, got [0.0, 0.0]")
+        if self.blend.height > self.height:
+            raise ValueError(f"`blend.height` must be at most `height` = {self.height} m, got {self.blend.height} m")
+        if self.blend.width > self.width / 2:
+            raise ValueError(f"`blend.width` must be at most `width`/2 = {self.width / 2} m, got {self.blend.width} m")
+        return self
+
+
+class Cosimulation(Section):
+    """How the scene is run."""
+
+    drive: Literal["motion", "torque"] = "motion"
+    step: Seconds
+    tolerance: Annotated[float, quantity("1", gt=0.0, le=0.1)]
+    initial: Literal["static", "undeformed"] = "static"
+    settling_band: Length = 1e-5
+
+
+class Scene(Section):
+    """A complete scene. `flexfmu.model.scene_file.load_scene` reads one from a TOML file.
+
+    Example:
+        ``scene.replace({"payload.mass": 0.1, "trajectory.duration": 0.30})`` is the same scene with two values changed.
+    """
+
+    name: Annotated[str, Field(min_length=1, pattern=r"^[\w.+-]+$")]
+    mechanism: Mechanism
+    payload: Payload
+    effects: Effects
+    trajectory: TrajectorySection
+    cosimulation: Cosimulation
+
+    @model_validator(mode="after")
+    def _modes_agree_with_start_pose(self) -> Self:
+        from flexfmu.model.assembly import check_start_pose
+
+        check_start_pose(self.mechanism, self.trajectory.start)
+        return self
+
+    def replace(self, changes: dict[str, Any]) -> Scene:
+        """The scene with values changed by dotted keys, validated anew.
+
+        Args:
+            changes: dotted key of the scene file → new value (a section may be given as a dict).
+
+        Raises:
+            SceneError: a key is unknown or a value out of range.
+        """
+        from flexfmu.model.scene_file import parse_scene
+
+        data = self.model_dump(exclude_none=True)
+        for key, value in changes.items():
+            *parents, last = key.split(".")
+            section = data
+            for parent in parents:
+                section = section.setdefault(parent, {})
+            section[last] = value
+        return parse_scene(data, source=f"scene {self.name}")

@@ -1,0 +1,151 @@
+"""Scene files: reading TOML, and turning every mistake in it into one sentence with key, value, unit and remedy."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from flexfmu.model.errors import SceneError
+from flexfmu.model.scene import Scene
+
+ErrorDetails = dict[str, Any]
+
+
+def shipped_scenes() -> tuple[str, ...]:
+    """Names of the scenes that come with the package, sorted."""
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in _scene_folder().iterdir() if entry.name.endswith(".toml")))
+
+
+def load_scene(source: str | Path) -> Scene:
+    """Read a scene from a TOML file or by the name of a shipped scene.
+
+    Args:
+        source: path of a scene file, or a name out of `shipped_scenes`.
+
+    Raises:
+        SceneError: no such scene, not TOML, or a key or value that can't be right.
+    """
+    text, label = _read(source)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"not a TOML file: {error} ({label})") from error
+    return parse_scene(data, label)
+
+
+def parse_scene(data: dict[str, Any], source: str) -> Scene:
+    """A validated scene from plain data; `source` names the origin in messages.
+
+    Raises:
+        SceneError: names each wrong key with its value, unit and remedy.
+    """
+    try:
+        return Scene.model_validate(data)
+    except ValidationError as error:
+        sentences = [_sentence(dict(details)) for details in error.errors()]
+        raise SceneError(f"{'; '.join(sentences)} ({source})") from None
+
+
+def _scene_folder() -> Any:
+    return files("flexfmu.cosim").joinpath("scenes")
+
+
+def _read(source: str | Path) -> tuple[str, str]:
+    path = Path(source)
+    if path.suffix != ".toml" and str(source) in shipped_scenes():
+        return _scene_folder().joinpath(f"{source}.toml").read_text(encoding="utf-8"), f"shipped scene {source}"
+    try:
+        return path.read_text(encoding="utf-8"), str(path)
+    except FileNotFoundError:
+        raise SceneError(f"no scene file '{source}': give a path, or one of the shipped scenes {_listed(shipped_scenes())}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise SceneError(f"cannot read scene file '{source}': {reason}") from None
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def _sentence(error: ErrorDetails) -> str:
+    """One sentence for one of pydantic's errors."""
+    keys, model, unit = _locate(error["loc"])
+    key = ".".join(keys)
+    unit_text = "" if unit in ("", "1") else f" {unit}"
+    kind, context = error["type"], error.get("ctx", {})
+    if kind == "missing":
+        return f"`{key}` is missing: add it{f' (in {unit})' if unit_text else ''}"
+    if kind == "extra_forbidden":
+        return _unknown_key(keys, model)
+    if kind == "value_error":
+        return f"{f'in `{key}`: ' if key else ''}{context['error']}"
+    if kind in _BOUNDS:
+        return f"`{key}` must be {_BOUNDS[kind].format(**context)}{unit_text}, got {error['input']!r}{unit_text}"
+    if kind in ("union_tag_not_found", "union_tag_invalid"):
+        return f"`{key}.kind` must be one of {context.get('expected_tags') or _tags(keys)}, got {error['input'].get('kind')!r}" if isinstance(
+            error["input"], dict
+        ) else f"`{key}` must be a table with a `kind`, got {error['input']!r}"
+    return f"`{key}` {_plain(error['msg'])}{f' in {unit}' if unit_text else ''}, got {error['input']!r}"
+
+
+_BOUNDS = {
+    "greater_than": "above {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "below {lt}",
+    "less_than_equal": "at most {le}",
+}
+
+
+def _tags(keys: list[str]) -> str:
+    return "'none', 'modal', 'stiffness'" if keys[-1] == "damping" else "the known kinds"
+
+
+def _plain(message: str) -> str:
+    """Pydantic's sentence as the end of ours: `Input should be a valid number` → `must be a valid number`."""
+    return message.replace("Input should be", "must be").replace("Field required", "is missing")
+
+
+def _locate(location: tuple[Any, ...]) -> tuple[list[str], type[BaseModel] | None, str]:
+    """Keys of the scene file, the section that holds the last one, and the unit, for one of pydantic's locations."""
+    keys: list[str] = []
+    model: type[BaseModel] | None = Scene
+    holder, unit = model, ""
+    for part in location:
+        fields = model.model_fields if model is not None else {}
+        if isinstance(part, str) and part in fields:
+            keys.append(part)
+            holder, field = model, fields[part]
+            extra = field.json_schema_extra
+            unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+            model = next((t for t in (field.annotation, *get_args(field.annotation)) if _is_section(t)), None)
+            variants = [t for t in get_args(field.annotation) if _is_section(t)]
+            tagged = {v.model_fields["kind"].annotation: v for v in variants} if len(variants) > 1 else {}
+        elif isinstance(part, str) and model is not None and keys and (variant := _variant(tagged, part)) is not None:
+            model = holder = variant
+        elif isinstance(part, int):
+            keys[-1] += f"[{part}]"
+        else:
+            keys.append(str(part))
+            holder = model
+    return keys, holder, unit
+
+
+def _is_section(candidate: Any) -> bool:
+    return isinstance(candidate, type) and issubclass(candidate, BaseModel)
+
+
+def _variant(tagged: dict[Any, type[BaseModel]], tag: str) -> type[BaseModel] | None:
+    """The member of a tagged union whose `kind` is `tag`."""
+    return next((model for literal, model in tagged.items() if tag in get_args(literal)), None)
+
+
+def _unknown_key(keys: list[str], model: type[BaseModel] | None) -> str:
+    known = list(model.model_fields) if model is not None else []
+    close = difflib.get_close_matches(keys[-1], known, n=1)
+    remedy = f"did you mean `{close[0]}`?" if close else f"known keys here: {_listed(known)}"
+    return f"`{'.'.join(keys)}` is not a known key: {remedy}"
