@@ -1,0 +1,43 @@
+"""What can go wrong in a co-simulation: one small family of errors, each a single line with its remedy."""
+
+from __future__ import annotations
+
+
+class CosimError(Exception):
+    """Base of all errors of this package."""
+
+
+class InputError(CosimError, ValueError):
+    """The user's input is wrong: a file, a name, a value; nothing has been simulated."""
+
+
+class FmuFileError(InputError):
+    """An FMU is missing, broken, or not made for this platform."""
+
+
+class WiringError(InputError):
+    """Slaves and connections don't fit together."""
+
+
+class AlgebraicLoopError(WiringError):
+    """Outputs and inputs depend on each other without any state between them."""
+
+
+class ResultsError(CosimError):
+    """Results can't be written or read."""
+
+
+class SlaveError(CosimError):
+    """A slave failed while it was initialised, stepped or read.
+
+    Attributes:
+        slave: the slave's name.
+        reason: what happened, in the slave's own words where it has any.
+        time: the last time that the slave reached [s]; None when it doesn't know.
+    """
+
+    def __init__(self, slave: str, reason: str, time: float | None = None) -> None:
+        super().__init__(f"{slave}: {reason}")
+        self.slave = slave
+        self.reason = reason
+        self.time = time

@@ -1,0 +1,137 @@
+"""Results of a co-simulation: signals over time, in memory and as the CSV file that fmpy reads and plots."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.errors import ResultsError
+
+RealArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One recorded signal.
+
+    Attributes:
+        unit: unit of the values, for example ``N.m``; empty when unknown.
+        values: (N,) values at the recording's times.
+        first: (N,) first time derivatives [unit/s]; None when the slave doesn't give them.
+        second: (N,) second time derivatives [unit/s²]; None when the slave doesn't give them.
+    """
+
+    unit: str
+    values: RealArray
+    first: RealArray | None = None
+    second: RealArray | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Signals over time. An instant at which signals jump appears twice: left limit first, then right limit.
+
+    Attributes:
+        time: (N,) instants [s], not decreasing.
+        columns: name of each signal → its values; every array has the length of ``time``.
+
+    Raises:
+        ResultsError: a column's length differs from that of ``time``.
+    """
+
+    time: RealArray
+    columns: Mapping[str, Column]
+
+    def __post_init__(self) -> None:
+        for name, column in self.columns.items():
+            for values in (column.values, column.first, column.second):
+                if values is not None and values.shape != self.time.shape:
+                    raise ResultsError(f"{name!r} has {values.size} values for {self.time.size} instants")
+
+    def __getitem__(self, name: str) -> Column:
+        """The column of that name; KeyError names the closest ones."""
+        try:
+            return self.columns[name]
+        except KeyError:
+            raise KeyError(f"no signal {name!r} was recorded; there are: {', '.join(self.columns)}") from None
+
+    def smooth_pieces(self) -> Iterator[slice]:
+        """Index ranges between jumps: within each, time increases strictly and the signals are continuous.
+
+        A piece has one instant only where two jumps meet (before the first motion, for example).
+        """
+        edges = np.flatnonzero(np.diff(self.time) == 0.0) + 1
+        for begin, end in zip((0, *edges), (*edges, self.time.size), strict=True):
+            yield slice(int(begin), int(end))
+
+    def with_columns(self, columns: Mapping[str, Column]) -> Recording:
+        """The same recording with further columns."""
+        return Recording(self.time, {**self.columns, **columns})
+
+    def write_csv(self, path: str | os.PathLike[str]) -> Path:
+        """Write time and values (not the derivatives) as `fmpy.util.read_csv` reads and `fmpy.util.plot_result` plots.
+
+        Names are quoted, ``time`` comes first, values are the shortest that read back exactly. fmpy splits the header
+        at every comma, so ``der(x,2)`` is written ``der(x;2)``. The file appears whole or not at all.
+
+        Raises:
+            ResultsError: the file can't be written, with the system's reason.
+        """
+        names = [_file_name(name) for name in ("time", *self.columns)]
+        table = np.column_stack([self.time, *(column.values for column in self.columns.values())])
+        lines = [",".join(f'"{name}"' for name in names), *(",".join(map(repr, row)) for row in table.tolist())]
+        return _write_whole(Path(path), "\n".join(lines) + "\n")
+
+    @classmethod
+    def read_csv(cls, path: str | os.PathLike[str]) -> Recording:
+        """Read a file that `write_csv` or fmpy wrote; such a file holds neither units nor derivatives.
+
+        Raises:
+            ResultsError: there is no such file, or it holds no table of numbers.
+        """
+        try:
+            with open(path, encoding="utf-8") as file:
+                names = [name.strip().strip('"').replace(";", ",") for name in file.readline().split(",")]
+                table = np.loadtxt(file, delimiter=",", ndmin=2)
+        except (OSError, UnicodeDecodeError, ValueError) as error:
+            raise ResultsError(f"can't read {os.fspath(path)}: {error}") from error
+        if names[0] != "time" or table.shape[1] != len(names):
+            raise ResultsError(f"{os.fspath(path)} is no table of signals: its first column must be named time")
+        return cls(table[:, 0], {name: Column("", table[:, i]) for i, name in enumerate(names) if i})
+
+
+def _file_name(name: str) -> str:
+    """The name of a column in the file."""
+    if any(character in name for character in ';"\n'):
+        raise ResultsError(f"the signal name {name!r} has a semicolon, quote or line break; rename it")
+    return name.replace(",", ";")
+
+
+def _write_whole(path: Path, text: str) -> Path:
+    """Write beside the target, then rename: a reader never sees half a file."""
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
+            temporary = Path(file.name)
+            file.write(text)
+        temporary.chmod(0o666 & ~_umask())
+        return temporary.replace(path)
+    except OSError as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        reason = error.strerror or error
+        raise ResultsError(f"can't write {path}: {reason}; choose another folder or free some space") from error
+
+
+def _umask() -> int:
+    """The process's file mode mask, which can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
