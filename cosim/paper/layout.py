@@ -1,0 +1,140 @@
+"""What a comparison looks like on a page, whatever the page is made of: texts, marks and footnotes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from flexfmu.cosim.paper.agreement import count_agreement
+from flexfmu.cosim.paper.comparison import Cell, Comparison, ComparisonTable
+from flexfmu.cosim.paper.reference import Remark
+
+CLOSE, NEAR = 0.005, 0.035
+"""Relative errors up to which a cell is graded close (the bound of torque and deflection) and near (RMS errors)."""
+
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+class Grade(Enum):
+    """How a cell is coloured."""
+
+    CLOSE = "close"
+    NEAR = "near"
+    FAR = "far"
+    MISPRINT = "misprint"
+
+
+@dataclass(frozen=True)
+class CellText:
+    """A cell as texts: the paper's figure, the computed one, the relative error, the footnotes' marks."""
+
+    paper: str
+    computed: str
+    difference: str
+    marks: str
+    grade: Grade
+
+
+@dataclass(frozen=True)
+class Block:
+    """A quantity: heading with unit and marks, meaning, columns, rows of label and cells."""
+
+    name: str
+    unit: str
+    marks: str
+    meaning: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[CellText, ...]], ...]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A table of the paper, ready to be laid out.
+
+    Attributes:
+        key, label, title: as in `PrintedTable`.
+        remarks: what holds for the whole table.
+        blocks: its quantities.
+        footnotes: mark and text, in the order of the marks.
+        summary: the agreement in one sentence.
+    """
+
+    key: str
+    label: str
+    title: str
+    remarks: tuple[str, ...]
+    blocks: tuple[Block, ...]
+    footnotes: tuple[tuple[str, str], ...]
+    summary: str
+
+
+def lay_out(table: ComparisonTable) -> Page:
+    """Turn a comparison into texts with numbered footnotes."""
+    remarks = tuple(remark for comparison in table.comparisons for remark in comparison.quantity.remarks)
+    return Page(
+        key=table.printed.key,
+        label=table.printed.label,
+        title=table.printed.title,
+        remarks=table.printed.remarks,
+        blocks=tuple(_block(comparison, remarks) for comparison in table.comparisons),
+        footnotes=tuple((_mark([index]), _footnote(remark)) for index, remark in enumerate(remarks, 1)),
+        summary=count_agreement(table.cells).sentence(),
+    )
+
+
+def percentage(relative: float) -> str:
+    """A relative error as text with sign: two decimals below 10 %, none above 1000 %."""
+    value = 100 * relative
+    decimals = 2 if abs(value) < 9.995 else 1 if abs(value) < 999.5 else 0
+    return f"{value:+.{decimals}f} %".replace("-", "\N{MINUS SIGN}")
+
+
+def _block(comparison: Comparison, remarks: tuple[Remark, ...]) -> Block:
+    quantity = comparison.quantity
+    return Block(
+        name=quantity.name,
+        unit=quantity.unit,
+        marks=_marks([remark for remark in quantity.remarks if _is_general(remark)], remarks),
+        meaning=quantity.meaning,
+        columns=quantity.columns,
+        rows=tuple(
+            (row, tuple(_cell(comparison.cell(row, column), remarks) for column in quantity.columns))
+            for row in quantity.rows
+        ),
+    )
+
+
+def _cell(cell: Cell, remarks: tuple[Remark, ...]) -> CellText:
+    return CellText(
+        paper=cell.printed,
+        computed=cell.rounded(),
+        difference=percentage(cell.relative_error),
+        marks=_marks([remark for remark in cell.remarks if not _is_general(remark)], remarks),
+        grade=_grade(cell),
+    )
+
+
+def _grade(cell: Cell) -> Grade:
+    if not cell.believable:
+        return Grade.MISPRINT
+    if abs(cell.relative_error) <= CLOSE or cell.agrees_to_the_digits:
+        return Grade.CLOSE
+    return Grade.NEAR if abs(cell.relative_error) <= NEAR else Grade.FAR
+
+
+def _is_general(remark: Remark) -> bool:
+    """A remark on all cells of a quantity is marked at its heading."""
+    return not remark.rows and not remark.columns
+
+
+def _marks(chosen: list[Remark], remarks: tuple[Remark, ...]) -> str:
+    # by identity: two quantities may carry remarks of the same wording
+    return _mark([index for index, remark in enumerate(remarks, 1) if any(remark is other for other in chosen)])
+
+
+def _mark(indices: list[int]) -> str:
+    return " ".join(str(index) for index in indices).translate(_SUPERSCRIPTS)
+
+
+def _footnote(remark: Remark) -> str:
+    return f"{remark.verdict.value.capitalize()}: {remark.text}"
