@@ -25,8 +25,8 @@ def bases(mechanism: Mechanism) -> tuple[Point, Point]:
     return (-a, 0.0), (a, 0.0)
 
 
-def elbow(base: Point, position: Point, proximal: float, distal: float, sign: int) -> Point:
-    """The elbow of one leg for an end-effector position, all in m.
+def motor_angle(base: Point, position: Point, proximal: float, distal: float, sign: int) -> float:
+    """The motor angle [rad] of one leg for an end-effector position, lengths in m.
 
     Raises:
         ValueError: the leg can't reach the position.
@@ -40,8 +40,29 @@ def elbow(base: Point, position: Point, proximal: float, distal: float, sign: in
             f"but a leg reaches {nearest:.6g} to {farthest:.6g} m: move the path or change the link lengths"
         )
     cosine = (proximal**2 + distance**2 - distal**2) / (2.0 * proximal * distance)
-    angle = math.atan2(dy, dx) + sign * math.acos(cosine)
+    return math.atan2(dy, dx) + sign * math.acos(cosine)
+
+
+def elbow(base: Point, angle: float, proximal: float) -> Point:
+    """The elbow of one leg for a motor angle [rad], lengths in m."""
     return base[0] + proximal * math.cos(angle), base[1] + proximal * math.sin(angle)
+
+
+def motor_angles(mechanism: Mechanism, position: Point) -> tuple[float, float]:
+    """Motor angles (q11, q21) [rad] that put the end effector at `position` [m] in the working mode.
+
+    Raises:
+        ValueError: a leg can't reach the position.
+    """
+    lengths = mechanism.proximal.length, mechanism.distal.length
+    (base1, base2), (sign1, sign2) = bases(mechanism), WORKING_MODES[mechanism.working_mode]
+    return motor_angle(base1, position, *lengths, sign1), motor_angle(base2, position, *lengths, sign2)
+
+
+def elbows(mechanism: Mechanism, position: Point) -> tuple[Point, Point]:
+    """Elbow points [m] for an end-effector position [m]; raises like `motor_angles`."""
+    (base1, base2), (angle1, angle2) = bases(mechanism), motor_angles(mechanism, position)
+    return elbow(base1, angle1, mechanism.proximal.length), elbow(base2, angle2, mechanism.proximal.length)
 
 
 def assembly_side(elbow1: Point, elbow2: Point, position: Point) -> float:
@@ -56,10 +77,7 @@ def check_start_pose(mechanism: Mechanism, start: Point) -> None:
     Raises:
         ValueError: the start can't be reached, or the assembly mode is the other one there.
     """
-    signs = WORKING_MODES[mechanism.working_mode]
-    lengths = mechanism.proximal.length, mechanism.distal.length
-    elbow1, elbow2 = (elbow(base, start, *lengths, sign) for base, sign in zip(bases(mechanism), signs, strict=True))
-    actual = "left" if assembly_side(elbow1, elbow2, start) > 0.0 else "right"
+    actual = "left" if assembly_side(*elbows(mechanism, start), start) > 0.0 else "right"
     if actual != mechanism.assembly_mode:
         raise ValueError(
             f"`mechanism.assembly_mode` must be '{actual}' for `working_mode` = '{mechanism.working_mode}' at the start pose "

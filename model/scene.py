@@ -46,7 +46,9 @@ class Link(Section):
     @model_validator(mode="after")
     def _tube_has_a_wall(self) -> Self:
         if self.inner_diameter >= self.diameter:
-            raise ValueError(f"`inner_diameter` must be below `diameter` = {self.diameter} m, got {self.inner_diameter} m")
+            raise ValueError(
+                f"`inner_diameter` must be below `diameter` = {self.diameter} m, got {self.inner_diameter} m"
+            )
         return self
 
 
@@ -126,9 +128,13 @@ class Profile(Section):
     @model_validator(mode="after")
     def _ramp_belongs_to_trapezoidal(self) -> Self:
         if self.kind == "trapezoidal" and self.ramp is None:
-            raise ValueError("`ramp` is missing: profile `trapezoidal` needs 0 < ramp <= 0.5 (fraction of the duration)")
+            raise ValueError(
+                "`ramp` is missing: profile `trapezoidal` needs 0 < ramp <= 0.5 (fraction of the duration)"
+            )
         if self.kind != "trapezoidal" and self.ramp is not None:
-            raise ValueError(f"`ramp` = {self.ramp} belongs to profile `trapezoidal` alone: remove it from `{self.kind}`")
+            raise ValueError(
+                f"`ramp` = {self.ramp} belongs to profile `trapezoidal` alone: remove it from `{self.kind}`"
+            )
         return self
 
 

@@ -18,7 +18,9 @@ ErrorDetails = dict[str, Any]
 
 def shipped_scenes() -> tuple[str, ...]:
     """Names of the scenes that come with the package, sorted."""
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in _scene_folder().iterdir() if entry.name.endswith(".toml")))
+    return tuple(
+        sorted(entry.name.removesuffix(".toml") for entry in _scene_folder().iterdir() if entry.name.endswith(".toml"))
+    )
 
 
 def load_scene(source: str | Path) -> Scene:
@@ -62,7 +64,9 @@ def _read(source: str | Path) -> tuple[str, str]:
     try:
         return path.read_text(encoding="utf-8"), str(path)
     except FileNotFoundError:
-        raise SceneError(f"no scene file '{source}': give a path, or one of the shipped scenes {_listed(shipped_scenes())}") from None
+        raise SceneError(
+            f"no scene file '{source}': give a path, or one of the shipped scenes {_listed(shipped_scenes())}"
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise SceneError(f"cannot read scene file '{source}': {reason}") from None
@@ -87,9 +91,11 @@ def _sentence(error: ErrorDetails) -> str:
     if kind in _BOUNDS:
         return f"`{key}` must be {_BOUNDS[kind].format(**context)}{unit_text}, got {error['input']!r}{unit_text}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
-        return f"`{key}.kind` must be one of {context.get('expected_tags') or _tags(keys)}, got {error['input'].get('kind')!r}" if isinstance(
-            error["input"], dict
-        ) else f"`{key}` must be a table with a `kind`, got {error['input']!r}"
+        return (
+            f"`{key}.kind` must be one of {context.get('expected_tags') or _tags(keys)}, got {error['input'].get('kind')!r}"
+            if isinstance(error["input"], dict)
+            else f"`{key}` must be a table with a `kind`, got {error['input']!r}"
+        )
     return f"`{key}` {_plain(error['msg'])}{f' in {unit}' if unit_text else ''}, got {error['input']!r}"
 
 

@@ -1,0 +1,184 @@
+"""Closed-form assembly of the flexible five-bar and the index reduction that follows from it.
+
+The elbows follow from the motor angles and the proximal deflections; the end effector is an intersection of two circles
+about the elbows whose radii are the flexible lengths of the distal links, on the side of the assembly mode. Rates and
+accelerations follow from 2 x 2 systems, which are the paper's A, B, C (eq. 19) solved in closed form; the transposed
+map projects forces onto the independent coordinates and yields the joint reactions on the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi
+
+from flexfmu.model.dynamics import RedundantState
+from flexfmu.model.robot import LEGS, Direction, Robot
+
+
+@dataclass(frozen=True)
+class IndependentMotion:
+    """Motor angles q_a (2, 1) and elastic coordinates q_e (n, 1) with rates and accelerations, as symbols."""
+
+    q_a: casadi.SX
+    v_a: casadi.SX
+    a_a: casadi.SX
+    q_e: casadi.SX
+    v_e: casadi.SX
+    a_e: casadi.SX
+
+
+def _normal(direction: casadi.SX) -> casadi.SX:
+    return casadi.vertcat(-direction[1], direction[0])
+
+
+class TipMap:
+    """Displacements of link tips as linear maps of the elastic coordinates."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._gains: dict[tuple[str, Direction], casadi.DM] = {}
+        n = robot.q_e.numel()
+        start = 0
+        for link, part in robot.elastic:
+            stop = start + part.q.numel()
+            gain = casadi.DM.zeros(n, 1)
+            gain[start:stop] = part.family.tips
+            self._gains[link.name, part.family.direction] = casadi.sparsify(gain)
+            start = stop
+        self._none = casadi.DM(n, 1)
+
+    def gain(self, link: str, direction: Direction) -> casadi.DM:
+        """phi(1) of the link's family within q_e, shape (n, 1)."""
+        return self._gains.get((link, direction), self._none)
+
+    def displacement(self, link: str, direction: Direction, coordinates: casadi.SX) -> casadi.SX:
+        """u(1) [m], or its rate, for q_e or its rate."""
+        return casadi.dot(self.gain(link, direction), coordinates) if coordinates.numel() else casadi.SX(0)
+
+
+class Closure:
+    """The assembled motion as expressions of the independent one.
+
+    Args:
+        robot: symbols; gives the bases and the tip maps.
+        motion: independent motion.
+        lengths: proximal and distal length [m] as symbols.
+        side: +1 where the end effector lies left of elbow 1 → elbow 2, -1 where right.
+    """
+
+    def __init__(
+        self, robot: Robot, motion: IndependentMotion, lengths: tuple[casadi.SX, casadi.SX], side: int
+    ) -> None:
+        self._tips, self._motion, self._side = TipMap(robot), motion, side
+        proximal, distal = lengths
+        self._bases = [robot.links[f"link{leg}1"].base for leg in LEGS]
+        self.e_a = [casadi.vertcat(casadi.cos(motion.q_a[i]), casadi.sin(motion.q_a[i])) for i in range(2)]
+        self.reach = [proximal + self._tip(i, 1, "axial", motion.q_e) for i in range(2)]
+        self.sag = [self._tip(i, 1, "bending", motion.q_e) for i in range(2)]
+        self.length = [distal + self._tip(i, 2, "axial", motion.q_e) for i in range(2)]
+        self.elbows = [
+            b + e * r + _normal(e) * s for b, e, r, s in zip(self._bases, self.e_a, self.reach, self.sag, strict=True)
+        ]
+        self.position = self._intersect()
+        self.e_p = [(self.position - p) / length for p, length in zip(self.elbows, self.length, strict=True)]
+        self.sine = self.e_p[0][0] * self.e_p[1][1] - self.e_p[0][1] * self.e_p[1][0]
+        self._move()
+        self._accelerate()
+
+    def _tip(self, leg: int, link: int, direction: Direction, coordinates: casadi.SX) -> casadi.SX:
+        return self._tips.displacement(f"link{leg + 1}{link}", direction, coordinates)
+
+    def _intersect(self) -> casadi.SX:
+        """End effector X from two circles about the elbows."""
+        (p1, p2), (l1, l2) = self.elbows, self.length
+        line = p2 - p1
+        square = casadi.dot(line, line)
+        along = 0.5 + (l1 - l2) * (l1 + l2) / (2 * square)
+        across = casadi.sqrt(l1**2 / square - along**2)
+        return p1 + along * line + self._side * across * _normal(line)
+
+    def _solve(self, right: list[casadi.SX]) -> casadi.SX:
+        """Vector X with e_p[i]·X = right[i]."""
+        (e1, e2), (r1, r2) = self.e_p, right
+        return casadi.vertcat(r1 * e2[1] - r2 * e1[1], r2 * e1[0] - r1 * e2[0]) / self.sine
+
+    def _solve_transposed(self, force: casadi.SX) -> list[casadi.SX]:
+        """Numbers m_i with sum of m_i e_p[i] = force: the axial forces in the distal links."""
+        e1, e2 = self.e_p
+        return [
+            (force[0] * e2[1] - force[1] * e2[0]) / self.sine,
+            (force[1] * e1[0] - force[0] * e1[1]) / self.sine,
+        ]
+
+    def _move(self) -> None:
+        m = self._motion
+        self.w_a = [m.v_a[i] for i in range(2)]
+        reach = [self._tip(i, 1, "axial", m.v_e) for i in range(2)]
+        sag = [self._tip(i, 1, "bending", m.v_e) for i in range(2)]
+        self.length_rate = [self._tip(i, 2, "axial", m.v_e) for i in range(2)]
+        # components of the elbow velocity along and across the proximal link
+        self._along = [reach[i] - self.w_a[i] * self.sag[i] for i in range(2)]
+        self._across = [sag[i] + self.w_a[i] * self.reach[i] for i in range(2)]
+        self.elbow_velocity = [self._along[i] * self.e_a[i] + self._across[i] * _normal(self.e_a[i]) for i in range(2)]
+        self.velocity = self._solve(
+            [casadi.dot(self.e_p[i], self.elbow_velocity[i]) + self.length_rate[i] for i in range(2)]
+        )
+        self.w_p = [
+            casadi.dot(_normal(self.e_p[i]), self.velocity - self.elbow_velocity[i]) / self.length[i] for i in range(2)
+        ]
+        self._reach_rate, self._sag_rate = reach, sag
+
+    def _accelerate(self) -> None:
+        m, w, wp = self._motion, self.w_a, self.w_p
+        reach = [self._tip(i, 1, "axial", m.a_e) for i in range(2)]
+        sag = [self._tip(i, 1, "bending", m.a_e) for i in range(2)]
+        length = [self._tip(i, 2, "axial", m.a_e) for i in range(2)]
+        along = [reach[i] - m.a_a[i] * self.sag[i] - w[i] * (self._sag_rate[i] + self._across[i]) for i in range(2)]
+        across = [sag[i] + m.a_a[i] * self.reach[i] + w[i] * (self._reach_rate[i] + self._along[i]) for i in range(2)]
+        self.elbow_acceleration = [along[i] * self.e_a[i] + across[i] * _normal(self.e_a[i]) for i in range(2)]
+        self.acceleration = self._solve(
+            [
+                casadi.dot(self.e_p[i], self.elbow_acceleration[i]) + length[i] - self.length[i] * wp[i] ** 2
+                for i in range(2)
+            ]
+        )
+        self.wd_p = [
+            (
+                casadi.dot(_normal(self.e_p[i]), self.acceleration - self.elbow_acceleration[i])
+                - 2 * self.length_rate[i] * wp[i]
+            )
+            / self.length[i]
+            for i in range(2)
+        ]
+
+    def redundant(self) -> RedundantState:
+        """The motion in redundant coordinates."""
+        m = self._motion
+        return RedundantState(
+            directions=(*self.e_a, *self.e_p),
+            points=(self.elbows[0], self.elbows[1]),
+            position=self.position,
+            elastic=m.q_e,
+            rates=casadi.vertcat(m.v_a, *self.w_p, *self.elbow_velocity, self.velocity, m.v_e),
+            accelerations=casadi.vertcat(m.a_a, *self.wd_p, *self.elbow_acceleration, self.acceleration, m.a_e),
+        )
+
+    def project(self, force: casadi.SX) -> tuple[casadi.SX, casadi.SX]:
+        """Redundant generalised forces (10 + n, 1) → forces on the motor angles (2, 1) and elastic coordinates (n, 1).
+
+        This is the transposed velocity map; virtual power is preserved.
+        """
+        turning_a, turning_p = force[0:2], force[2:4]
+        at_elbow, at_tip, elastic = [force[4:6], force[6:8]], force[8:10], force[10:]
+        levers = [turning_p[i] * _normal(self.e_p[i]) / self.length[i] for i in range(2)]
+        axial = self._solve_transposed(at_tip + levers[0] + levers[1])
+        motors = []
+        for i in range(2):
+            at_elbow[i] = at_elbow[i] - levers[i] + axial[i] * self.e_p[i]
+            along = casadi.dot(self.e_a[i], at_elbow[i])
+            across = casadi.dot(_normal(self.e_a[i]), at_elbow[i])
+            motors.append(turning_a[i] + across * self.reach[i] - along * self.sag[i])
+            if elastic.numel():
+                for link, direction, component in ((1, "axial", along), (1, "bending", across), (2, "axial", axial[i])):
+                    elastic += self._tips.gain(f"link{i + 1}{link}", direction) * component  # type: ignore[arg-type]
+        return casadi.vertcat(*motors), elastic

@@ -1,0 +1,155 @@
+"""The five-bar of a scene as a sum of effects, assembled once: what plants, statics and modes have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi
+
+from flexfmu.model.closure import Closure, IndependentMotion
+from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
+from flexfmu.model.effects import (
+    Effect,
+    ElasticFamily,
+    Gravity,
+    LinkInertia,
+    LinkProperties,
+    ModalDamping,
+    Output,
+    PointPayload,
+    StiffnessDamping,
+    link_properties,
+)
+from flexfmu.model.parameters import ParameterRegistry
+from flexfmu.model.robot import Direction, LinkGroup, Robot, make_robot
+from flexfmu.model import scene as keys
+from flexfmu.model.scene import Mechanism, Scene
+from flexfmu.model.symbolic import Variable
+
+FAMILIES: tuple[tuple[LinkGroup, Direction], ...] = (
+    ("proximal", "axial"),
+    ("proximal", "bending"),
+    ("distal", "axial"),
+    ("distal", "bending"),
+)
+
+POSITIVE = 1e-9
+"""Smallest admissible value of a length, density or modulus in its SI unit."""
+
+
+@dataclass(frozen=True)
+class FiveBar:
+    """A scene's mechanism in symbols.
+
+    Attributes:
+        robot: symbols of the redundant coordinates.
+        registry: parameters and derived values.
+        dynamics: equations of motion in redundant coordinates.
+        motion: symbols of the independent motion.
+        closure: the assembled motion as expressions of the independent one.
+        motor_forces: torques that the independent motion needs [N m], (2, 1).
+        elastic_forces: forces on q_e that it needs [N], (n, 1); zero in a free motion.
+        outputs: watched scalars of the effects.
+        sentences: effect → sentence, for documentation.
+    """
+
+    robot: Robot
+    registry: ParameterRegistry
+    dynamics: RedundantDynamics
+    motion: IndependentMotion
+    closure: Closure
+    motor_forces: casadi.SX
+    elastic_forces: casadi.SX
+    outputs: tuple[Output, ...]
+    sentences: Mapping[str, str]
+
+
+def assemble(scene: Scene) -> FiveBar:
+    """Put the chosen effects of a scene together."""
+    registry = ParameterRegistry()
+    parameters = _mechanism_parameters(registry, scene.mechanism)
+    properties: dict[LinkGroup, LinkProperties] = {
+        group: link_properties(registry, group, parameters) for group in ("proximal", "distal")
+    }
+    effects = chosen_effects(scene, registry, properties)
+    families = [family for effect in effects for family in effect.families()]
+    robot = make_robot(families, registry.derived("base_half_distance", parameters["base_half_distance"]))
+    dynamics = derive_dynamics(robot, effects, registry)
+    motion = _independent_motion(robot)
+    side = 1 if scene.mechanism.assembly_mode == "left" else -1
+    closure = Closure(robot, motion, (properties["proximal"].length, properties["distal"].length), side)
+    force = dynamics.force(*closure.redundant().arguments(), registry.d)
+    motors, elastic = closure.project(force)
+    return FiveBar(
+        robot=robot,
+        registry=registry,
+        dynamics=dynamics,
+        motion=motion,
+        closure=closure,
+        motor_forces=motors,
+        elastic_forces=elastic,
+        outputs=tuple(output for effect in effects for output in effect.outputs(robot)),
+        sentences={type(effect).__name__: effect.sentence() for effect in effects},
+    )
+
+
+def chosen_effects(
+    scene: Scene, registry: ParameterRegistry, properties: Mapping[LinkGroup, LinkProperties]
+) -> list[Effect]:
+    """The effects that a scene asks for; what it leaves out isn't constructed."""
+    effects: list[Effect] = [LinkInertia(registry, properties)]
+    for group, direction in FAMILIES:
+        modes: int = getattr(scene.effects, f"{group}_{direction}")
+        if modes:
+            effects.append(ElasticFamily(registry, properties[group], group, direction, modes))
+    if scene.payload.mass:
+        effects.append(PointPayload(registry, scene.payload.mass))
+    if any(scene.effects.gravity):
+        effects.append(Gravity(registry, scene.effects.gravity))
+    damping = scene.effects.damping
+    if isinstance(damping, keys.ModalDamping) and damping.ratio:
+        effects.append(ModalDamping(registry, damping.ratio))
+    if isinstance(damping, keys.StiffnessDamping) and damping.time:
+        effects.append(StiffnessDamping(registry, damping.time))
+    return effects
+
+
+def _independent_motion(robot: Robot) -> IndependentMotion:
+    actuated = [casadi.SX.sym(name, 2) for name in ("q_a", "v_a", "a_a")]
+    return IndependentMotion(*actuated, robot.q_e, robot.v_e, casadi.SX.sym("a_e", robot.q_e.numel()))
+
+
+def _mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> dict[str, casadi.SX]:
+    """The parameters that every scene has: lengths, diameters and material."""
+    variables = [
+        _positive(
+            "base_half_distance", "m", "Half of the distance between the bases", mechanism.base_half_distance, 1e3
+        )
+    ]
+    for group, link in (("proximal", mechanism.proximal), ("distal", mechanism.distal)):
+        variables += [
+            _positive(f"{group}.length", "m", f"Length of the {group} links", link.length, 1e3),
+            _positive(f"{group}.diameter", "m", f"Outer diameter of the {group} links", link.diameter, 1e2),
+            Variable(
+                f"{group}.inner_diameter",
+                "m",
+                f"Inner diameter of the {group} links, 0 for solid rods",
+                "parameter",
+                start=link.inner_diameter,
+                minimum=0.0,
+                maximum=1e2,
+            ),
+        ]
+    variables += [
+        _positive("material.density", "kg/m3", "Density of the links", mechanism.material.density, 1e6),
+        _positive(
+            "material.youngs_modulus", "Pa", "Young's modulus of the links", mechanism.material.youngs_modulus, 1e15
+        ),
+    ]
+    return {variable.name: registry.parameter(variable) for variable in variables}
+
+
+def _positive(name: str, unit: str, description: str, start: float, maximum: float) -> Variable:
+    """A parameter that must be above zero; FMI knows closed ranges only, so the minimum is tiny instead."""
+    return Variable(name, unit, description, "parameter", start=start, minimum=POSITIVE, maximum=maximum)

@@ -1,0 +1,74 @@
+"""Rigid kinematics of the five-bar: inverse kinematics for points and for jets, and the margins to what planning must avoid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.model.assembly import WORKING_MODES, assembly_side, bases, elbows, motor_angles
+from flexfmu.model.scene import Mechanism
+from flexfmu.trajectories.jets import Jet, arctan2, sqrt
+from flexfmu.trajectories.joint import Margin
+
+Array = NDArray[np.float64]
+
+REACH_MARGIN = 1e-3
+"""Smallest distance [m] to a stretched or folded leg (type-1 singularity) that planning accepts: joint rates grow like
+1/sqrt(margin)."""
+
+SINE_MARGIN = 0.02
+"""Smallest sine of the angle between the distal links (type-2 singularity) that planning accepts: at 0.026 (elbows 10 mm
+apart on the paper's robot) the first frequency has fallen from 80 Hz to 3 Hz."""
+
+
+@dataclass(frozen=True)
+class RigidKinematics:
+    """Inverse kinematics of a mechanism in its working mode; implements the trajectories' `InverseKinematics`."""
+
+    mechanism: Mechanism
+
+    def inverse(self, position: tuple[float, float]) -> tuple[float, float]:
+        """Motor angles (q11, q21) [rad] that put the end effector at `position` [m].
+
+        Raises:
+            ValueError: the position is out of reach.
+        """
+        return motor_angles(self.mechanism, position)
+
+    def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
+        """Jets of q11 and q21 [rad] from jets of the end-effector position [m]."""
+        return self._joint(0, x, y), self._joint(1, x, y)
+
+    def _joint(self, leg: int, x: Jet, y: Jet) -> Jet:
+        proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
+        base, sign = bases(self.mechanism)[leg], WORKING_MODES[self.mechanism.working_mode][leg]
+        dx, dy = x - base[0], y - base[1]
+        square = dx * dx + dy * dy
+        # the elbow angle from its cosine and sine, both times 2 l r: no acos near its ends
+        cosine = square + (proximal**2 - distal**2)
+        sine = sqrt(4.0 * proximal**2 * square - cosine * cosine)
+        return arctan2(dy, dx) + sign * arctan2(sine, cosine)
+
+    def margins(self, position: Array) -> tuple[Margin, ...]:
+        """Distances to the workspace boundary and to the type-2 singularity at positions (N, 2) [m]."""
+        proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
+        reaches = []
+        for leg, base in enumerate(bases(self.mechanism)):
+            distance = np.hypot(position[:, 0] - base[0], position[:, 1] - base[1])
+            clearance = np.minimum(proximal + distal - distance, distance - abs(proximal - distal))
+            reaches.append(Margin(f"reach of leg {leg + 1}", "m", clearance, REACH_MARGIN))
+        inside = np.all([margin.values > 0.0 for margin in reaches], axis=0)
+        sines = np.full(len(position), np.nan)
+        sines[inside] = [self.sine((float(point[0]), float(point[1]))) for point in position[inside]]
+        sines[~inside] = -1.0
+        return (
+            *reaches,
+            Margin("sine of the angle between the distal links (type-2 singularity)", "1", sines, SINE_MARGIN),
+        )
+
+    def sine(self, position: tuple[float, float]) -> float:
+        """Sine of the angle between the distal links, negative on the wrong assembly side."""
+        side = 1.0 if self.mechanism.assembly_mode == "left" else -1.0
+        return side * assembly_side(*elbows(self.mechanism, position), position) / self.mechanism.distal.length**2

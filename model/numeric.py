@@ -1,0 +1,77 @@
+"""A scene's model evaluated with numbers: compiled once per set of effects, called for any pose and parameter values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.model.five_bar import FiveBar, assemble
+from flexfmu.model.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NumericModel:
+    """Functions of a scene's five-bar with its parameter values filled in.
+
+    Attributes:
+        n: number of elastic coordinates.
+        elastic_forces: (q_e, v_e, a_e, u) → forces on q_e (n, 1) [N]; u = [q_a, v_a, a_a] (6, 1).
+        static_stiffness: (q_e, u) → Jacobian of the static elastic forces by q_e (n, n) [N/m].
+        mass_matrix: (q_e, u) → (n, n) [kg].
+        motion: (q_e, v_e, a_e, u) → position, velocity, acceleration of the end effector and torques, each (2, 1).
+        energy: (q_e, v_e, u) → [kinetic, potential] [J].
+    """
+
+    n: int
+    elastic_forces: casadi.Function
+    static_stiffness: casadi.Function
+    mass_matrix: casadi.Function
+    motion: casadi.Function
+    energy: casadi.Function
+
+
+@lru_cache(maxsize=32)
+def numeric_model(scene: Scene) -> NumericModel:
+    """The numeric model of a scene, made once."""
+    five_bar = assemble(scene)
+    m, closure = five_bar.motion, five_bar.closure
+    u = casadi.vertcat(m.q_a, m.v_a, m.a_a)
+    values = _derived_values(five_bar)
+
+    def function(name: str, arguments: list[casadi.SX], results: list[casadi.SX]) -> casadi.Function:
+        filled = [casadi.densify(casadi.cse(casadi.substitute(r, five_bar.registry.d, values))) for r in results]
+        return casadi.Function(name, arguments, filled)
+
+    force, zeros = five_bar.elastic_forces, casadi.SX.zeros(m.q_e.numel())
+    at_rest = casadi.substitute(force, casadi.vertcat(m.v_e, m.a_e), casadi.vertcat(zeros, zeros))
+    state = closure.redundant()
+    energy = five_bar.dynamics.energy(state.arguments()[0], state.rates, five_bar.registry.d)
+    return NumericModel(
+        n=m.q_e.numel(),
+        elastic_forces=function("elastic_forces", [m.q_e, m.v_e, m.a_e, u], [force]),
+        static_stiffness=function("static_stiffness", [m.q_e, u], [casadi.jacobian(at_rest, m.q_e)]),
+        mass_matrix=function("mass_matrix", [m.q_e, u], [casadi.jacobian(force, m.a_e)]),
+        motion=function(
+            "motion",
+            [m.q_e, m.v_e, m.a_e, u],
+            [closure.position, closure.velocity, closure.acceleration, five_bar.motor_forces],
+        ),
+        energy=function("energy", [m.q_e, m.v_e, u], [energy]),
+    )
+
+
+def _derived_values(five_bar: FiveBar) -> casadi.DM:
+    registry = five_bar.registry
+    derive = casadi.Function("derive", [registry.p], [registry.resolved()])
+    return derive([registry.starts[variable.name] for variable in registry.variables])
+
+
+def standstill(joints: tuple[float, float] | Array) -> Array:
+    """u = [q_a, 0, 0], shape (6,), for locked motors at the angles [rad]."""
+    return np.concatenate([np.asarray(joints, dtype=float), np.zeros(4)])

@@ -1,0 +1,155 @@
+"""The robot in redundant coordinates: symbols of every link's floating frame, its elastic coordinates and the end effector.
+
+A link j of leg i has the base point P (fixed for a proximal link), the direction e = (cos theta, sin theta) with the normal
+n = (-sin theta, cos theta), and the displacement u = (u_x along e, u_y along n) of eq. (5) of Barnard, Briot and Caro (2012).
+The direction stands as a unit vector, not as an angle: the closed-form assembly yields it without atan2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import casadi
+import numpy as np
+
+from flexfmu.model.beams import Shape, ShapeIntegrals, integrate_shapes
+
+LinkGroup = Literal["proximal", "distal"]
+Direction = Literal["axial", "bending"]
+LEGS = (1, 2)
+LINK_ORDER: tuple[tuple[str, LinkGroup, int], ...] = (
+    ("link11", "proximal", 1),
+    ("link12", "distal", 1),
+    ("link21", "proximal", 2),
+    ("link22", "distal", 2),
+)
+"""Links in the order of the paper's q_e = [q_e11, q_e12, q_e21, q_e22]."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """The modes of one direction on one link group, with derived values that both legs share.
+
+    Attributes:
+        group: which links carry it.
+        direction: axial (u_x) or bending (u_y).
+        shapes: K mode shapes.
+        stiffness: modal stiffness matrix K (K, K) [N/m].
+        mass: modal mass matrix of the link alone (K, K) [kg].
+    """
+
+    group: LinkGroup
+    direction: Direction
+    shapes: tuple[Shape, ...]
+    stiffness: casadi.SX
+    mass: casadi.SX
+
+    @property
+    def tips(self) -> casadi.DM:
+        """phi_k(1), shape (K, 1)."""
+        return casadi.DM([shape.tip for shape in self.shapes])
+
+
+@dataclass(frozen=True)
+class ElasticSymbols:
+    """The coordinates of one family on one link: q [m] and their rates v [m/s], shape (K, 1)."""
+
+    family: Family
+    q: casadi.SX
+    v: casadi.SX
+
+
+@dataclass(frozen=True)
+class Link:
+    """One link's symbols. Rates are zero numbers, not symbols, where the base point is fixed."""
+
+    name: str
+    group: LinkGroup
+    leg: int
+    direction: casadi.SX
+    turning_rate: casadi.SX
+    base: casadi.SX
+    base_velocity: casadi.SX
+    elastic: tuple[ElasticSymbols, ...]
+
+    @property
+    def normal(self) -> casadi.SX:
+        """n, shape (2, 1)."""
+        return casadi.vertcat(-self.direction[1], self.direction[0])
+
+    def family(self, direction: Direction) -> ElasticSymbols | None:
+        """The coordinates of one direction, None where it is rigid."""
+        return next((part for part in self.elastic if part.family.direction == direction), None)
+
+    def shape_integrals(self) -> ShapeIntegrals:
+        """Integrals over all shapes of the link, axial ones first, then bending."""
+        return integrate_shapes([shape for direction in ("axial", "bending") for shape in self._shapes(direction)])
+
+    def _shapes(self, direction: str) -> Sequence[Shape]:
+        return [s for part in self.elastic if part.family.direction == direction for s in part.family.shapes]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """All symbols of the redundant formulation.
+
+    The rates are ordered [w11, w21, w12, w22, P1' (2), P2' (2), X' (2), q_e' (n)]: actuated, passive, elastic.
+    """
+
+    links: Mapping[str, Link]
+    position: casadi.SX
+    velocity: casadi.SX
+
+    @property
+    def elastic(self) -> tuple[tuple[Link, ElasticSymbols], ...]:
+        """Every family of every link in the order of q_e."""
+        return tuple((link, part) for link in self.links.values() for part in link.elastic)
+
+    @property
+    def q_e(self) -> casadi.SX:
+        """Elastic coordinates, shape (n, 1)."""
+        return casadi.vertcat(casadi.SX(0, 1), *(part.q for _, part in self.elastic))
+
+    @property
+    def v_e(self) -> casadi.SX:
+        """Elastic rates, shape (n, 1)."""
+        return casadi.vertcat(casadi.SX(0, 1), *(part.v for _, part in self.elastic))
+
+    @property
+    def elastic_names(self) -> tuple[str, ...]:
+        """Names of the elastic coordinates, like ``link11.bending[1]``."""
+        return tuple(
+            f"{link.name}.{part.family.direction}[{k + 1}]"
+            for link, part in self.elastic
+            for k in range(len(part.family.shapes))
+        )
+
+
+def make_robot(families: Sequence[Family], base_half_distance: casadi.SX) -> Robot:
+    """Symbols of a robot whose links carry the given families."""
+    bases = {1: casadi.vertcat(-base_half_distance, 0.0), 2: casadi.vertcat(base_half_distance, 0.0)}
+    links = {name: _make_link(name, group, leg, bases[leg], families) for name, group, leg in LINK_ORDER}
+    return Robot(links, casadi.SX.sym("X", 2), casadi.SX.sym("Xd", 2))
+
+
+def _make_link(name: str, group: LinkGroup, leg: int, base: casadi.SX, families: Sequence[Family]) -> Link:
+    moves = group == "distal"
+    elastic = tuple(
+        ElasticSymbols(
+            family, casadi.SX.sym(f"q_{name}", len(family.shapes)), casadi.SX.sym(f"v_{name}", len(family.shapes))
+        )
+        for family in families
+        if family.group == group
+    )
+    return Link(
+        name=name,
+        group=group,
+        leg=leg,
+        direction=casadi.SX.sym(f"e_{name}", 2),
+        turning_rate=casadi.SX.sym(f"w_{name}"),
+        base=casadi.SX.sym(f"P{leg}", 2) if moves else base,
+        base_velocity=casadi.SX.sym(f"Pd{leg}", 2) if moves else casadi.SX(np.zeros((2, 1))),
+        elastic=elastic,
+    )
