@@ -1,0 +1,81 @@
+"""The metrics of a run: names, units and what each of them says. How they are computed is in `flexfmu.cosim.metrics`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class MetricInfo:
+    """What a metric is.
+
+    Attributes:
+        label: short name for tables.
+        unit: SI unit of the value in ``summary.json``.
+        display_unit, display_factor: unit for people, and what to multiply the SI value by.
+        description: one sentence.
+    """
+
+    label: str
+    unit: str
+    display_unit: str
+    display_factor: float
+    description: str
+
+
+def _millimetres(label: str, description: str) -> MetricInfo:
+    return MetricInfo(label, "m", "mm", 1e3, description)
+
+
+def _plain(label: str, unit: str, description: str) -> MetricInfo:
+    return MetricInfo(label, unit, unit, 1.0, description)
+
+
+_BOTH_SIDES = "over the motion, both sides of every jump and t = 0+ included"
+
+METRICS: Mapping[str, MetricInfo] = {
+    "peak_torque_1": _plain("Peak torque, joint 1", "N.m", f"Largest |torque| of motor 1 {_BOTH_SIDES}."),
+    "peak_torque_2": _plain("Peak torque, joint 2", "N.m", f"Largest |torque| of motor 2 {_BOTH_SIDES}."),
+    "peak_modal_deflection_1": _millimetres(
+        "Peak modal deflection, link 1", "Largest |first bending coordinate| of proximal link 1 over the motion."
+    ),
+    "peak_tip_deflection_1": _millimetres(
+        "Peak tip deflection, link 1",
+        "Largest |transverse displacement| of the tip of proximal link 1 over the motion.",
+    ),
+    "peak_tip_deflection_2": _millimetres(
+        "Peak tip deflection, link 2",
+        "Largest |transverse displacement| of the tip of proximal link 2 over the motion.",
+    ),
+    "peak_position_error": _millimetres(
+        "Peak position error", "Largest distance from the rigid robot's end effector over motion and dwell."
+    ),
+    "rms_acceleration_error": _plain(
+        "RMS acceleration error",
+        "m/s2",
+        "Root mean square over the motion of the distance from the rigid acceleration.",
+    ),
+    "end_position_error": _millimetres(
+        "End position error", "Distance from the rigid robot's end effector at the end of the motion."
+    ),
+    "end_velocity_error": _plain(
+        "End velocity error", "m/s", "Norm of the velocity's deviation from the rigid robot's at the end of the motion."
+    ),
+    "end_acceleration_error": _plain(
+        "End acceleration error",
+        "m/s2",
+        "Norm of the acceleration's deviation at the end of the motion, before the acceleration's last jump.",
+    ),
+    "residual_vibration_amplitude": _millimetres(
+        "Residual vibration, amplitude", "Largest distance from the equilibrium at the end pose during the dwell."
+    ),
+    "residual_vibration_rms": _millimetres(
+        "Residual vibration, RMS", "Root mean square during the dwell of the distance from that equilibrium."
+    ),
+    "settling_time": _plain(
+        "Settling time",
+        "s",
+        "Time after the motion's end from which the end effector stays within the settling band around that equilibrium.",
+    ),
+}

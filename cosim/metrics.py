@@ -1,0 +1,187 @@
+"""Metrics of a run: properties of the continuous solution between the communication points.
+
+Every metric comes with an estimate of what interpolating between the communication points contributes to it. Motion
+means 0 < t < T with one-sided limits at both ends; the dwell follows it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flexfmu.cosim.bernstein import Array, gauss_legendre, last_time_above
+from flexfmu.cosim.errors import ResultsError
+from flexfmu.cosim.interpolation import HermiteSegments
+from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.results import Recording
+from flexfmu.cosim.signals import (
+    ACCELERATION,
+    TIP_DEFLECTIONS,
+    TORQUES,
+    VELOCITY,
+    deviation_from_point,
+    deviation_from_rigid,
+    modal_deflection,
+    position,
+    segments,
+)
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.experiment import Run
+    from flexfmu.cosim.planning import MotionPlan
+    from flexfmu.trajectories.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The value of one metric.
+
+    Attributes:
+        value: in the SI unit of `METRICS`; None where the metric doesn't exist (no dwell, not settled, run cut short).
+        interpolation_error: estimated error in the same unit that the finite communication step leaves; the
+            integrator's own error is not part of it.
+    """
+
+    value: float | None
+    interpolation_error: float = 0.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the metrics depend on beside the recording.
+
+    Attributes:
+        task: motion of the rigid robot's end effector.
+        end_equilibrium: (2,) end-effector position [m] of the static equilibrium at the end pose.
+        dwell: standstill after the motion [s].
+        settling_band: radius around the equilibrium within which the robot counts as settled [m].
+    """
+
+    task: Trajectory
+    end_equilibrium: Array
+    dwell: float
+    settling_band: float
+
+
+def measure_run(run: Run) -> Mapping[str, Measurement]:
+    """All metrics of a run, in the order of `METRICS`; all without a value when the run was cut short.
+
+    Raises:
+        ResultsError: a signal that the metrics need was not recorded.
+        StaticsError: the end pose has no static equilibrium.
+    """
+    if not run.completed:
+        return dict.fromkeys(METRICS, Measurement(None))
+    return measure(run.recording, settings_for(run.plan))
+
+
+def settings_for(plan: MotionPlan) -> Settings:
+    """What the metrics of a scene's motion depend on; computes the static equilibrium at the end pose."""
+    from flexfmu.model.statics import static_equilibrium
+
+    end_joints = plan.joints.evaluate(np.array([plan.duration]), 0, side="left")[0, 0]
+    equilibrium = np.asarray(static_equilibrium(plan.scene, end_joints).position, dtype=float)
+    return Settings(plan.task, equilibrium, plan.scene.trajectory.dwell, plan.scene.cosimulation.settling_band)
+
+
+def measure(recording: Recording, settings: Settings) -> Mapping[str, Measurement]:
+    """All metrics of a complete recording, in the order of `METRICS`.
+
+    Raises:
+        ResultsError: a signal that the metrics need was not recorded or is not finite.
+    """
+    task, end = settings.task, settings.task.duration
+    motion = {
+        "position": deviation_from_rigid(position(recording), task, 0),
+        "velocity": deviation_from_rigid(segments(recording, VELOCITY), task, 1).within(0.0, end),
+        "acceleration": deviation_from_rigid(segments(recording, ACCELERATION), task, 2).within(0.0, end),
+    }
+    measurements = {
+        **_loads(recording, end),
+        "peak_position_error": peak(motion["position"]),
+        "rms_acceleration_error": root_mean_square(motion["acceleration"]),
+        "end_position_error": _at_end(motion["position"].within(0.0, end)),
+        "end_velocity_error": _at_end(motion["velocity"]),
+        "end_acceleration_error": _at_end(motion["acceleration"]),
+        **_residual(recording, settings),
+    }
+    return {name: _finite(name, measurements[name]) for name in METRICS}
+
+
+def _finite(name: str, measurement: Measurement) -> Measurement:
+    """The measurement, unless it isn't a number: then the recording holds one that isn't."""
+    if measurement.value is not None and not math.isfinite(measurement.value):
+        raise ResultsError(f"metric `{name}` is {measurement.value}: the recorded signals are not finite")
+    return measurement
+
+
+def _loads(recording: Recording, end: float) -> dict[str, Measurement]:
+    """Peak torques and deflections over the motion; a rigid link doesn't deflect."""
+    found: dict[str, Measurement] = {}
+    for joint, name in enumerate(TORQUES, start=1):
+        found[f"peak_torque_{joint}"] = peak(segments(recording, [name]).within(0.0, end))
+    modal = modal_deflection(recording)
+    found["peak_modal_deflection_1"] = Measurement(0.0) if modal is None else peak(modal.within(0.0, end))
+    for leg, name in enumerate(TIP_DEFLECTIONS, start=1):
+        flexible = name in recording.columns
+        found[f"peak_tip_deflection_{leg}"] = (
+            peak(segments(recording, [name]).within(0.0, end)) if flexible else Measurement(0.0)
+        )
+    return found
+
+
+def _residual(recording: Recording, settings: Settings) -> dict[str, Measurement]:
+    """What is left of the vibration during the dwell."""
+    names = ("residual_vibration_amplitude", "residual_vibration_rms", "settling_time")
+    if settings.dwell == 0.0:
+        return dict.fromkeys(names, Measurement(None))
+    end = settings.task.duration
+    vibration = deviation_from_point(position(recording), settings.end_equilibrium).within(end, math.inf)
+    measurements = (peak(vibration), root_mean_square(vibration), settling(vibration, settings.settling_band))
+    return dict(zip(names, measurements, strict=True))
+
+
+def peak(signal: HermiteSegments) -> Measurement:
+    """Largest norm; its error is how much further another segment might reach, at least that of the peak's segment."""
+    largest, errors = signal.maximum_norm(), signal.error_estimate()
+    reached = np.linalg.norm(signal.evaluate(np.linspace(0.0, 1.0, 2 * len(signal.control))), axis=2).max(axis=0)
+    return Measurement(largest, max(float(np.max(reached + errors)) - largest, float(errors[np.argmax(reached)])))
+
+
+def root_mean_square(signal: HermiteSegments) -> Measurement:
+    """Root of the mean squared norm; its error is at most the root mean square of the interpolation error.
+
+    Within a segment the latter is (4 theta (1 - theta))^m times its largest value.
+    """
+    points, weights = gauss_legendre(2 * len(signal.control))
+    shape = float(weights @ (4.0 * points * (1.0 - points)) ** (2 * len(signal.left)))
+    mean_square_error = shape * np.average(signal.error_estimate() ** 2, weights=signal.duration)
+    return Measurement(math.sqrt(signal.mean_square()), math.sqrt(mean_square_error))
+
+
+def settling(vibration: HermiteSegments, band: float) -> Measurement:
+    """Time from the first segment's start after which the norm stays below ``band`` [s]; None if it never does.
+
+    Its error is how far the last crossing moves when the vibration's amplitude changes by the interpolation error.
+    """
+    begin, stop = float(vibration.start[0]), float(vibration.end[-1])
+    crossing = last_time_above(vibration.control, vibration.start, vibration.duration, band)
+    if crossing is None:
+        return Measurement(0.0)
+    near = int(np.searchsorted(vibration.end, crossing))
+    error = float(vibration.error_estimate()[min(near, len(vibration.end) - 1)])
+    spread = [
+        last_time_above(vibration.control, vibration.start, vibration.duration, level)
+        for level in (band + error, max(band - error, 0.0))
+    ]
+    early, late = (begin if time is None else time for time in spread)
+    return Measurement(crossing - begin if crossing < stop else None, late - early)
+
+
+def _at_end(signal: HermiteSegments) -> Measurement:
+    """Norm at the end of the last segment, which is a communication point: nothing is interpolated."""
+    return Measurement(float(np.linalg.norm(signal.right[0, -1])))

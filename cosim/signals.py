@@ -1,0 +1,105 @@
+"""Signals of a recording as Hermite segments: what the metrics and plots interpolate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flexfmu.cosim.bernstein import Array
+from flexfmu.cosim.errors import ResultsError
+from flexfmu.cosim.interpolation import HermiteSegments
+from flexfmu.cosim.results import Recording
+
+if TYPE_CHECKING:
+    from flexfmu.trajectories.trajectory import Trajectory
+
+POSITION = ("end_effector.position.x", "end_effector.position.y")
+VELOCITY = ("end_effector.velocity.x", "end_effector.velocity.y")
+ACCELERATION = ("end_effector.acceleration.x", "end_effector.acceleration.y")
+TORQUES = ("joint1.torque", "joint2.torque")
+TIP_DEFLECTIONS = ("link11.tip_deflection", "link21.tip_deflection")
+FIRST_BENDING = "link11.bending[1]"
+
+
+def segments(recording: Recording, names: Sequence[str], accelerations: Sequence[str] = ()) -> HermiteSegments:
+    """The named signals, interpolated between communication points, one channel each.
+
+    Args:
+        recording: signals with first and second time derivatives.
+        names: signals of one unit.
+        accelerations: the signals that are their second derivatives, where these were recorded too: with them
+            derivatives to the fourth order are known, and the interpolant is of degree 9 instead of 5.
+
+    Raises:
+        ResultsError: a signal or its derivatives were not recorded.
+    """
+    derivatives = _derivatives(recording, names)
+    if accelerations:
+        derivatives = np.concatenate([derivatives, _derivatives(recording, accelerations)[1:]])
+    forward = np.diff(recording.time) > 0.0
+    return HermiteSegments(
+        recording.time[:-1][forward],
+        recording.time[1:][forward],
+        derivatives[:, :-1][:, forward],
+        derivatives[:, 1:][:, forward],
+    )
+
+
+def position(recording: Recording) -> HermiteSegments:
+    """End-effector position [m] with four derivatives."""
+    return segments(recording, POSITION, ACCELERATION)
+
+
+def modal_deflection(recording: Recording) -> HermiteSegments | None:
+    """First bending coordinate of proximal link 1 [m]; None when that link is rigid."""
+    if FIRST_BENDING not in recording.columns:
+        return None
+    acceleration = f"der({FIRST_BENDING},2)"
+    return segments(recording, [FIRST_BENDING], [acceleration] if acceleration in recording.columns else ())
+
+
+def deviation_from_rigid(signal: HermiteSegments, task: Trajectory, order: int) -> HermiteSegments:
+    """What separates the end effector's ``order``-th time derivative from that of the rigid robot, which tracks exactly.
+
+    Args:
+        signal: end-effector position (order 0), velocity (1) or acceleration (2), two channels.
+        task: the rigid robot's motion, at standstill after its end.
+        order: which time derivative of the position ``signal`` is.
+    """
+    highest = order + len(signal.left) - 1
+    start = task.evaluate(signal.start, highest, side="right")[order:]
+    end = task.evaluate(signal.end, highest, side="left")[order:]
+    return signal.minus(start, end)
+
+
+def deviation_from_point(signal: HermiteSegments, point: Array) -> HermiteSegments:
+    """What separates a position from a fixed ``point`` (2,) [m]."""
+    fixed = np.zeros((len(signal.left), 1, len(point)))
+    fixed[0] = point
+    return signal.minus(fixed, fixed)
+
+
+def sample(signal: HermiteSegments, per_segment: int) -> tuple[Array, Array]:
+    """Times (k,) and values (k, c) for a plot: both ends of every segment and points between, in order of time."""
+    theta = np.linspace(0.0, 1.0, per_segment)
+    time = signal.start + theta[:, np.newaxis] * signal.duration
+    values = signal.evaluate(theta)
+    return time.T.ravel(), values.transpose(1, 0, 2).reshape(-1, values.shape[2])
+
+
+def _derivatives(recording: Recording, names: Sequence[str]) -> Array:
+    """(3, N, c) the signals and their first and second time derivatives."""
+    return np.stack([_complete(recording, name) for name in names], axis=-1)
+
+
+def _complete(recording: Recording, name: str) -> Array:
+    """(3, N) one signal with its derivatives."""
+    try:
+        column = recording[name]
+    except KeyError as error:
+        raise ResultsError(f"metrics need the signal `{name}`: {error.args[0]}") from None
+    if column.first is None or column.second is None:
+        raise ResultsError(f"metrics need the time derivatives of `{name}`, which were not recorded: simulate it anew")
+    return np.stack([column.values, column.first, column.second])

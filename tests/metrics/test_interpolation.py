@@ -1,0 +1,124 @@
+"""The Hermite interpolant between communication points: order, extrema, quadrature, jumps and its error estimate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.bernstein import Array, bisect, maximum_norm
+from flexfmu.cosim.interpolation import HermiteSegments
+
+
+def sine_segments(
+    step: float, frequency: float, derivatives: int = 3, end: float = 1.0, phase: float = 0.3
+) -> HermiteSegments:
+    """sin(frequency t + phase) on [0, end] in equal segments, with its derivatives."""
+    time = np.linspace(0.0, end, round(end / step) + 1)
+    orders = np.arange(derivatives)[:, np.newaxis]
+    nodes = (frequency**orders * np.sin(frequency * time + phase + orders * np.pi / 2))[:, :, np.newaxis]
+    return HermiteSegments(time[:-1], time[1:], nodes[:, :-1], nodes[:, 1:])
+
+
+def largest_error(segments: HermiteSegments, frequency: float, phase: float = 0.3) -> Array:
+    """(n,) largest difference from the sine in each segment, densely sampled."""
+    theta = np.linspace(0.0, 1.0, 41)
+    time = segments.start + theta[:, np.newaxis] * segments.duration
+    return np.asarray(np.abs(segments.evaluate(theta)[:, :, 0] - np.sin(frequency * time + phase)).max(axis=0))
+
+
+@pytest.mark.parametrize(("derivatives", "steps"), [(2, (40, 80)), (3, (10, 20)), (5, (2, 4))])
+def test_order_is_twice_the_number_of_derivatives(derivatives: int, steps: tuple[int, int]) -> None:
+    """Halving the step divides the error by 2^(2m): 6th order with value, velocity and acceleration."""
+    errors = [largest_error(sine_segments(1.0 / n, 5.0, derivatives), 5.0).max() for n in steps]
+    slope = np.log(errors[0] / errors[1]) / np.log(steps[1] / steps[0])
+    assert slope == pytest.approx(2 * derivatives, abs=0.25)
+
+
+@pytest.mark.parametrize("derivatives", [3, 5])
+@pytest.mark.parametrize(
+    ("resolution", "factor"), [(0.5, 2.0), (1.0, 2.0), (2.0, 2.0), (4.0, 10.0), (6.0, 2.0), (12.0, 4.0)]
+)
+def test_error_estimate_is_honest(derivatives: int, resolution: float, factor: float) -> None:
+    """Right within a factor of two while a step is below 2 rad of the vibration, in its order of magnitude beyond."""
+    segments = sine_segments(0.01, resolution / 0.01, derivatives)
+    ratio = segments.error_estimate().max() / largest_error(segments, resolution / 0.01).max()
+    assert 1 / factor < ratio < factor
+
+
+def test_error_estimate_ignores_jumps_at_breakpoints() -> None:
+    """A jump of the signal is physics, not an interpolation error."""
+    smooth = sine_segments(0.01, 10.0)
+    shifted = HermiteSegments(smooth.start, smooth.end, smooth.left.copy(), smooth.right.copy())
+    shifted.left[:, 50:] *= -3.0
+    shifted.right[:, 50:] *= -3.0
+    assert shifted.error_estimate().max() < 4 * smooth.error_estimate().max()
+
+
+def test_error_estimate_of_a_single_segment_is_pessimistic() -> None:
+    """A piece of one segment has no neighbours to learn from: the estimate bounds the error from above."""
+    alone = sine_segments(1.0, 2.0)
+    assert alone.error_estimate()[0] > largest_error(alone, 2.0)[0]
+
+
+def test_maximum_lies_between_communication_points() -> None:
+    """The peak of a vibration is found although no communication point hits it."""
+    assert sine_segments(0.01, 12.0).maximum_norm() == pytest.approx(1.0, abs=1e-9)
+
+
+def test_maximum_of_a_polynomial_is_exact() -> None:
+    """t (1 - t) (t - 0.3) has closed-form extrema; the quintic reproduces the cubic exactly."""
+    polynomial = np.polynomial.Polynomial([0.0, -0.3, 1.3, -1.0])
+    nodes = np.array([[polynomial.deriv(k)(t) if k else polynomial(t) for t in (0.0, 1.0)] for k in range(3)])[
+        :, :, np.newaxis
+    ]
+    segments = HermiteSegments(np.zeros(1), np.ones(1), nodes[:, :1], nodes[:, 1:])
+    assert segments.maximum_norm() == pytest.approx(np.abs(polynomial(polynomial.deriv().roots())).max(), rel=1e-13)
+
+
+def test_norm_of_a_circle_is_constant() -> None:
+    """The norm goes over the channels: cosine and sine together have norm one everywhere."""
+    sine, cosine = sine_segments(0.01, 4.0), sine_segments(0.01, 4.0, phase=0.3 + np.pi / 2)
+    circle = HermiteSegments(
+        sine.start,
+        sine.end,
+        np.concatenate([sine.left, cosine.left], axis=2),
+        np.concatenate([sine.right, cosine.right], axis=2),
+    )
+    assert circle.maximum_norm() == pytest.approx(1.0, rel=1e-11)
+    assert circle.mean_square() == pytest.approx(1.0, rel=1e-11)
+
+
+def test_maximum_counts_both_sides_of_a_jump() -> None:
+    """The limit from the left at a breakpoint counts although the signal never takes that value at a point."""
+    nodes = np.zeros((3, 2, 1))
+    segments = HermiteSegments(np.array([0.0, 1.0]), np.array([1.0, 2.0]), nodes, nodes.copy())
+    segments.right[0, 0, 0] = -2.0
+    assert segments.maximum_norm() == 2.0
+
+
+def test_mean_square_against_closed_form() -> None:
+    """Integral of sin^2 over [0, 1] by exact quadrature of the interpolant."""
+    omega, phase = 7.0, 0.3
+    exact = 0.5 - (np.sin(2 * (omega + phase)) - np.sin(2 * phase)) / (4 * omega)
+    assert sine_segments(0.005, omega).mean_square() == pytest.approx(exact, rel=1e-10)
+
+
+def test_bisection_keeps_the_polynomial() -> None:
+    """Both halves of a segment, put together, are the segment."""
+    control = np.random.default_rng(1).normal(size=(6, 3, 2))
+    first, second = bisect(control)
+    np.testing.assert_allclose(first[-1], second[0])
+    assert maximum_norm(control) == pytest.approx(max(maximum_norm(first), maximum_norm(second)), rel=1e-12)
+
+
+def test_nan_does_not_hide() -> None:
+    """A NaN anywhere makes the maximum NaN instead of being skipped."""
+    control = np.zeros((6, 3, 1))
+    control[2, 1, 0] = np.nan
+    assert np.isnan(maximum_norm(control))
+
+
+def test_deviation_of_a_known_signal_vanishes() -> None:
+    """Interpolating the deviation leaves no interpolation error of what both signals have in common."""
+    segments = sine_segments(0.1, 30.0)
+    assert segments.minus(segments.left, segments.right).maximum_norm() == 0.0

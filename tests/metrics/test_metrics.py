@@ -1,0 +1,223 @@
+"""Metrics on recordings in closed form: a rigid motion plus a vibration whose peaks and means are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.bernstein import Array
+from flexfmu.cosim.errors import ResultsError
+from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.metrics import Settings, measure
+from flexfmu.cosim.results import Column, Recording
+
+T, DWELL, STEP = 0.4, 0.3, 2e-3
+OMEGA = 2 * math.pi * 20.0
+Signal = Callable[[Array, int], Array]
+"""(time, order) → time derivative of that order of a smooth signal."""
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """A rigid motion along x: 2 t^2 until T, then standstill at its end point."""
+
+    duration: float = T
+    breakpoints: tuple[float, ...] = (0.0, T)
+
+    def evaluate(self, time: Array, order: int = 2, side: str = "right") -> Array:
+        """(order + 1, N, 2) position and derivatives."""
+        moving = (time < T) if side == "right" else (time <= T)
+        x = np.zeros((order + 1, len(time), 2))
+        for k, values in enumerate((2.0 * np.minimum(time, T) ** 2, 4.0 * time * moving, 4.0 * moving)[: order + 1]):
+            x[k, :, 0] = values
+        return x
+
+
+def sine(amplitude: float, omega: float, decay: float = 0.0, phase: float = 0.0) -> Signal:
+    """amplitude exp(-decay t) sin(omega t + phase), with all derivatives."""
+    root = complex(-decay, omega)
+    return lambda t, order: np.imag(amplitude * root**order * np.exp(root * t + 1j * phase))
+
+
+def column(signal: Signal, time: Array, order: int = 0) -> Column:
+    """The order-th derivative of a signal as a recorded column."""
+    return Column("", signal(time, order), signal(time, order + 1), signal(time, order + 2))
+
+
+def recording(motion: Signal, dwell: Signal, step: float = STEP) -> Recording:
+    """A robot that deviates from the rigid one by `motion` in y, then by `dwell` (of the time since T) in y."""
+    before = np.linspace(0.0, T, round(T / step) + 1)
+    after = np.linspace(0.0, DWELL, round(DWELL / step) + 1)
+    time = np.concatenate([before, T + after])
+    rigid = Quadratic()
+    x = np.concatenate(
+        [rigid.evaluate(before, 4, "left")[..., 0], rigid.evaluate(T + after, 4, "right")[..., 0]], axis=1
+    )
+    y = np.stack([np.concatenate([motion(before, k), dwell(after, k)]) for k in range(5)])
+    columns: dict[str, Column] = {}
+    for axis, d in (("x", x), ("y", y)):
+        for order, kind in enumerate(("position", "velocity", "acceleration")):
+            columns[f"end_effector.{kind}.{axis}"] = Column("", *d[order : order + 3])
+    for name in (
+        "joint1.torque",
+        "joint2.torque",
+        "link11.tip_deflection",
+        "link21.tip_deflection",
+        "link11.bending[1]",
+    ):
+        columns[name] = column(sine(3.0, OMEGA), time)
+    return Recording(time, columns)
+
+
+def settings(band: float = 1e-5, dwell: float = DWELL) -> Settings:
+    """Equilibrium where the rigid motion ends."""
+    return Settings(Quadratic(), np.array([2.0 * T**2, 0.0]), dwell, band)
+
+
+def value(name: str, run: Recording, **changes: float) -> float:
+    """One metric's value, which must exist."""
+    found = measure(run, settings(**changes))[name].value
+    assert found is not None
+    return found
+
+
+VIBRATION = sine(1e-3, OMEGA, phase=0.2)
+RINGING = sine(1e-3, OMEGA, decay=30.0, phase=0.9)
+
+
+def test_all_metrics_in_the_order_of_the_table() -> None:
+    """Every metric of the contract is there."""
+    assert list(measure(recording(VIBRATION, RINGING), settings())) == list(METRICS)
+
+
+def test_peaks_of_a_vibration() -> None:
+    """Peaks between the communication points count: torque, deflections, position error."""
+    run = recording(VIBRATION, RINGING)
+    for name in (
+        "peak_torque_1",
+        "peak_torque_2",
+        "peak_modal_deflection_1",
+        "peak_tip_deflection_1",
+        "peak_tip_deflection_2",
+    ):
+        assert value(name, run) == pytest.approx(3.0, rel=1e-7)
+    assert value("peak_position_error", run) == pytest.approx(1e-3, rel=1e-9)
+
+
+def test_root_mean_square_acceleration_error() -> None:
+    """The mean square of a sine over whole periods is half its squared amplitude."""
+    assert T * OMEGA / (2 * math.pi) == pytest.approx(8.0)
+    expected = 1e-3 * OMEGA**2 / math.sqrt(2.0)
+    assert value("rms_acceleration_error", recording(VIBRATION, RINGING)) == pytest.approx(expected, rel=1e-7)
+
+
+def test_end_errors_are_taken_before_the_last_jump() -> None:
+    """At t = T the left limits count: the dwell's vibration must not be seen."""
+    run = recording(VIBRATION, RINGING)
+    end = np.array([T])
+    for order, kind in enumerate(("position", "velocity", "acceleration")):
+        assert value(f"end_{kind}_error", run) == pytest.approx(abs(VIBRATION(end, order)[0]), rel=1e-9)
+
+
+def test_jump_counts_on_both_sides() -> None:
+    """A torque that jumps from 7 to -9 at a breakpoint peaks at 9; the standstill before t = 0 doesn't count."""
+    base = recording(VIBRATION, RINGING)
+    time = np.concatenate([[0.0], base.time])
+    middle = int(np.searchsorted(time, T / 2))
+    time = np.insert(time, middle, time[middle])
+    columns = {
+        name: Column(
+            "",
+            *(
+                np.insert(np.insert(v, 0, v[0]), middle, np.insert(v, 0, v[0])[middle])
+                for v in (c.values, c.first, c.second)
+                if v is not None
+            ),
+        )
+        for name, c in base.columns.items()
+    }
+    torque = np.where(np.arange(len(time)) <= middle, 7.0, -9.0)
+    torque[0] = 50.0
+    jumping = Recording(time, {**columns, "joint1.torque": Column("N.m", torque, 0 * torque, 0 * torque)})
+    assert value("peak_torque_1", jumping) == 9.0
+    assert measure(jumping, settings())["peak_torque_1"].interpolation_error < 1e-9
+
+
+def test_residual_vibration_in_closed_form() -> None:
+    """Amplitude, RMS and settling time of a damped vibration after the motion."""
+    run = recording(VIBRATION, RINGING)
+    time = np.linspace(0.0, DWELL, 2_000_001)
+    ringing = np.abs(RINGING(time, 0))
+    assert value("residual_vibration_amplitude", run) == pytest.approx(ringing.max(), rel=1e-8)
+    root = complex(-30.0, OMEGA)
+    steady = (math.exp(-60.0 * DWELL) - 1.0) / -60.0
+    turning = ((np.exp(2 * root * DWELL) - 1.0) / (2 * root) * np.exp(1.8j)).real
+    expected = 1e-3 * math.sqrt((steady - turning) / 2 / DWELL)
+    assert value("residual_vibration_rms", run) == pytest.approx(expected, rel=1e-8)
+    settled = time[np.flatnonzero(ringing >= 2e-5)[-1]]
+    assert value("settling_time", run, band=2e-5) == pytest.approx(settled, abs=3e-7)
+
+
+def test_settling_time_is_zero_when_never_outside() -> None:
+    """A band wider than the whole vibration: settled at once."""
+    assert value("settling_time", recording(VIBRATION, RINGING), band=2e-3) == 0.0
+
+
+def test_settling_time_is_null_when_not_settled() -> None:
+    """An undamped vibration never settles."""
+    assert measure(recording(VIBRATION, VIBRATION), settings())["settling_time"].value is None
+
+
+def test_no_residual_without_a_dwell() -> None:
+    """Without a dwell there is nothing to measure a residual on."""
+    measurements = measure(recording(VIBRATION, RINGING), settings(dwell=0.0))
+    for name in ("residual_vibration_amplitude", "residual_vibration_rms", "settling_time"):
+        assert measurements[name].value is None
+
+
+def test_rigid_links_do_not_deflect() -> None:
+    """Without bending modes there is no such output, and the deflection is zero."""
+    run = recording(VIBRATION, RINGING)
+    rigid = Recording(run.time, {name: c for name, c in run.columns.items() if not name.startswith("link")})
+    assert value("peak_modal_deflection_1", rigid) == value("peak_tip_deflection_2", rigid) == 0.0
+
+
+@pytest.mark.parametrize("name", [name for name in METRICS if not name.startswith("end_")])
+def test_interpolation_error_is_what_a_coarse_step_costs(name: str) -> None:
+    """The reported error covers the true one within a factor of three, at 1 rad of the vibration per step."""
+    coarse = measure(recording(VIBRATION, RINGING, step=8e-3), settings())[name]
+    fine = value(name, recording(VIBRATION, RINGING, step=5e-4))
+    assert coarse.value is not None
+    assert abs(coarse.value - fine) < 3.0 * coarse.interpolation_error + 1e-12 * fine
+    assert coarse.interpolation_error < 0.05 * fine
+
+
+def test_metrics_do_not_depend_on_the_step() -> None:
+    """Metrics are properties of the continuous solution."""
+    coarse, fine = (measure(recording(VIBRATION, RINGING, step), settings()) for step in (2e-3, 2e-4))
+    for name in METRICS:
+        assert coarse[name].value == pytest.approx(fine[name].value, rel=1e-6)
+
+
+def test_missing_signal_and_missing_derivatives_are_named() -> None:
+    """An incomplete recording is refused by the name of the signal."""
+    run = recording(VIBRATION, RINGING)
+    without = Recording(run.time, {name: c for name, c in run.columns.items() if name != "joint2.torque"})
+    with pytest.raises(ResultsError, match=r"joint2\.torque"):
+        measure(without, settings())
+    flat = run.with_columns({"joint2.torque": replace(run["joint2.torque"], first=None)})
+    with pytest.raises(ResultsError, match=r"derivatives of `joint2\.torque`"):
+        measure(flat, settings())
+
+
+def test_nan_is_refused() -> None:
+    """A NaN in a signal is an error that names the metric, not a null."""
+    run = recording(VIBRATION, RINGING)
+    spoiled = run["joint1.torque"].values.copy()
+    spoiled[17] = np.nan
+    with pytest.raises(ResultsError, match="peak_torque_1"):
+        measure(run.with_columns({"joint1.torque": replace(run["joint1.torque"], values=spoiled)}), settings())
