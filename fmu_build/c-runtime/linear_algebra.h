@@ -1,0 +1,23 @@
+/* Small dense systems. Matrices are stored by columns; complex numbers are pairs (real, imaginary).
+ *
+ * Golub, Van Loan: Matrix Computations, 4th edition, algorithms 3.4.1 and 4.2.2. */
+#ifndef FLEXFMU_LINEAR_ALGEBRA_H
+#define FLEXFMU_LINEAR_ALGEBRA_H
+
+/* LU = P A in place, pivots [n]; the diagonal of U is stored inverted. Returns 0, or 1 if a pivot is zero or not finite. */
+int flex_lu_factor(int n, double *a, int *pivots);
+
+/* x = inverse(A) x with the factors above */
+void flex_lu_solve(int n, const double *lu, const int *pivots, double *x);
+
+/* the same for complex matrices: a [2 n n], x [2 n] */
+int flex_complex_lu_factor(int n, double *a, int *pivots);
+void flex_complex_lu_solve(int n, const double *lu, const int *pivots, double *x);
+
+/* A = L L' in place, lower triangle; the diagonal of L is stored inverted. Returns 0, or 1 if A is not positive definite. */
+int flex_cholesky_factor(int n, double *a);
+
+/* x = inverse(A) x with the factor above */
+void flex_cholesky_solve(int n, const double *l, double *x);
+
+#endif

@@ -1,0 +1,41 @@
+/* Gauss collocation methods as data.
+ *
+ * Nodes c, weights b and the matrix A are the classical ones (Butcher 1964; Hairer, Norsett, Wanner: Solving Ordinary
+ * Differential Equations I, section II.7); a method of s stages has order 2 s, is A-stable and symplectic. For equations
+ * of second order the stage positions need A*A and the end position the weights b_i (1 - c_i) (the same book, II.14).
+ *
+ * A is diagonal in the basis of its eigenvectors, so that Newton's method on s n unknowns splits into one system of n
+ * unknowns for every eigenvalue (Butcher 1976; Hairer, Wanner: Solving ODEs II, section IV.8). Only one of two conjugate
+ * eigenvalues is listed: left is a row of the inverse of the eigenvectors, right a column of the eigenvectors, twice
+ * that column for complex eigenvalues, where the real part of the product is taken.
+ *
+ * The numbers were computed with 60 digits from the nodes. */
+#ifndef FLEXFMU_TABLEAUS_H
+#define FLEXFMU_TABLEAUS_H
+
+#define FLEX_MAX_STAGES 4
+#define FLEX_MAX_BLOCKS 2
+
+/* a real eigenvalue of A, or one of a complex pair; imaginary parts are zero for a real one */
+typedef struct {
+  int is_complex;
+  double value[2];
+  double left[FLEX_MAX_STAGES][2];
+  double right[FLEX_MAX_STAGES][2];
+} flex_eigenvalue;
+
+typedef struct {
+  int stages, n_blocks;
+  double c[FLEX_MAX_STAGES];
+  double b[FLEX_MAX_STAGES];
+  double b_position[FLEX_MAX_STAGES]; /* b_i (1 - c_i) */
+  double a[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
+  double a_squared[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
+  double at_start[FLEX_MAX_STAGES]; /* value at 0 of the polynomial through the stages */
+  double at_end[FLEX_MAX_STAGES];   /* value at 1 */
+  flex_eigenvalue blocks[FLEX_MAX_BLOCKS];
+} flex_tableau;
+
+extern const flex_tableau flex_gauss_2, flex_gauss_3, flex_gauss_4;
+
+#endif
