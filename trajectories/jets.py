@@ -1,0 +1,294 @@
+"""Jets: truncated Taylor series in one variable, for exact derivatives of any order.
+
+A jet holds the normalised Taylor coefficients c_k = f^(k)/k! of a function at a point, for many points at once. Each
+operation propagates the coefficients by a recurrence that costs O(order²), so that derivatives of a composite formula
+are as exact as its value: no finite differences, no symbolic expressions.
+
+Source of the recurrences: A. Griewank, A. Walther, *Evaluating Derivatives*, 2nd edition, SIAM 2008, section 13.2,
+tables 13.1 (arithmetic, roots and powers) and 13.2 (sine and cosine).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from flexfmu.trajectories.errors import TrajectoryError
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Jet:
+    """Taylor series of a function of one variable, truncated after ``order``, at an array of points.
+
+    Jets combine with jets, numbers and arrays by ``+ - * /``; numbers and arrays are constants. Where the orders
+    differ the result has the lower one, since more isn't known.
+
+    Attributes:
+        coefficients: normalised Taylor coefficients f^(k)/k!, shape (order + 1, ...); in the function's unit over
+            the k-th power of the variable's unit.
+    """
+
+    coefficients: Array
+
+    # numpy leaves `array * jet` to the jet
+    __array_ufunc__ = None
+
+    def __post_init__(self) -> None:
+        if np.ndim(self.coefficients) == 0 or len(self.coefficients) == 0:
+            raise TrajectoryError("a jet needs at least one coefficient along its first axis, got none")
+
+    @classmethod
+    def constant(cls, value: ArrayLike, order: int) -> Jet:
+        """The series of a constant ``value``, any shape."""
+        value = np.asarray(value, dtype=float)
+        coefficients = np.zeros((checked_order(order) + 1, *value.shape))
+        coefficients[0] = value
+        return cls(coefficients)
+
+    @classmethod
+    def variable(cls, value: ArrayLike, order: int) -> Jet:
+        """The series of the variable itself at ``value``, any shape: value, 1, 0, 0, ..."""
+        jet = cls.constant(value, order)
+        jet.coefficients[1:2] = 1.0
+        return jet
+
+    @classmethod
+    def from_derivatives(cls, derivatives: ArrayLike) -> Jet:
+        """The series of a function with the given value and derivatives, shape (order + 1, ...)."""
+        derivatives = np.asarray(derivatives, dtype=float)
+        return cls(derivatives / _factorials(derivatives))
+
+    def derivatives(self) -> Array:
+        """Value and derivatives f^(k), shape (order + 1, ...)."""
+        return self.coefficients * _factorials(self.coefficients)
+
+    @property
+    def order(self) -> int:
+        """Order of the highest derivative known."""
+        return len(self.coefficients) - 1
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the array of points."""
+        return self.coefficients.shape[1:]
+
+    @property
+    def value(self) -> Array:
+        """The function's value, shape (...)."""
+        return np.asarray(self.coefficients[0])
+
+    def truncate(self, order: int) -> Jet:
+        """The same function to a lower (or the same) order."""
+        return Jet(self.coefficients[: checked_order(order) + 1])
+
+    def differentiate(self) -> Jet:
+        """The derivative's series, one order lower."""
+        if self.order == 0:
+            raise TrajectoryError("a jet of order 0 has no derivative; ask for order 1 or more")
+        return Jet(self.coefficients[1:] * _column(np.arange(1.0, self.order + 1), self.coefficients))
+
+    def integrate(self, value: ArrayLike = 0.0) -> Jet:
+        """The antiderivative's series that has ``value`` here, one order higher."""
+        first = np.broadcast_to(np.asarray(value, dtype=float), self.shape)
+        rest = self.coefficients / _column(np.arange(1.0, self.order + 2), self.coefficients)
+        return Jet(np.concatenate([first[None], rest]))
+
+    def rescale(self, factor: float) -> Jet:
+        """The series in a variable ``factor`` times as large: f(factor · x) as a function of x."""
+        return Jet(self.coefficients * _column(factor ** np.arange(self.order + 1.0), self.coefficients))
+
+    def __neg__(self) -> Jet:
+        return Jet(-self.coefficients)
+
+    def __add__(self, other: Jet | ArrayLike) -> Jet:
+        return _add(self, other if isinstance(other, Jet) else Jet.constant(other, self.order))
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Jet | ArrayLike) -> Jet:
+        return self + (-other if isinstance(other, Jet) else -np.asarray(other, dtype=float))
+
+    def __rsub__(self, other: ArrayLike) -> Jet:
+        return -self + other
+
+    def __mul__(self, other: Jet | ArrayLike) -> Jet:
+        return _multiply(self, other) if isinstance(other, Jet) else Jet(self.coefficients * np.asarray(other)[None])
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Jet | ArrayLike) -> Jet:
+        return _divide(self, other) if isinstance(other, Jet) else self * (1.0 / np.asarray(other, dtype=float))
+
+    def __rtruediv__(self, other: ArrayLike) -> Jet:
+        return _divide(Jet.constant(other, self.order), self)
+
+
+def sqrt(u: Jet) -> Jet:
+    """Square root of a jet with values above zero; a value of zero is valid at order 0 only."""
+    lowest = u.value if u.order == 0 else np.where(u.value > 0.0, u.value, -1.0)
+    _require(u.value, lowest >= 0.0, "square root", "above zero")
+    v = np.empty_like(u.coefficients)
+    v[0] = np.sqrt(u.value)
+    for k in range(1, u.order + 1):
+        v[k] = (u.coefficients[k] - _convolve(v[1:k], v[1:k])) / (2.0 * v[0])
+    return Jet(v)
+
+
+def power(u: Jet, exponent: float) -> Jet:
+    """Real power of a jet with values above zero."""
+    _require(u.value, u.value > 0.0, "real power", "above zero")
+    slope = _slopes(u.coefficients)
+    v = np.empty_like(u.coefficients)
+    v_slope = np.empty_like(v)
+    v[0] = u.value**exponent
+    for k in range(1, u.order + 1):
+        change = exponent * _convolve(v[:k], slope[1 : k + 1]) - _convolve(u.coefficients[1:k], v_slope[1:k])
+        v_slope[k] = change / u.value
+        v[k] = v_slope[k] / k
+    return Jet(v)
+
+
+def sincos(u: Jet) -> tuple[Jet, Jet]:
+    """Sine and cosine of a jet in radians, which need each other's coefficients."""
+    slope = _slopes(u.coefficients)
+    s, c = np.empty_like(slope), np.empty_like(slope)
+    s[0], c[0] = np.sin(u.value), np.cos(u.value)
+    for k in range(1, u.order + 1):
+        s[k] = _convolve(c[:k], slope[1 : k + 1]) / k
+        c[k] = -_convolve(s[:k], slope[1 : k + 1]) / k
+    return Jet(s), Jet(c)
+
+
+def sin(u: Jet) -> Jet:
+    """Sine of a jet in radians."""
+    return sincos(u)[0]
+
+
+def cos(u: Jet) -> Jet:
+    """Cosine of a jet in radians."""
+    return sincos(u)[1]
+
+
+def arctan2(y: Jet, x: Jet) -> Jet:
+    """Angle of the point (x, y) [rad], principal value in (-π, π]; the point must not be the origin.
+
+    Its derivative is (x y' - y x') / (x² + y²).
+    """
+    angle = np.arctan2(y.value, x.value)
+    if min(x.order, y.order) == 0:
+        return Jet(angle[None])
+    rate = (x * y.differentiate() - y * x.differentiate()) / (x * x + y * y)
+    return rate.integrate(angle)
+
+
+def compose(outer: Jet, inner: Jet) -> Jet:
+    """The series of outer(inner(t)) in t; ``outer`` is a series about the value of ``inner``.
+
+    ``outer`` may have leading axes that ``inner`` lacks, as in shapes (order + 1, 2, N) and (order + 1, N).
+    """
+    order = min(outer.order, inner.order)
+    increment = inner.truncate(order) - inner.value
+    result = Jet.constant(outer.coefficients[order], order)
+    for k in range(order - 1, -1, -1):
+        result = increment * result + outer.coefficients[k]
+    return result
+
+
+def revert(series: Jet) -> Jet:
+    """The inverse function's series without its constant: from s(u) about u₀ to u - u₀ as a function of s about s₀.
+
+    The first derivative must not be zero. By Lagrange's inversion formula the k-th coefficient is (1/k) times the
+    (k-1)-th coefficient of ((u - u₀) / (s - s₀))^k.
+    """
+    if series.order == 0:
+        return Jet(np.zeros_like(series.coefficients))
+    quotient = 1.0 / Jet(series.coefficients[1:])
+    inverse = np.zeros_like(series.coefficients)
+    term = quotient
+    for k in range(1, series.order + 1):
+        inverse[k] = term.coefficients[k - 1] / k
+        term = term * quotient
+    return Jet(inverse)
+
+
+def stack(jets: tuple[Jet, ...]) -> Jet:
+    """One jet of shape (len(jets), ...) from jets of the same shape, cut to their lowest order."""
+    order = min(jet.order for jet in jets)
+    return Jet(np.stack([jet.coefficients[: order + 1] for jet in jets], axis=1))
+
+
+def checked_order(order: int) -> int:
+    """``order`` if it is a whole number of zero or more; TrajectoryError otherwise."""
+    if isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 0:
+        raise TrajectoryError(f"the order of a derivative must be a whole number of at least 0, got {order!r}")
+    return int(order)
+
+
+def _add(u: Jet, w: Jet) -> Jet:
+    order = min(u.order, w.order)
+    return Jet(_aligned(u, w.coefficients.ndim)[: order + 1] + _aligned(w, u.coefficients.ndim)[: order + 1])
+
+
+def _multiply(u: Jet, w: Jet) -> Jet:
+    order = min(u.order, w.order)
+    a, b = _aligned(u, w.coefficients.ndim), _aligned(w, u.coefficients.ndim)
+    v = np.empty((order + 1, *np.broadcast_shapes(u.shape, w.shape)))
+    for k in range(order + 1):
+        v[k] = _convolve(a[: k + 1], b[: k + 1])
+    return Jet(v)
+
+
+def _divide(u: Jet, w: Jet) -> Jet:
+    _require(w.value, w.value != 0.0, "division", "other than zero")
+    order = min(u.order, w.order)
+    a, b = _aligned(u, w.coefficients.ndim), _aligned(w, u.coefficients.ndim)
+    inverse = 1.0 / b[0]
+    v = np.empty((order + 1, *np.broadcast_shapes(u.shape, w.shape)))
+    for k in range(order + 1):
+        v[k] = (a[k] - _convolve(v[:k], b[1 : k + 1])) * inverse
+    return Jet(v)
+
+
+def _convolve(a: Array, b: Array) -> Array | float:
+    """Σ a_j b_(n-1-j) over the first axis of two arrays of n rows; 0 where there are no rows."""
+    if len(a) == 0:
+        return 0.0
+    total = a[0] * b[-1]
+    for first, second in zip(a[1:], b[-2::-1], strict=True):
+        total = total + first * second
+    return np.asarray(total)
+
+
+def _slopes(coefficients: Array) -> Array:
+    """k c_k, shape of the coefficients."""
+    return coefficients * _column(np.arange(float(len(coefficients))), coefficients)
+
+
+def _factorials(coefficients: Array) -> Array:
+    return _column(np.array([float(math.factorial(k)) for k in range(len(coefficients))]), coefficients)
+
+
+def _column(values: Array, like: Array) -> Array:
+    """``values`` along the first axis, shaped to multiply ``like``."""
+    return values.reshape(-1, *(1,) * (like.ndim - 1))
+
+
+def _aligned(jet: Jet, ndim: int) -> Array:
+    """The jet's coefficients with axes of length 1 behind the first, so that points broadcast from the last axis."""
+    missing = max(0, ndim - jet.coefficients.ndim)
+    return jet.coefficients.reshape(len(jet.coefficients), *(1,) * missing, *jet.shape)
+
+
+def _require(value: Array, valid: NDArray[np.bool_], operation: str, requirement: str) -> None:
+    """Refuse an operation where a value isn't ``valid`` (NaN never is), naming the first such value."""
+    if np.all(valid):
+        return
+    index = np.unravel_index(int(np.argmin(valid)), value.shape)
+    where = f" at index {', '.join(map(str, index))}" if value.ndim else ""
+    raise TrajectoryError(f"{operation} of a jet needs values {requirement}, got {value[index]}{where}")
