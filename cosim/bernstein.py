@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-PEAK_TOLERANCE = 1e-13
-"""Relative gap at which the search for a maximum stops: a thousand roundings, far below any metric's own error."""
+PEAK_TOLERANCE = 1e-11
+"""Relative gap at which the search for a maximum stops: far above rounding, far below any metric's own error."""
 
 MAXIMUM_BISECTIONS = 60
 """Bisections after which a segment has shrunk to the spacing of floating-point numbers."""
