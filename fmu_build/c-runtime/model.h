@@ -37,7 +37,7 @@ typedef struct {
   int n_outputs;
   int max_input_order; /* highest order that fmi2SetRealInputDerivatives accepts */
 
-  const flex_variable *inputs, *parameters, *outputs;
+  const flex_variable *input_variables, *parameter_variables, *output_variables;
 
   int static_start;          /* start value of `initial`: 1 = static equilibrium, 0 = undeformed */
   double default_tolerance;  /* relative tolerance where fmi2SetupExperiment gives none */

@@ -1,0 +1,54 @@
+#include "equations.h"
+
+static void widen(const flex_function *function, int *n_arg, int *n_res, int *n_iw, int *n_w) {
+  if (function->n_arg > *n_arg) *n_arg = function->n_arg;
+  if (function->n_res > *n_res) *n_res = function->n_res;
+  if (function->n_iw > *n_iw) *n_iw = function->n_iw;
+  if (function->n_w > *n_w) *n_w = function->n_w;
+}
+
+void flex_equations_take(flex_equations *equations, const flex_model *model, flex_arena *arena) {
+  const flex_function *functions[] = {
+      &model->derive,        &model->initial_inputs, &model->residual,     &model->mass_matrix,
+      &model->outputs,       &model->residual_rate,  &model->residual_rate2, &model->outputs_rate,
+      &model->outputs_rate2, &model->singularity,    &model->error_scale};
+
+  // the largest work space that any function needs, at least room for the arguments
+  int n_arg = 9, n_res = 1, n_iw = 1, n_w = 1;
+  for (size_t i = 0; i < sizeof functions / sizeof *functions; i++) widen(functions[i], &n_arg, &n_res, &n_iw, &n_w);
+
+  equations->model = model;
+  equations->arg = flex_take(arena, (size_t)n_arg * sizeof *equations->arg);
+  equations->res = flex_take(arena, (size_t)n_res * sizeof *equations->res);
+  equations->iw = flex_take_ints(arena, (size_t)n_iw);
+  equations->w = flex_take_doubles(arena, (size_t)n_w);
+}
+
+int flex_residual(flex_equations *equations, const double *y, const double *v, const double *a, const double *u, double *r) {
+  const double **arg = equations->arg;
+  arg[0] = y;
+  arg[1] = v;
+  arg[2] = a;
+  arg[3] = u;
+  arg[4] = equations->d;
+  equations->res[0] = r;
+  ++*equations->evaluations;
+  return equations->model->residual.call(arg, equations->res, equations->iw, equations->w, 0);
+}
+
+int flex_mass_matrix(flex_equations *equations, const double *y, const double *u, double *mass) {
+  const double *const arguments[] = {y, u, equations->d};
+  return flex_call(equations, &equations->model->mass_matrix, 3, arguments, mass);
+}
+
+int flex_margin(flex_equations *equations, const double *y, const double *u, double *margin) {
+  const double *const arguments[] = {y, u, equations->d};
+  return flex_call(equations, &equations->model->singularity, 3, arguments, margin);
+}
+
+int flex_call(flex_equations *equations, const flex_function *function, int n_arguments, const double *const *arguments,
+              double *result) {
+  for (int i = 0; i < n_arguments; i++) equations->arg[i] = arguments[i];
+  equations->res[0] = result;
+  return function->call(equations->arg, equations->res, equations->iw, equations->w, 0);
+}

@@ -1,0 +1,76 @@
+#include "inputs.h"
+
+#include <string.h>
+
+void flex_inputs_take(flex_inputs *inputs, int count, int order, flex_arena *arena) {
+  inputs->count = count;
+  inputs->order = order;
+  inputs->coefficients = flex_take_doubles(arena, (size_t)count * (size_t)(order + 1));
+  inputs->base = flex_take_doubles(arena, (size_t)count);
+  inputs->degree = flex_take_ints(arena, (size_t)count);
+  inputs->given = flex_take_ints(arena, (size_t)count);
+}
+
+static double *polynomial(const flex_inputs *inputs, int index) {
+  return inputs->coefficients + index * (inputs->order + 1);
+}
+
+void flex_inputs_clear(flex_inputs *inputs) {
+  for (int i = 0; i < inputs->count; i++) {
+    flex_inputs_set(inputs, i, 0.0, 0.0);
+    inputs->given[i] = 0;
+  }
+}
+
+void flex_inputs_set(flex_inputs *inputs, int index, double time, double value) {
+  double *c = polynomial(inputs, index);
+  memset(c, 0, (size_t)(inputs->order + 1) * sizeof *c);
+  c[0] = value;
+  inputs->base[index] = time;
+  inputs->degree[index] = 0;
+  inputs->given[index] = 1;
+}
+
+// taylor shift: the same polynomial, expanded about another time
+static void expand_about(flex_inputs *inputs, int index, double time) {
+  double *c = polynomial(inputs, index);
+  double shift = time - inputs->base[index];
+  int degree = inputs->degree[index];
+  if (shift != 0.0)
+    for (int i = 0; i < degree; i++)
+      for (int k = degree - 1; k >= i; k--) c[k] += shift * c[k + 1];
+  inputs->base[index] = time;
+}
+
+void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, double value) {
+  expand_about(inputs, index, time);
+  double factorial = 1.0;
+  for (int k = 2; k <= order; k++) factorial *= k;
+  polynomial(inputs, index)[order] = value / factorial;
+  if (order > inputs->degree[index]) inputs->degree[index] = order;
+}
+
+void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset, double *u) {
+  for (int i = 0; i < inputs->count; i++) {
+    const double *c = polynomial(inputs, i);
+    double tau = time - inputs->base[i] + offset;
+    double value = c[inputs->degree[i]];
+    for (int k = inputs->degree[i] - 1; k >= 0; k--) value = value * tau + c[k];
+    u[i] = value;
+  }
+}
+
+void flex_inputs_rates(const flex_inputs *inputs, double time, double *u1, double *u2) {
+  for (int i = 0; i < inputs->count; i++) {
+    const double *c = polynomial(inputs, i);
+    double tau = time - inputs->base[i];
+    double value = 0.0, first = 0.0, half_second = 0.0;
+    for (int k = inputs->degree[i]; k >= 0; k--) {
+      half_second = half_second * tau + first;
+      first = first * tau + value;
+      value = value * tau + c[k];
+    }
+    u1[i] = first;
+    u2[i] = 2.0 * half_second;
+  }
+}

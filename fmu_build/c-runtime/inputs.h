@@ -1,0 +1,32 @@
+/* Inputs as polynomials in time: u(base + tau) = sum of coefficient_k tau^k, one base and degree for every input. */
+#ifndef FLEXFMU_INPUTS_H
+#define FLEXFMU_INPUTS_H
+
+#include "memory.h"
+
+typedef struct {
+  int count, order;     /* number of inputs, highest order of a derivative */
+  double *coefficients; /* (order + 1) for every input, normalised: k-th derivative / k! */
+  double *base;         /* [s] */
+  int *degree;          /* highest order in use */
+  int *given;           /* 1 = set by the importer */
+} flex_inputs;
+
+void flex_inputs_take(flex_inputs *inputs, int count, int order, flex_arena *arena);
+
+/* forgets everything that was set */
+void flex_inputs_clear(flex_inputs *inputs);
+
+/* a constant value from `time` on */
+void flex_inputs_set(flex_inputs *inputs, int index, double time, double value);
+
+/* the derivative of the given order at `time`; the rest of the polynomial stays, expanded about `time` */
+void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, double value);
+
+/* values at time + offset; kept apart since the sum would lose the digits of short steps */
+void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset, double *u);
+
+/* first and second time derivatives at `time` */
+void flex_inputs_rates(const flex_inputs *inputs, double time, double *u1, double *u2);
+
+#endif
