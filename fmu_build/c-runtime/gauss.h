@@ -1,0 +1,54 @@
+/* Integration of r(y, y', y'', u(t)) = 0 by Gauss collocation with control of the local error.
+ *
+ * Every step gives a cheap estimate for nothing: the acceleration at its start against the collocation polynomial there.
+ * It is of order s + 1 only and so far too pessimistic where the method has order 2 s; now and then a sharp estimate, one
+ * step against two of half its size, tells how much. Between these the cheap one, times what was found, is trusted. */
+#ifndef FLEXFMU_GAUSS_H
+#define FLEXFMU_GAUSS_H
+
+#include "stages.h"
+
+/* plain numbers, saved and restored with the state of the plant */
+typedef struct {
+  double step;              /* step size that the error admits [s]; 0 = not known */
+  double scale;             /* running maximum of the motion in the error norm */
+  double history_step;      /* duration of the polynomial kept for prediction [s]; 0 = none */
+  double held_error;        /* cheap estimate, decaying over zeros of the error */
+  double held_step;         /* [s], step that it belongs to */
+  double sharpness;         /* sharp estimate / cheap estimate at the last calibration; 0 = not calibrated */
+  double calibration_step;  /* [s] */
+  double calibration_error; /* cheap estimate at the last calibration */
+  int calibration_age;      /* steps since then */
+  int padding;
+  long long steps, rejections;
+} flex_gauss_record;
+
+typedef struct {
+  int n;
+  flex_stages stages;
+  flex_gauss_record *record;
+  double floor; /* least scale */
+
+  /* numeric state, one after the other in memory: position, rate, what rounding left of both, acceleration, accelerations
+   * at the start, the stages and the end of the last step, factor of the mass matrix */
+  double *y, *v, *y_rest, *v_rest, *a, *start_a, *end_a, *stage_a, *mass_factor;
+  size_t motion_count;
+
+  /* scratch */
+  double *saved, *full_y, *full_v, *full_a, *defect, *end_u;
+} flex_gauss;
+
+void flex_gauss_take_state(flex_gauss *gauss, int n, flex_arena *arena);
+void flex_gauss_take_scratch(flex_gauss *gauss, int n, int n_inputs, flex_arena *arena);
+
+/* begins a motion at the present y and v: forgets history and step size */
+void flex_gauss_start(flex_gauss *gauss);
+
+/* acceleration and factor of the mass matrix at the present y and v for the inputs u */
+flex_outcome flex_gauss_accelerate(flex_gauss *gauss, const double *u);
+
+/* integrates from t0 to t1 with a relative tolerance; a must be the acceleration at t0. Returns the outcome with the time
+ * that was reached; y, v, a belong to that time. */
+flex_failure flex_gauss_advance(flex_gauss *gauss, double t0, double t1, double tolerance);
+
+#endif

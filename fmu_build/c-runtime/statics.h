@@ -1,0 +1,23 @@
+/* Static equilibrium: r(y, 0, 0, u) = 0 by damped Newton iterations.
+ *
+ * The damping is the natural monotonicity test (Deuflhard: Newton Methods for Nonlinear Problems, section 3.3): the
+ * correction that the old matrix gives at the new point must be smaller than the one that led there. */
+#ifndef FLEXFMU_STATICS_H
+#define FLEXFMU_STATICS_H
+
+#include "equations.h"
+#include "outcome.h"
+
+typedef struct {
+  double *zero, *trial, *residual, *correction, *simplified, *stiffness; /* n, the last n x n */
+  int *pivots;
+} flex_statics;
+
+void flex_statics_take(flex_statics *statics, int n, flex_arena *arena);
+
+/* replaces the guess y by the equilibrium for the inputs u. weight: share of each coordinate in the error norm, squared;
+ * floor: size of a negligible deflection in that norm. The last correction's norm is reported. */
+flex_outcome flex_statics_solve(flex_statics *statics, flex_equations *equations, const double *weight, double floor,
+                                const double *u, double *y, double *last_correction);
+
+#endif
