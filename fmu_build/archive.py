@@ -1,0 +1,76 @@
+"""Reproducible archives: the same content gives the same bytes, and a file is either old or complete."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from flexfmu.fmu_build.errors import ArchiveError
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+_UNIX = 3
+_MODES = {".so": 0o755, ".dylib": 0o755, ".dll": 0o755}
+_FILE_MODE = 0o644
+
+
+def pack(files: Mapping[str, bytes]) -> bytes:
+    """A zip archive of ``files`` (path → content), sorted, with fixed times and permissions."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for path in sorted(files):
+            entry = zipfile.ZipInfo(path, _EPOCH)
+            entry.create_system = _UNIX
+            entry.external_attr = _MODES.get(Path(path).suffix, _FILE_MODE) << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, files[path])
+    return buffer.getvalue()
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write ``content`` beside ``path``, then rename, so that nobody ever reads half a file.
+
+    Raises:
+        ArchiveError: the folder is missing and cannot be made, read-only or full, or ``path`` is a folder.
+    """
+    if path.is_dir():
+        raise ArchiveError(f"cannot write {path}: it is a folder; give the name of a file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+        os.chmod(temporary, _FILE_MODE)
+        os.replace(temporary, path)
+    except OSError as error:
+        Path(temporary).unlink(missing_ok=True)
+        raise _cannot_write(path, error) from error
+
+
+def _cannot_write(path: Path, error: OSError) -> ArchiveError:
+    return ArchiveError(f"cannot write {path}: {error.strerror}; choose a writable folder with free space")
+
+
+@dataclass(frozen=True)
+class FmuFacts:
+    """What an FMU file tells about itself: its GUID and the size of the generated C inside."""
+
+    guid: str
+    code_bytes: int
+
+
+def fmu_facts(content: bytes) -> FmuFacts:
+    """Facts of a packed FMU that this package built."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        description = archive.read("modelDescription.xml").decode()
+        sizes = [e.file_size for e in archive.infolist() if re.fullmatch(r"sources/model_\w+\.[ch]", e.filename)]
+    guid = re.search(r'\bguid="([^"]*)"', description)
+    return FmuFacts(guid.group(1) if guid else "", sum(sizes))

@@ -1,0 +1,143 @@
+"""From a symbolic model to an FMU file, or from the cache."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from flexfmu.fmu_build.archive import fmu_facts, pack, write_atomically
+from flexfmu.fmu_build.cache import cached_fmu, package_fingerprint, read_intact
+from flexfmu.fmu_build.compilation import compile_library
+from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.hashing import content_hash
+from flexfmu.fmu_build.platforms import Platform, find_platforms
+from flexfmu.fmu_build.toolchain import find_compiler
+
+if TYPE_CHECKING:  # CasADi takes a quarter of a second to import, and a cached build needs none of it
+    from flexfmu.fmu_build.sources import Sources
+    from flexfmu.model.symbolic import SymbolicModel
+
+Progress = Callable[[str], None]
+"""Is told what happens next, a few words each."""
+
+
+@dataclass(frozen=True)
+class BuiltFmu:
+    """A finished FMU.
+
+    Attributes:
+        path: the file.
+        guid: hash of its content.
+        cached: True where it came out of the cache.
+        seconds: wall time of the build [s].
+        code_bytes: size of the generated C, runtime not counted.
+        fmu_bytes: size of the file.
+    """
+
+    path: Path
+    guid: str
+    cached: bool
+    seconds: float
+    code_bytes: int
+    fmu_bytes: int
+
+
+def build_fmu(
+    model: SymbolicModel | Callable[[], SymbolicModel],
+    *,
+    key: str | None = None,
+    output: Path | None = None,
+    platforms: Iterable[str] | None = None,
+    step: float = DefaultExperiment.step,
+    tolerance: float = DefaultExperiment.tolerance,
+    stop_time: float = DefaultExperiment.stop_time,
+    cache: bool = True,
+    progress: Progress = lambda message: None,
+) -> BuiltFmu:
+    """Build an FMU 2.0 for co-simulation, unless an equal one is in the cache.
+
+    Args:
+        model: the symbolic model, or a function that makes it and is called only if the FMU has to be built.
+        key: all that determines the model, as text; the package's own sources and CasADi's version are taken into account
+            here. Without a key the model is made and translated to C to see whether that C has been compiled before.
+        output: file to write; None leaves the FMU in the cache.
+        platforms: FMI 2.0 platform names; None for this machine's.
+        step: communication step [s] of the default experiment.
+        tolerance: relative tolerance of the default experiment; it also holds where the importer gives none.
+        stop_time: end [s] of the default experiment.
+        cache: False builds anew and replaces what is in the cache.
+        progress: is told what happens next.
+
+    Raises:
+        BuildError: in one line what is wrong and what to do: a model that contradicts its contract, an unknown platform,
+            no compiler, a compiler's error, or a file that cannot be written.
+    """
+    started = perf_counter()
+    targets = find_platforms(platforms)
+    experiment = DefaultExperiment(stop_time, step, tolerance)
+
+    def make_sources() -> Sources:
+        return _generate(model, experiment, progress)
+
+    if key is None:
+        sources = make_sources()
+        key, make_sources = sources.guid, lambda: sources
+
+    stored = cached_fmu(_cache_key(key, targets, experiment))
+    content = read_intact(stored) if cache else None
+    is_cached = content is not None
+    if content is None:
+        content = _build(make_sources, targets, cache, progress)
+        _store(stored, content, is_needed=output is None)
+    if output is not None:
+        write_atomically(output, content)
+
+    facts = fmu_facts(content)
+    seconds = perf_counter() - started
+    return BuiltFmu(output or stored, facts.guid, is_cached, seconds, facts.code_bytes, len(content))
+
+
+def _cache_key(key: str, platforms: tuple[Platform, ...], experiment: DefaultExperiment) -> str:
+    versions = version("casadi"), version("flexfmu")
+    parts = (key, package_fingerprint(), *versions, os.environ.get("CC", ""), repr(platforms), repr(experiment))
+    return content_hash(part.encode() for part in parts)
+
+
+def _store(path: Path, content: bytes, is_needed: bool) -> None:
+    """Put a built FMU into the cache; a cache that cannot be written is no obstacle where the FMU goes elsewhere."""
+    try:
+        write_atomically(path, content)
+    except ArchiveError as error:
+        if is_needed:
+            raise ArchiveError(f"{error}, name it in the variable FLEXFMU_CACHE, or give an output file") from error
+
+
+def _generate(
+    model: SymbolicModel | Callable[[], SymbolicModel], experiment: DefaultExperiment, progress: Progress
+) -> Sources:
+    from flexfmu.fmu_build.sources import generate_sources
+
+    progress("building the model")
+    symbolic = model() if callable(model) else model
+    progress("generating C")
+    return generate_sources(symbolic, experiment)
+
+
+def _build(
+    make_sources: Callable[[], Sources], platforms: tuple[Platform, ...], cache: bool, progress: Progress
+) -> bytes:
+    compilers = [find_compiler(platform) for platform in platforms]  # first: a missing one should cost no time
+    sources = make_sources()
+    files = sources.archive_files()
+    for compiler in compilers:
+        progress(f"compiling for {compiler.platform.name}")
+        library = f"binaries/{compiler.platform.name}/{sources.model_identifier}{compiler.platform.suffix}"
+        files[library] = compile_library(sources, compiler, cache=cache)
+    progress("packing")
+    return pack(files)

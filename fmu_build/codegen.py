@@ -1,0 +1,132 @@
+"""A symbolic model → C: the functions by CasADi, the constant tables by a template.
+
+The output is deterministic: the same model gives the same bytes, without dates and paths.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi
+
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.templating import render
+from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
+
+MAX_INPUT_ORDER = 9
+"""Highest order that fmi2SetRealInputDerivatives accepts: two-point Hermite data of value and four derivatives."""
+
+DESCRIPTION_FILE = "model_description.c"
+HEADER_FILE = "model_functions.h"
+
+_CODE_OPTIONS: Any = {"casadi_int": "int", "with_export": False}
+
+
+@dataclass(frozen=True)
+class GeneratedFunction:
+    """Facts of a generated function that its caller needs: C name and sizes of the work arrays."""
+
+    field: str
+    symbol: str
+    n_arg: int
+    n_res: int
+    n_iw: int
+    n_w: int
+
+
+def function_file(name: str) -> str:
+    """Name of the C file with the generated function ``name``; one file each, so that they compile side by side."""
+    return f"model_{name}.c"
+
+
+def identifier(name: str) -> str:
+    """A C identifier made of ``name``: every other character becomes an underscore."""
+    cleaned = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return cleaned if re.match(r"[A-Za-z_]", cleaned) else f"model_{cleaned}"
+
+
+def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[GeneratedFunction, ...]]:
+    """C files of the model's functions (name → text, header included) and the facts for the constant tables.
+
+    Raises:
+        ModelError: a function is missing or has a wrong shape.
+    """
+    sizes = _sizes(model)
+    prepared = {name: _prepare(name, _function(model, name), sizes) for name in FUNCTION_SIGNATURES}
+    facts = tuple(_facts(name, function) for name, function in prepared.items())
+    files = {function_file(name): _c_code(function) for name, function in prepared.items()}
+    return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts)}, facts
+
+
+def generate_description(
+    model: SymbolicModel, functions: tuple[GeneratedFunction, ...], guid: str, tolerance: float
+) -> str:
+    """The C file that defines ``flex_the_model``; ``tolerance`` is the relative one that holds by default."""
+    return render(
+        DESCRIPTION_FILE + ".j2",
+        model=model,
+        functions=functions,
+        guid=guid,
+        tolerance=tolerance,
+        n_derived=_function(model, "derive").numel_out(0),
+        max_input_order=MAX_INPUT_ORDER,
+    )
+
+
+def _function(model: SymbolicModel, name: str) -> casadi.Function:
+    if name not in model.functions:
+        raise ModelError(f"model '{model.name}' has no function '{name}'")
+    return model.functions[name]
+
+
+def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
+    """Shape of every argument and result by its name in `FUNCTION_SIGNATURES`."""
+    n, m = model.degrees_of_freedom, len(model.inputs)
+    vectors = dict.fromkeys(("y", "v", "a", "j", "s", "r", "r1", "r2"), n)
+    vectors |= dict.fromkeys(("u", "u1", "u2"), m)
+    vectors |= dict.fromkeys(("o", "o1", "o2"), len(model.outputs))
+    vectors |= {"p": len(model.parameters), "d": _function(model, "derive").numel_out(0)}
+    vectors |= {"margin": 1, "scale": 2 * n + 1}
+    return {name: (size, 1) for name, size in vectors.items()} | {"m": (n, n)}
+
+
+def _prepare(name: str, function: casadi.Function, sizes: Mapping[str, tuple[int, int]]) -> casadi.Function:
+    """The function with dense results, common subexpressions shared, under the name that it has in C."""
+    arguments, result = FUNCTION_SIGNATURES[name]
+    if function.n_in() != len(arguments) or function.n_out() != 1:
+        raise ModelError(f"function '{name}' must take ({', '.join(arguments)}) and give {result}, got {function}")
+    for position, argument in enumerate(arguments):
+        _check_shape(f"argument {argument} of '{name}'", function.sparsity_in(position), sizes[argument])
+    _check_shape(f"result {result} of '{name}'", function.sparsity_out(0), sizes[result])
+
+    symbols = [casadi.SX.sym(argument, function.sparsity_in(i)) for i, argument in enumerate(arguments)]
+    value = casadi.cse(casadi.densify(function.call(symbols)[0]))
+    return casadi.Function(f"model_{name}", symbols, [value], list(arguments), [result])
+
+
+def _check_shape(what: str, sparsity: casadi.Sparsity, expected: tuple[int, int]) -> None:
+    shape = sparsity.size()
+    is_empty = sparsity.numel() == 0 and expected[0] * expected[1] == 0
+    if not is_empty and (shape != expected or not sparsity.is_dense()):
+        kind = "dense" if sparsity.is_dense() else "sparse"
+        raise ModelError(f"{what} must be dense {expected[0]} x {expected[1]}, got {kind} {shape[0]} x {shape[1]}")
+
+
+def _c_code(function: casadi.Function) -> str:
+    generator = casadi.CodeGenerator(f"{function.name()}_", _CODE_OPTIONS)
+    generator.add(function)
+    return str(generator.dump())
+
+
+def _facts(name: str, function: casadi.Function) -> GeneratedFunction:
+    return GeneratedFunction(
+        field=name,
+        symbol=function.name(),
+        n_arg=function.sz_arg(),
+        n_res=function.sz_res(),
+        n_iw=function.sz_iw(),
+        n_w=function.sz_w(),
+    )

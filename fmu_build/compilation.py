@@ -1,0 +1,86 @@
+"""C sources → shared library, with object files kept in the cache: another payload compiles one small table only."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flexfmu.fmu_build.archive import write_atomically
+from flexfmu.fmu_build.cache import cache_folder
+from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.hashing import content_hash
+from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, RUNTIME_FLAGS, CompileJob, Compiler
+
+if TYPE_CHECKING:
+    from flexfmu.fmu_build.sources import Sources
+
+_DIGEST_BYTES = 64
+
+
+def compile_library(
+    sources: Sources,
+    compiler: Compiler,
+    *,
+    cache: bool = True,
+    runtime_flags: tuple[str, ...] = RUNTIME_FLAGS,
+    generated_flags: tuple[str, ...] = GENERATED_FLAGS,
+) -> bytes:
+    """Compile and link ``sources`` in a temporary folder; the content of the shared library.
+
+    Args:
+        sources: C files and headers.
+        compiler: compiler for the platform.
+        cache: use object files of earlier builds where source, headers, flags and compiler are the same.
+        runtime_flags, generated_flags: flags for the two kinds of sources.
+
+    Raises:
+        CompileError: the compiler or the linker refuses.
+    """
+    texts = sources.generated | sources.runtime
+    jobs = {
+        name: CompileJob(name, generated_flags if name in sources.generated else runtime_flags)
+        for name in sorted(texts)
+        if name.endswith(".c")
+    }
+    library = f"{sources.model_identifier}{compiler.platform.suffix}"
+    with tempfile.TemporaryDirectory(prefix="flexfmu-") as name:
+        folder = Path(name)
+        for file, text in texts.items():
+            (folder / file).write_text(text, encoding="utf-8", newline="\n")
+        kept = {job: _kept_object(job, texts, compiler) for job in jobs.values()}
+        missing = [job for job, path in kept.items() if not (cache and _fetch(path, folder / job.object_file))]
+        compiler.compile(missing, folder)
+        for job in missing:
+            _keep(folder / job.object_file, kept[job])
+        compiler.link([job.object_file for job in jobs.values()], library, folder)
+        return (folder / library).read_bytes()
+
+
+def _kept_object(job: CompileJob, texts: dict[str, str], compiler: Compiler) -> Path:
+    """Where the cache keeps the object file of a job: named by source, all headers, flags and compiler."""
+    headers = [text for name, text in sorted(texts.items()) if name.endswith(".h")]
+    parts = (compiler.identity(), repr(job), compiler.platform.name, texts[job.source], *headers)
+    return cache_folder() / "objects" / f"{content_hash(part.encode() for part in parts)}.o"
+
+
+def _keep(object_file: Path, path: Path) -> None:
+    """Store an object file after its own hash, so that damage is seen; a cache that cannot be written is left alone."""
+    content = object_file.read_bytes()
+    try:
+        write_atomically(path, content_hash([content]).encode() + content)
+    except ArchiveError:
+        return
+
+
+def _fetch(path: Path, target: Path) -> bool:
+    """Copy an intact object file out of the cache; False where there is none."""
+    try:
+        stored = path.read_bytes()
+    except OSError:
+        return False
+    digest, content = stored[:_DIGEST_BYTES], stored[_DIGEST_BYTES:]
+    is_intact = digest == content_hash([content]).encode()
+    if is_intact:
+        target.write_bytes(content)
+    return is_intact

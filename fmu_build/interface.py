@@ -1,0 +1,212 @@
+"""The variables of a model as FMI numbers them: indices, value references, causality, variability and dependencies."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit
+
+if TYPE_CHECKING:
+    from flexfmu.model.symbolic import SymbolicModel, Variable
+
+INITIAL = "initial"
+INITIAL_STATES: Mapping[str, tuple[int, str]] = {
+    "static": (1, "static equilibrium at the start pose, motors locked"),
+    "undeformed": (2, "elastic coordinates and rates zero"),
+}
+"""Items of the enumeration type ``Initial``: name → (value, meaning)."""
+
+STATISTICS: Mapping[str, str] = {
+    "statistics.steps": "Accepted steps of the integrator since initialisation",
+    "statistics.rejections": "Rejected steps of the integrator since initialisation",
+    "statistics.evaluations": "Evaluations of the equations of motion since initialisation",
+    "statistics.iterations": "Iterations for the stage equations since initialisation",
+    "statistics.factorisations": "Factorisations of the iteration matrix since initialisation",
+}
+"""Counters of the integrator, in the order of their value references."""
+
+Kind = Literal["Real", "Integer", "Enumeration"]
+
+
+@dataclass(frozen=True)
+class FmiVariable:
+    """A scalar variable of the model description; attributes are spelt as in the FMI 2.0 standard.
+
+    Attributes:
+        index: position among the model variables, from 1.
+        value_reference: handle for the FMI functions, counted per type from 0.
+        kind: FMI type.
+        start: start value, None where the standard forbids one.
+        unit, display_unit: None for numbers without a unit.
+        derivative: index of the variable whose time derivative this one is.
+    """
+
+    index: int
+    value_reference: int
+    kind: Kind
+    name: str
+    description: str
+    causality: str
+    variability: str
+    initial: str | None = None
+    start: float | int | None = None
+    unit: str | None = None
+    display_unit: str | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+    nominal: float | None = None
+    derivative: int | None = None
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An entry of the model structure: a variable's index and the indices of all that it depends on."""
+
+    index: int
+    dependencies: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """All variables of an FMU and the structure between them.
+
+    Attributes:
+        variables: in the order of the model description: inputs, parameters, outputs, ``initial``, statistics.
+        outputs: every output, with the inputs and states that it depends on.
+        derivatives: the state derivatives among them.
+        initial_unknowns: what initialisation calculates, with the inputs and parameters that it depends on.
+    """
+
+    variables: tuple[FmiVariable, ...]
+    outputs: tuple[Unknown, ...]
+    derivatives: tuple[Unknown, ...]
+    initial_unknowns: tuple[Unknown, ...]
+
+
+def build_interface(model: SymbolicModel) -> Interface:
+    """Number the variables of ``model`` and work out their dependencies.
+
+    Raises:
+        ModelError: a name is given twice or unknown, or a start value is missing or out of range.
+    """
+    scalars = (*model.inputs, *model.parameters, *model.outputs)
+    _check_names([*(variable.name for variable in scalars), INITIAL, *STATISTICS])
+    index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
+    reals = tuple(_real_variable(variable, index_of) for variable in scalars)
+    integers = _integer_variables(first_index=len(reals) + 1, static_start=model.static_start)
+    variables = reals + integers
+
+    states = tuple(sorted({variable.derivative for variable in reals if variable.derivative is not None}))
+    feedthrough = _feedthrough(model, index_of)
+    outputs = tuple(
+        Unknown(output.index, _dependencies(output.index, states, feedthrough))
+        for output in reals
+        if output.causality == "output"
+    )
+    derivative_indices = {variable.index for variable in reals if variable.derivative is not None}
+    known = tuple(variable.index for variable in variables if variable.causality in ("input", "parameter"))
+    return Interface(
+        variables=variables,
+        outputs=outputs,
+        derivatives=tuple(output for output in outputs if output.index in derivative_indices),
+        initial_unknowns=tuple(Unknown(output.index, known) for output in outputs),
+    )
+
+
+def _dependencies(output: int, states: tuple[int, ...], feedthrough: Mapping[int, tuple[int, ...]]) -> tuple[int, ...]:
+    """A state depends on itself alone, every other output on all states and on the inputs that feed through."""
+    return (output,) if output in states else (*feedthrough[output], *states)
+
+
+def _feedthrough(model: SymbolicModel, index_of: Mapping[str, int]) -> dict[int, tuple[int, ...]]:
+    inputs = {variable.name for variable in model.inputs}
+    for output in model.outputs:
+        unknown = set(model.feedthrough.get(output.name, ("(missing)",))) - inputs
+        if unknown:
+            raise ModelError(f"feedthrough of output '{output.name}' names '{min(unknown)}', which is no input")
+    return {
+        index_of[output.name]: tuple(sorted(index_of[name] for name in model.feedthrough[output.name]))
+        for output in model.outputs
+    }
+
+
+def _check_names(names: Iterable[str]) -> None:
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise ModelError(f"variable '{twice[0]}' is there more than once; names must be unique")
+
+
+def _real_variable(variable: Variable, index_of: Mapping[str, int]) -> FmiVariable:
+    is_output = variable.causality == "output"
+    if not is_output:
+        _check_start(variable)
+    if variable.derivative_of is not None and variable.derivative_of not in index_of:
+        raise ModelError(
+            f"variable '{variable.name}' is the derivative of '{variable.derivative_of}', which is not there"
+        )
+    index = index_of[variable.name]
+    return FmiVariable(
+        index=index,
+        value_reference=index - 1,
+        kind="Real",
+        name=variable.name,
+        description=variable.description,
+        causality=variable.causality,
+        variability=_variability(variable),
+        initial={"input": None, "parameter": "exact", "output": "calculated"}[variable.causality],
+        start=None if is_output else variable.start,
+        unit=None if variable.unit == DIMENSIONLESS else variable.unit,
+        display_unit=display_unit(variable.unit),
+        minimum=variable.minimum,
+        maximum=variable.maximum,
+        nominal=variable.nominal,
+        derivative=None if variable.derivative_of is None else index_of[variable.derivative_of],
+    )
+
+
+def _variability(variable: Variable) -> str:
+    if variable.causality != "parameter":
+        return "continuous"
+    return "tunable" if variable.tunable else "fixed"
+
+
+def _check_start(variable: Variable) -> None:
+    start, low, high = variable.start, variable.minimum, variable.maximum
+    if start is None:
+        raise ModelError(f"{variable.causality} '{variable.name}' needs a start value")
+    if (low is not None and start < low) or (high is not None and start > high):
+        limits = f"{'-inf' if low is None else low} to {'inf' if high is None else high}"
+        raise ModelError(f"start of '{variable.name}' must be within {limits} {variable.unit}, got {start}")
+
+
+def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariable, ...]:
+    """The enumeration ``initial`` and the counters: they share one range of value references."""
+    initial = FmiVariable(
+        index=first_index,
+        value_reference=0,
+        kind="Enumeration",
+        name=INITIAL,
+        description="Elastic state at the start",
+        causality="parameter",
+        variability="fixed",
+        initial="exact",
+        start=INITIAL_STATES["static" if static_start else "undeformed"][0],
+    )
+    counters = tuple(
+        FmiVariable(
+            index=first_index + count,
+            value_reference=count,
+            kind="Integer",
+            name=name,
+            description=description,
+            causality="local",
+            variability="discrete",
+            initial="calculated",
+        )
+        for count, (name, description) in enumerate(STATISTICS.items(), start=1)
+    )
+    return (initial, *counters)

@@ -1,0 +1,52 @@
+"""Jinja2 templates of the package: C tables, model description and documentation."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any
+
+import jinja2
+
+from flexfmu.fmu_build.errors import ModelError
+
+
+def render(template: str, **values: Any) -> str:
+    """Fill in a template from ``templates/``; ``.xml`` and ``.html`` ones are escaped, C is not."""
+    return _environment().get_template(template).render(**values)
+
+
+def c_string(text: str) -> str:
+    """A C string literal of ``text`` in UTF-8: printable ASCII as it stands, all else as octal escapes."""
+    return '"' + "".join(_c_character(byte) for byte in text.encode()) + '"'
+
+
+def c_double(value: float | None, missing: str = "0.0") -> str:
+    """A C literal that reads back as exactly ``value``; ``missing`` for None.
+
+    Raises:
+        ModelError: the number is infinite or not a number.
+    """
+    if value is None:
+        return missing
+    if value - value != 0.0:
+        raise ModelError(f"a table of the generated C must hold finite numbers, got {value}")
+    return repr(float(value))
+
+
+def _c_character(byte: int) -> str:
+    plain = 0x20 <= byte < 0x7F and chr(byte) not in '"\\?'
+    return chr(byte) if plain else f"\\{byte:03o}"
+
+
+def _environment() -> jinja2.Environment:
+    folder = files("flexfmu.fmu_build") / "templates"
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
+        autoescape=jinja2.select_autoescape(("xml", "html")),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"c_string": c_string, "c_double": c_double}
+    return environment

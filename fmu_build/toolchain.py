@@ -1,0 +1,136 @@
+"""The C compiler: finding one, compiling side by side, linking a shared library. The package's only subprocess."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from flexfmu.fmu_build.errors import CompileError, MissingCompilerError
+from flexfmu.fmu_build.platforms import Platform, native_platform
+
+RUNTIME_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
+"""The hand-written runtime has no warnings; CI adds -Werror, a user's newer compiler may know more of them."""
+
+GENERATED_FLAGS = ("-std=c99", "-O1", "-w")
+"""Generated code: straight-line arithmetic, not meant to be read; warnings would be about CasADi."""
+
+COMMON_FLAGS = (
+    "-fvisibility=hidden",  # nothing but the FMI functions is exported
+    "-ffp-contract=off",  # the same roundings on every machine
+    "-fno-math-errno",  # sqrt is an instruction, not a call
+    "-ffunction-sections",
+    "-fdata-sections",
+)
+
+_COMPILERS = ("cc", "gcc", "clang")
+_REMEDY = "install gcc or clang, or run: pip install flexfmu[zig]"
+
+
+@dataclass(frozen=True)
+class CompileJob:
+    """One C file → one object file, both relative to the build folder."""
+
+    source: str
+    flags: tuple[str, ...]
+
+    @property
+    def object_file(self) -> str:
+        """Name of the object file."""
+        return f"{Path(self.source).stem}.o"
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler for one platform."""
+
+    command: tuple[str, ...]
+    platform: Platform
+
+    def identity(self) -> str:
+        """What tells this compiler from another or from its next version: command, file, time and size."""
+        executable = Path(shutil.which(self.command[0]) or self.command[0])
+        facts = executable.stat()
+        return f"{self.command} {executable.resolve()} {facts.st_mtime_ns} {facts.st_size}"
+
+    def compile(self, jobs: Iterable[CompileJob], folder: Path) -> None:
+        """Compile all jobs in ``folder``, as many at once as there are processors, the largest source first.
+
+        Args:
+            jobs: what to compile.
+            folder: where the sources are and the objects go.
+
+        Raises:
+            CompileError: the compiler refuses a file; its first error line is in the message.
+        """
+        ordered = sorted(jobs, key=lambda job: (folder / job.source).stat().st_size, reverse=True)
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for _ in pool.map(lambda job: self._compile_one(job, folder), ordered):
+                pass
+
+    def link(self, objects: Iterable[str], library: str, folder: Path) -> None:
+        """Link ``objects`` into the shared library ``library``, both relative to ``folder``.
+
+        Raises:
+            CompileError: the linker refuses.
+        """
+        _run((*self.command, *objects, "-o", library, *self.platform.link_flags), folder, f"linking {library}")
+
+    def _compile_one(self, job: CompileJob, folder: Path) -> None:
+        flags = (*job.flags, *COMMON_FLAGS, *self.platform.compile_flags)
+        _run((*self.command, *flags, "-c", job.source, "-o", job.object_file), folder, f"compiling {job.source}")
+
+
+def find_compiler(platform: Platform) -> Compiler:
+    """A C compiler for ``platform``: the variable CC, cc, gcc, clang, then zig; for other platforms zig alone.
+
+    Raises:
+        MissingCompilerError: there is none; the message says what to install.
+    """
+    is_native = platform == native_platform()
+    command = _native_command() if is_native else None
+    command = command or _zig_command(platform)
+    if command is None:
+        where = "" if is_native else f" for {platform.name} on {native_platform().name}"
+        remedy = _REMEDY if is_native else "run: pip install flexfmu[zig]"
+        raise MissingCompilerError(f"no C compiler found{where}; {remedy}")
+    return Compiler(command, platform)
+
+
+def _native_command() -> tuple[str, ...] | None:
+    chosen = tuple(shlex.split(os.environ.get("CC", "")))
+    if chosen and shutil.which(chosen[0]) is None:
+        raise MissingCompilerError(f"C compiler '{chosen[0]}' of the variable CC not found; correct CC or unset it")
+    found = next((name for name in _COMPILERS if shutil.which(name)), None)
+    return chosen or ((found,) if found else None)
+
+
+def _zig_command(platform: Platform) -> tuple[str, ...] | None:
+    if importlib.util.find_spec("ziglang") is None:
+        return None
+    return (sys.executable, "-m", "ziglang", "cc", "-target", platform.zig_target)
+
+
+def _run(command: tuple[str, ...], folder: Path, what: str) -> None:
+    environment = os.environ | {"LC_ALL": "C"}
+    try:
+        outcome = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, errors="replace", check=False
+        )
+    except OSError as error:
+        raise CompileError(f"{what}: cannot start {command[0]}: {error.strerror}; {_REMEDY}") from error
+    if outcome.returncode != 0:
+        raise CompileError(f"{what} with {command[0]} failed: {_first_error(outcome.stderr + outcome.stdout)}")
+
+
+def _first_error(output: str) -> str:
+    """The first line that speaks of an error, else the first line at all."""
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
+    return next((line for line in lines if "error" in line.lower()), lines[0] if lines else "no message")

@@ -1,0 +1,90 @@
+"""Units as FMI wants them: a spelling such as ``N.m`` or ``rad/s2`` → exponents of the SI base units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import pi
+
+from flexfmu.fmu_build.errors import ModelError
+
+DIMENSIONLESS = "1"
+
+_SYMBOLS: Mapping[str, Mapping[str, int]] = {
+    "1": {},
+    "kg": {"kg": 1},
+    "m": {"m": 1},
+    "s": {"s": 1},
+    "A": {"A": 1},
+    "K": {"K": 1},
+    "rad": {"rad": 1},
+    "Hz": {"s": -1},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "Pa": {"kg": 1, "m": -1, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2},
+    "W": {"kg": 1, "m": 2, "s": -3},
+}
+"""Coherent units and their exponents; a prefix would bring a factor, which the models don't use."""
+
+_BASE_UNITS = ("kg", "m", "s", "A", "K", "rad")
+"""Order in which FMI's schema lists the base units."""
+
+_DEGREE = 180.0 / pi
+
+_DISPLAY_UNITS: Mapping[str, tuple[str, float]] = {
+    "rad": ("deg", _DEGREE),
+    "rad/s": ("deg/s", _DEGREE),
+    "rad/s2": ("deg/s2", _DEGREE),
+    "m": ("mm", 1e3),
+    "Pa": ("GPa", 1e-9),
+}
+"""What a person would rather read: unit → (display unit, factor)."""
+
+_FACTOR = re.compile(r"(?P<sign>^|[./])(?P<symbol>1|[A-Za-z]+)(?P<power>\d*)")
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of the model description.
+
+    Attributes:
+        name: its spelling.
+        exponents: base unit → exponent, zeros left out, in the schema's order.
+        display: name and factor of the unit to show instead; None to show this one.
+    """
+
+    name: str
+    exponents: Mapping[str, int]
+    display: tuple[str, float] | None
+
+
+def unit_exponents(name: str) -> dict[str, int]:
+    """Exponents of the SI base units of ``name``; ``.`` multiplies, ``/`` divides by the one symbol after it.
+
+    Raises:
+        ModelError: a symbol is unknown or the spelling is not understood.
+    """
+    factors = list(_FACTOR.finditer(name))
+    if "".join(factor.group() for factor in factors) != name or not factors:
+        raise ModelError(f"unit '{name}' is not understood; write it like N.m or rad/s2")
+    total = dict.fromkeys(_BASE_UNITS, 0)
+    for factor in factors:
+        symbol = factor["symbol"]
+        if symbol not in _SYMBOLS:
+            raise ModelError(f"unit '{name}' has the unknown symbol '{symbol}'; known are {', '.join(_SYMBOLS)}")
+        power = int(factor["power"] or 1) * (-1 if factor["sign"] == "/" else 1)
+        for base, exponent in _SYMBOLS[symbol].items():
+            total[base] += power * exponent
+    return {base: exponent for base, exponent in total.items() if exponent}
+
+
+def display_unit(name: str) -> str | None:
+    """Name of the unit in which a person would rather read ``name``, None for the unit itself."""
+    return _DISPLAY_UNITS[name][0] if name in _DISPLAY_UNITS else None
+
+
+def unit_definitions(names: Iterable[str]) -> tuple[Unit, ...]:
+    """Definitions of the units in ``names``, each once, sorted; numbers without a unit need none."""
+    used = sorted(set(names) - {DIMENSIONLESS})
+    return tuple(Unit(name, unit_exponents(name), _DISPLAY_UNITS.get(name)) for name in used)
