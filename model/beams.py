@@ -56,18 +56,18 @@ def clamped_free_bending(mode: int) -> Shape:
     scaled = 2.0 * (decay + np.cos(beta) + np.sin(beta)) / (1.0 + decay**2 + 2.0 * decay * np.cos(beta))
     sigma = 1.0 - decay * scaled
 
-    def hyperbolic(x: Array, sign: float) -> Array:
-        """cosh - sigma sinh (sign +1)."""
+    def hyperbolic(x: Array) -> Array:
+        """cosh - sigma sinh."""
         growing = 0.5 * scaled * (np.exp(x - beta) - np.exp(-x - beta))
-        return np.exp(-x) + sign * growing
+        return np.asarray(np.exp(-x) + growing)
 
     def value(xi: Array) -> Array:
         x = beta * xi
-        return np.asarray((hyperbolic(x, 1.0) - np.cos(x) + sigma * np.sin(x)) / sigma)
+        return np.asarray((hyperbolic(x) - np.cos(x) + sigma * np.sin(x)) / sigma)
 
     def curvature(xi: Array) -> Array:
         x = beta * xi
-        return np.asarray(beta**2 * (hyperbolic(x, 1.0) + np.cos(x) - sigma * np.sin(x)) / sigma)
+        return np.asarray(beta**2 * (hyperbolic(x) + np.cos(x) - sigma * np.sin(x)) / sigma)
 
     return Shape(value, curvature, float(value(np.array([1.0]))[0]), beta)
 

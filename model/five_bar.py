@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi
 
+from flexfmu.model import scene as keys
 from flexfmu.model.closure import Closure, IndependentMotion
 from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
 from flexfmu.model.effects import (
@@ -23,7 +24,6 @@ from flexfmu.model.effects import (
 )
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Direction, LinkGroup, Robot, make_robot
-from flexfmu.model import scene as keys
 from flexfmu.model.scene import Mechanism, Scene
 from flexfmu.model.symbolic import Variable
 
@@ -116,8 +116,8 @@ def chosen_effects(
 
 
 def _independent_motion(robot: Robot) -> IndependentMotion:
-    actuated = [casadi.SX.sym(name, 2) for name in ("q_a", "v_a", "a_a")]
-    return IndependentMotion(*actuated, robot.q_e, robot.v_e, casadi.SX.sym("a_e", robot.q_e.numel()))
+    q_a, v_a, a_a = (casadi.SX.sym(name, 2) for name in ("q_a", "v_a", "a_a"))
+    return IndependentMotion(q_a, v_a, a_a, robot.q_e, robot.v_e, casadi.SX.sym("a_e", robot.q_e.numel()))
 
 
 def _mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> dict[str, casadi.SX]:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import casadi
 
-from flexfmu.model.assembly import WORKING_MODES
+from flexfmu.model.assembly import WORKING_MODES, motor_angles
 from flexfmu.model.five_bar import FiveBar, assemble
-from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene import Scene
 from flexfmu.model.symbolic import SymbolicModel, Variable
 from flexfmu.model.time_derivatives import Motion, along_motion
@@ -83,15 +82,14 @@ def _side(scene: Scene) -> int:
 
 
 def _inputs(scene: Scene) -> tuple[Variable, ...]:
-    kinematics = RigidKinematics(scene.mechanism)
-    joints = kinematics.inverse(scene.trajectory.start)
+    joints = motor_angles(scene.mechanism, scene.trajectory.start)
     return tuple(
         Variable(
             f"joint{leg + 1}.reference.{kind}",
             unit,
             f"{kind.capitalize()} reference of motor {leg + 1}",
             "input",
-            start=float(joints[leg]) if kind == "position" else 0.0,
+            start=joints[leg] if kind == "position" else 0.0,
         )
         for kind, unit in JOINT_INPUTS
         for leg in range(2)

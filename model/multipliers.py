@@ -1,0 +1,187 @@
+"""The second formulation: all coordinates with multipliers at acceleration level (index 1), Baumgarte-stabilised.
+
+Coordinates q = [q_a, q_e, q_p] with q_p = [x12, y12, th12, x22, y22, th22, x, y], constraints f(q) = 0 of eq. (18) and
+their Jacobians C, B, A of eq. (19). The equations are ::
+
+    [ M   Psi' ] [ q''    ]   [ tau - h                       ]
+    [ Psi  0   ] [ lambda ] = [ -Psi' q' - 2 a f' - a² f      ]
+
+It shares the energies with the minimal formulation, but neither the assembly nor the projection, so it checks both. The
+multipliers are the joint reaction forces.
+
+Source: Baumgarte, Stabilization of constraints and integrals of motion in dynamical systems, CMAME 1 (1972).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.model.closure import TipMap
+from flexfmu.model.five_bar import FiveBar, assemble
+from flexfmu.model.scene import Scene
+
+Array = NDArray[np.float64]
+
+PASSIVE = 8
+"""Number of passive coordinates and of constraints."""
+
+
+@dataclass(frozen=True)
+class ConstrainedModel:
+    """Functions in all coordinates q = [q_a (2), q_e (n), q_p (8)].
+
+    Attributes:
+        n: number of elastic coordinates.
+        constraints: q → f(q) (8, 1) [m].
+        jacobian: q → Psi = [C, B, A] (8, 10 + n).
+        mass_matrix: q → M (10 + n, 10 + n).
+        bias: (q, v) → h (10 + n, 1), the generalised forces that a motion with q'' = 0 needs.
+        curvature: (q, v) → (d Psi/dt) v (8, 1).
+        assembled: (q_a, q_e, v_a, v_e) → q, v that satisfy the constraints, (10 + n, 1) each.
+    """
+
+    n: int
+    constraints: casadi.Function
+    jacobian: casadi.Function
+    mass_matrix: casadi.Function
+    bias: casadi.Function
+    curvature: casadi.Function
+    assembled: casadi.Function
+
+
+@dataclass(frozen=True)
+class ConstrainedMotion:
+    """Accelerations q'' (10 + n,), reaction forces lambda (8,) [N, N m] and motor torques (2,) [N m]."""
+
+    accelerations: Array
+    reactions: Array
+    torque: Array
+
+
+@lru_cache(maxsize=8)
+def constrained_model(scene: Scene) -> ConstrainedModel:
+    """The index-1 form of a scene's five-bar, with its parameter values filled in."""
+    five_bar = assemble(scene)
+    registry, n = five_bar.registry, five_bar.robot.q_e.numel()
+    derive = casadi.Function("derive", [registry.p], [registry.resolved()])
+    d = derive([registry.starts[variable.name] for variable in registry.variables])
+    q, v = casadi.SX.sym("q", 2 + n + PASSIVE), casadi.SX.sym("v", 2 + n + PASSIVE)
+    a = casadi.SX.sym("a", q.numel())
+    f = _constraints(five_bar, q, d)
+    psi = casadi.jacobian(f, q)
+    force = _force(five_bar, q, v, a, d)
+    bias = casadi.substitute(force, a, casadi.SX.zeros(a.numel()))
+    return ConstrainedModel(
+        n=n,
+        constraints=casadi.Function("constraints", [q], [f]),
+        jacobian=casadi.Function("jacobian", [q], [casadi.densify(psi)]),
+        mass_matrix=casadi.Function("mass_matrix", [q], [casadi.densify(casadi.jacobian(force, a))]),
+        bias=casadi.Function("bias", [q, v], [casadi.densify(bias)]),
+        curvature=casadi.Function("curvature", [q, v], [casadi.densify(casadi.jtimes(psi @ v, q, v))]),
+        assembled=_assembled(five_bar, d),
+    )
+
+
+def motion_driven_accelerations(
+    model: ConstrainedModel, q: Array, v: Array, motor_acceleration: Array, baumgarte: float = 0.0
+) -> ConstrainedMotion:
+    """Accelerations, reactions and torques where the motors' accelerations are prescribed.
+
+    Args:
+        model: the index-1 model.
+        q, v: coordinates and rates (10 + n,).
+        motor_acceleration: q_a'' (2,) [rad/s²].
+        baumgarte: stabilisation rate [1/s]; 0 lets the constraints drift.
+    """
+    size, psi = 10 + model.n, model.jacobian(q).full()
+    mass, bias = model.mass_matrix(q).full(), model.bias(q, v).full().ravel()
+    drift = (
+        model.curvature(q, v).full().ravel()
+        + 2 * baumgarte * (psi @ v)
+        + baumgarte**2 * model.constraints(q).full().ravel()
+    )
+    prescribed = np.zeros((2, size))
+    prescribed[:, :2] = np.eye(2)
+    rows = np.vstack([psi, prescribed])
+    kkt = np.block([[mass, rows.T], [rows, np.zeros((PASSIVE + 2, PASSIVE + 2))]])
+    solution = np.linalg.solve(kkt, np.concatenate([-bias, -drift, motor_acceleration]))
+    return ConstrainedMotion(solution[:size], solution[size : size + PASSIVE], -solution[size + PASSIVE :])
+
+
+def torque_driven_accelerations(
+    model: ConstrainedModel, q: Array, v: Array, torque: Array, baumgarte: float = 0.0
+) -> ConstrainedMotion:
+    """Accelerations and reactions where the motor torques (2,) [N m] are given; arguments as above."""
+    size, psi = 10 + model.n, model.jacobian(q).full()
+    mass, bias = model.mass_matrix(q).full(), model.bias(q, v).full().ravel()
+    drift = (
+        model.curvature(q, v).full().ravel()
+        + 2 * baumgarte * (psi @ v)
+        + baumgarte**2 * model.constraints(q).full().ravel()
+    )
+    applied = np.concatenate([torque, np.zeros(size - 2)])
+    kkt = np.block([[mass, psi.T], [psi, np.zeros((PASSIVE, PASSIVE))]])
+    solution = np.linalg.solve(kkt, np.concatenate([applied - bias, -drift]))
+    return ConstrainedMotion(solution[:size], solution[size:], np.asarray(torque, dtype=float))
+
+
+def _split(q: casadi.SX, n: int) -> tuple[casadi.SX, casadi.SX, casadi.SX]:
+    return q[:2], q[2 : 2 + n], q[2 + n :]
+
+
+def _constraints(five_bar: FiveBar, q: casadi.SX, d: casadi.DM) -> casadi.SX:
+    """f(q) of eq. (18): both distal tips are the end effector, both distal bases are the proximal tips."""
+    q_a, q_e, q_p = _split(q, five_bar.robot.q_e.numel())
+    tips = TipMap(five_bar.robot)
+    end = q_p[6:8]
+    at_end, at_elbow = [], []
+    for leg in (1, 2):
+        base, angle = q_p[3 * leg - 3 : 3 * leg - 1], q_p[3 * leg - 1]
+        at_end.append(end - _tip(five_bar, tips, f"link{leg}2", base, angle, q_e))
+        fixed = five_bar.robot.links[f"link{leg}1"].base
+        at_elbow.append(base - _tip(five_bar, tips, f"link{leg}1", fixed, q_a[leg - 1], q_e))
+    return casadi.substitute(casadi.vertcat(*at_end, *at_elbow), five_bar.registry.d, d)
+
+
+def _tip(five_bar: FiveBar, tips: TipMap, link: str, base: casadi.SX, angle: casadi.SX, q_e: casadi.SX) -> casadi.SX:
+    """Tip of a link by its base, angle and elastic coordinates, eq. (5) at xi = 1."""
+    length = five_bar.registry.find_derived(f"{five_bar.robot.links[link].group}_length")
+    along = length + tips.displacement(link, "axial", q_e)
+    across = tips.displacement(link, "bending", q_e)
+    c, s = casadi.cos(angle), casadi.sin(angle)
+    return base + casadi.vertcat(c * along - s * across, s * along + c * across)
+
+
+def _force(five_bar: FiveBar, q: casadi.SX, v: casadi.SX, a: casadi.SX, d: casadi.DM) -> casadi.SX:
+    """Generalised forces that a motion in all coordinates needs, in the order of q."""
+    n = five_bar.robot.q_e.numel()
+    q_a, q_e, q_p = _split(q, n)
+    directions = [casadi.vertcat(casadi.cos(t), casadi.sin(t)) for t in (q_a[0], q_a[1], q_p[2], q_p[5])]
+    x = casadi.vertcat(*directions, q_p[0:2], q_p[3:5], q_p[6:8], q_e)
+
+    def redundant(w: casadi.SX) -> casadi.SX:
+        w_a, w_e, w_p = _split(w, n)
+        return casadi.vertcat(w_a, w_p[2], w_p[5], w_p[0:2], w_p[3:5], w_p[6:8], w_e)
+
+    force = five_bar.dynamics.force(x, redundant(v), redundant(a), d)
+    passive = casadi.vertcat(force[4:6], force[2], force[6:8], force[3], force[8:10])
+    return casadi.vertcat(force[0:2], force[10:], passive)
+
+
+def _assembled(five_bar: FiveBar, d: casadi.DM) -> casadi.Function:
+    """All coordinates and rates from the independent ones, by the closed-form assembly."""
+    m, closure = five_bar.motion, five_bar.closure
+    passive, rates = [], []
+    for leg in range(2):
+        e = closure.e_p[leg]
+        passive += [closure.elbows[leg], casadi.atan2(e[1], e[0])]
+        rates += [closure.elbow_velocity[leg], closure.w_p[leg]]
+    q = casadi.vertcat(m.q_a, m.q_e, *passive, closure.position)
+    v = casadi.vertcat(m.v_a, m.v_e, *rates, closure.velocity)
+    filled = [casadi.substitute(expression, five_bar.registry.d, d) for expression in (q, v)]
+    return casadi.Function("assembled", [m.q_a, m.q_e, m.v_a, m.v_e], filled)

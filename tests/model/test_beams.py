@@ -1,0 +1,97 @@
+"""Mode shapes and their integrals against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from flexfmu.model.beams import clamped_free_bending, fixed_free_axial, integrate_shapes, pinned_pinned_bending
+
+XI = np.linspace(0.0, 1.0, 101)
+
+
+def test_first_roots_are_those_of_table_1() -> None:
+    """The computed wave numbers round to the paper's Table 1."""
+    assert [round(clamped_free_bending(k).wave_number, 4) for k in (1, 2, 3)] == [1.8751, 4.6941, 7.8548]
+
+
+def test_first_shape_is_the_papers_formula() -> None:
+    """The evaluation without cancellation is eq. (1) with the exact a_k, tip 2.7244 included."""
+    shape = clamped_free_bending(1)
+    b = shape.wave_number
+    a = -(np.cosh(b) + np.cos(b)) / (np.sinh(b) - np.sin(b))
+    paper = np.sin(b * XI) + a * np.cos(b * XI) - np.sinh(b * XI) - a * np.cosh(b * XI)
+    np.testing.assert_allclose(shape.value(XI), paper, atol=1e-14)
+    assert abs(a + 1.3622) < 5e-5
+    assert shape.tip == pytest.approx(2.7244, abs=5e-5)
+
+
+@pytest.mark.parametrize("mode", [1, 2, 5, 20, 40])
+def test_clamped_free_shapes_meet_their_boundary_conditions(mode: int) -> None:
+    """Clamped: phi = phi' = 0; free: phi'' = 0; the tip is ±2/sigma, at mode 40 as at mode 1."""
+    shape = clamped_free_bending(mode)
+    ends = np.array([0.0, 1.0])
+    scale = shape.wave_number**2
+    assert abs(shape.value(ends)[0]) < 1e-14
+    assert abs(shape.value(np.array([1e-7]))[0]) < 1e-12 * scale
+    assert abs(shape.strain(ends)[1]) < 1e-12 * scale
+    assert np.sign(shape.tip) == (-1) ** (mode + 1)
+
+
+def test_twenty_bending_modes_are_orthogonal_to_1e_10() -> None:
+    """High modes are as good as the first: mass and stiffness Gram matrices are diagonal."""
+    shapes = [clamped_free_bending(k) for k in range(1, 21)]
+    xi, w = np.polynomial.legendre.leggauss(300)
+    values = np.array([s.value(0.5 * (xi + 1)) for s in shapes])
+    strains = np.array([s.strain(0.5 * (xi + 1)) for s in shapes])
+    for rows in (values, strains):
+        gram = (rows * 0.5 * w) @ rows.T
+        norms = np.sqrt(np.diag(gram))
+        assert np.abs(gram / np.outer(norms, norms) - np.eye(20)).max() < 1e-10
+
+
+@pytest.mark.parametrize("family", [clamped_free_bending, pinned_pinned_bending])
+def test_bending_stiffness_over_mass_is_the_fourth_power_of_the_wave_number(family) -> None:  # type: ignore[no-untyped-def]
+    """K_kk / M_kk = beta^4 EI / (m l^3): the modes are the beam's own (Blevins 1979, table 8-1)."""
+    shapes = [family(k) for k in range(1, 11)]
+    integrals = integrate_shapes(shapes)
+    ratio = np.diag(integrals.strain_gram) / np.diag(integrals.gram)
+    np.testing.assert_allclose(ratio, [s.wave_number**4 for s in shapes], rtol=1e-12)
+
+
+def test_axial_integrals_have_their_closed_forms() -> None:
+    """∫ sin² = 1/2, ∫ phi'² = k²/2, ∫ phi = 1/k with k = (2k-1) pi/2."""
+    shapes = [fixed_free_axial(k) for k in range(1, 6)]
+    integrals = integrate_shapes(shapes)
+    numbers = np.array([s.wave_number for s in shapes])
+    np.testing.assert_allclose(np.diag(integrals.gram), 0.5, rtol=1e-13)
+    np.testing.assert_allclose(np.diag(integrals.strain_gram), numbers**2 / 2, rtol=1e-13)
+    np.testing.assert_allclose(integrals.mean, 1 / numbers, rtol=1e-12)
+    np.testing.assert_array_equal(integrals.gram[~np.eye(5, dtype=bool)], 0.0)
+
+
+def test_quadrature_agrees_with_adaptive_integration() -> None:
+    """The fixed quadrature is fine enough for the highest mode asked for."""
+    shape = clamped_free_bending(12)
+    integrals = integrate_shapes([shape])
+    moment, _ = quad(lambda x: x * shape.value(np.array([x]))[0], 0.0, 1.0, limit=200, epsabs=1e-13)
+    assert integrals.first_moment[0] == pytest.approx(moment, abs=1e-12)
+
+
+def test_modes_make_up_the_static_compliance_of_a_cantilever() -> None:
+    """sum phi_k(1)² / K_k tends to l³/(3 EI) from below, within 3 % with the first mode (97.1 % by the textbook)."""
+    shapes = [clamped_free_bending(k) for k in range(1, 31)]
+    stiffness = np.diag(integrate_shapes(shapes).strain_gram)
+    partial = np.cumsum([s.tip**2 for s in shapes] / stiffness) * 3.0
+    assert partial[0] == pytest.approx(0.9707, abs=1e-4)
+    assert np.all(np.diff(partial) > 0.0)
+    assert 0.0 < 1.0 - partial[-1] < 1e-5
+
+
+def test_axial_modes_make_up_the_static_compliance_of_a_rod() -> None:
+    """sum phi_k(1)² / K_k tends to l/(EA): 8/pi² of it with the first mode."""
+    shapes = [fixed_free_axial(k) for k in range(1, 41)]
+    partial = np.cumsum([s.tip**2 for s in shapes] / np.diag(integrate_shapes(shapes).strain_gram))
+    assert partial[0] == pytest.approx(8 / np.pi**2, rel=1e-12)
+    assert 0.0 < 1.0 - partial[-1] < 0.006

@@ -1,0 +1,161 @@
+"""Scene files: what is shipped, what is refused, and what the refusal says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexfmu.model.errors import SceneError
+from flexfmu.model.scene import ModalDamping, NoDamping
+from flexfmu.model.scene_file import load_scene, shipped_scenes
+
+WRONG_VALUES = {
+    "negative mass": ({"payload.mass": -0.1}, r"`payload\.mass` must be at least 0\.0 kg, got -0\.1 kg"),
+    "unknown key": ({"payload.weight": 1.0}, r"`payload\.weight` is not a known key: known keys here: `mass`"),
+    "misspelt key": (
+        {"trajectory.durations": 1.0},
+        r"`trajectory\.durations` is not a known key: did you mean `duration`\?",
+    ),
+    "missing key": ({"effects.damping": {"kind": "modal"}}, r"`effects\.damping\.ratio` is missing"),
+    "key of another kind": (
+        {"effects.damping": {"kind": "none", "ratio": 0.1}},
+        r"`effects\.damping\.ratio` is not a known key",
+    ),
+    "unknown kind": (
+        {"effects.damping": {"kind": "foo"}},
+        r"`effects\.damping\.kind` must be one of 'none', 'modal', 'stiffness'",
+    ),
+    "kind of a profile": ({"trajectory.profile": {"kind": "poly5"}}, r"`trajectory\.profile\.kind` must be 'poly7'"),
+    "wrong type": (
+        {"mechanism.proximal.length": "a"},
+        r"`mechanism\.proximal\.length` must be a valid number in m, got 'a'",
+    ),
+    "boolean for a number": ({"payload.mass": True}, r"`payload\.mass` must be a valid number in kg, got True"),
+    "fraction of a mode": ({"effects.proximal_bending": 2.5}, r"`effects\.proximal_bending` must be a valid integer"),
+    "vector too long": ({"trajectory.start": [1.0, 2.0, 3.0]}, r"`trajectory\.start` .* at most 2 items"),
+    "word in a vector": ({"trajectory.start": [1.0, "b"]}, r"`trajectory\.start\[1\]` must be a valid number in m"),
+    "not a number": (
+        {"trajectory.duration": float("nan")},
+        r"`trajectory\.duration` must be a finite number in s, got nan",
+    ),
+    "contradicting modes": (
+        {"mechanism.assembly_mode": "right"},
+        r"`mechanism\.assembly_mode` must be 'left' for `working_mode` = 'elbows-out' at the start pose",
+    ),
+    "out of reach": (
+        {"trajectory.start": [0.0, 5.0]},
+        r"5\.001 m from the base .* a leg reaches 0\.14079 to 0\.62079 m",
+    ),
+    "tube without a wall": (
+        {"mechanism.proximal.inner_diameter": 0.1},
+        r"`inner_diameter` must be below `diameter` = 0\.035 m",
+    ),
+    "ramp of a polynomial": (
+        {"trajectory.profile": {"kind": "poly7", "ramp": 0.2}},
+        r"belongs to profile `trapezoidal` alone",
+    ),
+    "trapezoid without a ramp": ({"trajectory.profile": {"kind": "trapezoidal"}}, r"needs 0 < ramp <= 0\.5"),
+    "ramp too long": (
+        {"trajectory.profile": {"kind": "trapezoidal", "ramp": 0.7}},
+        r"`trajectory\.profile\.ramp` must be at most 0\.5",
+    ),
+    "blend higher than the lift": (
+        {"trajectory.blend.height": 0.03},
+        r"`blend\.height` must be at most `height` = 0\.025 m",
+    ),
+    "blends that overlap": ({"trajectory.blend.width": 0.2}, r"`blend\.width` must be at most `width`/2 = 0\.175 m"),
+    "lift without a direction": ({"trajectory.lift": [0.0, 0.0]}, r"`lift` must be a direction"),
+    "tolerance out of range": ({"cosimulation.tolerance": 1.0}, r"`cosimulation\.tolerance` must be at most 0\.1"),
+    "zero duration": ({"trajectory.duration": 0.0}, r"`trajectory\.duration` must be above 0\.0 s, got 0\.0 s"),
+}
+
+
+def test_the_papers_scenes_are_shipped() -> None:
+    """Both of the paper's scenes are found by name, with the values that the paper gives."""
+    assert {"barnard2012-6kg", "barnard2012-0.1kg"} <= set(shipped_scenes())
+    scene = load_scene("barnard2012-6kg")
+    assert scene.mechanism.proximal.length == 0.24
+    assert scene.payload.mass == 6.0
+    assert scene.effects.damping == ModalDamping(kind="modal", ratio=0.1357)
+
+
+@pytest.mark.parametrize(("changes", "message"), WRONG_VALUES.values(), ids=WRONG_VALUES.keys())
+def test_a_wrong_value_is_one_sentence_with_key_value_unit_and_remedy(changes: dict[str, object], message: str) -> None:
+    """A user sees what is wrong and what would be right, on one line."""
+    with pytest.raises(SceneError, match=message) as error:
+        load_scene("barnard2012-6kg").replace(changes)
+    assert "\n" not in str(error.value)
+    assert "barnard2012-6kg" in str(error.value)
+
+
+def test_damping_may_be_left_out_or_none(tmp_path: Path) -> None:
+    """Keys with a default: a scene without `damping` is undamped, as with `{ kind = "none" }`."""
+    text = shipped_text().replace('damping = { kind = "modal", ratio = 0.1357 }', "")
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    assert load_scene(path).effects.damping == NoDamping()
+    path.write_text(text.replace("proximal_bending = 3", 'proximal_bending = 3\ndamping = { kind = "none" }'))
+    assert load_scene(path).effects.damping == NoDamping()
+
+
+def test_errors_name_the_file(tmp_path: Path) -> None:
+    """Broken TOML, a missing file, a folder and an unknown name each say what they are about."""
+    path = tmp_path / "broken.toml"
+    path.write_text("name = [")
+    with pytest.raises(SceneError, match=r"not a TOML file.*broken\.toml"):
+        load_scene(path)
+    with pytest.raises(SceneError, match="no scene file.*barnard2012-6kg"):
+        load_scene(tmp_path / "missing.toml")
+    with pytest.raises(SceneError, match="cannot read scene file"):
+        load_scene(tmp_path)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(SceneError, match="not UTF-8"):
+        load_scene(path)
+
+
+def test_a_scene_survives_the_way_through_plain_data() -> None:
+    """`replace` without changes is the identity, so no default gets lost."""
+    scene = load_scene("barnard2012-0.1kg")
+    assert scene.replace({}) == scene
+
+
+def shipped_text() -> str:
+    from importlib.resources import files
+
+    return files("flexfmu.cosim").joinpath("scenes/barnard2012-6kg.toml").read_text()
+
+
+JUNK = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=5),
+    st.lists(st.integers(), max_size=3),
+    st.just({}),
+)
+KEYS = [
+    "name",
+    "mechanism.base_half_distance",
+    "mechanism.material",
+    "payload",
+    "effects.gravity",
+    "effects.damping",
+    "trajectory.blend.kind",
+    "trajectory.profile",
+    "cosimulation.step",
+    "nonsense.key",
+]
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(st.sampled_from(KEYS), JUNK)
+def test_junk_is_a_scene_or_a_scene_error_never_a_crash(key: str, value: object) -> None:
+    """Any value at any key either makes a valid scene or is refused on one line."""
+    try:
+        load_scene("barnard2012-6kg").replace({key: value})
+    except SceneError as error:
+        assert "\n" not in str(error)
