@@ -21,11 +21,17 @@ class Figure:
     Attributes:
         key: file name without suffix, for example ``figure-06``.
         label, caption: for example ``Figure 6`` and one sentence.
+        folder: folder of its files within the report's folder; empty for that folder itself.
     """
 
     key: str
     label: str
     caption: str
+    folder: str = "figures"
+
+    def file(self, suffix: str) -> str:
+        """Path of the figure's file within the report's folder; ``suffix`` is ``.png`` or ``.svg``."""
+        return f"{self.folder}/{self.key}{suffix}" if self.folder else f"{self.key}{suffix}"
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,7 @@ class PaperReport:
         source: the paper.
         tables: comparisons in the order of the report.
         figures: the figures drawn, in the order of the report.
+        overview: one picture that sums it up.
         timing: wall-clock time of the parts in seconds.
         versions: packages that were used, and their versions.
     """
@@ -43,6 +50,7 @@ class PaperReport:
     source: Source
     tables: tuple[ComparisonTable, ...] = ()
     figures: tuple[Figure, ...] = ()
+    overview: Figure | None = None
     timing: Mapping[str, float] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
 
@@ -71,7 +79,7 @@ class PaperReport:
         head = ["# The paper's experiment, printed and computed", f"Printed figures: {self.source.citation}."]
         remarks = "\n".join(f"- {remark}" for remark in self.source.remarks)
         tables = [table_to_markdown(lay_out(table)) for table in self.tables]
-        figures = [f"![{figure.label}. {figure.caption}](figures/{figure.key}.png)" for figure in self.figures]
+        figures = [f"![{figure.label}. {figure.caption}]({figure.file('.png')})" for figure in self.figures]
         return "\n\n".join([*head, remarks, f"**{self.summary()}**", *tables, *figures]).rstrip() + "\n"
 
     def to_json(self) -> str:

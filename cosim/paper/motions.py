@@ -1,0 +1,75 @@
+"""Tables of the trajectories alone: lengths of curves, and largest accelerations in task and joint space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.paper.cases import profiles, trajectory_scene
+from flexfmu.cosim.paper.comparison import Evaluate
+from flexfmu.cosim.planning import plan
+from flexfmu.trajectories.trajectory import Trajectory
+
+POINTS = 2001
+"""Instants between two breakpoints: a smooth maximum is met to about (pi / POINTS)²/8 < 1e-6 relative."""
+
+Series = NDArray[np.float64]
+
+
+def evaluators() -> Mapping[str, Evaluate]:
+    """Metric → function of row and column, for the metrics that need no simulation."""
+    return {
+        "blend_length": lambda row, column: blend_length(row),
+        "path_length": lambda row, column: path_length(column),
+        "peak_task_acceleration": peak_task_acceleration,
+        "peak_joint_acceleration_1": peak_joint_acceleration,
+    }
+
+
+def blend_length(curve: str) -> float:
+    """Arc length of one blend [m]."""
+    return plan(trajectory_scene(_any_profile(), curve)).task.path.blend.length
+
+
+def path_length(curve: str) -> float:
+    """Arc length of the whole path [m]."""
+    return plan(trajectory_scene(_any_profile(), curve)).task.path.length
+
+
+def peak_task_acceleration(profile: str, curve: str) -> float:
+    """Largest norm of the end effector's acceleration [m/s²], both sides of every jump included."""
+    task = plan(trajectory_scene(profile, curve)).task
+    return maximum(task, lambda derivatives: np.hypot(derivatives[2, :, 0], derivatives[2, :, 1]))
+
+
+def peak_joint_acceleration(profile: str, curve: str) -> float:
+    """Largest signed second derivative of q11 [rad/s²]."""
+    joints = plan(trajectory_scene(profile, curve)).joints
+    return maximum(joints, lambda derivatives: derivatives[2, :, 0])
+
+
+def maximum(trajectory: Trajectory, quantity: Callable[[Series], Series]) -> float:
+    """Largest value of a quantity over the motion.
+
+    Args:
+        trajectory: the motion.
+        quantity: function of the trajectory's derivatives (order + 1, N, 2) with a result of shape (N,).
+    """
+    return max(float(np.max(quantity(derivatives))) for _, derivatives in smooth_pieces(trajectory, POINTS))
+
+
+def smooth_pieces(trajectory: Trajectory, points: int, order: int = 2) -> Iterator[tuple[Series, Series]]:
+    """Times (N,) and derivatives (order + 1, N, 2) between neighbouring breakpoints, with one-sided limits at both."""
+    for begin, end in pairwise(trajectory.breakpoints):
+        time = np.linspace(begin, end, points)
+        before = trajectory.evaluate(time[:-1], order=order, side="right")
+        last = trajectory.evaluate(time[-1:], order=order, side="left")
+        yield time, np.concatenate([before, last], axis=1)
+
+
+def _any_profile() -> str:
+    """A path doesn't depend on the motion profile."""
+    return next(iter(profiles()))

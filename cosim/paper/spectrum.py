@@ -1,0 +1,39 @@
+"""Power spectral density of the joint accelerations of a motion."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import periodogram
+
+from flexfmu.trajectories.trajectory import Trajectory
+
+SAMPLING_FREQUENCY = 20_000.0
+"""Samples per second: 100 times the highest frequency shown, so that folded parts of a jump stay 1e-4 below."""
+
+WINDOW = 4.0
+"""Length of the window [s]: the motion, then standstill; the same for all motions, so that densities compare."""
+
+Series = NDArray[np.float64]
+
+
+def acceleration_spectrum(joints: Trajectory, joint: int) -> tuple[Series, Series]:
+    """One-sided power spectral density of a joint's acceleration, and its frequencies.
+
+    The signal is the motion followed by standstill, over a window of `WINDOW` seconds. It is zero at both ends of the
+    window, so no taper is applied, and its mean is not removed. The integral of the density over the frequency is the
+    mean square of the acceleration over the window. All motions share the window, so densities compare as energies.
+
+    Args:
+        joints: joint trajectory [rad].
+        joint: 0 for q11, 1 for q21.
+
+    Returns:
+        Frequencies [Hz] in steps of 1 / `WINDOW`, and densities [(rad/s²)²/Hz].
+    """
+    time = np.arange(round(WINDOW * SAMPLING_FREQUENCY)) / SAMPLING_FREQUENCY
+    acceleration = joints.evaluate(time, order=2)[2, :, joint]
+    frequency, density = periodogram(
+        acceleration, SAMPLING_FREQUENCY, window="boxcar", detrend=False, scaling="density"
+    )
+    return frequency, density

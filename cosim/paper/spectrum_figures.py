@@ -1,0 +1,115 @@
+"""Figures of the joint motion and its spectra (Figs. 8, 10 and 11)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
+
+from flexfmu.cosim.paper.cases import trajectory_scene
+from flexfmu.cosim.paper.motions import smooth_pieces
+from flexfmu.cosim.paper.spectrum import acceleration_spectrum
+from flexfmu.cosim.paper.style import GREY, PROFILE_COLOURS, SEQUENCE, draw
+from flexfmu.cosim.planning import plan
+from flexfmu.model.scene import Scene
+
+POLYNOMIAL, LAME = "7th order polynomial", "Lamé"
+
+HIGHEST_FREQUENCY = 200.0
+"""Frequencies shown [Hz]: beyond the first natural frequency of the robot with the light payload."""
+
+DECADES = 13.0
+"""Decades of the density shown below its maximum."""
+
+FIRST_FREQUENCIES = ((58.0, "6 kg"), (126.0, "0.1 kg"))
+"""The paper's first natural frequencies [Hz] and their payloads, marked in the spectra."""
+
+CYCLE_TIMES = (1.0, 0.5, 0.25)
+"""Cycle times of Fig. 10 [s]."""
+
+BLEND_LENGTHS = (0.025, 0.0125, 0.006125)
+"""Blend lengths d = e of Fig. 11 [m]; the last one as printed (half of 12.5 mm would be 6.25 mm)."""
+
+
+def joint_motion() -> Drawing:
+    """Fig. 8: joint angles and accelerations of the Lamé path for 1 s, and the spectra of all motion profiles."""
+    drawing = draw(9.6, 7.0)
+    angle, acceleration, first, second = drawing.subplots(2, 2).flat
+    joints = plan(trajectory_scene(POLYNOMIAL, LAME)).joints
+    for joint, colour in zip((0, 1), SEQUENCE, strict=False):
+        for piece, (time, derivatives) in enumerate(smooth_pieces(joints, 401)):
+            label = f"joint {joint + 1}" if piece == 0 else None
+            angle.plot(time, np.degrees(derivatives[0, :, joint]), color=colour, label=label)
+            acceleration.plot(time, derivatives[2, :, joint], color=colour, label=label)
+    angle.set(xlabel="time [s]", ylabel="joint angle [°]", title="Joint motion, polynomial, 1 s")
+    acceleration.set(xlabel="time [s]", ylabel="joint acceleration [rad/s²]", title="Joint acceleration")
+    angle.legend()
+    acceleration.legend()
+    scenes = [(profile, trajectory_scene(profile, LAME), colour) for profile, colour in PROFILE_COLOURS.items()]
+    _spectra(first, scenes, joint=0)
+    _spectra(second, scenes, joint=1)
+    first.set_title("Spectrum of the acceleration of joint 1")
+    second.set_title("Spectrum of the acceleration of joint 2")
+    return drawing
+
+
+def cycle_times() -> Drawing:
+    """Fig. 10: spectra for cycle times of 1, 0.5 and 0.25 s."""
+    scenes = [
+        (f"{time:g} s", trajectory_scene(POLYNOMIAL, LAME).replace({"trajectory.duration": time}), colour)
+        for time, colour in zip(CYCLE_TIMES, SEQUENCE, strict=True)
+    ]
+    return _one_panel(scenes, "Cycle times: polynomial on the Lamé path, joint 1", "cycle time")
+
+
+def blend_lengths() -> Drawing:
+    """Fig. 11: spectra for symmetric blends of 25, 12.5 and 6.125 mm."""
+    scenes = [
+        (
+            f"{1e3 * length:g} mm",
+            trajectory_scene(POLYNOMIAL, LAME).replace(
+                {"trajectory.blend": {"kind": "lame", "height": length, "width": length}}
+            ),
+            colour,
+        )
+        for length, colour in zip(BLEND_LENGTHS, SEQUENCE, strict=True)
+    ]
+    return _one_panel(scenes, "Blend lengths: polynomial on the Lamé path, 1 s, joint 1", "d = e")
+
+
+def _one_panel(scenes: Iterable[tuple[str, Scene, str]], title: str, legend: str) -> Drawing:
+    drawing = draw(7.2, 4.4)
+    axes = drawing.add_subplot()
+    _spectra(axes, scenes, joint=0)
+    axes.set_title(title)
+    axes.legend(title=legend, loc="upper right")
+    return drawing
+
+
+def _spectra(axes: Axes, scenes: Iterable[tuple[str, Scene, str]], *, joint: int) -> None:
+    peak = 0.0
+    for label, scene, colour in scenes:
+        frequency, density = acceleration_spectrum(plan(scene).joints, joint)
+        shown = (frequency > 0.0) & (frequency <= HIGHEST_FREQUENCY)
+        axes.semilogy(frequency[shown], density[shown], color=colour, label=label, linewidth=1.2)
+        peak = max(peak, float(density[shown].max()))
+    axes.set_ylim(peak * 10.0**-DECADES, peak * 10.0)
+    axes.set(xlabel="frequency [Hz]", ylabel="power spectral density [(rad/s²)²/Hz]", xlim=(0.0, HIGHEST_FREQUENCY))
+    axes.legend(loc="upper right", ncols=2, fontsize=8)
+    _mark_natural_frequencies(axes)
+
+
+def _mark_natural_frequencies(axes: Axes) -> None:
+    for frequency, payload in FIRST_FREQUENCIES:
+        axes.axvline(frequency, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)))
+        axes.annotate(
+            f"f₁, {payload}",
+            (frequency, 0.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, 4),
+            textcoords="offset points",
+            fontsize=8,
+            color=GREY,
+        )
