@@ -1,0 +1,51 @@
+# make demo   set everything up and run the paper's experiment: tables, figures and report in results/
+# make test   set everything up, build the wheel and run every test against it
+# make lint   formatting, linting, types
+
+PYTHON ?= python3
+# a C compiler from PyPI where the machine has none
+EXTRAS := $(if $(shell command -v cc || command -v gcc || command -v clang),,[zig])
+VENV := .venv
+BIN := $(VENV)/bin
+export OMP_NUM_THREADS := 1
+
+.PHONY: demo test lint format clean
+.DEFAULT_GOAL := demo
+
+demo: $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
+	$(BIN)/flexfmu paper --out results/paper
+	$(BIN)/flexfmu run barnard2012-6kg --out results/barnard2012-6kg
+	@echo "Open results/paper/report.html and results/barnard2012-6kg/report.html in a browser."
+
+# the tests run against the installed wheel, never against the source tree
+test: $(VENV)/.test
+	rm -rf build/wheel build/lib && $(BIN)/python -m build --quiet --wheel --outdir build/wheel .
+	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps build/wheel/*.whl
+	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGUMENTS)
+
+lint: $(VENV)/.lint
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	mkdir -p build/typing/flexfmu
+	for package in model fmu_build trajectories cosim; do ln -sfn ../../../$$package build/typing/flexfmu/$$package; done
+	for package in model fmu_build trajectories cosim; do $(BIN)/mypy build/typing/flexfmu/$$package || exit 1; done
+
+format: $(VENV)/.lint
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+
+$(VENV)/.test: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet build --group test ".$(EXTRAS)"
+	touch $@
+
+$(VENV)/.lint: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --group lint --group test ".$(EXTRAS)"
+	touch $@
+
+clean:
+	rm -rf build dist results .pytest_cache .mypy_cache .ruff_cache *.egg-info
