@@ -1,1 +1,43 @@
 """Pick-and-place trajectories: blends, motion profiles, paths and joint trajectories."""
+
+from flexfmu.trajectories.blends import Blend, LameBlend, PolarPolynomial
+from flexfmu.trajectories.clothoid import ClothoidPair
+from flexfmu.trajectories.curves import PiecewiseCurve, PlaneJets, Point, Side
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Jet
+from flexfmu.trajectories.joint import InverseKinematics, JointTrajectory, Margin
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.profiles import (
+    BangBang,
+    Profile,
+    ProfilePiece,
+    SeventhDegreePolynomial,
+    Trapezoidal,
+    evaluate_profile,
+)
+from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
+
+__all__ = [
+    "BangBang",
+    "Blend",
+    "ClothoidPair",
+    "InverseKinematics",
+    "Jet",
+    "JointTrajectory",
+    "LameBlend",
+    "Margin",
+    "PickAndPlacePath",
+    "PiecewiseCurve",
+    "PlaneJets",
+    "Point",
+    "PolarPolynomial",
+    "Profile",
+    "ProfilePiece",
+    "SeventhDegreePolynomial",
+    "Side",
+    "TaskTrajectory",
+    "Trajectory",
+    "TrajectoryError",
+    "Trapezoidal",
+    "evaluate_profile",
+]

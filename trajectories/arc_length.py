@@ -1,0 +1,120 @@
+"""Arc length of a smooth curve, and its inverse to machine precision."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.interpolate import CubicHermiteSpline
+
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Array
+
+NODES = 20
+"""Legendre polynomials per panel: a panel that they don't resolve is halved."""
+
+TAIL = 1e-14
+"""Size of the last two Legendre coefficients, relative to the largest, at which a panel counts as resolved: just above
+their rounding errors. Integration divides them by about 2 NODES, so that they matter less than the length's rounding."""
+
+ROUNDING = 1e-15
+"""Rounding error of the speed relative to its largest value on the curve; elongated curves have parts where the speed
+is small, and known no better than this."""
+
+MOST_PANELS = 4096
+"""More panels than any curve with a sensible aspect ratio needs."""
+
+GUESSES_PER_PANEL = 16
+
+
+@dataclass(frozen=True, eq=False)
+class ArcLengthTable:
+    """The arc length s(u) of a curve with the parameter u, as Legendre series on panels.
+
+    Built once per curve by `tabulate`; the series are the integrals of the speed's expansions, which are resolved to
+    rounding, so that evaluating them is a quadrature of full precision.
+
+    Attributes:
+        edges: parameter at the panels' edges, shape (P + 1,).
+        starts: arc length at the panels' edges [m], shape (P + 1,).
+        speeds: Legendre coefficients of ds/du on each panel [m], shape (NODES, P).
+        lengths: Legendre coefficients of s - starts on each panel [m], shape (NODES + 1, P).
+        guess: interpolant u(s), from which Newton's method starts.
+    """
+
+    edges: Array
+    starts: Array
+    speeds: Array
+    lengths: Array
+    guess: CubicHermiteSpline
+
+    @property
+    def length(self) -> float:
+        """Length of the whole curve [m]."""
+        return float(self.starts[-1])
+
+    def parameter(self, s: Array) -> Array:
+        """The parameter u at the arc lengths s [m], shape (N,), by Newton's method; s is limited to the curve."""
+        s = np.clip(s, 0.0, self.length)
+        panel = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.edges) - 2)
+        low, high = self.edges[panel], self.edges[panel + 1]
+        half = 0.5 * (high - low)
+        lengths, speeds, target = self.lengths[:, panel], self.speeds[:, panel], s - self.starts[panel]
+        xi = np.clip((self.guess(s) - low) / half - 1.0, -1.0, 1.0)
+        for _ in range(5):
+            residual = legendre.legval(xi, lengths, tensor=False) - target
+            step = residual / (half * legendre.legval(xi, speeds, tensor=False))
+            xi = np.clip(xi - step, -1.0, 1.0)
+            if np.all(np.abs(step) <= 1e-9):  # quadratic convergence: the error left is of the order of its square
+                break
+        return np.asarray(low + half * (xi + 1.0))
+
+
+def tabulate(speed: Callable[[Array], Array], end: float) -> ArcLengthTable:
+    """The arc length of a curve with ``speed`` ds/du [m] above zero for the parameter from 0 to ``end``.
+
+    Raises:
+        TrajectoryError: the curve is too elongated to be resolved.
+    """
+    edges = _panels(speed, end)
+    speeds = np.stack([_expansion(speed, a, b) for a, b in pairwise(edges)], axis=1)
+    lengths = legendre.legint(speeds, lbnd=-1.0) * (0.5 * np.diff(edges))
+    starts = np.concatenate([[0.0], np.cumsum(lengths.sum(axis=0))])  # every Legendre polynomial is 1 at the end
+    return ArcLengthTable(edges, starts, speeds, lengths, _guess(edges, starts, speeds, lengths))
+
+
+def _panels(speed: Callable[[Array], Array], end: float) -> Array:
+    """Edges of panels on each of which the speed is resolved, found by halving."""
+    waiting, edges = [(0.0, end)], [0.0]
+    rounding = ROUNDING * float(np.max(speed(np.linspace(0.0, end, 8 * NODES))))
+    while waiting:
+        a, b = waiting.pop()
+        size = np.abs(_expansion(speed, a, b))
+        if np.sum(size[-2:]) <= max(TAIL * np.max(size), rounding):
+            edges.append(b)
+        else:
+            waiting += [(0.5 * (a + b), b), (a, 0.5 * (a + b))]
+        if len(waiting) + len(edges) > MOST_PANELS:
+            raise TrajectoryError("a blend is too elongated for its arc length to be resolved; bring e/d nearer to 1")
+    return np.array(edges)
+
+
+def _expansion(speed: Callable[[Array], Array], a: float, b: float) -> Array:
+    """Legendre coefficients of the speed between a and b, shape (NODES,), by Gauss quadrature."""
+    nodes, weights = legendre.leggauss(NODES)
+    values = speed(0.5 * (a + b) + 0.5 * (b - a) * nodes)
+    scale = np.arange(NODES) + 0.5
+    return np.asarray(scale * (legendre.legvander(nodes, NODES - 1).T @ (weights * values)))
+
+
+def _guess(edges: Array, starts: Array, speeds: Array, lengths: Array) -> CubicHermiteSpline:
+    """Piecewise cubic u(s) through points on every panel, with exact slopes."""
+    xi = np.linspace(-1.0, 1.0, GUESSES_PER_PANEL, endpoint=False)
+    u = edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (xi + 1.0)
+    s = starts[:-1, None] + legendre.legval(xi, lengths)
+    slope = 1.0 / legendre.legval(xi, speeds)
+    last = 1.0 / speeds[:, -1].sum()
+    return CubicHermiteSpline(np.append(s, starts[-1]), np.append(u, edges[-1]), np.append(slope, last))

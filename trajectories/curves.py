@@ -1,0 +1,177 @@
+"""Plane curves by arc length: smooth pieces, and curves composed of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from flexfmu.trajectories.arc_length import ArcLengthTable, tabulate
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Array, Jet, compose, revert, sqrt
+
+Side: TypeAlias = Literal["left", "right"]
+"""Which one-sided limit to take where a derivative jumps."""
+
+PlaneJets: TypeAlias = tuple[Jet, Jet]
+"""The two coordinates of a point as jets of the same order and shape."""
+
+Point: TypeAlias = tuple[float, float]
+
+
+class Piece(Protocol):
+    """A curve with derivatives of every order, one-sided ones at its ends included."""
+
+    @property
+    def length(self) -> float:
+        """Length [m]."""
+        ...
+
+    def jets(self, s: Array, order: int) -> PlaneJets:
+        """Coordinates [m] and their derivatives by arc length at s [m], shape (N,), between 0 and the length."""
+        ...
+
+
+@dataclass(frozen=True)
+class StraightLine:
+    """A straight line from the origin along the second axis (the lift)."""
+
+    length: float
+
+    def jets(self, s: Array, order: int) -> PlaneJets:
+        """See `Piece`."""
+        return Jet.constant(np.zeros_like(s), order), Jet.variable(s, order)
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricPiece:
+    """A smooth curve given by a regular parametrisation, evaluated by its exact arc length.
+
+    Attributes:
+        curve: coordinates [m] as jets from the parameter as a jet.
+        end: the parameter runs from 0 to ``end``.
+    """
+
+    curve: Callable[[Jet], PlaneJets]
+    end: float
+
+    @cached_property
+    def table(self) -> ArcLengthTable:
+        """Arc length as a function of the parameter."""
+        return tabulate(self._speed, self.end)
+
+    @property
+    def length(self) -> float:
+        """Length [m]."""
+        return self.table.length
+
+    def jets(self, s: Array, order: int) -> PlaneJets:
+        """See `Piece`. The parameter's series in s is the reversion of the arc length's series in the parameter."""
+        u = self.table.parameter(s)
+        x, y = self.curve(Jet.variable(u, max(order, 1)))
+        x_slope, y_slope = x.differentiate(), y.differentiate()
+        arc = sqrt(x_slope * x_slope + y_slope * y_slope).integrate()
+        parameter = revert(arc).truncate(order)
+        return compose(x, parameter), compose(y, parameter)
+
+    def _speed(self, u: Array) -> Array:
+        x, y = self.curve(Jet.variable(u, 1))
+        return np.asarray(np.hypot(x.coefficients[1], y.coefficients[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPiece:
+    """A piece moved to an origin with other axes, and run backwards if ``backwards``.
+
+    Attributes:
+        piece: the piece in its own axes.
+        origin: where its origin goes [m].
+        first, second: where its unit axes go.
+        backwards: whether arc length counts from its end.
+    """
+
+    piece: Piece
+    origin: Point
+    first: Point
+    second: Point
+    backwards: bool = False
+
+    @property
+    def length(self) -> float:
+        """Length [m]."""
+        return self.piece.length
+
+    def jets(self, s: Array, order: int) -> PlaneJets:
+        """See `Piece`."""
+        u, v = self.piece.jets(self.length - s if self.backwards else s, order)
+        if self.backwards:
+            u, v = u.rescale(-1.0), v.rescale(-1.0)
+        x, y = (u * self.first[i] + v * self.second[i] + self.origin[i] for i in (0, 1))
+        return x, y
+
+
+@dataclass(frozen=True)
+class PiecewiseCurve:
+    """Smooth pieces one after the other, continuous in position.
+
+    Attributes:
+        pieces: at least one piece; each begins where the one before ends.
+    """
+
+    pieces: tuple[Piece, ...]
+
+    @cached_property
+    def edges(self) -> Array:
+        """Arc length [m] at the pieces' ends, 0 and the length included, shape (pieces + 1,)."""
+        return np.concatenate([[0.0], np.cumsum([piece.length for piece in self.pieces])])
+
+    @property
+    def length(self) -> float:
+        """Length [m]."""
+        return float(self.edges[-1])
+
+    @property
+    def knots(self) -> tuple[float, ...]:
+        """Arc lengths [m] at which one piece ends and the next begins."""
+        return tuple(self.edges[1:-1].tolist())
+
+    def jets(self, s: ArrayLike, order: int = 2, side: Side = "right") -> PlaneJets:
+        """Coordinates [m] and their derivatives by arc length.
+
+        Args:
+            s: arc length [m] from 0 to the length, a number or shape (N,).
+            order: order of the highest derivative, any.
+            side: the one-sided limit at knots.
+
+        Raises:
+            TrajectoryError: s is off the curve.
+        """
+        s = _on_curve(np.atleast_1d(np.asarray(s, dtype=float)), self.length)
+        index = np.searchsorted(np.asarray(self.knots), s, side=side)
+        result = np.empty((2, order + 1, len(s)))
+        for i in np.unique(index):
+            here = index == i
+            for row, jet in zip(result, self.pieces[i].jets(s[here] - self.edges[i], order), strict=True):
+                row[:, here] = jet.coefficients
+        return Jet(result[0]), Jet(result[1])
+
+
+def place(pieces: tuple[Piece, ...], origin: Point, first: Point, second: Point) -> tuple[PlacedPiece, ...]:
+    """Pieces moved to ``origin`` with the unit axes ``first`` and ``second``."""
+    return tuple(PlacedPiece(piece, origin, first, second) for piece in pieces)
+
+
+def place_backwards(pieces: tuple[Piece, ...], origin: Point, first: Point, second: Point) -> tuple[PlacedPiece, ...]:
+    """Pieces moved like `place`, run from the last piece's end to the first piece's beginning."""
+    return tuple(PlacedPiece(piece, origin, first, second, backwards=True) for piece in reversed(pieces))
+
+
+def _on_curve(s: Array, length: float) -> Array:
+    off = np.flatnonzero(~((s >= 0.0) & (s <= length)))
+    if off.size:
+        raise TrajectoryError(f"arc length must be between 0 and {length:.9g} m, got {s[off[0]]} m at index {off[0]}")
+    return s

@@ -1,0 +1,165 @@
+"""Joint trajectories through the mechanism's inverse kinematics, checked along the whole path while planning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Array, Jet, checked_order
+from flexfmu.trajectories.trajectory import Trajectory
+
+SAMPLES_PER_INTERVAL = 200
+"""Points between two breakpoints at which the margins are first looked at; between two of them a margin has at most
+one minimum and a joint turns by far less than π."""
+
+REFINEMENTS = 24
+"""Rounds in which the neighbourhood of a smallest margin shrinks to a quarter: its time is exact to 1e-14 of the
+interval, which is below the rounding of the margin itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class Margin:
+    """A distance to trouble, such as the workspace's boundary or a singularity.
+
+    Attributes:
+        name: what is measured, for messages.
+        unit: unit of the values.
+        values: margin at each position, shape (N,); NaN where it isn't defined counts as a violation.
+        required: least admissible value.
+    """
+
+    name: str
+    unit: str
+    values: Array
+    required: float
+
+
+class InverseKinematics(Protocol):
+    """From the end effector to the actuated joints."""
+
+    def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
+        """Jets of q11 and q21 [rad] from jets of the end effector's x and y [m]; angles modulo 2π."""
+        ...
+
+    def margins(self, position: Array) -> tuple[Margin, ...]:
+        """Margins at positions (x, y) [m], shape (N, 2), inside the workspace and outside."""
+        ...
+
+
+@dataclass(frozen=True)
+class JointTrajectory:
+    """q11 and q21 [rad] in time, continuous along the path.
+
+    Planning checks the margins along the whole path.
+
+    Attributes:
+        task: motion of the end effector, x and y [m].
+        kinematics: the mechanism's inverse kinematics.
+
+    Raises:
+        TrajectoryError: the path leaves the workspace or comes too near to a singularity.
+    """
+
+    task: Trajectory
+    kinematics: InverseKinematics
+
+    def __post_init__(self) -> None:
+        check_margins(self.task, self.kinematics)
+
+    @property
+    def duration(self) -> float:
+        """Duration of the motion [s]."""
+        return self.task.duration
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times [s] at which some derivative may jump: those of the motion of the end effector."""
+        return self.task.breakpoints
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
+        """q11 and q21 [rad] and their time derivatives; see `Trajectory.evaluate`."""
+        motion = Jet.from_derivatives(self.task.evaluate(time, checked_order(order), side))
+        x, y = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))
+        result = np.stack([joint.derivatives() for joint in self.kinematics.joints(x, y)], axis=-1)
+        result[0] = _near(result[0], self._reference(np.atleast_1d(np.asarray(time, dtype=float))))
+        return result
+
+    @cached_property
+    def _samples(self) -> tuple[Array, Array]:
+        """Sample times [s], shape (N,), and continuous joint angles [rad], shape (N, 2)."""
+        time = _sample_times(self.task)
+        position = self.task.evaluate(time, 0)
+        angles = self.kinematics.joints(Jet(position[:, :, 0]), Jet(position[:, :, 1]))
+        return time, np.unwrap(np.stack([angle.value for angle in angles], axis=-1), axis=0)
+
+    def _reference(self, time: Array) -> Array:
+        """Angles between the samples [rad], good to much less than π, shape (N, 2)."""
+        sample_times, angles = self._samples
+        return np.stack([np.interp(time, sample_times, angle) for angle in angles.T], axis=-1)
+
+
+def check_margins(task: Trajectory, kinematics: InverseKinematics) -> None:
+    """Refuse a motion along which a margin falls below what it requires.
+
+    Raises:
+        TrajectoryError: names the margin, its worst point and time, its value there and what is required.
+    """
+    time = _sample_times(task)
+    for index, margin in enumerate(kinematics.margins(_positions(task, time))):
+        worst_time, worst = _smallest(task, kinematics, index, time, _defined(margin.values))
+        if not worst >= margin.required:
+            raise TrajectoryError(_violation(margin, worst, worst_time, _positions(task, np.array([worst_time]))[0]))
+
+
+def _violation(margin: Margin, value: float, time: float, position: Array) -> str:
+    found = f"{value:.6g} {margin.unit}" if np.isfinite(value) else "undefined"
+    return (
+        f"{margin.name} is {found} at (x, y) = ({position[0]:.6g}, {position[1]:.6g}) m, t = {time:.6g} s; "
+        f"it must be at least {margin.required:.6g} {margin.unit} along the whole path: move the path or change the mechanism"
+    )
+
+
+def _smallest(
+    task: Trajectory, kinematics: InverseKinematics, index: int, time: Array, values: Array
+) -> tuple[float, float]:
+    """Time [s] and value of the smallest margin number ``index``, refined around the samples' local minima."""
+    padded = np.concatenate([[np.inf], values, [np.inf]])
+    minima = np.flatnonzero((values <= padded[:-2]) & (values <= padded[2:]))
+    low, high = time[np.maximum(minima - 1, 0)], time[np.minimum(minima + 1, len(time) - 1)]
+    best = time[minima], values[minima]
+    for _ in range(REFINEMENTS):
+        grid = low + (high - low) * np.linspace(0.0, 1.0, 9)[:, None]
+        found = _defined(kinematics.margins(_positions(task, grid.ravel()))[index].values).reshape(grid.shape)
+        at = np.argmin(found, axis=0), np.arange(len(minima))
+        best = grid[at], found[at]
+        quarter = 0.125 * (high - low)
+        low, high = np.maximum(low, best[0] - quarter), np.minimum(high, best[0] + quarter)
+    worst = int(np.argmin(best[1]))
+    return float(best[0][worst]), float(best[1][worst])
+
+
+def _sample_times(task: Trajectory) -> Array:
+    """Times [s] from 0 to the duration, breakpoints included, ascending, shape (N,)."""
+    spans = [np.linspace(a, b, SAMPLES_PER_INTERVAL, endpoint=False) for a, b in pairwise(task.breakpoints)]
+    return np.concatenate([*spans, [task.duration]])
+
+
+def _positions(task: Trajectory, time: Array) -> Array:
+    return np.asarray(task.evaluate(time, 0)[0])
+
+
+def _defined(values: Array) -> Array:
+    """Margins with -∞ in place of NaN."""
+    return np.where(np.isnan(values), -np.inf, values)
+
+
+def _near(angle: Array, reference: Array) -> Array:
+    """The angles [rad], turned by whole turns to lie within π of the reference."""
+    return np.asarray(angle + 2.0 * np.pi * np.round((reference - angle) / (2.0 * np.pi)))

@@ -1,0 +1,136 @@
+"""The pick-and-place path (half of an Adept cycle): up, across and down, with blended corners."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+from numpy.typing import ArrayLike
+
+from flexfmu.trajectories.blends import Blend
+from flexfmu.trajectories.checks import plane_vector, positive
+from flexfmu.trajectories.curves import (
+    Piece,
+    PiecewiseCurve,
+    PlacedPiece,
+    PlaneJets,
+    Point,
+    Side,
+    StraightLine,
+    place,
+    place_backwards,
+)
+from flexfmu.trajectories.errors import TrajectoryError
+
+FIT = 1e-12
+"""Relative excess of a blend over the room for it that counts as rounding, and remainder that leaves no straight part."""
+
+
+@dataclass(frozen=True)
+class PickAndPlacePath:
+    """Goes from ``start`` along ``lift`` by ``height``, crosses by ``width`` and comes back by ``height``.
+
+    The crossing is perpendicular to the lift, towards positive x; for a lift along x, towards positive y.
+
+    Attributes:
+        start: start point (x, y) [m].
+        lift: direction of the lift, any vector but zero; its length doesn't matter.
+        height: height of the lift [m], at least that of the blend.
+        width: distance between start and end [m], at least twice the width of the blend.
+        blend: both corners; the second is the first's mirror image.
+    """
+
+    start: Point
+    lift: Point
+    height: float
+    width: float
+    blend: Blend
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", plane_vector("path start", self.start, "m"))
+        object.__setattr__(self, "lift", plane_vector("path lift", self.lift, "1"))
+        if self.lift == (0.0, 0.0):
+            raise TrajectoryError("path lift must be a direction other than (0, 0), for example (0, 1)")
+        positive("path height", self.height, "m")
+        positive("path width", self.width, "m")
+        _check_fit("height d", self.blend.height, "the path's height", self.height)
+        _check_fit("width e", self.blend.width, "half the path's width", 0.5 * self.width)
+
+    @property
+    def lift_direction(self) -> Point:
+        """Unit vector along the lift."""
+        largest = max(abs(self.lift[0]), abs(self.lift[1]))
+        x, y = self.lift[0] / largest, self.lift[1] / largest
+        return x / math.hypot(x, y), y / math.hypot(x, y)
+
+    @property
+    def crossing_direction(self) -> Point:
+        """Unit vector along the crossing."""
+        x, y = self.lift_direction
+        if abs(y) <= FIT:
+            return -y * math.copysign(1.0, x), abs(x)
+        return abs(y), -x * math.copysign(1.0, y)
+
+    @cached_property
+    def curve(self) -> PiecewiseCurve:
+        """The path by arc length, straight parts of no length left out."""
+        return PiecewiseCurve((*self._ascent(), *self._crossing(), *self._descent()))
+
+    @property
+    def length(self) -> float:
+        """Length [m]."""
+        return self.curve.length
+
+    @property
+    def knots(self) -> tuple[float, ...]:
+        """Arc lengths [m] at which derivatives of some order jump."""
+        return self.curve.knots
+
+    @property
+    def end(self) -> Point:
+        """End point (x, y) [m]."""
+        return self._point(self.width, 0.0)
+
+    def jets(self, s: ArrayLike, order: int = 2, side: Side = "right") -> PlaneJets:
+        """x and y [m] and their derivatives by arc length at s [m]; see `PiecewiseCurve.jets`."""
+        return self.curve.jets(s, order, side)
+
+    def _ascent(self) -> tuple[PlacedPiece, ...]:
+        straight = _straight(self.height - self.blend.height, self.height)
+        base = self._point(0.0, self.height - self.blend.height)
+        lift, across = self.lift_direction, self.crossing_direction
+        return place(straight, self.start, across, lift) + place(self.blend.curve.pieces, base, across, lift)
+
+    def _crossing(self) -> tuple[PlacedPiece, ...]:
+        straight = _straight(self.width - 2.0 * self.blend.width, self.width)
+        return place(straight, self._point(self.blend.width, self.height), self.lift_direction, self.crossing_direction)
+
+    def _descent(self) -> tuple[PlacedPiece, ...]:
+        straight = _straight(self.height - self.blend.height, self.height)
+        base = self._point(self.width, self.height - self.blend.height)
+        lift, back = self.lift_direction, _negative(self.crossing_direction)
+        return place_backwards(self.blend.curve.pieces, base, back, lift) + place_backwards(
+            straight, self.end, back, lift
+        )
+
+    def _point(self, across: float, up: float) -> Point:
+        """The point at so many metres along the crossing and the lift."""
+        (cx, cy), (lx, ly) = self.crossing_direction, self.lift_direction
+        return self.start[0] + across * cx + up * lx, self.start[1] + across * cy + up * ly
+
+
+def _straight(length: float, scale: float) -> tuple[Piece, ...]:
+    return (StraightLine(length),) if length > FIT * scale else ()
+
+
+def _negative(vector: Point) -> Point:
+    return -vector[0], -vector[1]
+
+
+def _check_fit(name: str, extent: float, room_name: str, room: float) -> None:
+    if extent > room * (1.0 + FIT):
+        raise TrajectoryError(
+            f"blend {name} = {extent:g} m must be at most {room_name}, {room:g} m; "
+            "choose a smaller blend or a larger path, or the blends overlap"
+        )

@@ -1,0 +1,136 @@
+"""Motion profiles: the fraction of the path as a function of the fraction of the duration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+
+from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Array, Jet
+
+
+@dataclass(frozen=True)
+class ProfilePiece:
+    """A polynomial σ(η) for start ≤ η ≤ end, expanded about ``centre`` so that it is accurate there.
+
+    Attributes:
+        start, end: fractions of the duration.
+        centre: fraction of the duration about which the polynomial is expanded.
+        coefficients: of (η - centre)^k, ascending.
+    """
+
+    start: float
+    end: float
+    centre: float
+    coefficients: tuple[float, ...]
+
+    def jet(self, eta: Array, order: int) -> Jet:
+        """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
+        x = eta - self.centre
+        polynomial = np.polynomial.Polynomial(self.coefficients)
+        return Jet.from_derivatives(
+            np.stack([np.broadcast_to(polynomial.deriv(k)(x), x.shape) for k in range(order + 1)])
+        )
+
+
+class Profile(Protocol):
+    """A monotonic motion from σ(0) = 0 to σ(1) = 1, at rest at both ends, piecewise polynomial."""
+
+    @property
+    def pieces(self) -> tuple[ProfilePiece, ...]:
+        """Polynomials in the order of time, from 0 to 1."""
+        ...
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """Fractions of the duration between 0 and 1, exclusive, at which the acceleration jumps."""
+        ...
+
+
+@dataclass(frozen=True)
+class SeventhDegreePolynomial:
+    """σ = 35 η⁴ - 84 η⁵ + 70 η⁶ - 20 η⁷: velocity, acceleration and jerk are zero at both ends."""
+
+    @property
+    def pieces(self) -> tuple[ProfilePiece, ...]:
+        """One polynomial, expanded about both ends."""
+        return _symmetric((0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0), 0.5)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """None."""
+        return ()
+
+
+@dataclass(frozen=True)
+class BangBang:
+    """Constant acceleration 4 to the middle, then -4."""
+
+    @property
+    def pieces(self) -> tuple[ProfilePiece, ...]:
+        """Two parabolas."""
+        return _symmetric((0.0, 0.0, 2.0), 0.5)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """The middle."""
+        return (0.5,)
+
+
+@dataclass(frozen=True)
+class Trapezoidal:
+    """Trapezoidal velocity: constant acceleration, constant velocity 1/(1 - ramp), constant deceleration.
+
+    Attributes:
+        ramp: duration of each of the two ramps as a fraction of the whole duration, 0 < ramp ≤ 0.5.
+    """
+
+    ramp: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.ramp <= 0.5:
+            raise TrajectoryError(f"ramp must be above 0 and at most 0.5 of the duration, got {self.ramp:g}")
+
+    @property
+    def pieces(self) -> tuple[ProfilePiece, ...]:
+        """Two parabolas, and a straight line between them unless the ramps fill the duration."""
+        velocity = 1.0 / (1.0 - self.ramp)
+        first, last = _symmetric((0.0, 0.0, 0.5 * velocity / self.ramp), self.ramp)
+        middle = ProfilePiece(self.ramp, 1.0 - self.ramp, 0.5, (0.5, velocity))
+        return (first, middle, last) if middle.start < middle.end else (first, last)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """The ends of the ramps."""
+        return tuple(sorted({self.ramp, 1.0 - self.ramp}))
+
+
+def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Side = "right") -> Jet:
+    """σ and its derivatives by η at the fractions ``eta`` of the duration, 0 to 1, a number or shape (N,)."""
+    eta = np.atleast_1d(np.asarray(eta, dtype=float))
+    index = np.searchsorted([piece.start for piece in profile.pieces[1:]], eta, side=side)
+    coefficients = np.empty((order + 1, len(eta)))
+    for i in np.unique(index):
+        coefficients[:, index == i] = profile.pieces[i].jet(eta[index == i], order).coefficients
+    return Jet(coefficients)
+
+
+def time_at(profile: Profile, fraction: float) -> float:
+    """The fraction of the duration at which the profile passes ``fraction`` of the path, 0 to 1 exclusive."""
+
+    def excess(eta: float) -> float:
+        return float(evaluate_profile(profile, eta, 0).value[0]) - fraction
+
+    return float(brentq(excess, 0.0, 1.0, xtol=1e-17, rtol=4 * np.finfo(float).eps))
+
+
+def _symmetric(coefficients: tuple[float, ...], end: float) -> tuple[ProfilePiece, ProfilePiece]:
+    """A piece from 0 to ``end`` expanded about 0, and its point reflection that ends at 1."""
+    reflected = [-c * (-1.0) ** k for k, c in enumerate(coefficients)]
+    reflected[0] += 1.0
+    return ProfilePiece(0.0, end, 0.0, coefficients), ProfilePiece(1.0 - end, 1.0, 1.0, tuple(reflected))
