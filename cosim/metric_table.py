@@ -14,6 +14,7 @@ class MetricInfo:
         label: short name for tables.
         unit: SI unit of the value in ``summary.json``.
         display_unit, display_factor: unit for people, and what to multiply the SI value by.
+        negligible: error in the SI unit, far below what anybody could measure, that is never worth a warning.
         description: one sentence.
     """
 
@@ -21,15 +22,19 @@ class MetricInfo:
     unit: str
     display_unit: str
     display_factor: float
+    negligible: float
     description: str
 
 
+_NEGLIGIBLE: Mapping[str, float] = {"m": 1e-12, "m/s": 1e-9, "m/s2": 1e-6, "N.m": 1e-9, "s": 1e-9}
+
+
 def _millimetres(label: str, description: str) -> MetricInfo:
-    return MetricInfo(label, "m", "mm", 1e3, description)
+    return MetricInfo(label, "m", "mm", 1e3, _NEGLIGIBLE["m"], description)
 
 
 def _plain(label: str, unit: str, description: str) -> MetricInfo:
-    return MetricInfo(label, unit, unit, 1.0, description)
+    return MetricInfo(label, unit, unit, 1.0, _NEGLIGIBLE[unit], description)
 
 
 _BOTH_SIDES = "over the motion, both sides of every jump and t = 0+ included"
@@ -79,3 +84,9 @@ METRICS: Mapping[str, MetricInfo] = {
         "Time after the motion's end from which the end effector stays within the settling band around that equilibrium.",
     ),
 }
+
+
+def display(name: str, value: float | None) -> str:
+    """A metric's value for people, with its unit: six significant digits, a dash where there is none."""
+    info = METRICS[name]
+    return "–" if value is None else f"{value * info.display_factor:.6g} {info.display_unit}"

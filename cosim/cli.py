@@ -1,0 +1,139 @@
+"""The command line: what can be typed and what it says about itself. The work is done in the ``cli_*`` modules.
+
+They are imported when their command runs: CasADi, SciPy and Matplotlib are too slow to load for ``--help``.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flexfmu.cosim.cli_errors import one_line_errors
+
+app = typer.Typer(
+    name="flexfmu",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Exit status: 0 done, 1 it ran and failed, 2 wrong usage or input. Results go to standard output, "
+    "progress to standard error.",
+)
+
+SceneArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg.",
+        show_default=False,
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
+
+
+def main() -> None:
+    """Entry point of the command ``flexfmu``."""
+    app()
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from flexfmu.cosim.cli_console import print_text
+
+        with one_line_errors():
+            print_text(f"flexfmu {version('flexfmu')}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _flexfmu(
+    show_version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Build the model of a flexible five-bar robot as an FMU, and co-simulate pick-and-place motions with it."""
+
+
+@app.command()
+def build(
+    scene: SceneArgument,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.fmu", help="Default: the scene's name, here.")
+    ] = None,
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="linux64, win64 or darwin64; may be repeated. Default: this machine's."),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Build the FMI 2.0 co-simulation FMU of a scene."""
+    with one_line_errors():
+        from flexfmu.cosim.cli_fmu import build_command
+
+        raise typer.Exit(build_command(scene, output, platform or [], json))
+
+
+@app.command()
+def run(
+    scene: SceneArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
+
+    The FMU is built first unless it is in the cache.
+    """
+    with one_line_errors():
+        from flexfmu.cosim.cli_run import run_command
+
+        raise typer.Exit(run_command(scene, out, json))
+
+
+@app.command()
+def paper(
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the results. Default: results/paper.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Repeat the paper's experiment: every table beside the printed one, and the figures.
+
+    Barnard, Briot and Caro, "Trajectory Generation for High Speed Pick-and-Place Robots", ESDA 2012.
+    """
+    with one_line_errors():
+        from flexfmu.cosim.cli_paper import paper_command
+
+        raise typer.Exit(paper_command(out, json))
+
+
+@app.command()
+def modes(
+    scene: SceneArgument,
+    json: JsonOption = False,
+    poses: Annotated[
+        int, typer.Option(metavar="N", min=3, help="Poses along the path: an odd number, so that the middle is one.")
+    ] = 11,
+) -> None:
+    """Natural frequencies along the path, with the motors locked, about the static equilibrium."""
+    with one_line_errors():
+        from flexfmu.cosim.cli_modes import modes_command
+
+        raise typer.Exit(modes_command(scene, poses, json))
+
+
+@app.command()
+def validate(
+    fmu: Annotated[Path, typer.Argument(metavar="FILE.fmu", help="The FMU to check.", show_default=False)],
+    json: JsonOption = False,
+) -> None:
+    """Check an FMU: its model description and archive, then a simulation with its default experiment."""
+    with one_line_errors():
+        from flexfmu.cosim.cli_fmu import validate_command
+
+        raise typer.Exit(validate_command(fmu, json))

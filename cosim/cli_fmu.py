@@ -1,0 +1,57 @@
+"""`flexfmu build` and `flexfmu validate`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.text import Text
+
+from flexfmu.cosim.cli_console import print_rich, print_text, progress
+from flexfmu.cosim.cli_errors import FAILURE
+from flexfmu.cosim.errors import FmuFileError
+from flexfmu.cosim.summary import to_json
+from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.model.scene_file import load_scene
+
+
+def build_command(source: str, output: Path | None, platforms: list[str], as_json: bool) -> int:
+    """Build the scene's FMU and print where it is; the exit status."""
+    from flexfmu.fmu_build.scene_build import build_scene
+
+    scene = load_scene(source)
+    target = output or Path(f"{scene.name}.fmu")
+    with progress() as show:
+        built = build_scene(scene, output=target, platforms=platforms or None, progress=lambda text: show(text, None))
+    if as_json:
+        print_text(to_json(asdict(built) | {"path": str(built.path)}))
+        return 0
+    origin = "taken from the cache" if built.cached else "built"
+    print_text(
+        f"{built.path}: {origin} in {built.seconds:.2f} s, {built.fmu_bytes / 1000:.0f} kB "
+        f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}\n"
+    )
+    return 0
+
+
+def validate_command(fmu: Path, as_json: bool) -> int:
+    """Check an FMU and print the findings; the exit status.
+
+    Raises:
+        FmuFileError: there is no FMU at this path.
+    """
+    from flexfmu.fmu_build.validate import validate_fmu
+
+    try:
+        with progress() as show:
+            show(f"checking {fmu.name}", None)
+            findings = validate_fmu(fmu)
+    except ArchiveError as error:
+        raise FmuFileError(str(error)) from error
+    if as_json:
+        print_text(to_json({"fmu": str(fmu), "findings": [asdict(finding) for finding in findings]}))
+    elif findings:
+        print_rich(*(Text(f"{finding.check}: {finding.message}") for finding in findings))
+    else:
+        print_text(f"{fmu}: no findings\n")
+    return FAILURE if findings else 0

@@ -1,0 +1,80 @@
+"""`flexfmu run`: simulate a scene and write its results, summary and report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from flexfmu.cosim.cli_console import print_rich, print_text, progress
+from flexfmu.cosim.cli_errors import FAILURE, show_error
+from flexfmu.cosim.experiment import Run, run_scene
+from flexfmu.cosim.metric_table import METRICS, display
+from flexfmu.cosim.metrics import Measurement, Settings, measure, settings_for
+from flexfmu.cosim.output import OutputFolder
+from flexfmu.cosim.summary import summarise, to_json
+from flexfmu.model.scene_file import load_scene
+
+RESULTS = Path("results")
+"""Where results go unless the user says otherwise, in a folder named after the scene."""
+
+
+def run_command(source: str, out: Path | None, as_json: bool) -> int:
+    """Simulate, write, print; the exit status.
+
+    What was recorded before a failure is written too.
+    """
+    scene = load_scene(source)
+    folder = OutputFolder(out or RESULTS / scene.name)
+    folder.prepare()
+    with progress() as show:
+        show("planning the motion, building the FMU", None)
+        run = run_scene(scene, progress=lambda fraction: show("simulating", fraction))
+        show("writing the results", None)
+        run.recording.write_csv(folder.path / "results.csv")
+        settings = settings_for(run.plan) if run.completed else None
+        summary = summarise(run, _measure(run, settings))
+        folder.write("summary.json", to_json(summary))
+        show("drawing the report", None)
+        folder.write("report.html", _report(run, settings, summary))
+    if as_json:
+        print_text(to_json(summary))
+    else:
+        _print_summary(summary, folder.path)
+    if not run.completed:
+        show_error(f"{run.message}; what was recorded is in {folder.path}")
+        return FAILURE
+    return 0
+
+
+def _measure(run: Run, settings: Settings | None) -> Mapping[str, Measurement]:
+    """The metrics; without values where the run was cut short."""
+    return dict.fromkeys(METRICS, Measurement(None)) if settings is None else measure(run.recording, settings)
+
+
+def _report(run: Run, settings: Settings | None, summary: Mapping[str, Any]) -> str:
+    from flexfmu.cosim.plots import draw_plots
+    from flexfmu.cosim.report import render_report
+
+    return render_report(summary, draw_plots(run, None if settings is None else settings.end_equilibrium))
+
+
+def _print_summary(summary: Mapping[str, Any], folder: Path) -> None:
+    health, timing = summary["health"], summary["timing"]
+    table = Table(box=box.SIMPLE_HEAD, title=summary["scene"]["name"], title_justify="left", title_style="bold")
+    table.add_column("Metric")
+    table.add_column("Value", justify="right")
+    for name, value in summary["metrics"].items():
+        table.add_row(METRICS[name].label, display(name, value))
+    statistics = ", ".join(f"{count} {name}" for name, count in health["statistics"].items())
+    lines = [
+        f"{health['outcome']}: {health['end_time'] or 0.0:g} s simulated in {timing['simulate']:.3f} s "
+        f"(FMU ready in {timing['build']:.3f} s)" + (f"; {statistics}" if statistics else ""),
+        *(f"warning: {warning['message']}" for warning in health["warnings"]),
+        f"results.csv, summary.json and report.html are in {folder}",
+    ]
+    print_rich(table, *(Text(line, style="yellow" if line.startswith("warning") else "") for line in lines))

@@ -1,0 +1,100 @@
+"""The report of a run: one HTML file that needs no network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from flexfmu.cosim.metric_table import METRICS, display
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.plots import Plot
+
+TILES = (
+    "peak_torque_1",
+    "peak_tip_deflection_1",
+    "peak_position_error",
+    "rms_acceleration_error",
+    "residual_vibration_amplitude",
+    "settling_time",
+)
+"""The metrics that stand on top."""
+
+
+def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
+    """The report as HTML.
+
+    Args:
+        summary: what `flexfmu.cosim.summary.summarise` returns.
+        plots: drawn by `flexfmu.cosim.plots.draw_plots`.
+    """
+    environment = Environment(
+        loader=PackageLoader("flexfmu.cosim", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=False,
+    )
+    health, metrics = summary["health"], summary["metrics"]
+    return environment.get_template("report.html.j2").render(
+        scene=summary["scene"],
+        effects=summary["effects"],
+        motion=_motion_sentence(summary["scene"]),
+        completed=health["outcome"] == "completed",
+        health=health,
+        tiles=[{"label": METRICS[name].label, "value": display(name, metrics[name])} for name in TILES],
+        metrics=[_metric_row(name, metrics[name], health["interpolation_errors"][name]) for name in metrics],
+        plots=list(plots),
+        tables={
+            "Parameters": _scene_rows(summary["scene"]),
+            "Health": _health_rows(health),
+            "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
+            "Versions": {name: value or "–" for name, value in summary["versions"].items()},
+        },
+        versions=summary["versions"],
+    )
+
+
+def _motion_sentence(scene: Mapping[str, Any]) -> str:
+    trajectory = scene["trajectory"]
+    blend, profile = trajectory["blend"]["kind"], trajectory["profile"]["kind"]
+    return (
+        f"Pick-and-place motion of {1e3 * trajectory['height']:g} mm × {1e3 * trajectory['width']:g} mm in "
+        f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile, then a dwell of "
+        f"{trajectory['dwell']:g} s; payload {scene['payload']['mass']:g} kg."
+    )
+
+
+def _metric_row(name: str, value: float | None, error: float) -> dict[str, str]:
+    info = METRICS[name]
+    return {
+        "label": info.label,
+        "value": display(name, value),
+        "error": "–" if value is None else f"{error * info.display_factor:.1g} {info.display_unit}",
+        "description": info.description,
+    }
+
+
+def _scene_rows(section: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """The scene file flattened to dotted keys."""
+    rows: dict[str, str] = {}
+    for key, value in section.items():
+        if isinstance(value, Mapping):
+            rows |= _scene_rows(value, f"{prefix}{key}.")
+        elif isinstance(value, list | tuple):
+            rows[prefix + key] = ", ".join(f"{item:g}" for item in value)
+        else:
+            rows[prefix + key] = f"{value:g}" if isinstance(value, float) else str(value)
+    return rows
+
+
+def _health_rows(health: Mapping[str, Any]) -> dict[str, str]:
+    rows = {
+        "outcome": health["outcome"],
+        "simulated": f"{health['end_time'] or 0.0:g} s of {health['stop_time']:g} s",
+        "communication step": f"{health['communication_step']:g} s",
+        "tolerance": f"{health['tolerance']:g}",
+        "input polynomials": f"degree {health['input_order']}",
+    }
+    return rows | {name: f"{count:,}" for name, count in health["statistics"].items()}

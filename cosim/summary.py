@@ -1,0 +1,111 @@
+"""The summary of a run as plain data: what ``summary.json`` holds and what the report is made from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.metrics import Measurement
+from flexfmu.cosim.versions import versions
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.experiment import Run
+    from flexfmu.model.scene import Effects, Scene
+
+COARSE = 1e-5
+"""Estimated interpolation error, relative to a metric's value, from which the communication step counts as too coarse."""
+
+_FAMILIES: Mapping[str, str] = {
+    "proximal_bending": "bending of the proximal links",
+    "proximal_axial": "stretching of the proximal links",
+    "distal_bending": "bending of the distal links",
+    "distal_axial": "stretching of the distal links",
+}
+
+
+def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
+    """Everything that ``summary.json`` says about a run, as plain data in SI units.
+
+    Keys: ``scene`` (the scene file with its defaults), ``effects`` (effect → sentence), ``metrics`` (name → number or
+    None), ``health`` (outcome, integrator statistics, interpolation errors, warnings), ``timing`` [s], ``versions``.
+    """
+    return {
+        "scene": run.scene.model_dump(mode="json", exclude_none=True),
+        "effects": describe_effects(run.scene),
+        "metrics": {name: measurement.value for name, measurement in measurements.items()},
+        "health": _health(run, measurements),
+        "timing": _timing(run),
+        "versions": dict(versions(run.fmu_path)),
+    }
+
+
+def to_json(data: Mapping[str, Any]) -> str:
+    """JSON text for a file or standard output; refuses NaN and infinity, which JSON doesn't know."""
+    return json.dumps(data, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+
+
+def describe_effects(scene: Scene) -> dict[str, str]:
+    """Effect → sentence, for the effects that the scene's model contains."""
+    effects, found = scene.effects, {}
+    for key, what in _FAMILIES.items():
+        modes = getattr(effects, key)
+        if modes:
+            found[key] = f"{what[0].upper()}{what[1:]}: {modes} {effects.basis} shape{'s' if modes > 1 else ''} each"
+    found |= _damping(effects)
+    if any(effects.gravity):
+        found["gravity"] = "Gravity of ({:g}, {:g}) m/s2".format(*effects.gravity)
+    if scene.payload.mass:
+        found["payload"] = f"Point mass of {scene.payload.mass:g} kg at the end effector"
+    return found or {"rigid": "Rigid links without gravity and payload"}
+
+
+def coarse_metrics(measurements: Mapping[str, Measurement]) -> Iterator[str]:
+    """Names of the metrics for which the communication step is too coarse."""
+    for name, measurement in measurements.items():
+        value, error = measurement.value, measurement.interpolation_error
+        if value is not None and error > max(COARSE * abs(value), METRICS[name].negligible):
+            yield name
+
+
+def _damping(effects: Effects) -> dict[str, str]:
+    damping = effects.damping
+    if damping.kind == "modal":
+        return {"damping": f"Modal damping of every link mode, ratio {damping.ratio:g}"}
+    if damping.kind == "stiffness":
+        return {"damping": f"Damping proportional to the stiffness, time constant {damping.time:g} s"}
+    return {}
+
+
+def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
+    time = run.recording.time
+    return {
+        "outcome": run.outcome.name.lower().replace("_", " "),
+        "message": run.message,
+        "end_time": float(time[-1]) if len(time) else None,
+        "stop_time": run.plan.stop_time,
+        "communication_step": run.communication_step,
+        "tolerance": run.tolerance,
+        "input_order": run.input_order,
+        "statistics": dict(run.health.statistics),
+        "messages": list(run.health.messages),
+        "interpolation_errors": {name: measurement.interpolation_error for name, measurement in measurements.items()},
+        "warnings": [_warning(run, name, measurements[name]) for name in coarse_metrics(measurements)],
+    }
+
+
+def _warning(run: Run, name: str, measurement: Measurement) -> dict[str, Any]:
+    info, error, value = METRICS[name], measurement.interpolation_error, measurement.value
+    relative = f" ({error / abs(value):.1g} of its value)" if value else ""
+    sentence = (
+        f"{info.label} may be off by about {error:.1g} {info.unit}{relative}: the communication step of "
+        f"{run.communication_step:g} s is too coarse for the highest frequency in this signal; reduce `cosimulation.step`"
+    )
+    return {"metric": name, "estimated_error": error, "message": sentence}
+
+
+def _timing(run: Run) -> dict[str, float]:
+    timing = run.timing
+    parts = {"plan": timing.plan, "build": timing.build, "load": timing.load, "simulate": timing.simulate}
+    return {**parts, "total": sum(parts.values())}
