@@ -41,3 +41,7 @@ class SlaveError(CosimError):
         self.slave = slave
         self.reason = reason
         self.time = time
+
+
+class NotFiniteError(SlaveError):
+    """An output is infinite or not a number."""

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from flexfmu.model.kinematics import RigidKinematics
+from flexfmu.model.scene import Profile as ProfileSection
 from flexfmu.model.scene import Scene
+from flexfmu.trajectories.blends import Blend, LameBlend, PolarPolynomial
+from flexfmu.trajectories.clothoid import ClothoidPair
 from flexfmu.trajectories.joint import JointTrajectory
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.profiles import BangBang, Profile, SeventhDegreePolynomial, Trapezoidal
 from flexfmu.trajectories.trajectory import TaskTrajectory
+
+BLENDS: Mapping[str, Callable[[float, float], Blend]] = {
+    "lame": LameBlend,
+    "clothoid": ClothoidPair,
+    "polar": PolarPolynomial,
+}
+"""Name of a blend in the scene file → the blend of a height d and a width e [m]."""
 
 
 @dataclass(frozen=True)
@@ -43,4 +56,16 @@ def plan(scene: Scene) -> MotionPlan:
     Raises:
         TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
     """
-    raise NotImplementedError
+    section = scene.trajectory
+    blend = BLENDS[section.blend.kind](section.blend.height, section.blend.width)
+    path = PickAndPlacePath(section.start, section.lift, section.height, section.width, blend)
+    task = TaskTrajectory(path, _profile(section.profile), section.duration)
+    kinematics = RigidKinematics(scene.mechanism)
+    return MotionPlan(scene, task, kinematics, JointTrajectory(task, kinematics))
+
+
+def _profile(section: ProfileSection) -> Profile:
+    """The profile that the scene names."""
+    if section.kind == "trapezoidal" and section.ramp is not None:
+        return Trapezoidal(section.ramp)
+    return BangBang() if section.kind == "bang-bang" else SeventhDegreePolynomial()

@@ -1,0 +1,113 @@
+"""What the master holds for each slave during a run: buffers for its outputs and inputs, and bound transfers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flexfmu.cosim.binding import bind_get, bind_set, nothing
+from flexfmu.cosim.errors import NotFiniteError
+from flexfmu.cosim.slave import Indices, KnowsItsFuture, RealArray, Slave, output_order
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.links import Link
+
+RECORDED_ORDER = 2
+"""Highest derivative that is recorded, where a slave gives it."""
+
+
+class OutputPort:
+    """All outputs of a slave at the current instant.
+
+    Attributes:
+        slave: the slave.
+        indices: (n,) its outputs.
+        signals: (orders + 1, n) values in row 0, derivatives below.
+        recorded: how many rows of ``signals`` go into the recording.
+    """
+
+    def __init__(self, slave: Slave, coupling_order: int) -> None:
+        variables = enumerate(slave.variables)
+        self.slave = slave
+        self.indices: Indices = np.array([i for i, each in variables if each.causality == "output"], np.intp)
+        self.recorded = 1 + min(output_order(slave), RECORDED_ORDER)
+        self.signals = np.zeros((max(self.recorded, 1 + coupling_order), self.indices.size))
+        self._flat = self.signals.reshape(-1)
+        self._read = self.read_announced = nothing
+
+    def bind(self) -> None:
+        """Prepare the transfers, once the slave has been initialised.
+
+        A slave that knows its future gives more derivatives at the beginning of a step than at its end.
+        """
+        if self.indices.size:
+            rows = self.recorded if isinstance(self.slave, KnowsItsFuture) else self.signals.shape[0]
+            self._read = bind_get(self.slave, self.indices, self.signals[:rows])
+            self.read_announced = bind_get(self.slave, self.indices, self.signals)
+
+    def read(self, time: float) -> None:
+        """Read what the slave has reached at ``time``.
+
+        Raises:
+            NotFiniteError: an output or one of its derivatives is infinite or not a number.
+        """
+        self._read()
+        if not math.isfinite(self._flat.dot(self._flat)) and not np.isfinite(self._flat).all():
+            raise self._not_finite(time)
+
+    def _not_finite(self, time: float) -> NotFiniteError:
+        """The error that names the first offending output."""
+        order, column = np.argwhere(~np.isfinite(self.signals))[0]
+        name = self.slave.variables[self.indices[column]].name
+        what = f"der({name},{order})" if order else name
+        return NotFiniteError(self.slave.name, f"{what} became {self.signals[order, column]}", time)
+
+
+class InputPort:
+    """The connected inputs of a slave.
+
+    Attributes:
+        slave: the slave.
+        links: where the inputs come from.
+        fed: (orders + 1, n) values in row 0, derivatives below.
+    """
+
+    def __init__(self, slave: Slave, indices: Indices, links: Sequence[Link]) -> None:
+        self.slave = slave
+        self.links = tuple(links)
+        self.fed = np.zeros((1 + max((link.degree for link in links), default=0), indices.size))
+        self.interpolating = tuple(link for link in links if link.ends is not None)
+        self._begins: list[RealArray] = []
+        self._indices = indices
+        self._send = nothing
+
+    def bind(self) -> None:
+        """Prepare the transfers, once the slave has been initialised."""
+        if self.links:
+            self._send = bind_set(self.slave, self._indices, self.fed)
+
+    def preset(self) -> None:
+        """Set values before the slave is initialised."""
+        if self.links:
+            for link in self.links:
+                link.extrapolate(self.fed)
+            self.slave.set(self._indices, self.fed[0])
+
+    def exchange(self) -> None:
+        """Set the inputs from the outputs at the current instant."""
+        for link in self.links:
+            link.extrapolate(self.fed)
+        self._send()
+
+    def remember(self) -> None:
+        """Keep the interpolated signals at the beginning of a step."""
+        self._begins = [link.ended() for link in self.interpolating]
+
+    def interpolate(self, step: float) -> None:
+        """Set the inputs whose sources have already been advanced over the step."""
+        for link, begin in zip(self.interpolating, self._begins, strict=True):
+            link.interpolate(begin, step, self.fed)
+        self._send()

@@ -1,0 +1,59 @@
+"""Records signals during a run, in buffers that grow; what has been recorded stays, whatever happens next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from flexfmu.cosim.ports import OutputPort
+from flexfmu.cosim.results import Column, RealArray, Recording
+
+
+class Recorder:
+    """Copies the signals of output ports, instant by instant.
+
+    Args:
+        ports: what to record.
+        capacity: expected number of instants; more are possible.
+    """
+
+    def __init__(self, ports: Sequence[OutputPort], capacity: int) -> None:
+        self._ports = tuple(ports)
+        self._count = 0
+        self._time = np.empty(max(capacity, 1))
+        self._rows = [np.empty((self._time.size, port.recorded, port.indices.size)) for port in ports]
+        self._blocks = [(port.signals[: port.recorded], rows) for port, rows in zip(ports, self._rows, strict=True)]
+
+    def append(self, time: float) -> None:
+        """Record the current signals of all ports."""
+        if self._count == self._time.size:
+            self._grow()
+        for signals, rows in self._blocks:
+            rows[self._count] = signals
+        self._time[self._count] = time
+        self._count += 1
+
+    def recording(self) -> Recording:
+        """Everything recorded so far, named ``slave.variable``."""
+        columns = {
+            name: column
+            for port, rows in zip(self._ports, self._rows, strict=True)
+            for name, column in _columns(port, rows[: self._count])
+        }
+        return Recording(self._time[: self._count].copy(), columns)
+
+    def _grow(self) -> None:
+        """Double the capacity."""
+        self._time = np.concatenate([self._time, np.empty_like(self._time)])
+        self._rows = [np.concatenate([rows, np.empty_like(rows)]) for rows in self._rows]
+        self._blocks = [(signals, rows) for (signals, _), rows in zip(self._blocks, self._rows, strict=True)]
+
+
+def _columns(port: OutputPort, rows: RealArray) -> Iterator[tuple[str, Column]]:
+    """Columns of a port from its rows (N, orders + 1, n)."""
+    by_signal = np.ascontiguousarray(rows.transpose(2, 1, 0))
+    for index, signal in zip(port.indices, by_signal, strict=True):
+        variable = port.slave.variables[index]
+        first, second = (signal[order] if order < signal.shape[0] else None for order in (1, 2))
+        yield f"{port.slave.name}.{variable.name}", Column(variable.unit, signal[0], first, second)

@@ -1,0 +1,182 @@
+"""What the master asks of a slave: a small protocol like FMI's, and further small ones for what only some can do.
+
+Variables are addressed by their index in `Slave.variables`; names are looked up once, before a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Causality = Literal["input", "output", "parameter"]
+RealArray = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Call = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class SlaveVariable:
+    """A scalar variable that the master can connect, set or record.
+
+    Attributes:
+        name: name within the slave, for example ``joint1.torque``.
+        causality: input, output or parameter.
+        unit: unit, for example ``N.m``; empty when unknown, which fits every unit.
+        start: start value in ``unit``; None when the slave calculates it.
+    """
+
+    name: str
+    causality: Causality
+    unit: str = ""
+    start: float | None = None
+
+
+class Slave(Protocol):
+    """Anything that can be initialised, fed, advanced and read."""
+
+    @property
+    def name(self) -> str:
+        """Name within the system, without a dot."""
+
+    @property
+    def variables(self) -> Sequence[SlaveVariable]:
+        """All variables; a variable's index here is its address in `set` and `get`."""
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Get ready for a run from ``start_time`` to ``stop_time`` [s]; inputs may have been set before."""
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """Set inputs (n,) at the current time."""
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Write the variables' current values into ``values`` (n,)."""
+
+    def step(self, time: float, step: float) -> None:
+        """Advance from ``time`` by ``step`` [s]; raise `SlaveError` (or any exception) on failure."""
+
+
+@runtime_checkable
+class TakesInputDerivatives(Protocol):
+    """Within a step its inputs are polynomials u(t + tau) = sum of u_k tau^k / k!."""
+
+    @property
+    def max_input_order(self) -> int:
+        """Highest derivative that is taken into account; 0 for none."""
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Set time derivatives (orders, n) of inputs, row k - 1 for order k, after their values."""
+
+
+@runtime_checkable
+class GivesOutputDerivatives(Protocol):
+    """Knows time derivatives of its outputs at the current time."""
+
+    @property
+    def max_output_order(self) -> int:
+        """Highest derivative that `get_derivatives` gives; 0 for none."""
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Write derivatives (orders, n) of outputs, row k - 1 for order k; at most ``max_output_order`` rows."""
+
+
+@runtime_checkable
+class KnowsItsFuture(Protocol):
+    """Independent of its inputs: before a step it announces its outputs over that step as a polynomial.
+
+    After `announce`, `get` and `get_derivatives` describe that polynomial at the beginning of the step (right limits);
+    after `step` they give the left limits at its end.
+    """
+
+    @property
+    def breakpoints(self) -> Sequence[float]:
+        """Instants [s], ascending, at which the outputs or their derivatives jump."""
+
+    @property
+    def announced_order(self) -> int:
+        """Degree of the announced polynomial."""
+
+    @property
+    def ends_exactly(self) -> bool:
+        """Whether the announced polynomial ends in the outputs' left limits at the end of the step."""
+
+    def prepare(self, times: RealArray) -> None:
+        """Take note of all communication points (N,) of the coming run [s]."""
+
+    def announce(self, time: float) -> None:
+        """Change over to the step that begins at ``time``, one of the communication points."""
+
+
+@runtime_checkable
+class Sampled(Protocol):
+    """Runs at its own instants start + k * sample_time and holds its outputs in between; it is never stepped."""
+
+    @property
+    def sample_time(self) -> float:
+        """Sample time [s]."""
+
+    def sample(self, time: float) -> None:
+        """Calculate new outputs from the inputs just set."""
+
+
+@runtime_checkable
+class DeclaresFeedthrough(Protocol):
+    """Knows which outputs depend on which inputs at the same instant; others are taken to depend on all."""
+
+    @property
+    def feedthrough(self) -> Mapping[str, Sequence[str]]:
+        """Name of an output → names of the inputs it depends on algebraically; an output left out depends on all."""
+
+
+@runtime_checkable
+class SavesState(Protocol):
+    """Can go back to an earlier state."""
+
+    def save(self) -> object:
+        """The complete state at the current time."""
+
+    def restore(self, state: object) -> None:
+        """Go back to a state that `save` gave; may be repeated."""
+
+
+@runtime_checkable
+class BindsBuffers(Protocol):
+    """Prepares repeated transfers between fixed variables and fixed buffers, which is faster than `get` and `set`.
+
+    Buffers are C-contiguous; shapes as in `Slave.set`, `Slave.get`, `TakesInputDerivatives.set_derivatives` and
+    `GivesOutputDerivatives.get_derivatives`. A call is valid until the slave is terminated.
+    """
+
+    def bind_set(self, indices: Indices, values: RealArray) -> Call: ...
+    def bind_get(self, indices: Indices, values: RealArray) -> Call: ...
+    def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call: ...
+    def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call: ...
+
+
+@runtime_checkable
+class Terminates(Protocol):
+    """Holds resources that a run needs."""
+
+    def terminate(self) -> None:
+        """End the run, also after a failure, and free what it needed; may be repeated."""
+
+
+def input_order(slave: Slave) -> int:
+    """Highest input derivative that the slave takes."""
+    return slave.max_input_order if isinstance(slave, TakesInputDerivatives) else 0
+
+
+def output_order(slave: Slave) -> int:
+    """Highest output derivative that the slave gives."""
+    return slave.max_output_order if isinstance(slave, GivesOutputDerivatives) else 0
+
+
+def feedthrough(slave: Slave) -> dict[str, tuple[str, ...]]:
+    """Name of each output → the inputs that it depends on at the same instant."""
+    inputs = tuple(variable.name for variable in slave.variables if variable.causality == "input")
+    declared = slave.feedthrough if isinstance(slave, DeclaresFeedthrough) else {}
+    outputs = (variable.name for variable in slave.variables if variable.causality == "output")
+    return {name: tuple(declared.get(name, inputs)) for name in outputs}

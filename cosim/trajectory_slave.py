@@ -1,0 +1,137 @@
+"""A trajectory as a slave: position, velocity and acceleration references with their derivatives for the coming step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.grid import COINCIDENT
+from flexfmu.cosim.hermite import two_point
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.trajectory import Trajectory
+
+HERMITE_ORDER = 9
+"""Degree of the polynomial through value and four derivatives at both ends of a step."""
+
+END_ORDER = 4
+"""Derivatives of each reference that the Hermite polynomial meets at both ends."""
+
+REFERENCES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"))
+"""Which derivative of the trajectory each reference is, with what it appends to the unit."""
+
+
+class TrajectorySlave:
+    """Streams ``<axis>.reference.position``, ``.velocity`` and ``.acceleration`` of a trajectory.
+
+    Over a communication step each reference is a polynomial: of degree 9 through value and four derivatives at both
+    ends (order 9), or the Taylor polynomial with as many derivatives as the order says (orders 0 to 8), as a tool sends
+    that knows fewer. Everything is calculated before the run, for all communication points at once and on both sides
+    of every breakpoint.
+
+    Args:
+        trajectory: what to stream; its `evaluate` gives (order + 1, N, axes).
+        axes: names of the trajectory's components.
+        unit: unit of the positions.
+        order: degree of the polynomials, 0 to 9.
+        name: name of the slave.
+    """
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        axes: Sequence[str] = ("joint1", "joint2"),
+        unit: str = "rad",
+        order: int = HERMITE_ORDER,
+        name: str = "trajectory",
+    ) -> None:
+        if not 0 <= order <= HERMITE_ORDER:
+            raise InputError(f"the order of the reference polynomials must be 0 to {HERMITE_ORDER}, got {order}")
+        self.name = name
+        self.variables = tuple(
+            SlaveVariable(f"{axis}.reference.{kind}", "output", unit + per) for kind, per in REFERENCES for axis in axes
+        )
+        self.announced_order = order
+        self.max_output_order = max(order, END_ORDER)
+        self.ends_exactly = order == HERMITE_ORDER
+        self._trajectory = trajectory
+        self._times = self._polynomials = self._ends = self._now = np.empty(0)
+        self._next = 0
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Breakpoints of the trajectory [s]."""
+        return tuple(self._trajectory.breakpoints)
+
+    @property
+    def feedthrough(self) -> dict[str, tuple[str, ...]]:
+        """No inputs, no feedthrough."""
+        return {variable.name: () for variable in self.variables}
+
+    def prepare(self, times: RealArray) -> None:
+        """Calculate the polynomials of all steps."""
+        first, last = self._landings(times)
+        self._times = times
+        self._polynomials = self._references(
+            last, self.max_output_order if not self.ends_exactly else END_ORDER, "right"
+        )
+        self._ends = self._polynomials[:, : END_ORDER + 1].copy()
+        jumps = np.isin(first, self.breakpoints)
+        self._ends[jumps] = self._references(first[jumps], END_ORDER, "left")
+        if self.ends_exactly:
+            self._polynomials = self._hermite_polynomials(self._polynomials[:, : END_ORDER + 1])
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Begin with the left limits at the start."""
+        self._next = 0
+        self._now = self._ends[0]
+
+    def announce(self, time: float) -> None:
+        """Change over to the polynomial of the step that begins at ``time``."""
+        if self._times[self._next] != time:
+            raise InputError(f"{self.name}: {time} s is not the communication point {self._times[self._next]} s")
+        self._now = self._polynomials[self._next]
+
+    def step(self, time: float, step: float) -> None:
+        """Go on to the left limits at the end of the step."""
+        self._next += 1
+        self._now = self._ends[self._next]
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """There are no inputs."""
+        raise InputError(f"{self.name} has no inputs")
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Current references."""
+        self._now[0].take(indices, None, values, "clip")
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Derivatives of the current references."""
+        self._now[1 : derivatives.shape[0] + 1].take(indices, 1, derivatives, "clip")
+
+    def _landings(self, times: RealArray) -> tuple[RealArray, RealArray]:
+        """Times at which left and right limits are taken: where breakpoints share a communication point, left of the
+        first and right of the last, exactly."""
+        near = COINCIDENT * float(np.diff(times).max())
+        first, last = times.copy(), times.copy()
+        for point in self.breakpoints:
+            last[abs(times - point) <= near] = point
+        for point in reversed(self.breakpoints):
+            first[abs(times - point) <= near] = point
+        return first, last
+
+    def _references(self, times: RealArray, order: int, side: Side) -> RealArray:
+        """(N, order + 1, variables): one-sided limits of all references with their derivatives."""
+        jets = self._trajectory.evaluate(times, order + 2, side)
+        stacked = np.concatenate([jets[kind : kind + order + 1] for kind in range(len(REFERENCES))], axis=2)
+        return np.ascontiguousarray(stacked.swapaxes(0, 1))
+
+    def _hermite_polynomials(self, begins: RealArray) -> RealArray:
+        """(N, 10, variables): polynomial of the step that begins at each point; after the last, the Taylor polynomial."""
+        polynomials = np.zeros((self._times.size, HERMITE_ORDER + 1, len(self.variables)))
+        polynomials[-1, : END_ORDER + 1] = begins[-1]
+        left, right = begins[:-1].swapaxes(0, 1), self._ends[1:].swapaxes(0, 1)
+        polynomials[:-1] = two_point(left, right, np.diff(self._times)[:, None]).swapaxes(0, 1)
+        return polynomials
