@@ -83,7 +83,7 @@ void flex_gauss_start(flex_gauss *gauss) {
   record->held_error = 0.0;
   record->held_step = 1.0;
   record->sharpness = 0.0;
-  record->scale = fmax(gauss->floor, motion_norm(gauss, gauss->y, gauss->v));
+  record->scale = fmax(*gauss->floor, motion_norm(gauss, gauss->y, gauss->v));
   flex_stages_clear(&gauss->stages);
 }
 

@@ -27,7 +27,7 @@ typedef struct {
   int n;
   flex_stages stages;
   flex_gauss_record *record;
-  double floor; /* least scale */
+  const double *floor; /* least scale */
 
   /* numeric state, one after the other in memory: position, rate, what rounding left of both, acceleration, accelerations
    * at the start, the stages and the end of the last step, factor of the mass matrix */

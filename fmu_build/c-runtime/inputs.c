@@ -31,6 +31,10 @@ void flex_inputs_set(flex_inputs *inputs, int index, double time, double value) 
   inputs->given[index] = 1;
 }
 
+void flex_inputs_default(flex_inputs *inputs, int index, double value) {
+  polynomial(inputs, index)[0] = value;
+}
+
 // taylor shift: the same polynomial, expanded about another time
 static void expand_about(flex_inputs *inputs, int index, double time) {
   double *c = polynomial(inputs, index);

@@ -20,6 +20,9 @@ void flex_inputs_clear(flex_inputs *inputs);
 /* a constant value from `time` on */
 void flex_inputs_set(flex_inputs *inputs, int index, double time, double value);
 
+/* the value of an input that nobody has set; derivatives that were set stay */
+void flex_inputs_default(flex_inputs *inputs, int index, double value);
+
 /* the derivative of the given order at `time`; the rest of the polynomial stays, expanded about `time` */
 void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, double value);
 

@@ -1,0 +1,78 @@
+#include "fmi2_instance.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+const char *const flex_log_categories[N_LOG_CATEGORIES] = {"logStatusError", "logStatusWarning", "logStatusDiscard",
+                                                           "logStatusFatal", "statistics"};
+
+static const struct {
+  const char *name;
+  int phases;
+} calls[] = {
+#define X(function, phases) {#function, phases},
+    FLEX_FMI2_CALLS(X)
+#undef X
+};
+
+static const char *phase_name(flex_phase phase) {
+  switch (phase) {
+    case INSTANTIATED: return "instantiated";
+    case INITIALISATION_MODE: return "initialization mode";
+    case STEP_COMPLETE: return "step complete";
+    case STEP_FAILED: return "step failed";
+    case TERMINATED: return "terminated";
+  }
+  return "unknown";
+}
+
+fmi2Status flex_log(const flex_instance *instance, fmi2Status status, flex_log_category category, const char *format, ...) {
+  if (!instance->callbacks.logger || !instance->logged[category]) return status;
+  char text[FLEX_MESSAGE_SIZE], escaped[2 * FLEX_MESSAGE_SIZE];
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(text, sizeof text, format, arguments);
+  va_end(arguments);
+
+  // the importer reads the sentence as a format
+  char *out = escaped;
+  for (const char *in = text; *in; in++) {
+    if (*in == '%') *out++ = '%';
+    *out++ = *in;
+  }
+  *out = '\0';
+  instance->callbacks.logger(instance->callbacks.componentEnvironment, instance->name, status, flex_log_categories[category],
+                             escaped);
+  return status;
+}
+
+fmi2Status flex_log_refusal(const flex_instance *instance) {
+  return flex_log(instance, fmi2Error, LOG_ERROR, "%s", instance->plant->message);
+}
+
+flex_phase flex_phase_of(const flex_instance *instance) {
+  return (flex_phase)instance->plant->record->phase;
+}
+
+void flex_enter_phase(flex_instance *instance, flex_phase phase) {
+  instance->plant->record->phase = (int)phase;
+}
+
+flex_instance *flex_checked(fmi2Component component, flex_call_id call) {
+  flex_instance *instance = component;
+  if (!instance) return NULL;
+  if (calls[call].phases & flex_phase_of(instance)) return instance;
+  flex_log(instance, fmi2Error, LOG_ERROR, "%s must not be called in the state '%s'", calls[call].name,
+           phase_name(flex_phase_of(instance)));
+  return NULL;
+}
+
+void *flex_allocate(const fmi2CallbackFunctions *callbacks, size_t size) {
+  return callbacks->allocateMemory ? callbacks->allocateMemory(1, size) : calloc(1, size);
+}
+
+void flex_release(const fmi2CallbackFunctions *callbacks, void *memory) {
+  if (callbacks->freeMemory) callbacks->freeMemory(memory);
+  else free(memory);
+}

@@ -1,0 +1,38 @@
+/* An FMI instance: a plant, the importer's callbacks and what is logged. */
+#ifndef FLEXFMU_FMI2_INSTANCE_H
+#define FLEXFMU_FMI2_INSTANCE_H
+
+#include "fmi2Functions.h"
+#include "fmi2_states.h"
+#include "variables.h"
+
+/* log categories, as the model description lists them */
+typedef enum { LOG_ERROR, LOG_WARNING, LOG_DISCARD, LOG_FATAL, LOG_STATISTICS, N_LOG_CATEGORIES } flex_log_category;
+
+extern const char *const flex_log_categories[N_LOG_CATEGORIES];
+
+typedef struct {
+  flex_plant *plant;
+  fmi2CallbackFunctions callbacks;
+  const char *name;
+  int logged[N_LOG_CATEGORIES]; /* 1 = the category is shown */
+  fmi2Status last_step;         /* status of the last fmi2DoStep */
+} flex_instance;
+
+/* hands a sentence to the importer's logger, if its category is shown; returns the status */
+fmi2Status flex_log(const flex_instance *instance, fmi2Status status, flex_log_category category, const char *format, ...);
+
+/* the same with the plant's own message, as an error */
+fmi2Status flex_log_refusal(const flex_instance *instance);
+
+/* the instance behind a component if the call is legal in its state, else NULL after logging why not */
+flex_instance *flex_checked(fmi2Component component, flex_call_id call);
+
+flex_phase flex_phase_of(const flex_instance *instance);
+void flex_enter_phase(flex_instance *instance, flex_phase phase);
+
+/* memory through the importer's callbacks, or the C library where it has none */
+void *flex_allocate(const fmi2CallbackFunctions *callbacks, size_t size);
+void flex_release(const fmi2CallbackFunctions *callbacks, void *memory);
+
+#endif

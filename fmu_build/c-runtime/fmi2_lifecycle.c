@@ -1,0 +1,156 @@
+/* Creation, modes and end of an instance. */
+#include <math.h>
+#include <string.h>
+
+#include "fmi2_instance.h"
+
+/* smallest relative tolerance: below it the rounding errors of the equations decide */
+#define LEAST_TOLERANCE 1e-13
+
+const char *fmi2GetTypesPlatform(void) {
+  return fmi2TypesPlatform;
+}
+
+const char *fmi2GetVersion(void) {
+  return fmi2Version;
+}
+
+// instance, name and plant in one block of memory
+static flex_instance *create(const flex_model *model, const char *name, const fmi2CallbackFunctions *callbacks) {
+  flex_arena measure = {NULL, 0};
+  size_t name_size = strlen(name) + 1;
+  flex_take(&measure, sizeof(flex_instance));
+  flex_take(&measure, name_size);
+  char *block = flex_allocate(callbacks, measure.used + flex_plant_size(model));
+  if (!block) return NULL;
+
+  // an importer's allocateMemory need not clear
+  memset(block, 0, measure.used + flex_plant_size(model));
+  flex_arena arena = {block, 0};
+  flex_instance *instance = flex_take(&arena, sizeof *instance);
+  char *kept_name = flex_take(&arena, name_size);
+  memcpy(kept_name, name, name_size);
+  instance->name = kept_name;
+  instance->callbacks = *callbacks;
+  instance->plant = flex_plant_create(model, block + arena.used);
+  flex_enter_phase(instance, INSTANTIATED);
+  return instance;
+}
+
+// why an instance cannot be made; NULL if it can
+static const char *obstacle(fmi2String name, fmi2Type type, fmi2String guid, const fmi2CallbackFunctions *functions) {
+  if (!functions) return "fmi2Instantiate needs callback functions, got none";
+  if (!name || !*name) return "fmi2Instantiate needs an instance name, got an empty one";
+  if (type != fmi2CoSimulation) return "this FMU supports co-simulation only, not model exchange";
+  if (!guid || strcmp(guid, flex_the_model.guid) != 0)
+    return "the GUID differs from that of the binary; modelDescription.xml and binary do not belong together";
+  return NULL;
+}
+
+fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID, fmi2String fmuResourceLocation,
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean loggingOn) {
+  (void)fmuResourceLocation;
+  (void)visible;
+  const char *why_not = obstacle(instanceName, fmuType, fmuGUID, functions);
+  flex_instance *instance = why_not ? NULL : create(&flex_the_model, instanceName, functions);
+  if (!why_not && !instance) why_not = "out of memory";
+  if (why_not) {
+    if (functions && functions->logger)
+      functions->logger(functions->componentEnvironment, instanceName ? instanceName : "", fmi2Error,
+                        flex_log_categories[LOG_ERROR], why_not);
+    return NULL;
+  }
+
+  // what went wrong is always said; the rest on request
+  for (int i = 0; i < N_LOG_CATEGORIES; i++) instance->logged[i] = loggingOn || i != LOG_STATISTICS;
+  return instance;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+  if (!c) return;
+  const fmi2CallbackFunctions callbacks = ((flex_instance *)c)->callbacks;
+  flex_release(&callbacks, c);
+}
+
+static int category_index(const char *name) {
+  for (int i = 0; i < N_LOG_CATEGORIES; i++)
+    if (name && strcmp(name, flex_log_categories[i]) == 0) return i;
+  return -1;
+}
+
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories, const fmi2String categories[]) {
+  flex_instance *instance = flex_checked(c, call_fmi2SetDebugLogging);
+  if (!instance) return fmi2Error;
+  for (size_t i = 0; i < nCategories; i++)
+    if (category_index(categories[i]) < 0)
+      return flex_log(instance, fmi2Error, LOG_ERROR, "log category '%s' is unknown; there are %s, %s, %s, %s and %s",
+                      categories[i] ? categories[i] : "", flex_log_categories[0], flex_log_categories[1],
+                      flex_log_categories[2], flex_log_categories[3], flex_log_categories[4]);
+  if (nCategories == 0)
+    for (int i = 0; i < N_LOG_CATEGORIES; i++) instance->logged[i] = loggingOn != 0;
+  for (size_t i = 0; i < nCategories; i++) instance->logged[category_index(categories[i])] = loggingOn != 0;
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
+                               fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
+  flex_instance *instance = flex_checked(c, call_fmi2SetupExperiment);
+  if (!instance) return fmi2Error;
+  flex_plant_record *record = instance->plant->record;
+
+  if (toleranceDefined && !(tolerance > 0.0 && tolerance < 1.0))
+    return flex_log(instance, fmi2Error, LOG_ERROR, "the relative tolerance must be between 0 and 1, got %g", tolerance);
+  if (!isfinite(startTime)) return flex_log(instance, fmi2Error, LOG_ERROR, "the start time must be finite, got %g s", startTime);
+  if (stopTimeDefined && !(stopTime > startTime))
+    return flex_log(instance, fmi2Error, LOG_ERROR, "the stop time must be after the start time %g s, got %g s", startTime, stopTime);
+
+  flex_plant_set_start_time(instance->plant, startTime);
+  record->has_stop_time = stopTimeDefined != 0;
+  record->stop_time = stopTimeDefined ? stopTime : 0.0;
+  if (!toleranceDefined) return fmi2OK;
+  record->tolerance = tolerance;
+  if (tolerance >= LEAST_TOLERANCE) return fmi2OK;
+  record->tolerance = LEAST_TOLERANCE;
+  return flex_log(instance, fmi2Warning, LOG_WARNING, "the relative tolerance %g is beyond double precision, %g is used", tolerance,
+                  LEAST_TOLERANCE);
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+  flex_instance *instance = flex_checked(c, call_fmi2EnterInitializationMode);
+  if (!instance) return fmi2Error;
+  flex_enter_phase(instance, INITIALISATION_MODE);
+  return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+  flex_instance *instance = flex_checked(c, call_fmi2ExitInitializationMode);
+  if (!instance) return fmi2Error;
+  flex_failure failure = flex_plant_begin(instance->plant);
+  if (failure.outcome != FLEX_DONE) {
+    flex_explain(instance->plant, "initialisation", &failure);
+    return flex_log_refusal(instance);
+  }
+  flex_enter_phase(instance, STEP_COMPLETE);
+  return fmi2OK;
+}
+
+fmi2Status fmi2Terminate(fmi2Component c) {
+  flex_instance *instance = flex_checked(c, call_fmi2Terminate);
+  if (!instance) return fmi2Error;
+  const flex_plant_record *record = instance->plant->record;
+  flex_log(instance, fmi2OK, LOG_STATISTICS,
+           "%lld steps, %lld rejected, %lld evaluations of the equations, %lld Newton iterations, %lld factorisations",
+           record->gauss.steps, record->gauss.rejections, record->stages.evaluations, record->stages.iterations,
+           record->stages.factorisations);
+  flex_enter_phase(instance, TERMINATED);
+  return fmi2OK;
+}
+
+fmi2Status fmi2Reset(fmi2Component c) {
+  flex_instance *instance = flex_checked(c, call_fmi2Reset);
+  if (!instance) return fmi2Error;
+  flex_plant_reset(instance->plant);
+  instance->last_step = fmi2OK;
+  flex_enter_phase(instance, INSTANTIATED);
+  return fmi2OK;
+}

@@ -1,0 +1,95 @@
+/* Values of variables and their derivatives. */
+#include "fmi2_instance.h"
+
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
+  flex_instance *instance = flex_checked(c, call_fmi2GetReal);
+  if (!instance) return fmi2Error;
+
+  // before initialisation nothing is computed
+  const flex_model *model = instance->plant->model;
+  unsigned n_settable = (unsigned)(model->n_inputs + model->n_parameters);
+  for (size_t i = 0; i < nvr; i++) {
+    if (flex_phase_of(instance) == INSTANTIATED && vr[i] >= n_settable)
+      return flex_log(instance, fmi2Error, LOG_ERROR, "outputs cannot be read before fmi2EnterInitializationMode");
+    if (flex_get_real(instance->plant, vr[i], &value[i])) return flex_log_refusal(instance);
+  }
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[]) {
+  flex_instance *instance = flex_checked(c, call_fmi2SetReal);
+  if (!instance) return fmi2Error;
+  for (size_t i = 0; i < nvr; i++)
+    if (flex_set_real(instance->plant, vr[i], value[i])) return flex_log_refusal(instance);
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[]) {
+  flex_instance *instance = flex_checked(c, call_fmi2GetInteger);
+  if (!instance) return fmi2Error;
+  for (size_t i = 0; i < nvr; i++)
+    if (flex_get_integer(instance->plant, vr[i], &value[i])) return flex_log_refusal(instance);
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[]) {
+  flex_instance *instance = flex_checked(c, call_fmi2SetInteger);
+  if (!instance) return fmi2Error;
+  for (size_t i = 0; i < nvr; i++)
+    if (flex_set_integer(instance->plant, vr[i], value[i])) return flex_log_refusal(instance);
+  return fmi2OK;
+}
+
+// there are no variables of the other types
+static fmi2Status nothing_of_type(fmi2Component c, flex_call_id call, size_t nvr, const char *type) {
+  flex_instance *instance = flex_checked(c, call);
+  if (!instance) return fmi2Error;
+  return nvr == 0 ? fmi2OK : flex_log(instance, fmi2Error, LOG_ERROR, "this FMU has no variables of type %s", type);
+}
+
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[]) {
+  (void)vr, (void)value;
+  return nothing_of_type(c, call_fmi2GetBoolean, nvr, "Boolean");
+}
+
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[]) {
+  (void)vr, (void)value;
+  return nothing_of_type(c, call_fmi2SetBoolean, nvr, "Boolean");
+}
+
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2String value[]) {
+  (void)vr, (void)value;
+  return nothing_of_type(c, call_fmi2GetString, nvr, "String");
+}
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2String value[]) {
+  (void)vr, (void)value;
+  return nothing_of_type(c, call_fmi2SetString, nvr, "String");
+}
+
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer order[],
+                                       const fmi2Real value[]) {
+  flex_instance *instance = flex_checked(c, call_fmi2SetRealInputDerivatives);
+  if (!instance) return fmi2Error;
+  for (size_t i = 0; i < nvr; i++)
+    if (flex_set_input_derivative(instance->plant, vr[i], order[i], value[i])) return flex_log_refusal(instance);
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer order[],
+                                        fmi2Real value[]) {
+  flex_instance *instance = flex_checked(c, call_fmi2GetRealOutputDerivatives);
+  if (!instance) return fmi2Error;
+  for (size_t i = 0; i < nvr; i++)
+    if (flex_get_output_derivative(instance->plant, vr[i], order[i], &value[i])) return flex_log_refusal(instance);
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
+                                        const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
+                                        fmi2Real dvUnknown[]) {
+  (void)vUnknown_ref, (void)nUnknown, (void)vKnown_ref, (void)nKnown, (void)dvKnown, (void)dvUnknown;
+  flex_instance *instance = flex_checked(c, call_fmi2GetDirectionalDerivative);
+  if (!instance) return fmi2Error;
+  return flex_log(instance, fmi2Error, LOG_ERROR, "this FMU provides no directional derivatives, as its model description says");
+}

@@ -1,0 +1,296 @@
+#include "plant.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "linear_algebra.h"
+#include "tableaus.h"
+
+/* what depends on the point of the motion */
+#define POINT (FLEX_HAVE_ACCELERATION | FLEX_HAVE_OUTPUTS | FLEX_HAVE_FIRST_RATES | FLEX_HAVE_SECOND_RATES)
+
+/* below this tolerance four stages are cheaper than three */
+#define FOUR_STAGES_TOLERANCE 1e-7
+
+// pieces of an instance in memory; the numeric state first
+static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) {
+  size_t n = (size_t)model->n, m = (size_t)model->n_inputs, outputs = (size_t)model->n_outputs;
+
+  // numeric state
+  size_t begin = arena->used;
+  plant->record = flex_take(arena, sizeof *plant->record);
+  plant->p = flex_take_doubles(arena, (size_t)model->n_parameters);
+  plant->d = flex_take_doubles(arena, (size_t)model->n_derived);
+  plant->scale = flex_take_doubles(arena, 2 * n + 1);
+  plant->u = flex_take_doubles(arena, m);
+  plant->outputs = flex_take_doubles(arena, outputs);
+  plant->first_rates = flex_take_doubles(arena, outputs);
+  plant->second_rates = flex_take_doubles(arena, outputs);
+  plant->jerk = flex_take_doubles(arena, n);
+  plant->snap = flex_take_doubles(arena, n);
+  flex_inputs_take(&plant->inputs, model->n_inputs, model->max_input_order, arena);
+  flex_gauss_take_state(&plant->gauss, model->n, arena);
+  plant->state_size = arena->used - begin;
+
+  // scratch
+  flex_gauss_take_scratch(&plant->gauss, model->n, model->n_inputs, arena);
+  flex_equations_take(&plant->equations, model, arena);
+  flex_statics_take(&plant->statics, model->n, arena);
+  plant->u1 = flex_take_doubles(arena, m);
+  plant->u2 = flex_take_doubles(arena, m);
+  plant->shown_u = flex_take_doubles(arena, m);
+  plant->zero = flex_take_doubles(arena, n);
+}
+
+size_t flex_plant_size(const flex_model *model) {
+  flex_plant plant;
+  flex_arena arena = {NULL, 0};
+  flex_take(&arena, sizeof plant);
+  take(&plant, model, &arena);
+  return arena.used;
+}
+
+flex_plant *flex_plant_create(const flex_model *model, void *memory) {
+  flex_arena arena = {memory, 0};
+  flex_plant *plant = flex_take(&arena, sizeof *plant);
+  take(plant, model, &arena);
+  plant->model = model;
+
+  // seams between the parts
+  flex_gauss *gauss = &plant->gauss;
+  plant->equations.d = plant->d;
+  plant->equations.evaluations = &plant->record->stages.evaluations;
+  gauss->record = &plant->record->gauss;
+  gauss->stages.record = &plant->record->stages;
+  gauss->stages.equations = &plant->equations;
+  gauss->stages.inputs = &plant->inputs;
+  gauss->stages.position_weight = plant->scale;
+  gauss->stages.rate_weight = plant->scale + model->n;
+  gauss->floor = plant->scale + 2 * model->n;
+  flex_plant_reset(plant);
+  return plant;
+}
+
+static void choose_stages(flex_plant *plant) {
+  plant->gauss.stages.tableau = plant->record->tolerance < FOUR_STAGES_TOLERANCE ? &flex_gauss_4 : &flex_gauss_3;
+}
+
+void flex_plant_reset(flex_plant *plant) {
+  const flex_model *model = plant->model;
+  memset(plant->record, 0, plant->state_size);
+  plant->record->tolerance = model->default_tolerance;
+  plant->record->starts_static = model->static_start;
+  for (int i = 0; i < model->n_parameters; i++) plant->p[i] = model->parameter_variables[i].start;
+  flex_inputs_clear(&plant->inputs);
+  plant->message[0] = '\0';
+  choose_stages(plant);
+}
+
+void flex_plant_set_start_time(flex_plant *plant, double time) {
+  plant->record->time = time;
+  for (int i = 0; i < plant->inputs.count; i++) plant->inputs.base[i] = time;
+  flex_plant_start_changed(plant);
+}
+
+void flex_plant_restored(flex_plant *plant) {
+  choose_stages(plant);
+}
+
+void flex_plant_parameters_changed(flex_plant *plant) {
+  plant->record->have &= ~(FLEX_HAVE_DERIVED | FLEX_HAVE_START | POINT);
+  plant->record->stages.have_jacobian = 0;
+}
+
+void flex_plant_inputs_changed(flex_plant *plant) {
+  plant->record->inputs_changed = 1;
+  if (!plant->record->is_moving) flex_plant_start_changed(plant);
+}
+
+void flex_plant_start_changed(flex_plant *plant) {
+  plant->record->have &= ~(FLEX_HAVE_START | POINT);
+}
+
+static flex_failure outcome_now(const flex_plant *plant, flex_outcome outcome, double value) {
+  flex_failure failure = {outcome, plant->record->time, value};
+  return failure;
+}
+
+static int all_finite(const double *x, int count) {
+  double sum = 0.0;
+  for (int i = 0; i < count; i++) sum += x[i] - x[i];
+  return sum == 0.0;
+}
+
+// derived parameters and error norm
+static flex_outcome need_derived(flex_plant *plant) {
+  const flex_model *model = plant->model;
+  if (plant->record->have & FLEX_HAVE_DERIVED) return FLEX_DONE;
+  const double *const p[] = {plant->p}, *const d[] = {plant->d};
+  if (flex_call(&plant->equations, &model->derive, 1, p, plant->d)) return FLEX_NOT_FINITE;
+  if (!all_finite(plant->d, model->n_derived)) return FLEX_NOT_FINITE;
+  if (flex_call(&plant->equations, &model->error_scale, 1, d, plant->scale)) return FLEX_BAD_SCALE;
+
+  // weights must be usable as such
+  for (int i = 0; i < 2 * model->n; i++)
+    if (!(plant->scale[i] >= 0.0) || !isfinite(plant->scale[i])) return FLEX_BAD_SCALE;
+  double floor = *plant->gauss.floor;
+  if (model->n > 0 && (!(floor > 0.0) || !isfinite(floor))) return FLEX_BAD_SCALE;
+  plant->record->have |= FLEX_HAVE_DERIVED;
+  return FLEX_DONE;
+}
+
+// values of inputs that nobody has set
+static flex_outcome need_start_inputs(flex_plant *plant) {
+  const double *const p[] = {plant->p};
+  if (flex_call(&plant->equations, &plant->model->initial_inputs, 1, p, plant->shown_u)) return FLEX_NOT_FINITE;
+  for (int i = 0; i < plant->inputs.count; i++)
+    if (!plant->inputs.given[i]) flex_inputs_default(&plant->inputs, i, plant->shown_u[i]);
+  flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->u);
+  return all_finite(plant->u, plant->inputs.count) ? FLEX_DONE : FLEX_NOT_FINITE;
+}
+
+// state at the start of the motion
+static flex_failure need_start(flex_plant *plant) {
+  flex_plant_record *record = plant->record;
+  const flex_model *model = plant->model;
+  flex_gauss *gauss = &plant->gauss;
+  double value = 0.0;
+  flex_outcome outcome = need_derived(plant);
+  if (outcome != FLEX_DONE || record->is_moving || (record->have & FLEX_HAVE_START)) return outcome_now(plant, outcome, value);
+
+  // at rest in the undeformed pose, which must be admissible
+  size_t size = (size_t)model->n * sizeof(double);
+  memset(gauss->y, 0, size);
+  memset(gauss->v, 0, size);
+  memset(gauss->a, 0, size);
+  outcome = need_start_inputs(plant);
+  if (outcome == FLEX_DONE && flex_margin(&plant->equations, gauss->y, plant->u, &value)) outcome = FLEX_NOT_FINITE;
+  if (outcome == FLEX_DONE && !(value >= model->minimum_margin)) outcome = FLEX_TOO_SINGULAR;
+
+  // deflected by the static loads
+  if (outcome == FLEX_DONE && record->starts_static)
+    outcome = flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *gauss->floor, plant->u, gauss->y, &value);
+  if (outcome != FLEX_DONE) return outcome_now(plant, outcome, value);
+  choose_stages(plant);
+  flex_gauss_start(gauss);
+  record->have = (record->have | FLEX_HAVE_START) & ~POINT;
+  return outcome_now(plant, FLEX_DONE, 0.0);
+}
+
+flex_failure flex_plant_need_inputs(flex_plant *plant) {
+  flex_outcome outcome = plant->record->is_moving ? FLEX_DONE : need_start_inputs(plant);
+  flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->shown_u);
+  return outcome_now(plant, outcome, 0.0);
+}
+
+// acceleration for the present inputs, right-sided where they jump
+static flex_failure need_acceleration(flex_plant *plant) {
+  flex_plant_record *record = plant->record;
+  flex_failure failure = need_start(plant);
+  if (failure.outcome != FLEX_DONE) return failure;
+  if ((record->have & FLEX_HAVE_ACCELERATION) && !record->inputs_changed) return failure;
+
+  // inputs that were set to what they were change nothing but the rates
+  size_t size = (size_t)plant->inputs.count * sizeof(double);
+  flex_inputs_evaluate(&plant->inputs, record->time, 0.0, plant->u1);
+  int same = (record->have & FLEX_HAVE_ACCELERATION) && memcmp(plant->u, plant->u1, size) == 0;
+  record->have &= ~(FLEX_HAVE_FIRST_RATES | FLEX_HAVE_SECOND_RATES);
+  record->inputs_changed = 0;
+  if (same) return failure;
+
+  memcpy(plant->u, plant->u1, size);
+  record->have &= ~POINT;
+  flex_outcome outcome = flex_gauss_accelerate(&plant->gauss, plant->u);
+  if (outcome == FLEX_DONE) record->have |= FLEX_HAVE_ACCELERATION;
+  else record->inputs_changed = 1;
+  return outcome_now(plant, outcome, 0.0);
+}
+
+flex_failure flex_plant_begin(flex_plant *plant) {
+  flex_failure failure = need_acceleration(plant);
+  if (failure.outcome == FLEX_DONE) plant->record->is_moving = 1;
+  return failure;
+}
+
+flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
+  flex_plant_record *record = plant->record;
+
+  // the importer's time may differ from ours by a rounding
+  for (int i = 0; i < plant->inputs.count; i++)
+    if (plant->inputs.base[i] == record->time) plant->inputs.base[i] = t0;
+  record->time = t0;
+
+  flex_failure failure = need_acceleration(plant);
+  if (failure.outcome != FLEX_DONE) return failure;
+  failure = flex_gauss_advance(&plant->gauss, t0, t1, record->tolerance);
+  if (failure.time > t0) {
+    record->time = failure.time;
+    flex_inputs_evaluate(&plant->inputs, record->time, 0.0, plant->u);
+    record->have = (record->have & ~POINT) | FLEX_HAVE_ACCELERATION;
+  }
+  return failure;
+}
+
+flex_failure flex_plant_need_outputs(flex_plant *plant) {
+  const flex_gauss *gauss = &plant->gauss;
+  flex_failure failure = need_acceleration(plant);
+  if (failure.outcome != FLEX_DONE || (plant->record->have & FLEX_HAVE_OUTPUTS)) return failure;
+  const double *const arguments[] = {gauss->y, gauss->v, gauss->a, plant->u, plant->d};
+  if (flex_call(&plant->equations, &plant->model->outputs, 5, arguments, plant->outputs) ||
+      !all_finite(plant->outputs, plant->model->n_outputs))
+    return outcome_now(plant, FLEX_NOT_FINITE, 0.0);
+  plant->record->have |= FLEX_HAVE_OUTPUTS;
+  return failure;
+}
+
+// M x = -(rate of the residual without x), x being jerk or snap
+static void solve_rate(const flex_plant *plant, double *x) {
+  flex_cholesky_solve(plant->model->n, plant->gauss.mass_factor, x);
+  for (int i = 0; i < plant->model->n; i++) x[i] = -x[i];
+}
+
+static int first_rates(flex_plant *plant) {
+  const flex_model *model = plant->model;
+  const flex_gauss *g = &plant->gauss;
+  const double *u = plant->u, *u1 = plant->u1, *d = plant->d;
+  int refused = 0;
+  if (model->n > 0) {
+    const double *const arguments[] = {g->y, g->v, g->a, plant->zero, u, u1, d};
+    refused |= flex_call(&plant->equations, &model->residual_rate, 7, arguments, plant->jerk);
+    solve_rate(plant, plant->jerk);
+  }
+  const double *const arguments[] = {g->y, g->v, g->a, plant->jerk, u, u1, d};
+  refused |= flex_call(&plant->equations, &model->outputs_rate, 7, arguments, plant->first_rates);
+  return refused || !all_finite(plant->first_rates, model->n_outputs);
+}
+
+static int second_rates(flex_plant *plant) {
+  const flex_model *model = plant->model;
+  const flex_gauss *g = &plant->gauss;
+  const double *u = plant->u, *u1 = plant->u1, *u2 = plant->u2, *d = plant->d;
+  int refused = 0;
+  if (model->n > 0) {
+    const double *const arguments[] = {g->y, g->v, g->a, plant->jerk, plant->zero, u, u1, u2, d};
+    refused |= flex_call(&plant->equations, &model->residual_rate2, 9, arguments, plant->snap);
+    solve_rate(plant, plant->snap);
+  }
+  const double *const arguments[] = {g->y, g->v, g->a, plant->jerk, plant->snap, u, u1, u2, d};
+  refused |= flex_call(&plant->equations, &model->outputs_rate2, 9, arguments, plant->second_rates);
+  return refused || !all_finite(plant->second_rates, model->n_outputs);
+}
+
+flex_failure flex_plant_need_rates(flex_plant *plant, int order) {
+  flex_plant_record *record = plant->record;
+  flex_failure failure = need_acceleration(plant);
+  if (failure.outcome != FLEX_DONE) return failure;
+  flex_inputs_rates(&plant->inputs, record->time, plant->u1, plant->u2);
+  if (!(record->have & FLEX_HAVE_FIRST_RATES)) {
+    if (first_rates(plant)) return outcome_now(plant, FLEX_NOT_FINITE, 0.0);
+    record->have |= FLEX_HAVE_FIRST_RATES;
+  }
+  if (order > 1 && !(record->have & FLEX_HAVE_SECOND_RATES)) {
+    if (second_rates(plant)) return outcome_now(plant, FLEX_NOT_FINITE, 0.0);
+    record->have |= FLEX_HAVE_SECOND_RATES;
+  }
+  return failure;
+}

@@ -1,0 +1,86 @@
+/* A plant in motion: parameters, inputs, state and outputs of one instance, evaluated when somebody asks.
+ *
+ * Everything numerical lies in one piece of memory without pointers, so that saving and restoring it is a copy. */
+#ifndef FLEXFMU_PLANT_H
+#define FLEXFMU_PLANT_H
+
+#include "gauss.h"
+#include "inputs.h"
+#include "model.h"
+#include "outcome.h"
+#include "statics.h"
+
+/* what has been computed for the present values of everything that it depends on */
+enum {
+  FLEX_HAVE_DERIVED = 1 << 0,
+  FLEX_HAVE_START = 1 << 1,
+  FLEX_HAVE_ACCELERATION = 1 << 2,
+  FLEX_HAVE_OUTPUTS = 1 << 3,
+  FLEX_HAVE_FIRST_RATES = 1 << 4,
+  FLEX_HAVE_SECOND_RATES = 1 << 5
+};
+
+/* the scalars of the numeric state */
+typedef struct {
+  double time, stop_time, tolerance;
+  int has_stop_time;
+  int starts_static; /* 1 = static equilibrium, 0 = undeformed */
+  int is_moving;     /* 1 = initialisation is over */
+  int have;          /* FLEX_HAVE_.. */
+  int inputs_changed;
+  int phase; /* belongs to the interface around the plant */
+  flex_gauss_record gauss;
+  flex_stages_record stages;
+} flex_plant_record;
+
+#define FLEX_MESSAGE_SIZE 512
+
+typedef struct {
+  const flex_model *model;
+  flex_plant_record *record;
+  size_t state_size; /* bytes of the numeric state, which begins with the record */
+
+  /* numeric state; rates: o1, o2; jerk da/dt, snap d2a/dt2 */
+  double *p, *d, *scale, *u, *outputs, *first_rates, *second_rates, *jerk, *snap;
+  flex_inputs inputs;
+  flex_gauss gauss;
+
+  /* scratch */
+  flex_equations equations;
+  flex_statics statics;
+  double *u1, *u2, *zero;
+  double *shown_u; /* inputs at the present time, after flex_plant_need_inputs */
+
+  char message[FLEX_MESSAGE_SIZE]; /* why the last call was refused */
+} flex_plant;
+
+/* bytes of memory that an instance needs, zeroed by the caller before flex_plant_create */
+size_t flex_plant_size(const flex_model *model);
+flex_plant *flex_plant_create(const flex_model *model, void *memory);
+
+/* back to the start values of everything */
+void flex_plant_reset(flex_plant *plant);
+
+/* before the motion: the time at which it starts */
+void flex_plant_set_start_time(flex_plant *plant, double time);
+
+/* to be called after the numeric state was overwritten with a saved one */
+void flex_plant_restored(flex_plant *plant);
+
+/* a changed parameter, input or choice of the start makes results stale */
+void flex_plant_parameters_changed(flex_plant *plant);
+void flex_plant_inputs_changed(flex_plant *plant);
+void flex_plant_start_changed(flex_plant *plant);
+
+/* ends initialisation at the given time */
+flex_failure flex_plant_begin(flex_plant *plant);
+
+/* integrates from t0 to t1; the plant is left at the time that was reached */
+flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1);
+
+/* make valid: inputs at the present time (also those that nobody set), outputs, their rates up to order 1 or 2 */
+flex_failure flex_plant_need_inputs(flex_plant *plant);
+flex_failure flex_plant_need_outputs(flex_plant *plant);
+flex_failure flex_plant_need_rates(flex_plant *plant, int order);
+
+#endif

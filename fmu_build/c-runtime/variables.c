@@ -1,0 +1,168 @@
+#include "variables.h"
+
+#include <limits.h>
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+
+// the sentence that says why, and the result that says that there is one
+static int refuse(flex_plant *plant, const char *format, ...) {
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(plant->message, sizeof plant->message, format, arguments);
+  va_end(arguments);
+  return 1;
+}
+
+void flex_explain(flex_plant *plant, const char *what, const flex_failure *failure) {
+  const flex_model *model = plant->model;
+  double t = failure->time, value = failure->value;
+  switch (failure->outcome) {
+    case FLEX_DONE:
+      plant->message[0] = '\0';
+      break;
+    case FLEX_INACCURATE:
+      refuse(plant, "%s: at %.9g s no step size meets the relative tolerance %.3g, the error stays at %.3g; loosen the tolerance",
+             what, t, plant->record->tolerance, value);
+      break;
+    case FLEX_NO_CONVERGENCE:
+      refuse(plant, "%s: at %.9g s the equations of motion cannot be solved for any step size; check inputs and parameters", what, t);
+      break;
+    case FLEX_NOT_FINITE:
+      refuse(plant, "%s: at %.9g s the model gives no finite number; check that the mechanism can be assembled there", what, t);
+      break;
+    case FLEX_NOT_DEFINITE:
+      refuse(plant, "%s: at %.9g s the mass matrix is not positive definite; check masses and lengths", what, t);
+      break;
+    case FLEX_TOO_SINGULAR:
+      refuse(plant, "%s: at %.9g s the %s is %.6g, but must be at least %.6g; keep away from the singularity", what, t,
+             model->margin_name, value, model->minimum_margin);
+      break;
+    case FLEX_NO_EQUILIBRIUM:
+      refuse(plant, "%s: at %.9g s no static equilibrium was found, the last correction was %.3g; start undeformed (initial = 2)",
+             what, t, value);
+      break;
+    case FLEX_BAD_SCALE:
+      refuse(plant, "%s: the parameters give an unusable error norm; check masses, lengths and material", what);
+      break;
+  }
+}
+
+// a failure of something that was evaluated to answer a question
+static int failed(flex_plant *plant, const char *what, flex_failure failure) {
+  if (failure.outcome == FLEX_DONE) return 0;
+  flex_explain(plant, what, &failure);
+  return 1;
+}
+
+static int is_known(flex_plant *plant, unsigned index) {
+  const flex_model *model = plant->model;
+  unsigned count = (unsigned)(model->n_inputs + model->n_parameters + model->n_outputs);
+  if (index < count) return 1;
+  refuse(plant, "value reference %u of a real variable is unknown; there are %u", index, count);
+  return 0;
+}
+
+int flex_get_real(flex_plant *plant, unsigned index, double *value) {
+  const flex_model *model = plant->model;
+  unsigned m = (unsigned)model->n_inputs, p = (unsigned)model->n_parameters;
+  if (!is_known(plant, index)) return 1;
+  if (index < m) {
+    if (failed(plant, "reading inputs", flex_plant_need_inputs(plant))) return 1;
+    *value = plant->shown_u[index];
+  } else if (index < m + p) {
+    *value = plant->p[index - m];
+  } else {
+    if (failed(plant, "computing outputs", flex_plant_need_outputs(plant))) return 1;
+    *value = plant->outputs[index - m - p];
+  }
+  return 0;
+}
+
+// finite and within the limits of the variable
+static int is_admissible(flex_plant *plant, const flex_variable *variable, double value) {
+  if (value >= variable->minimum && value <= variable->maximum && isfinite(value)) return 1;
+  if (!isfinite(value))
+    refuse(plant, "%s must be a finite number in %s, got %g", variable->name, variable->unit, value);
+  else
+    refuse(plant, "%s must be in %.6g .. %.6g %s, got %.6g", variable->name, variable->minimum, variable->maximum,
+           variable->unit, value);
+  return 0;
+}
+
+static int set_parameter(flex_plant *plant, int index, double value) {
+  const flex_variable *variable = &plant->model->parameter_variables[index];
+  if (plant->record->is_moving && !variable->tunable)
+    return refuse(plant, "parameter %s is fixed once the motion has begun; reset the instance to change it", variable->name);
+  if (!is_admissible(plant, variable, value)) return 1;
+  if (plant->p[index] == value) return 0;
+  plant->p[index] = value;
+  flex_plant_parameters_changed(plant);
+  return 0;
+}
+
+int flex_set_real(flex_plant *plant, unsigned index, double value) {
+  const flex_model *model = plant->model;
+  unsigned m = (unsigned)model->n_inputs, p = (unsigned)model->n_parameters;
+  if (!is_known(plant, index)) return 1;
+  if (index >= m + p) return refuse(plant, "%s is an output, it cannot be set", model->output_variables[index - m - p].name);
+  if (index >= m) return set_parameter(plant, (int)(index - m), value);
+  if (!is_admissible(plant, &model->input_variables[index], value)) return 1;
+  flex_inputs_set(&plant->inputs, (int)index, plant->record->time, value);
+  flex_plant_inputs_changed(plant);
+  return 0;
+}
+
+static int clamped(long long count) {
+  return count > INT_MAX ? INT_MAX : (int)count;
+}
+
+int flex_get_integer(flex_plant *plant, unsigned index, int *value) {
+  const flex_plant_record *record = plant->record;
+  switch (index) {
+    case FLEX_INITIAL: *value = record->starts_static ? FLEX_STATIC : FLEX_UNDEFORMED; return 0;
+    case FLEX_STEPS: *value = clamped(record->gauss.steps); return 0;
+    case FLEX_REJECTIONS: *value = clamped(record->gauss.rejections); return 0;
+    case FLEX_EVALUATIONS: *value = clamped(record->stages.evaluations); return 0;
+    case FLEX_ITERATIONS: *value = clamped(record->stages.iterations); return 0;
+    case FLEX_FACTORISATIONS: *value = clamped(record->stages.factorisations); return 0;
+  }
+  return refuse(plant, "value reference %u of an integer variable is unknown; there are %d", index, FLEX_N_INTEGERS);
+}
+
+int flex_set_integer(flex_plant *plant, unsigned index, int value) {
+  if (index >= FLEX_N_INTEGERS)
+    return refuse(plant, "value reference %u of an integer variable is unknown; there are %d", index, FLEX_N_INTEGERS);
+  if (index != FLEX_INITIAL) return refuse(plant, "integer variable %u counts the integrator's work, it cannot be set", index);
+  if (value != FLEX_STATIC && value != FLEX_UNDEFORMED)
+    return refuse(plant, "initial must be 1 (static) or 2 (undeformed), got %d", value);
+  if (plant->record->is_moving) return refuse(plant, "initial is fixed once the motion has begun; reset the instance to change it");
+  plant->record->starts_static = value == FLEX_STATIC;
+  flex_plant_start_changed(plant);
+  return 0;
+}
+
+int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, double value) {
+  const flex_model *model = plant->model;
+  if (index >= (unsigned)model->n_inputs)
+    return refuse(plant, "value reference %u is no input, its derivatives cannot be set", index);
+  const char *name = model->input_variables[index].name;
+  if (order < 1 || order > model->max_input_order)
+    return refuse(plant, "derivatives of %s must be of order 1 to %d, got order %d", name, model->max_input_order, order);
+  if (!isfinite(value)) return refuse(plant, "derivative %d of %s must be a finite number, got %g", order, name, value);
+  flex_inputs_set_derivative(&plant->inputs, (int)index, plant->record->time, order, value);
+  flex_plant_inputs_changed(plant);
+  return 0;
+}
+
+int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, double *value) {
+  const flex_model *model = plant->model;
+  unsigned first = (unsigned)(model->n_inputs + model->n_parameters);
+  if (!is_known(plant, index)) return 1;
+  if (index < first) return refuse(plant, "value reference %u is no output, it has no derivatives", index);
+  if (order < 1 || order > 2)
+    return refuse(plant, "derivatives of %s are of order 1 or 2, got order %d", model->output_variables[index - first].name, order);
+  if (failed(plant, "computing output derivatives", flex_plant_need_rates(plant, order))) return 1;
+  *value = (order == 1 ? plant->first_rates : plant->second_rates)[index - first];
+  return 0;
+}

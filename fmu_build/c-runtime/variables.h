@@ -1,0 +1,27 @@
+/* The variables of a plant by index, with checks; reals are numbered inputs | parameters | outputs.
+ *
+ * Every function returns 0, or 1 with a sentence in plant->message and nothing changed. */
+#ifndef FLEXFMU_VARIABLES_H
+#define FLEXFMU_VARIABLES_H
+
+#include "plant.h"
+
+/* integers: the choice of the start and the statistics of the integrator */
+enum { FLEX_INITIAL, FLEX_STEPS, FLEX_REJECTIONS, FLEX_EVALUATIONS, FLEX_ITERATIONS, FLEX_FACTORISATIONS, FLEX_N_INTEGERS };
+
+/* values of `initial` */
+enum { FLEX_STATIC = 1, FLEX_UNDEFORMED = 2 };
+
+int flex_get_real(flex_plant *plant, unsigned index, double *value);
+int flex_set_real(flex_plant *plant, unsigned index, double value);
+int flex_get_integer(flex_plant *plant, unsigned index, int *value);
+int flex_set_integer(flex_plant *plant, unsigned index, int value);
+
+/* time derivatives of inputs and outputs */
+int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, double value);
+int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, double *value);
+
+/* the sentence for a failure; `what` begins it */
+void flex_explain(flex_plant *plant, const char *what, const flex_failure *failure);
+
+#endif
