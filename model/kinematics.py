@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.model.assembly import WORKING_MODES, assembly_side, bases, elbows, motor_angles
+from flexfmu.model.assembly import WORKING_MODES, bases, motor_angles
 from flexfmu.model.scene import Mechanism
 from flexfmu.trajectories.jets import Jet, arctan2, sqrt
 from flexfmu.trajectories.joint import Margin
@@ -21,6 +21,8 @@ REACH_MARGIN = 1e-3
 SINE_MARGIN = 0.02
 """Smallest sine of the angle between the distal links (type-2 singularity) that planning accepts: at 0.026 (elbows 10 mm
 apart on the paper's robot) the first frequency has fallen from 80 Hz to 3 Hz."""
+
+SINE_NAME = "sine of the angle between the distal links (type-2 singularity)"
 
 
 @dataclass(frozen=True)
@@ -52,23 +54,42 @@ class RigidKinematics:
         return arctan2(dy, dx) + sign * arctan2(sine, cosine)
 
     def margins(self, position: Array) -> tuple[Margin, ...]:
-        """Distances to the workspace boundary and to the type-2 singularity at positions (N, 2) [m]."""
-        proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
-        reaches = []
-        for leg, base in enumerate(bases(self.mechanism)):
-            distance = np.hypot(position[:, 0] - base[0], position[:, 1] - base[1])
-            clearance = np.minimum(proximal + distal - distance, distance - abs(proximal - distal))
-            reaches.append(Margin(f"reach of leg {leg + 1}", "m", clearance, REACH_MARGIN))
-        inside = np.all([margin.values > 0.0 for margin in reaches], axis=0)
-        sines = np.full(len(position), np.nan)
-        sines[inside] = [self.sine((float(point[0]), float(point[1]))) for point in position[inside]]
-        sines[~inside] = -1.0
-        return (
-            *reaches,
-            Margin("sine of the angle between the distal links (type-2 singularity)", "1", sines, SINE_MARGIN),
-        )
+        """Distances to the workspace boundary and to the type-2 singularity at positions (N, 2) [m].
 
-    def sine(self, position: tuple[float, float]) -> float:
-        """Sine of the angle between the distal links, negative on the wrong assembly side."""
+        Out of reach the sine is NaN.
+        """
+        proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
+        distances = [np.hypot(*(position - base).T) for base in bases(self.mechanism)]
+        reaches = [
+            Margin(
+                f"reach of leg {leg + 1}",
+                "m",
+                np.minimum(proximal + distal - d, d - abs(proximal - distal)),
+                REACH_MARGIN,
+            )
+            for leg, d in enumerate(distances)
+        ]
+        return (*reaches, Margin(SINE_NAME, "1", self.sine(position), SINE_MARGIN))
+
+    def sine(self, position: Array) -> Array:
+        """Sine of the angle between the distal links at positions (N, 2) [m], shape (N,).
+
+        Negative on the wrong assembly side, NaN out of reach.
+        """
+        elbow1, elbow2 = self._elbows(position)
+        line, arm = elbow2 - elbow1, position - elbow1
         side = 1.0 if self.mechanism.assembly_mode == "left" else -1.0
-        return side * assembly_side(*elbows(self.mechanism, position), position) / self.mechanism.distal.length**2
+        return np.asarray(side * (line[:, 0] * arm[:, 1] - line[:, 1] * arm[:, 0]) / self.mechanism.distal.length**2)
+
+    def _elbows(self, position: Array) -> list[Array]:
+        """Elbow points (N, 2) [m] of both legs, NaN out of reach."""
+        motion = Jet(position.T[np.newaxis])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            angles = [
+                joint.value for joint in self.joints(Jet(motion.coefficients[:, 0]), Jet(motion.coefficients[:, 1]))
+            ]
+        proximal = self.mechanism.proximal.length
+        return [
+            np.asarray(base) + proximal * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+            for base, angle in zip(bases(self.mechanism), angles, strict=True)
+        ]

@@ -102,5 +102,5 @@ def test_singularity_measure_is_the_sine_between_the_distal_links(plant: Symboli
     scene = load_scene("barnard2012-6kg")
     u = np.array([*motor_angles(scene.mechanism, (0.05, 0.3)), 0, 0, 0, 0])
     measure = float(plant.functions["singularity"](np.zeros(12), u, derived))
-    assert measure == pytest.approx(RigidKinematics(scene.mechanism).sine((0.05, 0.3)), rel=1e-12)
+    assert measure == pytest.approx(float(RigidKinematics(scene.mechanism).sine(np.array([[0.05, 0.3]]))[0]), rel=1e-12)
     assert measure > plant.minimum_margin
