@@ -83,13 +83,14 @@ class RigidKinematics:
 
     def _elbows(self, position: Array) -> list[Array]:
         """Elbow points (N, 2) [m] of both legs, NaN out of reach."""
-        motion = Jet(position.T[np.newaxis])
-        with np.errstate(invalid="ignore", divide="ignore"):
-            angles = [
-                joint.value for joint in self.joints(Jet(motion.coefficients[:, 0]), Jet(motion.coefficients[:, 1]))
-            ]
-        proximal = self.mechanism.proximal.length
-        return [
-            np.asarray(base) + proximal * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-            for base, angle in zip(bases(self.mechanism), angles, strict=True)
-        ]
+        proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
+        elbows = []
+        for base, sign in zip(bases(self.mechanism), WORKING_MODES[self.mechanism.working_mode], strict=True):
+            arm = position - base
+            square = np.sum(arm**2, axis=1)
+            cosine = square + (proximal**2 - distal**2)
+            with np.errstate(invalid="ignore"):
+                sine = np.sqrt(4.0 * proximal**2 * square - cosine**2)
+            angle = np.arctan2(arm[:, 1], arm[:, 0]) + sign * np.arctan2(sine, cosine)
+            elbows.append(np.asarray(base) + proximal * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+        return elbows
