@@ -30,10 +30,10 @@ class Agreement:
 
     def sentence(self) -> str:
         """The counts in one sentence."""
-        text = f"{self.misprinted} cells are misprinted" if not self.compared else self._counts()
-        return (
-            f"{text}." if not (self.misprinted and self.compared) else f"{text}; {self.misprinted} more are misprinted."
-        )
+        if not self.compared:
+            return f"{_cells(self.misprinted)} misprinted."
+        more = f"; {_cells(self.misprinted)} misprinted" if self.misprinted else ""
+        return f"{self._counts()}{more}."
 
     def _counts(self) -> str:
         steps = [
@@ -41,7 +41,8 @@ class Agreement:
             for previous, count, bound in zip((0, *self.within), self.within, BOUNDS, strict=False)
             if count > previous
         ]
-        return f"Of {self.compared} cells {', '.join(steps) or 'none within 10 %'} ({self.to_the_digits} to the printed digits)"
+        steps = steps or ["none within 10 %"]
+        return f"Of {self.compared} cells, {', '.join(steps)} ({self.to_the_digits} to the printed digits)"
 
     def to_dict(self) -> dict[str, Any]:
         """The counts for JSON."""
@@ -63,3 +64,7 @@ def count_agreement(cells: Iterable[Cell]) -> Agreement:
         to_the_digits=sum(cell.agrees_to_the_digits for cell in believable),
         misprinted=len(cells) - len(believable),
     )
+
+
+def _cells(count: int) -> str:
+    return "1 cell is" if count == 1 else f"{count} cells are"

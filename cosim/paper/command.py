@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
 
+from flexfmu.cosim.output import OutputFolder
 from flexfmu.cosim.paper import frequencies, motions
 from flexfmu.cosim.paper.cases import Case, simulated_cases
 from flexfmu.cosim.paper.comparison import Evaluate, compare
@@ -15,14 +15,12 @@ from flexfmu.cosim.paper.output import write_report, write_simulations
 from flexfmu.cosim.paper.reference import printed_table, printed_tables, source
 from flexfmu.cosim.paper.report import PaperReport
 from flexfmu.cosim.paper.simulations import Simulation, evaluators, simulate
+from flexfmu.cosim.versions import versions
 
 DEFAULT_FOLDER = Path("results/paper")
 """Where the results go unless the user says otherwise."""
 
 TRAJECTORY_TABLES = ("table-02", "table-05", "table-06")
-
-PACKAGES = ("flexfmu", "casadi", "fmpy", "numpy", "scipy")
-"""Packages whose versions the report states."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the finished fraction, 0..1."""
@@ -43,10 +41,12 @@ def run_paper(out: Path = DEFAULT_FOLDER, *, progress: Progress | None = None) -
         The report: `to_markdown()`, `to_json()`, and `flexfmu.cosim.paper.terminal.print_report` for a terminal.
 
     Raises:
-        PaperError: a simulation failed, or ``out`` can't be written.
+        PaperError: a simulation failed.
+        ResultsError: ``out`` can't be written.
         BuildError: the FMU can't be built (no compiler, for example).
     """
-    report = PaperReport(source(), versions={package: version(package) for package in PACKAGES})
+    OutputFolder(out).prepare()
+    report = PaperReport(source(), versions=versions())
     for name, stage in STAGES.items():
         started = perf_counter()
         report = stage(report, out, progress or _silent)
@@ -88,7 +88,7 @@ def run_cases(cases: Sequence[Case], out: Path, progress: Progress) -> Mapping[C
     """Simulate the cases, and write ``simulations.csv`` after each of them.
 
     Raises:
-        PaperError, BuildError: as `run_paper`.
+        PaperError, ResultsError, BuildError: as `run_paper`.
     """
     done: dict[Case, Simulation] = {}
     progress("building the FMU", 0.30)

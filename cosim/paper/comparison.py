@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
 
+from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.paper.reference import PrintedQuantity, PrintedTable, Remark, Verdict
 
 Evaluate = Callable[[str, str], float]
@@ -142,7 +143,7 @@ def compare(table: PrintedTable, evaluate: Mapping[str, Evaluate]) -> Comparison
         evaluate: for each metric of the table, the function that computes its cells in SI units.
 
     Raises:
-        ArithmeticError: a computed figure is not finite.
+        ResultsError: a computed figure is not finite.
     """
     return ComparisonTable(
         table,
@@ -170,5 +171,5 @@ def _cells(table: PrintedTable, quantity: PrintedQuantity, evaluate: Evaluate) -
 
 def _finite(value: float, where: str) -> float:
     if not math.isfinite(value):
-        raise ArithmeticError(f"{where}: the computed figure is {value}; look at the simulation's results")
+        raise ResultsError(f"{where}: the computed figure is {value}; look at the simulation's results")
     return value

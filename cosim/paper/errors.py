@@ -6,4 +6,4 @@ from flexfmu.cosim.errors import CosimError
 
 
 class PaperError(CosimError):
-    """A simulation of the paper's experiment failed, or its results can't be written."""
+    """A simulation of the paper's experiment failed."""

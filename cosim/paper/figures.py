@@ -7,8 +7,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure as Drawing
 
+from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.paper import path_figures, spectrum_figures
-from flexfmu.cosim.paper.output import unwritable
 from flexfmu.cosim.paper.report import Figure
 from flexfmu.cosim.paper.style import save, style
 
@@ -28,7 +28,7 @@ TRAJECTORY_FIGURES: tuple[tuple[Figure, Draw], ...] = (
             "figure-08",
             "Figure 8",
             "Joint motion on the Lamé path with the seventh-degree polynomial in 1 s, and the power spectral density "
-            "of the joint accelerations for all motion profiles (4 s window: motion, then standstill).",
+            "of the joint accelerations for all motion profiles (4 s window: motion, then standstill; bold: mean over 5 Hz).",
         ),
         spectrum_figures.joint_motion,
     ),
@@ -66,11 +66,13 @@ def draw_figure(figure: Figure, draw: Draw, folder: Path) -> None:
     """Draw a figure and write it as PNG and SVG into the report's folder.
 
     Raises:
-        PaperError: the folder can't be written.
+        ResultsError: the folder can't be written.
     """
     stem = folder / figure.file("")
     try:
         with style():
             save(draw(), stem)
     except OSError as error:
-        raise unwritable(stem, error) from error
+        raise ResultsError(
+            f"can't write {stem}: {error.strerror or error}; choose another folder or free some space"
+        ) from error

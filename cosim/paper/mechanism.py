@@ -77,3 +77,5 @@ def draw_path(axes: Axes, motion: MotionPlan) -> None:
     axes.plot(path[:, 0], path[:, 1], color=SEQUENCE[1], linewidth=2.0, zorder=6)
     axes.plot(*path[0], "o", color=SEQUENCE[1], markersize=6, zorder=6)
     axes.plot(*path[-1], "s", color=SEQUENCE[1], markersize=6, zorder=6)
+    for point, text in ((path[0], "start"), (path[-1], "end")):
+        axes.annotate(text, point, xytext=(0, 8), textcoords="offset points", ha="center", fontsize=8, color=INK)

@@ -31,7 +31,7 @@ def evaluators() -> Mapping[str, Evaluate]:
 
 def blend_length(curve: str) -> float:
     """Arc length of one blend [m]."""
-    return plan(trajectory_scene(_any_profile(), curve)).task.path.blend.length
+    return plan(trajectory_scene(_any_profile(), curve)).task.path.blend.curve.length
 
 
 def path_length(curve: str) -> float:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from flexfmu.cosim.paper.cases import trajectory_scene
 from flexfmu.cosim.paper.mechanism import MILLI, draw_bases, draw_mechanism, draw_path, draw_workspace
 from flexfmu.cosim.paper.motions import smooth_pieces
-from flexfmu.cosim.paper.style import CURVE_COLOURS, GREY, draw
+from flexfmu.cosim.paper.style import CURVE_COLOURS, GREY, PROFILE_COLOURS, draw
 from flexfmu.cosim.planning import plan
+from flexfmu.trajectories.profiles import Profile
 
 POLYNOMIAL = "7th order polynomial"
 
@@ -41,6 +42,30 @@ def blends() -> Drawing:
     return drawing
 
 
+def motion_profiles() -> Drawing:
+    """Fig. 7: fraction of the path, its rate and its second derivative for a cycle time of 1 s."""
+    drawing = draw(6.4, 6.6)
+    panels = drawing.subplots(3, 1, sharex=True)
+    for label, colour in PROFILE_COLOURS.items():
+        task = plan(trajectory_scene(label, "Lamé")).task
+        time, derivatives = _profile(task.profile, task.duration)
+        for panel, values in zip(panels, derivatives, strict=True):
+            panel.plot(time, values, color=colour, label=label)
+    for panel, unit in zip(panels, ("position s", "velocity ds/dt [1/s]", "acceleration d²s/dt² [1/s²]"), strict=True):
+        panel.set_ylabel(unit)
+    panels[0].set_title("Motion profiles for a cycle time of 1 s")
+    panels[0].legend(loc="upper left")
+    panels[-1].set_xlabel("time [s]")
+    return drawing
+
+
+def _profile(profile: Profile, duration: float) -> tuple[Points, Points]:
+    """Times (N,) [s], and the fraction of the path with two derivatives (3, N), jumps with both their sides."""
+    etas = [np.linspace(piece.start, piece.end, PIECE) for piece in profile.pieces]
+    jets = [piece.jet(eta, 2).rescale(1.0 / duration) for piece, eta in zip(profile.pieces, etas, strict=True)]
+    return duration * np.concatenate(etas), np.concatenate([jet.derivatives() for jet in jets], axis=1)
+
+
 def _corner(curve: str) -> tuple[Points, Points]:
     """The path around its first corner, which is the origin: along the crossing and along the lift [mm]."""
     motion = plan(trajectory_scene(POLYNOMIAL, curve))
@@ -64,4 +89,5 @@ def placement() -> Drawing:
     draw_bases(axes, motion)
     draw_path(axes, motion)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", title="The path in the workspace")
+    axes.annotate("reached by both legs", (0.0, 480.0), ha="center", fontsize=8.5, color=GREY)
     return drawing

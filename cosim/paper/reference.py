@@ -127,7 +127,8 @@ def read_data(name: str) -> dict[str, Any]:
 def source() -> Source:
     """The paper itself."""
     data = read_data("source")
-    return Source(**{key: tuple(value) if isinstance(value, list) else value for key, value in data.items()})
+    lists = {key: tuple(data.pop(key)) for key in ("authors", "remarks")}
+    return Source(**data, **lists)
 
 
 @cache

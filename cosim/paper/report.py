@@ -44,7 +44,7 @@ class PaperReport:
         figures: the figures drawn, in the order of the report.
         overview: one picture that sums it up.
         timing: wall-clock time of the parts in seconds.
-        versions: packages that were used, and their versions.
+        versions: what it was computed with: packages, platform, compiler; None where unknown.
     """
 
     source: Source
@@ -52,7 +52,7 @@ class PaperReport:
     figures: tuple[Figure, ...] = ()
     overview: Figure | None = None
     timing: Mapping[str, float] = field(default_factory=dict)
-    versions: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, str | None] = field(default_factory=dict)
 
     def table(self, key: str) -> ComparisonTable:
         """A table by the key of its data file, for example ``table-07``.

@@ -37,3 +37,16 @@ def acceleration_spectrum(joints: Trajectory, joint: int) -> tuple[Series, Serie
         acceleration, SAMPLING_FREQUENCY, window="boxcar", detrend=False, scaling="density"
     )
     return frequency, density
+
+
+def band_average(frequency: Series, density: Series, width: float) -> Series:
+    """Mean of the density over a band of ``width`` [Hz] around each frequency; narrower at the ends.
+
+    A motion with jumps has a comb of lobes 1 / duration apart; the mean over several lobes is what a resonance sees
+    whose frequency isn't known to a fraction of a hertz.
+    """
+    half = max(1, round(0.5 * width / (frequency[1] - frequency[0])))
+    total = np.concatenate([[0.0], np.cumsum(density)])
+    index = np.arange(density.size)
+    first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, density.size)
+    return np.asarray((total[last] - total[first]) / (last - first))

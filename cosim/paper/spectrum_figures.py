@@ -10,7 +10,7 @@ from matplotlib.figure import Figure as Drawing
 
 from flexfmu.cosim.paper.cases import trajectory_scene
 from flexfmu.cosim.paper.motions import smooth_pieces
-from flexfmu.cosim.paper.spectrum import acceleration_spectrum
+from flexfmu.cosim.paper.spectrum import acceleration_spectrum, band_average
 from flexfmu.cosim.paper.style import GREY, PROFILE_COLOURS, SEQUENCE, draw
 from flexfmu.cosim.planning import plan
 from flexfmu.model.scene import Scene
@@ -20,7 +20,10 @@ POLYNOMIAL, LAME = "7th order polynomial", "Lamé"
 HIGHEST_FREQUENCY = 200.0
 """Frequencies shown [Hz]: beyond the first natural frequency of the robot with the light payload."""
 
-DECADES = 13.0
+BAND = 5.0
+"""Width of the bands over which the comb of a profile with jumps is averaged [Hz]: a few of its lobes."""
+
+DECADES = 10.0
 """Decades of the density shown below its maximum."""
 
 FIRST_FREQUENCIES = ((58.0, "6 kg"), (126.0, "0.1 kg"))
@@ -36,7 +39,9 @@ BLEND_LENGTHS = (0.025, 0.0125, 0.006125)
 def joint_motion() -> Drawing:
     """Fig. 8: joint angles and accelerations of the Lamé path for 1 s, and the spectra of all motion profiles."""
     drawing = draw(9.6, 7.0)
-    angle, acceleration, first, second = drawing.subplots(2, 2).flat
+    grid = drawing.add_gridspec(2, 2)
+    angle, acceleration = drawing.add_subplot(grid[0, 0]), drawing.add_subplot(grid[0, 1])
+    spectrum = drawing.add_subplot(grid[1, :])
     joints = plan(trajectory_scene(POLYNOMIAL, LAME)).joints
     for joint, colour in zip((0, 1), SEQUENCE, strict=False):
         for piece, (time, derivatives) in enumerate(smooth_pieces(joints, 401)):
@@ -48,10 +53,8 @@ def joint_motion() -> Drawing:
     angle.legend()
     acceleration.legend()
     scenes = [(profile, trajectory_scene(profile, LAME), colour) for profile, colour in PROFILE_COLOURS.items()]
-    _spectra(first, scenes, joint=0)
-    _spectra(second, scenes, joint=1)
-    first.set_title("Spectrum of the acceleration of joint 1")
-    second.set_title("Spectrum of the acceleration of joint 2")
+    _spectra(spectrum, scenes, joint=0, band=BAND)
+    spectrum.set_title("Spectrum of the acceleration, the same for both joints since the path is symmetric")
     return drawing
 
 
@@ -88,12 +91,17 @@ def _one_panel(scenes: Iterable[tuple[str, Scene, str]], title: str, legend: str
     return drawing
 
 
-def _spectra(axes: Axes, scenes: Iterable[tuple[str, Scene, str]], *, joint: int) -> None:
+def _spectra(axes: Axes, scenes: Iterable[tuple[str, Scene, str]], *, joint: int, band: float = 0.0) -> None:
+    """Draw the spectrum of each scene; with a ``band`` [Hz] its mean over that band, and itself in a pale colour."""
     peak = 0.0
     for label, scene, colour in scenes:
         frequency, density = acceleration_spectrum(plan(scene).joints, joint)
         shown = (frequency > 0.0) & (frequency <= HIGHEST_FREQUENCY)
-        axes.semilogy(frequency[shown], density[shown], color=colour, label=label, linewidth=1.2)
+        line = density
+        if band:
+            axes.semilogy(frequency[shown], density[shown], color=colour, linewidth=0.4, alpha=0.3)
+            line = band_average(frequency, density, band)
+        axes.semilogy(frequency[shown], line[shown], color=colour, label=label, linewidth=1.3)
         peak = max(peak, float(density[shown].max()))
     axes.set_ylim(peak * 10.0**-DECADES, peak * 10.0)
     axes.set(xlabel="frequency [Hz]", ylabel="power spectral density [(rad/s²)²/Hz]", xlim=(0.0, HIGHEST_FREQUENCY))

@@ -36,9 +36,8 @@ def print_page(page: Page, console: Console) -> None:
 
 
 def _table(block: Block) -> Table:
-    table = Table(
-        box=box.SIMPLE_HEAD, title_justify="left", title=f"{block.name} [{block.unit}]{block.marks}: paper → computed"
-    )
+    title = Text(f"{block.name} [{block.unit}]{block.marks}: paper → computed", style="italic")
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("")
     for column in block.columns:
         table.add_column(column, justify="right")
@@ -52,5 +51,5 @@ def _cell(cell: CellText) -> Text:
         (cell.paper, "strike" if cell.grade is Grade.MISPRINT else ""),
         " → ",
         (cell.computed, "bold"),
-        (f" ({cell.difference}){cell.marks}", _COLOURS[cell.grade]),
+        (f" ({cell.difference}){cell.marks or ' '}", _COLOURS[cell.grade]),
     )

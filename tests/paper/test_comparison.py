@@ -10,6 +10,7 @@ import math
 import pytest
 from rich.console import Console
 
+from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.paper.agreement import count_agreement
 from flexfmu.cosim.paper.comparison import Cell, ComparisonTable, compare
 from flexfmu.cosim.paper.layout import lay_out, percentage
@@ -66,7 +67,7 @@ def test_scale_converts_to_the_printed_unit() -> None:
 
 def test_a_figure_that_is_not_finite_is_an_error() -> None:
     """NaN would pass every comparison of bounds unnoticed."""
-    with pytest.raises(ArithmeticError, match=r"Table 2, Blend length, Lamé, Length: .* nan"):
+    with pytest.raises(ResultsError, match=r"Table 2, Blend length, Lamé, Length: .* nan"):
         compare(printed_table("table-02"), {"blend_length": lambda row, column: math.nan})
 
 
@@ -76,7 +77,7 @@ def test_misprinted_cells_are_not_counted_as_compared() -> None:
     assert (agreement.compared, agreement.misprinted) == (35, 1)
     assert agreement.within[0] == agreement.to_the_digits == 35
     assert "35 within 0.1 %" in agreement.sentence()
-    assert "1 more" in agreement.sentence()
+    assert "1 cell is misprinted" in agreement.sentence()
 
 
 def test_agreement_counts_within_each_bound() -> None:
