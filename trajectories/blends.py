@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Protocol
 
 from flexfmu.trajectories.checks import positive
-from flexfmu.trajectories.curves import ParametricPiece, Piece, PiecewiseCurve, PlaneJets
+from flexfmu.trajectories.curves import ParametricPiece, PiecewiseCurve, PlaneJets
 from flexfmu.trajectories.jets import Jet, power, sincos
 
 QUARTER = 0.5 * math.pi
@@ -101,6 +101,3 @@ class PolarPolynomial:
 def _check_extent(blend: Blend) -> None:
     positive("blend height d", blend.height, "m")
     positive("blend width e", blend.width, "m")
-
-
-__all__ = ["Blend", "LameBlend", "Piece", "PolarPolynomial"]

@@ -35,3 +35,14 @@ def times(value: ArrayLike) -> Array:
     if bad.size:
         raise TrajectoryError(f"times must be finite, got {time[bad[0]]} s at index {bad[0]}")
     return time
+
+
+def within(name: str, value: ArrayLike, limit: float, unit: str) -> Array:
+    """Numbers between 0 and ``limit`` as an array of shape (N,)."""
+    values = np.atleast_1d(np.asarray(value, dtype=float))
+    bad = np.flatnonzero(~((values >= 0.0) & (values <= limit)))
+    if bad.size:
+        raise TrajectoryError(
+            f"{name} must be between 0 and {limit:.9g} {unit}, got {values[bad[0]]} at index {bad[0]}"
+        )
+    return values

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from flexfmu.trajectories.arc_length import ArcLengthTable, tabulate
+from flexfmu.trajectories.checks import within
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array, Jet, compose, revert, sqrt
+from flexfmu.trajectories.jets import Array, Jet, checked_order, compose, revert, sqrt
 
 Side: TypeAlias = Literal["left", "right"]
 """Which one-sided limit to take where a derivative jumps."""
@@ -150,8 +151,8 @@ class PiecewiseCurve:
         Raises:
             TrajectoryError: s is off the curve.
         """
-        s = _on_curve(np.atleast_1d(np.asarray(s, dtype=float)), self.length)
-        index = np.searchsorted(np.asarray(self.knots), s, side=side)
+        s, order = within("arc length", s, self.length, "m"), checked_order(order)
+        index = np.searchsorted(np.asarray(self.knots), s, side=checked_side(side))
         result = np.empty((2, order + 1, len(s)))
         for i in np.unique(index):
             here = index == i
@@ -170,8 +171,8 @@ def place_backwards(pieces: tuple[Piece, ...], origin: Point, first: Point, seco
     return tuple(PlacedPiece(piece, origin, first, second, backwards=True) for piece in reversed(pieces))
 
 
-def _on_curve(s: Array, length: float) -> Array:
-    off = np.flatnonzero(~((s >= 0.0) & (s <= length)))
-    if off.size:
-        raise TrajectoryError(f"arc length must be between 0 and {length:.9g} m, got {s[off[0]]} m at index {off[0]}")
-    return s
+def checked_side(side: Side) -> Side:
+    """``side`` if it is one; TrajectoryError otherwise."""
+    if side not in ("left", "right"):
+        raise TrajectoryError(f'side must be "left" or "right", got {side!r}')
+    return side

@@ -112,17 +112,22 @@ def check_margins(task: Trajectory, kinematics: InverseKinematics) -> None:
         TrajectoryError: names the margin, its worst point and time, its value there and what is required.
     """
     time = _sample_times(task)
+    violations = []
     for index, margin in enumerate(kinematics.margins(_positions(task, time))):
         worst_time, worst = _smallest(task, kinematics, index, time, _defined(margin.values))
-        if not worst >= margin.required:
-            raise TrajectoryError(_violation(margin, worst, worst_time, _positions(task, np.array([worst_time]))[0]))
+        if worst < margin.required:
+            violations.append((not np.isfinite(worst), index, margin, worst_time, worst))
+    if violations:
+        _, _, margin, worst_time, worst = min(violations, key=lambda violation: violation[:2])  # defined ones first
+        raise TrajectoryError(_violation(margin, worst, worst_time, _positions(task, np.array([worst_time]))[0]))
 
 
 def _violation(margin: Margin, value: float, time: float, position: Array) -> str:
-    found = f"{value:.6g} {margin.unit}" if np.isfinite(value) else "undefined"
+    unit = "" if margin.unit in ("", "1") else f" {margin.unit}"
+    found = f"{value:.6g}{unit}" if np.isfinite(value) else "undefined"
     return (
         f"{margin.name} is {found} at (x, y) = ({position[0]:.6g}, {position[1]:.6g}) m, t = {time:.6g} s; "
-        f"it must be at least {margin.required:.6g} {margin.unit} along the whole path: move the path or change the mechanism"
+        f"it must be at least {margin.required:.6g}{unit} along the whole path: move the path or change the mechanism"
     )
 
 
@@ -131,7 +136,7 @@ def _smallest(
 ) -> tuple[float, float]:
     """Time [s] and value of the smallest margin number ``index``, refined around the samples' local minima."""
     padded = np.concatenate([[np.inf], values, [np.inf]])
-    minima = np.flatnonzero((values <= padded[:-2]) & (values <= padded[2:]))
+    minima = np.flatnonzero((values <= padded[:-2]) & (values < padded[2:]))
     low, high = time[np.maximum(minima - 1, 0)], time[np.minimum(minima + 1, len(time) - 1)]
     best = time[minima], values[minima]
     for _ in range(REFINEMENTS):

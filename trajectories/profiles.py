@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.checks import within
+from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array, Jet
+from flexfmu.trajectories.jets import Array, Jet, checked_order
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,8 @@ class Trapezoidal:
 
 def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Side = "right") -> Jet:
     """σ and its derivatives by η at the fractions ``eta`` of the duration, 0 to 1, a number or shape (N,)."""
-    eta = np.atleast_1d(np.asarray(eta, dtype=float))
-    index = np.searchsorted([piece.start for piece in profile.pieces[1:]], eta, side=side)
+    eta, order = within("fraction of the duration", eta, 1.0, "(the whole)"), checked_order(order)
+    index = np.searchsorted([piece.start for piece in profile.pieces[1:]], eta, side=checked_side(side))
     coefficients = np.empty((order + 1, len(eta)))
     for i in np.unique(index):
         coefficients[:, index == i] = profile.pieces[i].jet(eta[index == i], order).coefficients

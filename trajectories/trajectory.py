@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -11,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from flexfmu.trajectories.checks import positive, times
-from flexfmu.trajectories.curves import Piece, Side
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.curves import Piece, Side, checked_side
 from flexfmu.trajectories.jets import Array, checked_order, compose
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile, ProfilePiece, time_at
@@ -120,17 +120,10 @@ class TaskTrajectory:
         return Interval(start * self.duration, profile, curve.pieces[index], float(curve.edges[index]))
 
 
-def checked_side(side: Side) -> Side:
-    """``side`` if it is one; TrajectoryError otherwise."""
-    if side not in ("left", "right"):
-        raise TrajectoryError(f'side must be "left" or "right", got {side!r}')
-    return side
-
-
-def _merged(exact: ArrayLike, others: ArrayLike) -> list[float]:
-    """Fractions of the duration, sorted, from 0 to 1; of those within SAME_TIME one is kept, an ``exact`` one first."""
-    kept = [0.0, 1.0, *np.asarray(exact, dtype=float).tolist()]
-    for eta in np.asarray(others, dtype=float).tolist():
+def _merged(first: Sequence[float], second: Sequence[float]) -> list[float]:
+    """Fractions of the duration, sorted, from 0 to 1; of those within SAME_TIME the one named first is kept."""
+    kept = [0.0, 1.0]
+    for eta in (*first, *second):
         if min(abs(eta - other) for other in kept) > SAME_TIME:
             kept.append(eta)
     return sorted(kept)
