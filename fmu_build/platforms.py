@@ -32,7 +32,13 @@ class Platform:
 PLATFORMS = {
     target.name: target
     for target in (
-        Platform("linux64", ".so", "x86_64-linux-gnu.2.17", ("-fPIC",), ("-shared", "-s", "-Wl,--gc-sections", "-lm")),
+        Platform(
+            "linux64",
+            ".so",
+            "x86_64-linux-gnu.2.17",
+            ("-fPIC",),
+            ("-shared", "-s", "-Wl,--gc-sections", "-Wl,-z,defs", "-lm"),
+        ),
         Platform("win64", ".dll", "x86_64-windows-gnu", (), ("-shared", "-s", "-Wl,--gc-sections")),
         Platform("darwin64", ".dylib", "x86_64-macos", ("-fPIC",), ("-shared", "-Wl,-dead_strip", "-Wl,-x")),
     )

@@ -42,7 +42,7 @@ def _environment() -> jinja2.Environment:
     folder = files("flexfmu.fmu_build") / "templates"
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
-        autoescape=jinja2.select_autoescape(("xml", "html")),
+        autoescape=jinja2.select_autoescape(("xml.j2", "html.j2")),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -84,7 +84,7 @@ class Compiler:
         _run((*self.command, *objects, "-o", library, *self.platform.link_flags), folder, f"linking {library}")
 
     def _compile_one(self, job: CompileJob, folder: Path) -> None:
-        flags = (*job.flags, *COMMON_FLAGS, *self.platform.compile_flags)
+        flags = (*COMMON_FLAGS, *self.platform.compile_flags, *job.flags)
         _run((*self.command, *flags, "-c", job.source, "-o", job.object_file), folder, f"compiling {job.source}")
 
 

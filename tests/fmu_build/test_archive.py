@@ -1,0 +1,62 @@
+"""Reproducible archives, written completely or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import zipfile
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+
+from flexfmu.fmu_build.archive import pack, write_atomically
+from flexfmu.fmu_build.errors import ArchiveError
+
+
+def test_equal_content_gives_equal_bytes() -> None:
+    """Neither the order nor the time of packing shows in an FMU."""
+    files = {"b/x.so": b"\0" * 100, "a.txt": b"text"}
+    assert pack(files) == pack(dict(reversed(files.items())))
+
+
+def test_entries_are_sorted_and_readable() -> None:
+    """Any zip tool gets back what was put in; libraries are executable."""
+    with zipfile.ZipFile(BytesIO(pack({"b/x.so": b"1", "a.txt": b"2"}))) as archive:
+        assert archive.namelist() == ["a.txt", "b/x.so"]
+        assert archive.read("b/x.so") == b"1"
+        assert [entry.external_attr >> 16 & 0o777 for entry in archive.infolist()] == [0o644, 0o755]
+
+
+def test_missing_folders_are_made(tmp_path: Path) -> None:
+    """`-o out/robot.fmu` works without `mkdir`."""
+    write_atomically(tmp_path / "new" / "x.fmu", b"1")
+    assert (tmp_path / "new" / "x.fmu").read_bytes() == b"1"
+
+
+def test_folder_as_file_is_refused(tmp_path: Path) -> None:
+    """The message says that a file name is wanted."""
+    with pytest.raises(ArchiveError, match="it is a folder"):
+        write_atomically(tmp_path, b"1")
+
+
+def test_file_in_the_way_of_a_folder_is_an_error(tmp_path: Path) -> None:
+    """A path through a file gives one sentence."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ArchiveError, match="cannot write"):
+        write_atomically(tmp_path / "file" / "x.fmu", b"1")
+
+
+def test_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A failed write keeps what was there and leaves no half file behind."""
+    target = tmp_path / "x.fmu"
+    target.write_bytes(b"old")
+
+    def fail(_source: str, _target: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(ArchiveError, match="No space left on device; choose a writable folder"):
+        write_atomically(target, b"new")
+    assert [path.name for path in tmp_path.iterdir()] == ["x.fmu"]
+    assert target.read_bytes() == b"old"

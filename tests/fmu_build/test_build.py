@@ -1,0 +1,207 @@
+"""From model to file: reproducible, cached by content, with one-line errors."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from flexfmu.fmu_build import build, toolchain
+from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.elf import exported_symbols
+from flexfmu.fmu_build.errors import ArchiveError, MissingCompilerError, PlatformError
+from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.static_checks import FUNCTIONS
+from flexfmu.model.symbolic import SymbolicModel
+
+MakeModel = Callable[..., SymbolicModel]
+
+
+def _never() -> SymbolicModel:
+    raise AssertionError("the model must not be made")
+
+
+def _library(path: Path) -> bytes:
+    with zipfile.ZipFile(path) as archive:
+        target = native_platform()
+        return archive.read(f"binaries/{target.name}/oscillators{target.suffix}")
+
+
+def test_two_builds_are_equal_byte_for_byte(
+    make_oscillators: MakeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither time, folder nor cache shows in the file."""
+    contents = []
+    for run in ("one", "two"):
+        monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / run))
+        contents.append(build_fmu(make_oscillators(), output=tmp_path / f"{run}.fmu").path.read_bytes())
+    assert contents[0] == contents[1]
+
+
+def test_file_has_all_its_parts(make_oscillators: MakeModel) -> None:
+    """Description, binary, the sources that it came from, documentation and licence."""
+    with zipfile.ZipFile(build_fmu(make_oscillators()).path) as archive:
+        names = set(archive.namelist())
+    target = native_platform()
+    assert {
+        "modelDescription.xml",
+        f"binaries/{target.name}/oscillators{target.suffix}",
+        "sources/model_description.c",
+        "sources/model.h",
+        "documentation/index.html",
+        "documentation/licenses/license.txt",
+    } <= names
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads ELF")
+def test_binary_exports_the_fmi_functions_alone(make_oscillators: MakeModel) -> None:
+    """Every function of FMI 2.0 co-simulation, and nothing that could collide with another FMU."""
+    assert exported_symbols(_library(build_fmu(make_oscillators()).path)) == FUNCTIONS
+
+
+def test_guid_is_in_the_binary(make_oscillators: MakeModel) -> None:
+    """Description and binary belong together."""
+    built = build_fmu(make_oscillators())
+    assert built.guid.encode() in _library(built.path)
+
+
+def test_guid_follows_the_content(make_oscillators: MakeModel) -> None:
+    """Whatever changes the behaviour changes the GUID; the same content keeps it."""
+    experiment = build.DefaultExperiment()
+    guids = [
+        generate_sources(make_oscillators(), experiment).guid,
+        generate_sources(make_oscillators(mass=3.0), experiment).guid,
+        generate_sources(make_oscillators(static_start=False), experiment).guid,
+        generate_sources(make_oscillators(), build.DefaultExperiment(tolerance=1e-8)).guid,
+    ]
+    assert len(set(guids)) == 4
+    assert generate_sources(make_oscillators(), experiment).guid == guids[0]
+
+
+def test_cached_build_makes_no_model(make_oscillators: MakeModel) -> None:
+    """With a key the decision needs neither CasADi nor a compiler."""
+    first = build_fmu(make_oscillators, key="oscillators")
+    second = build_fmu(_never, key="oscillators")
+    assert (first.cached, second.cached) == (False, True)
+    assert (first.path, first.guid, first.code_bytes) == (second.path, second.guid, second.code_bytes)
+
+
+def test_cached_build_without_key_compares_content(make_oscillators: MakeModel) -> None:
+    """A model without a key is recognised by its generated C."""
+    assert not build_fmu(make_oscillators()).cached
+    assert build_fmu(make_oscillators()).cached
+    assert not build_fmu(make_oscillators(mass=3.0)).cached
+
+
+@pytest.mark.parametrize("change", [{"tolerance": 1e-9}, {"stop_time": 2.0}, {"step": 1e-3}, {"cache": False}])
+def test_other_settings_are_another_build(make_oscillators: MakeModel, change: dict[str, float]) -> None:
+    """The default experiment belongs to the content; `cache=False` builds anew."""
+    build_fmu(make_oscillators, key="oscillators")
+    assert not build_fmu(make_oscillators, key="oscillators", **change).cached  # type: ignore[arg-type]
+
+
+def test_changed_sources_are_another_build(make_oscillators: MakeModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After an update of the package nobody gets yesterday's FMU."""
+    build_fmu(make_oscillators, key="oscillators")
+    monkeypatch.setattr(build, "package_fingerprint", lambda: "another")
+    assert not build_fmu(make_oscillators, key="oscillators").cached
+
+
+@pytest.mark.parametrize("damage", [b"", b"not a zip", None], ids=["empty", "text", "flipped"])
+def test_damaged_cache_entry_is_built_again(make_oscillators: MakeModel, damage: bytes | None) -> None:
+    """A crashed disk or a curious person does not break anything."""
+    first = build_fmu(make_oscillators, key="oscillators")
+    intact = first.path.read_bytes()
+    middle = len(intact) // 2
+    flipped = intact[:middle] + bytes([intact[middle] ^ 255]) + intact[middle + 1 :]
+    first.path.write_bytes(flipped if damage is None else damage)
+    second = build_fmu(make_oscillators, key="oscillators")
+    assert not second.cached
+    assert second.path.read_bytes() == intact
+
+
+def test_damaged_object_files_are_compiled_again(make_oscillators: MakeModel, cache_folder: Path) -> None:
+    """Half-written object files never reach the linker."""
+    (cache_folder / "objects").unlink()
+    intact = build_fmu(make_oscillators, key="oscillators").path.read_bytes()
+    for path in (cache_folder / "objects").iterdir():
+        path.write_bytes(path.read_bytes()[:-1])
+    next(cache_folder.glob("*.fmu")).unlink()
+    assert build_fmu(make_oscillators, key="oscillators").path.read_bytes() == intact
+
+
+def test_concurrent_builds_agree(make_oscillators: MakeModel) -> None:
+    """Several processes or threads may build the same FMU at once."""
+    with ThreadPoolExecutor(4) as pool:
+        built = list(pool.map(lambda _: build_fmu(make_oscillators, key="oscillators"), range(4)))
+    assert len({(b.path, b.guid) for b in built}) == 1
+    assert zipfile.ZipFile(built[0].path).testzip() is None
+
+
+def test_output_is_written_from_the_cache(make_oscillators: MakeModel, tmp_path: Path) -> None:
+    """`-o` gets the file also when nothing had to be built."""
+    build_fmu(make_oscillators, key="oscillators")
+    built = build_fmu(_never, key="oscillators", output=tmp_path / "out" / "robot.fmu")
+    assert built.cached
+    assert built.path.stat().st_size == built.fmu_bytes
+    assert stat.S_IMODE(built.path.stat().st_mode) == 0o644
+
+
+def test_useless_cache_folder_does_not_matter_with_an_output(
+    make_oscillators: MakeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A read-only home directory is no reason to refuse a build; without an output it is, and the message helps."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / "file" / "cache"))
+    assert build_fmu(make_oscillators(), output=tmp_path / "robot.fmu").path.is_file()
+    with pytest.raises(ArchiveError, match="FLEXFMU_CACHE"):
+        build_fmu(make_oscillators())
+
+
+def test_missing_compiler_is_found_out_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for a model that cannot be compiled."""
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(toolchain.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingCompilerError, match="install gcc or clang"):
+        build_fmu(_never, key="oscillators")
+
+
+def test_unknown_platform_is_refused_first() -> None:
+    """A typing error costs no time either."""
+    with pytest.raises(PlatformError, match="unknown platform 'amiga'"):
+        build_fmu(_never, key="oscillators", platforms=["amiga"])
+
+
+def test_cached_build_imports_neither_casadi_nor_jinja(make_oscillators: MakeModel) -> None:
+    """A tenth of a second is all there is; CasADi alone would take it."""
+    build_fmu(make_oscillators, key="oscillators")
+    script = (
+        "import sys; from flexfmu.fmu_build.build import build_fmu\n"
+        "assert build_fmu(None, key='oscillators').cached\n"
+        "print(sorted({'casadi', 'numpy', 'jinja2', 'fmpy'} & set(sys.modules)))"
+    )
+    outcome = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=os.environ, check=True)
+    assert outcome.stdout.strip() == "[]"
+
+
+def test_cached_build_takes_a_tenth_of_a_second(make_oscillators: MakeModel) -> None:
+    """The promise of the cache, deciding included."""
+    build_fmu(make_oscillators, key="oscillators")
+    assert min(build_fmu(_never, key="oscillators").seconds for _ in range(3)) < 0.1
+
+
+def test_progress_tells_each_stage(make_oscillators: MakeModel) -> None:
+    """A person sees what a cold build is doing, in order; a cached one has nothing to tell."""
+    told: list[str] = []
+    build_fmu(make_oscillators, key="oscillators", progress=told.append)
+    build_fmu(_never, key="oscillators", progress=told.append)
+    assert told == ["building the model", "generating C", f"compiling for {native_platform().name}", "packing"]

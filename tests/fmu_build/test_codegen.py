@@ -1,0 +1,132 @@
+"""The generated C: the same numbers as CasADi, the same bytes every time."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import casadi
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexfmu.fmu_build.codegen import function_file, generate_description, generate_functions, identifier
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.templating import c_double, c_string
+from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler
+from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
+
+MakeModel = Callable[..., SymbolicModel]
+
+
+def _load(model: SymbolicModel, folder: Path) -> ctypes.CDLL:
+    """The generated functions alone, as a library that exports them."""
+    files, _ = generate_functions(model)
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    jobs = [CompileJob(name, (*GENERATED_FLAGS, "-fvisibility=default")) for name in files if name.endswith(".c")]
+    compiler = find_compiler(native_platform())
+    compiler.compile(jobs, folder)
+    compiler.link([job.object_file for job in jobs], "functions.so", folder)
+    return ctypes.CDLL(str(folder / "functions.so"))
+
+
+def test_compiled_functions_agree_with_casadi(make_oscillators: MakeModel, tmp_path: Path) -> None:
+    """What the FMU calculates is what the model says, argument by argument."""
+    model = make_oscillators()
+    library = _load(model, tmp_path)
+    _, facts = generate_functions(model)
+    random = np.random.default_rng(1)
+    for fact in facts:
+        function = model.functions[fact.field]
+        arguments = [random.uniform(0.5, 2.0, function.numel_in(i)) for i in range(function.n_in())]
+        pointers = (ctypes.c_void_p * fact.n_arg)(*(argument.ctypes.data for argument in arguments))
+        result = np.full(function.numel_out(0), np.nan)
+        results = (ctypes.c_void_p * fact.n_res)(result.ctypes.data)
+        integers, work = (ctypes.c_int * (fact.n_iw + 1))(), (ctypes.c_double * (fact.n_w + 1))()
+        assert getattr(library, fact.symbol)(pointers, results, integers, work, 0) == 0
+        expected = np.asarray(function(*arguments)).ravel(order="F")
+        np.testing.assert_allclose(result, expected, rtol=1e-14, err_msg=fact.field)
+
+
+def test_every_function_of_the_contract_has_its_file(make_lever: MakeModel) -> None:
+    """A rigid model has the same set of files as an elastic one, so the runtime needs no special case."""
+    files, facts = generate_functions(make_lever())
+    assert [fact.field for fact in facts] == list(FUNCTION_SIGNATURES)
+    assert {function_file(name) for name in FUNCTION_SIGNATURES} < set(files)
+
+
+def test_code_is_deterministic(make_oscillators: MakeModel) -> None:
+    """Two models of equal content give equal bytes: the GUID and the cache rely on it."""
+    first, second = (generate_functions(make_oscillators()) for _ in range(2))
+    assert first == second
+    description = [generate_description(make_oscillators(), first[1], "{x}", 1e-6) for _ in range(2)]
+    assert description[0] == description[1]
+
+
+def test_missing_function_is_named(make_oscillators: MakeModel) -> None:
+    """A model without one of its functions is refused before anything is compiled."""
+    model = make_oscillators()
+    functions = {name: function for name, function in model.functions.items() if name != "singularity"}
+    with pytest.raises(ModelError, match="singularity"):
+        generate_functions(replace(model, functions=functions))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        casadi.Function("f", [casadi.SX.sym("y", 2)], [casadi.SX.zeros(2)]),
+        casadi.Function(
+            "f",
+            [casadi.SX.sym(name, size) for name, size in zip("yvaud", (2, 2, 2, 1, 4), strict=True)],
+            [casadi.SX.zeros(3)],
+        ),
+        casadi.Function(
+            "f",
+            [casadi.SX.sym(name, size) for name, size in zip("yvaud", (2, 2, 2, 1, 4), strict=True)],
+            [casadi.SX(2, 1)],
+        ),
+    ],
+    ids=["arguments", "shape", "sparse"],
+)
+def test_wrong_shape_is_refused(make_oscillators: MakeModel, wrong: casadi.Function) -> None:
+    """A function of another shape would make the runtime read beyond its arrays."""
+    model = make_oscillators()
+    with pytest.raises(ModelError, match="residual"):
+        generate_functions(replace(model, functions={**model.functions, "residual": wrong}))
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_numbers_in_c_are_exact(value: float) -> None:
+    """A start value in the binary is the start value in the description, to the last bit."""
+    assert float(c_double(value)) == value
+
+
+def test_infinite_constant_is_refused() -> None:
+    """A value that is no number is found before it is compiled in."""
+    with pytest.raises(ModelError, match="finite"):
+        c_double(float("nan"))
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.text())
+def test_strings_in_c_survive(text: str) -> None:
+    """Any name or sentence can stand in the generated C: quotes, backslashes, trigraphs, all of Unicode."""
+    literal = c_string(text)
+    body = literal[1:-1]
+    assert literal[0] == literal[-1] == '"'
+    assert body.isascii()
+    assert body.encode().decode("unicode_escape").encode("latin-1") == text.encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("barnard2012-6kg", "barnard2012_6kg"), ("6 kg", "model_6_kg"), ("", "model_")]
+)
+def test_model_names_become_identifiers(name: str, expected: str) -> None:
+    """The library's file name must be a C identifier by the FMI standard."""
+    assert identifier(name) == expected

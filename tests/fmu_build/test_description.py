@@ -1,0 +1,160 @@
+"""modelDescription.xml against the rules of FMI 2.0."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fmpy.model_description import read_model_description
+
+from flexfmu.fmu_build.description import model_description
+from flexfmu.fmu_build.errors import BuildError, ModelError
+from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.interface import STATISTICS, build_interface
+from flexfmu.model.symbolic import SymbolicModel
+
+MakeModel = Callable[..., SymbolicModel]
+
+
+@pytest.fixture
+def read(tmp_path: Path) -> Callable[[SymbolicModel], Any]:
+    """Write the description of a model and read it back with all of fmpy's checks."""
+
+    def write_and_read(model: SymbolicModel) -> Any:
+        text = model_description(model, "{guid}", DefaultExperiment(0.68, 2e-4, 1e-7), ("one.c", "two.c"))
+        (tmp_path / "modelDescription.xml").write_text(text, encoding="utf-8")
+        return read_model_description(
+            str(tmp_path), validate=True, validate_variable_names=True, validate_model_structure=True
+        )
+
+    return write_and_read
+
+
+@pytest.mark.parametrize("model", ["make_oscillators", "make_lever"])
+def test_description_passes_schema_and_rules(model: str, read: Any, request: pytest.FixtureRequest) -> None:
+    """Schema, names, legal combinations, units and model structure, as fmpy checks them."""
+    make: MakeModel = request.getfixturevalue(model)
+    assert read(make()).guid == "{guid}"
+
+
+def test_capabilities_are_what_the_runtime_does(make_oscillators: MakeModel, read: Any) -> None:
+    """A master relies on these flags before it calls."""
+    slave = read(make_oscillators()).coSimulation
+    assert slave.modelIdentifier == "oscillators"
+    assert slave.canHandleVariableCommunicationStepSize
+    assert slave.canInterpolateInputs
+    assert slave.maxOutputDerivativeOrder == 2
+    assert slave.canGetAndSetFMUstate
+    assert slave.canSerializeFMUstate
+    assert not slave.canBeInstantiatedOnlyOncePerProcess
+
+
+def test_default_experiment_is_the_one_asked_for(make_oscillators: MakeModel, read: Any) -> None:
+    """Without arguments a tool runs the scene's motion with the scene's step and tolerance."""
+    experiment = read(make_oscillators()).defaultExperiment
+    values = experiment.startTime, experiment.stopTime, experiment.stepSize, experiment.tolerance
+    assert [float(value) for value in values] == [0.0, 0.68, 2e-4, 1e-7]
+
+
+def test_value_references_count_inputs_parameters_outputs(make_oscillators: MakeModel, read: Any) -> None:
+    """The runtime indexes its arrays by value reference, in this order."""
+    model = make_oscillators()
+    variables = read(model).modelVariables
+    reals = [variable for variable in variables if variable.type == "Real"]
+    names = [variable.name for variable in (*model.inputs, *model.parameters, *model.outputs)]
+    assert [variable.name for variable in reals] == names
+    assert [variable.valueReference for variable in reals] == list(range(len(names)))
+    others = [(v.name, v.type, v.valueReference) for v in variables if v.type != "Real"]
+    counters = [(name, "Integer", count) for count, name in enumerate(STATISTICS, start=1)]
+    assert others == [("initial", "Enumeration", 0), *counters]
+
+
+def test_tunable_parameters_say_so(make_oscillators: MakeModel, read: Any) -> None:
+    """A tool may change tunable parameters only while the simulation runs."""
+    variability = {variable.name: variable.variability for variable in read(make_oscillators()).modelVariables}
+    assert variability["damping.time"] == "tunable"
+    assert variability["mass"] == "fixed"
+
+
+@pytest.mark.parametrize(("static", "start"), [(True, "1"), (False, "2")])
+def test_initial_state_starts_as_the_model_says(
+    make_oscillators: MakeModel, read: Any, static: bool, start: str
+) -> None:
+    """`initial` is an enumeration with the scene's choice as its start."""
+    variable = next(v for v in read(make_oscillators(static_start=static)).modelVariables if v.name == "initial")
+    assert (variable.type, variable.start, variable.declaredType.name) == ("Enumeration", start, "Initial")
+    assert [(item.name, int(item.value)) for item in variable.declaredType.items] == [("static", 1), ("undeformed", 2)]
+
+
+def test_outputs_depend_on_states_and_on_what_feeds_through(make_oscillators: MakeModel, read: Any) -> None:
+    """Masters sort slaves by these dependencies: a missing one is a wrong order, one too many a false algebraic loop."""
+    depends = {u.variable.name: {v.name for v in u.dependencies} for u in read(make_oscillators()).outputs}
+    states = {"first.position", "der(first.position)", "second.position", "der(second.position)"}
+    assert depends["power"] == states | {"force"}
+    assert depends["first.spring_force"] == states
+    assert depends["der(second.position,2)"] == states
+    assert depends["first.position"] == {"first.position"}
+
+
+def test_derivatives_are_the_state_derivatives(make_oscillators: MakeModel, read: Any) -> None:
+    """Velocities and accelerations of the coordinates, each tied to the state that it derives."""
+    derivatives = {u.variable.name: u.variable.derivative.name for u in read(make_oscillators()).derivatives}
+    assert derivatives == {
+        "der(first.position)": "first.position",
+        "der(first.position,2)": "der(first.position)",
+        "der(second.position)": "second.position",
+        "der(second.position,2)": "der(second.position)",
+    }
+
+
+def test_initial_unknowns_depend_on_all_that_can_be_set(make_oscillators: MakeModel, read: Any) -> None:
+    """The static equilibrium couples everything: inputs, parameters and the choice of the start."""
+    model = make_oscillators()
+    unknowns = read(model).initialUnknowns
+    settable = {variable.name for variable in (*model.inputs, *model.parameters)} | {"initial"}
+    assert {unknown.variable.name for unknown in unknowns} == {output.name for output in model.outputs}
+    assert all({v.name for v in unknown.dependencies} == settable for unknown in unknowns)
+
+
+def test_starts_are_exact(make_oscillators: MakeModel, read: Any) -> None:
+    """The decimal start in the description is the binary start in the FMU."""
+    variables = {v.name: v for v in read(make_oscillators(mass=0.1 + 0.2)).modelVariables}
+    assert float(variables["mass"].start) == 0.1 + 0.2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start": None}, "needs a start value"),
+        ({"start": -1.0}, "must be within 0.5 to inf kg, got -1.0"),
+        ({"name": "stiffness"}, "more than once"),
+        ({"name": "initial"}, "more than once"),
+        ({"unit": "stone"}, "stone"),
+    ],
+)
+def test_contradictory_parameter_is_refused(
+    make_oscillators: MakeModel, read: Any, change: dict[str, Any], message: str
+) -> None:
+    """A wrong model gives one sentence, not a file that importers refuse."""
+    model = make_oscillators()
+    mass = replace(model.parameters[0], **{"minimum": 0.5, **change})
+    with pytest.raises(ModelError, match=message):
+        read(replace(model, parameters=(mass, *model.parameters[1:])))
+
+
+def test_feedthrough_must_name_inputs(make_oscillators: MakeModel) -> None:
+    """Dependencies on something that isn't an input, or no entry at all, are a mistake of the model."""
+    model = make_oscillators()
+    for feedthrough in ({}, {**model.feedthrough, "power": ("mass",)}):
+        with pytest.raises(ModelError, match="feedthrough"):
+            build_interface(replace(model, feedthrough=feedthrough))
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("inf"), float("nan")])
+def test_impossible_default_experiment_is_refused(value: float) -> None:
+    """NaN and negative times never get into a file."""
+    with pytest.raises(BuildError, match="stop_time"):
+        DefaultExperiment(stop_time=value)

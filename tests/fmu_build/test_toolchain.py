@@ -1,0 +1,114 @@
+"""Finding and running the C compiler."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from flexfmu.fmu_build import toolchain
+from flexfmu.fmu_build.elf import exported_symbols
+from flexfmu.fmu_build.errors import CompileError, MissingCompilerError, PlatformError
+from flexfmu.fmu_build.platforms import PLATFORMS, find_platforms, native_platform
+from flexfmu.fmu_build.toolchain import CompileJob, find_compiler
+
+HAS_ZIG = importlib.util.find_spec("ziglang") is not None
+
+
+@pytest.fixture
+def without_zig(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if ziglang were not installed."""
+    monkeypatch.setattr(toolchain.importlib.util, "find_spec", lambda name: None)
+
+
+def _build(folder: Path, code: str, flags: tuple[str, ...] = ()) -> Path:
+    (folder / "answer.c").write_text(code)
+    compiler = find_compiler(native_platform())
+    compiler.compile([CompileJob("answer.c", flags)], folder)
+    compiler.link(["answer.o"], "answer.so", folder)
+    return folder / "answer.so"
+
+
+def test_compiled_code_runs(tmp_path: Path) -> None:
+    """The compiler that is found makes libraries that load here."""
+    library = _build(tmp_path, '__attribute__((visibility("default"))) int answer(void) { return 42; }')
+    assert ctypes.CDLL(str(library)).answer() == 42
+
+
+def test_nothing_is_exported_by_accident(tmp_path: Path) -> None:
+    """Two FMUs in one process must not see each other's functions."""
+    library = _build(tmp_path, "int hidden; int answer(void) { return 42; }")
+    assert exported_symbols(library.read_bytes()) == set()
+
+
+def test_compiler_error_is_one_line_with_the_place(tmp_path: Path) -> None:
+    """The first error of the compiler is what a person needs; a page of output is not."""
+    with pytest.raises(CompileError, match=r"compiling answer\.c with .* failed: answer\.c:1:.*error") as caught:
+        _build(tmp_path, "int answer(void) { return 42 }")
+    assert "\n" not in str(caught.value)
+
+
+def test_linker_error_is_one_line(tmp_path: Path) -> None:
+    """A missing object is the linker's error, not a traceback."""
+    with pytest.raises(CompileError, match=r"linking answer\.so"):
+        find_compiler(native_platform()).link(["none.o"], "answer.so", tmp_path)
+
+
+@pytest.mark.usefixtures("without_zig")
+def test_missing_compiler_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a bare machine the message is the remedy."""
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(MissingCompilerError, match=r"install gcc or clang, or run: pip install flexfmu\[zig\]"):
+        find_compiler(native_platform())
+
+
+def test_cc_variable_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """CC chooses the compiler, with arguments if it has some."""
+    monkeypatch.setenv("CC", "gcc -m64")
+    assert find_compiler(native_platform()).command == ("gcc", "-m64")
+
+
+def test_wrong_cc_variable_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mistyped CC is named, not silently replaced by another compiler."""
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(MissingCompilerError, match="'no-such-compiler' of the variable CC"):
+        find_compiler(native_platform())
+
+
+@pytest.mark.usefixtures("without_zig")
+def test_foreign_platform_needs_zig(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cross compilation without zig says what to install."""
+    foreign = next(target for target in PLATFORMS.values() if target != native_platform())
+    with pytest.raises(MissingCompilerError, match=rf"for {foreign.name} on .*pip install flexfmu\[zig\]"):
+        find_compiler(foreign)
+
+
+@pytest.mark.skipif(not HAS_ZIG, reason="needs ziglang")
+def test_zig_is_the_last_resort(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A compiler from PyPI serves where the system has none."""
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    assert "ziglang" in find_compiler(native_platform()).command
+
+
+def test_unknown_platform_lists_the_known_ones() -> None:
+    """A typing error in --platform is answered with the choice."""
+    with pytest.raises(PlatformError, match="unknown platform 'linux'; choose from linux64, win64, darwin64"):
+        find_platforms(["linux"])
+
+
+def test_platforms_are_sorted_and_unique() -> None:
+    """The same set of platforms is the same FMU, however it is asked for."""
+    assert find_platforms(["win64", "linux64", "win64"]) == find_platforms(["linux64", "win64"])
+    assert find_platforms(None) == (native_platform(),)
+
+
+def test_other_compiler_has_another_identity(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Object files of one compiler are not taken for those of another."""
+    monkeypatch.setenv("CC", "gcc")
+    first = find_compiler(native_platform()).identity()
+    monkeypatch.setenv("CC", "gcc -m64")
+    assert find_compiler(native_platform()).identity() != first
