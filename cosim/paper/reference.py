@@ -127,8 +127,15 @@ def read_data(name: str) -> dict[str, Any]:
 def source() -> Source:
     """The paper itself."""
     data = read_data("source")
-    lists = {key: tuple(data.pop(key)) for key in ("authors", "remarks")}
-    return Source(**data, **lists)
+    return Source(
+        authors=tuple(data["authors"]),
+        title=data["title"],
+        event=data["event"],
+        number=data["number"],
+        doi=data["doi"],
+        url=data["url"],
+        remarks=tuple(data["remarks"]),
+    )
 
 
 @cache
