@@ -229,20 +229,18 @@ static flex_outcome iterate(flex_stages *stages, double h, const double *y, cons
     solve_blocks(stages);
     for (int i = 0; i < count; i++) stages->acceleration[i] -= stages->residual[i];
     record->iterations++;
-    record->excess_iterations += 1.0;
 
     double increment = stage_norm(stages, stages->residual);
     if (!isfinite(increment)) return FLEX_NOT_FINITE;
-    if (increment <= floor) return FLEX_DONE;
-
-    // the contraction that was seen says what is left
     if (k > 1) {
       contraction = increment / previous;
-      if (contraction >= 0.5 && increment <= 1e3 * floor) return FLEX_DONE;
-      if (contraction >= 0.9) return FLEX_NO_CONVERGENCE;
-      record->contraction = contraction;
       record->unchecked_steps = 0;
     }
+
+    // rounding errors don't contract; otherwise the contraction that was seen says what is left
+    if (increment <= floor || (contraction >= 0.5 && increment <= 1e3 * floor)) return FLEX_DONE;
+    if (contraction >= 0.9) return FLEX_NO_CONVERGENCE;
+    record->contraction = contraction;
     if (k >= least && contraction / (1.0 - contraction) * increment <= target) return FLEX_DONE;
     previous = increment;
   }
@@ -256,11 +254,11 @@ static int matrix_is_worn(const flex_stages *stages) {
   return !record->have_jacobian || record->contraction > SLOW_CONTRACTION || cost > 3.0 * stages->n + 10.0;
 }
 
-// iterations beyond what the first steps after a refresh took count as excess
-static void note_iterations(flex_stages_record *record, double excess_before) {
-  double taken = record->excess_iterations - excess_before;
-  if (record->fresh_steps == 0 || taken < record->usual_iterations) record->usual_iterations = taken;
-  record->excess_iterations -= fmin(taken, record->usual_iterations);
+// iterations beyond the best step since the refresh count as excess, but for the one that measures the contraction
+static void note_iterations(flex_stages_record *record, int taken, int measured) {
+  double useful = taken - (measured && taken == 2);
+  if (record->fresh_steps == 0 || useful < record->usual_iterations) record->usual_iterations = useful;
+  record->excess_iterations += useful - record->usual_iterations;
   record->fresh_steps++;
   record->unchecked_steps++;
 }
@@ -281,11 +279,11 @@ flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const do
       flex_inputs_evaluate(stages->inputs, t, tableau->c[i] * h, stages->u + i * stages->inputs->count);
 
     // one more attempt with a fresh matrix if an old one failed
-    int was_fresh = record->fresh_steps == 0;
-    double excess_before = record->excess_iterations;
+    int was_fresh = record->fresh_steps == 0, measures = record->unchecked_steps >= UNCHECKED_STEPS;
+    long long before = record->iterations;
     flex_outcome outcome = iterate(stages, h, y, v, scale, target);
     if (outcome == FLEX_DONE) {
-      note_iterations(record, excess_before);
+      note_iterations(record, (int)(record->iterations - before), measures);
       return outcome;
     }
     record->have_jacobian = 0;

@@ -1,0 +1,393 @@
+#include "models.h"
+
+#include <math.h>
+#include <string.h>
+
+#define LIMITLESS -HUGE_VAL, HUGE_VAL
+#define FUNCTION(f) {f, 9, 1, 0, 0}
+
+typedef const double **in;
+typedef double **out;
+
+/* functions that several models share */
+
+static int no_inputs(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)res, (void)iw, (void)w, (void)mem;
+  return 0;
+}
+
+static int zero_input(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = 0.0;
+  return 0;
+}
+
+static int nothing_to_derive(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)res, (void)iw, (void)w, (void)mem;
+  return 0;
+}
+
+static int ample_margin(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = 1.0;
+  return 0;
+}
+
+static int unit_mass_1(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = 1.0;
+  return 0;
+}
+
+static int unit_scale_1(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = 1.0, res[0][1] = 1.0, res[0][2] = 1e-6;
+  return 0;
+}
+
+static int unit_scale_2(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = res[0][1] = res[0][2] = res[0][3] = 1.0, res[0][4] = 1e-6;
+  return 0;
+}
+
+/* oscillators: y = R q, R orthogonal (columns 1, 2, 2 over 3 and so on); d = frequencies and damping ratio */
+
+static const double rotation[3][3] = {{1.0 / 3, -2.0 / 3, 2.0 / 3}, {2.0 / 3, -1.0 / 3, -2.0 / 3}, {2.0 / 3, 2.0 / 3, 1.0 / 3}};
+
+static int oscillators_derive(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  memcpy(res[0], arg[0], 4 * sizeof(double));
+  return 0;
+}
+
+static int oscillators_inputs(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = res[0][1] = res[0][2] = 0.0;
+  return 0;
+}
+
+// x'' + 2 zeta w x' + w^2 (x - u) in the mixed frame
+static void oscillators_balance(const double *y, const double *v, const double *a, const double *u, const double *d, double *r) {
+  double f[3];
+  for (int k = 0; k < 3; k++) {
+    double q = 0.0, p = 0.0;
+    for (int i = 0; i < 3; i++) q += rotation[i][k] * (y[i] - u[i]), p += rotation[i][k] * v[i];
+    f[k] = 2.0 * d[3] * d[k] * p + d[k] * d[k] * q;
+  }
+  for (int i = 0; i < 3; i++) {
+    r[i] = a[i];
+    for (int k = 0; k < 3; k++) r[i] += rotation[i][k] * f[k];
+  }
+}
+
+static int oscillators_residual(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  oscillators_balance(arg[0], arg[1], arg[2], arg[3], arg[4], res[0]);
+  return 0;
+}
+
+static int oscillators_mass(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  for (int i = 0; i < 9; i++) res[0][i] = i % 4 == 0;
+  return 0;
+}
+
+static int oscillators_outputs(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  for (int k = 0; k < 3; k++) memcpy(res[0] + 3 * k, arg[k], 3 * sizeof(double));
+  return 0;
+}
+
+// arg: y, v, a, j, u, u1, d
+static int oscillators_residual_rate(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  oscillators_balance(arg[1], arg[2], arg[3], arg[5], arg[6], res[0]);
+  return 0;
+}
+
+static int oscillators_outputs_rate(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  for (int k = 0; k < 3; k++) memcpy(res[0] + 3 * k, arg[k + 1], 3 * sizeof(double));
+  return 0;
+}
+
+// arg: y, v, a, j, s, u, u1, u2, d
+static int oscillators_residual_rate2(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  oscillators_balance(arg[2], arg[3], arg[4], arg[7], arg[8], res[0]);
+  return 0;
+}
+
+static int oscillators_outputs_rate2(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  for (int k = 0; k < 3; k++) memcpy(res[0] + 3 * k, arg[k + 2], 3 * sizeof(double));
+  return 0;
+}
+
+// energy norm, bounded in the mixed frame by the largest frequency
+static int oscillators_scale(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double *d = arg[0];
+  for (int i = 0; i < 3; i++) {
+    res[0][i] = 0.0;
+    for (int k = 0; k < 3; k++) res[0][i] += rotation[i][k] * rotation[i][k] * d[k] * d[k];
+    res[0][3 + i] = 1.0;
+  }
+  res[0][6] = 1e-6;
+  return 0;
+}
+
+static const flex_variable oscillator_inputs[] = {
+    {"equilibrium1", "m", 0.0, LIMITLESS, 0}, {"equilibrium2", "m", 0.0, LIMITLESS, 0}, {"equilibrium3", "m", 0.0, LIMITLESS, 0}};
+static const flex_variable oscillator_parameters[] = {{"frequency1", "rad/s", 1.0, 0.0, 1e9, 0},
+                                                      {"frequency2", "rad/s", 3.0, 0.0, 1e9, 0},
+                                                      {"frequency3", "rad/s", 7.0, 0.0, 1e9, 0},
+                                                      {"damping.ratio", "1", 0.0, 0.0, 10.0, 1}};
+static const flex_variable oscillator_outputs[] = {
+    {"y1", "m", 0.0, LIMITLESS, 0},   {"y2", "m", 0.0, LIMITLESS, 0},   {"y3", "m", 0.0, LIMITLESS, 0},
+    {"v1", "m/s", 0.0, LIMITLESS, 0}, {"v2", "m/s", 0.0, LIMITLESS, 0}, {"v3", "m/s", 0.0, LIMITLESS, 0},
+    {"a1", "m/s2", 0.0, LIMITLESS, 0}, {"a2", "m/s2", 0.0, LIMITLESS, 0}, {"a3", "m/s2", 0.0, LIMITLESS, 0}};
+
+const flex_model oscillators = {
+    .name = "oscillators", .guid = "{oscillators}", .n = 3, .n_inputs = 3, .n_parameters = 4, .n_derived = 4, .n_outputs = 9,
+    .max_input_order = 9, .input_variables = oscillator_inputs, .parameter_variables = oscillator_parameters,
+    .output_variables = oscillator_outputs, .static_start = 1, .default_tolerance = 1e-6, .minimum_margin = 0.0,
+    .margin_name = "margin", .derive = FUNCTION(oscillators_derive), .initial_inputs = FUNCTION(oscillators_inputs),
+    .residual = FUNCTION(oscillators_residual), .mass_matrix = FUNCTION(oscillators_mass), .outputs = FUNCTION(oscillators_outputs),
+    .residual_rate = FUNCTION(oscillators_residual_rate), .residual_rate2 = FUNCTION(oscillators_residual_rate2),
+    .outputs_rate = FUNCTION(oscillators_outputs_rate), .outputs_rate2 = FUNCTION(oscillators_outputs_rate2),
+    .singularity = FUNCTION(ample_margin), .error_scale = FUNCTION(oscillators_scale)};
+
+/* pendulum */
+
+static int pendulum_residual(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[2][0] + sin(arg[0][0]) - arg[3][0];
+  return 0;
+}
+
+static int pendulum_energy(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = 0.5 * arg[1][0] * arg[1][0] - cos(arg[0][0]);
+  return 0;
+}
+
+// arg: y, v, a, j, u, u1, d
+static int pendulum_residual_rate(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[3][0] + cos(arg[0][0]) * arg[1][0] - arg[5][0];
+  return 0;
+}
+
+static int pendulum_energy_rate(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[1][0] * (arg[2][0] + sin(arg[0][0]));
+  return 0;
+}
+
+// arg: y, v, a, j, s, u, u1, u2, d
+static int pendulum_residual_rate2(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  double y = arg[0][0], v = arg[1][0];
+  res[0][0] = arg[4][0] - sin(y) * v * v + cos(y) * arg[2][0] - arg[7][0];
+  return 0;
+}
+
+static int pendulum_energy_rate2(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  double y = arg[0][0], v = arg[1][0], a = arg[2][0];
+  res[0][0] = a * (a + sin(y)) + v * (arg[3][0] + cos(y) * v);
+  return 0;
+}
+
+static const flex_variable torque_input[] = {{"torque", "N.m", 0.0, -10.0, 10.0, 0}};
+static const flex_variable energy_output[] = {{"energy", "J", 0.0, LIMITLESS, 0}};
+
+const flex_model pendulum = {
+    .name = "pendulum", .guid = "{pendulum}", .n = 1, .n_inputs = 1, .n_outputs = 1, .max_input_order = 9,
+    .input_variables = torque_input, .output_variables = energy_output, .static_start = 1, .default_tolerance = 1e-6,
+    .margin_name = "margin", .derive = FUNCTION(nothing_to_derive), .initial_inputs = FUNCTION(zero_input),
+    .residual = FUNCTION(pendulum_residual), .mass_matrix = FUNCTION(unit_mass_1), .outputs = FUNCTION(pendulum_energy),
+    .residual_rate = FUNCTION(pendulum_residual_rate), .residual_rate2 = FUNCTION(pendulum_residual_rate2),
+    .outputs_rate = FUNCTION(pendulum_energy_rate), .outputs_rate2 = FUNCTION(pendulum_energy_rate2),
+    .singularity = FUNCTION(ample_margin), .error_scale = FUNCTION(unit_scale_1)};
+
+/* orbit */
+
+static int orbit_residual(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double *y = arg[0], *a = arg[2];
+  double square = y[0] * y[0] + y[1] * y[1], cube = square * sqrt(square);
+  for (int i = 0; i < 2; i++) res[0][i] = a[i] + y[i] / cube;
+  return 0;
+}
+
+static int orbit_mass(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = res[0][3] = 1.0, res[0][1] = res[0][2] = 0.0;
+  return 0;
+}
+
+static int orbit_invariants(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double *y = arg[0], *v = arg[1];
+  res[0][0] = 0.5 * (v[0] * v[0] + v[1] * v[1]) - 1.0 / sqrt(y[0] * y[0] + y[1] * y[1]);
+  res[0][1] = y[0] * v[1] - y[1] * v[0];
+  return 0;
+}
+
+static int unknown_rates(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)res, (void)iw, (void)w, (void)mem;
+  return 1;
+}
+
+static const flex_variable invariant_outputs[] = {{"energy", "J", 0.0, LIMITLESS, 0}, {"momentum", "kg.m2/s", 0.0, LIMITLESS, 0}};
+
+const flex_model orbit = {
+    .name = "orbit", .guid = "{orbit}", .n = 2, .n_outputs = 2, .output_variables = invariant_outputs, .default_tolerance = 1e-6,
+    .margin_name = "margin", .derive = FUNCTION(nothing_to_derive), .initial_inputs = FUNCTION(no_inputs),
+    .residual = FUNCTION(orbit_residual), .mass_matrix = FUNCTION(orbit_mass), .outputs = FUNCTION(orbit_invariants),
+    .residual_rate = FUNCTION(unknown_rates), .residual_rate2 = FUNCTION(unknown_rates), .outputs_rate = FUNCTION(unknown_rates),
+    .outputs_rate2 = FUNCTION(unknown_rates), .singularity = FUNCTION(ample_margin), .error_scale = FUNCTION(unit_scale_2)};
+
+/* double pendulum with angles y from the vertical */
+
+static int double_pendulum_mass(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  double c = cos(arg[0][0] - arg[0][1]);
+  res[0][0] = 2.0, res[0][1] = res[0][2] = c, res[0][3] = 1.0;
+  return 0;
+}
+
+static int double_pendulum_residual(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double *y = arg[0], *v = arg[1], *a = arg[2];
+  double c = cos(y[0] - y[1]), s = sin(y[0] - y[1]);
+  res[0][0] = 2.0 * a[0] + c * a[1] + s * v[1] * v[1] + 2.0 * sin(y[0]);
+  res[0][1] = c * a[0] + a[1] - s * v[0] * v[0] + sin(y[1]);
+  return 0;
+}
+
+static int double_pendulum_energy(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double *y = arg[0], *v = arg[1];
+  res[0][0] = v[0] * v[0] + 0.5 * v[1] * v[1] + v[0] * v[1] * cos(y[0] - y[1]) - 2.0 * cos(y[0]) - cos(y[1]);
+  return 0;
+}
+
+const flex_model double_pendulum = {
+    .name = "double_pendulum", .guid = "{double_pendulum}", .n = 2, .n_outputs = 1, .output_variables = energy_output,
+    .default_tolerance = 1e-6, .margin_name = "margin", .derive = FUNCTION(nothing_to_derive), .initial_inputs = FUNCTION(no_inputs),
+    .residual = FUNCTION(double_pendulum_residual), .mass_matrix = FUNCTION(double_pendulum_mass),
+    .outputs = FUNCTION(double_pendulum_energy), .residual_rate = FUNCTION(unknown_rates), .residual_rate2 = FUNCTION(unknown_rates),
+    .outputs_rate = FUNCTION(unknown_rates), .outputs_rate2 = FUNCTION(unknown_rates), .singularity = FUNCTION(ample_margin),
+    .error_scale = FUNCTION(unit_scale_2)};
+
+/* rigid: u, u' and u'' of the input are all there is */
+
+static int rigid_outputs(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[3][0] * arg[3][0];
+  return 0;
+}
+
+static int rigid_outputs_rate(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = 2.0 * arg[4][0] * arg[5][0];
+  return 0;
+}
+
+static int rigid_outputs_rate2(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = 2.0 * (arg[6][0] * arg[6][0] + arg[5][0] * arg[7][0]);
+  return 0;
+}
+
+static int margin_below_one(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = 1.0 - arg[1][0];
+  return 0;
+}
+
+static int unit_floor(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = 1.0;
+  return 0;
+}
+
+static const flex_variable angle_input[] = {{"angle", "rad", 0.0, LIMITLESS, 0}};
+static const flex_variable square_output[] = {{"square", "rad2", 0.0, LIMITLESS, 0}};
+
+const flex_model rigid = {
+    .name = "rigid", .guid = "{rigid}", .n_inputs = 1, .n_outputs = 1, .max_input_order = 9, .input_variables = angle_input,
+    .output_variables = square_output, .static_start = 1, .default_tolerance = 1e-6, .minimum_margin = 0.0,
+    .margin_name = "distance to the wall", .derive = FUNCTION(nothing_to_derive), .initial_inputs = FUNCTION(zero_input),
+    .residual = FUNCTION(no_inputs), .mass_matrix = FUNCTION(no_inputs), .outputs = FUNCTION(rigid_outputs),
+    .residual_rate = FUNCTION(no_inputs), .residual_rate2 = FUNCTION(no_inputs), .outputs_rate = FUNCTION(rigid_outputs_rate),
+    .outputs_rate2 = FUNCTION(rigid_outputs_rate2), .singularity = FUNCTION(margin_below_one), .error_scale = FUNCTION(unit_floor)};
+
+/* fragile: d = limit, load */
+
+static int fragile_derive(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[0][0], res[0][1] = arg[0][1];
+  return 0;
+}
+
+static int fragile_residual(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double *d = arg[4];
+  res[0][0] = arg[0][0] > d[0] ? NAN : arg[2][0] + arg[0][0] - arg[3][0] - d[1];
+  return 0;
+}
+
+static int first_coordinate(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[0][0];
+  return 0;
+}
+
+static int fragile_residual_rate(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[3][0] + arg[1][0] - arg[5][0];
+  return 0;
+}
+
+static int fragile_residual_rate2(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[4][0] + arg[2][0] - arg[7][0];
+  return 0;
+}
+
+static int second_argument(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[1][0];
+  return 0;
+}
+
+static int third_argument(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[2][0];
+  return 0;
+}
+
+static int margin_below_two(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = 2.0 - arg[1][0];
+  return 0;
+}
+
+static const flex_variable fragile_parameters[] = {{"limit", "m", 10.0, -HUGE_VAL, 100.0, 0}, {"load", "N", 0.0, -5.0, 5.0, 1}};
+static const flex_variable force_input[] = {{"force", "N", 0.0, -100.0, 100.0, 0}};
+static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS, 0}};
+
+const flex_model fragile = {
+    .name = "fragile", .guid = "{fragile}", .n = 1, .n_inputs = 1, .n_parameters = 2, .n_derived = 2, .n_outputs = 1,
+    .max_input_order = 3, .input_variables = force_input, .parameter_variables = fragile_parameters,
+    .output_variables = position_output, .static_start = 1, .default_tolerance = 1e-6, .minimum_margin = 0.5,
+    .margin_name = "distance between the elbows (m)", .derive = FUNCTION(fragile_derive), .initial_inputs = FUNCTION(zero_input),
+    .residual = FUNCTION(fragile_residual), .mass_matrix = FUNCTION(unit_mass_1), .outputs = FUNCTION(first_coordinate),
+    .residual_rate = FUNCTION(fragile_residual_rate), .residual_rate2 = FUNCTION(fragile_residual_rate2),
+    .outputs_rate = FUNCTION(second_argument), .outputs_rate2 = FUNCTION(third_argument), .singularity = FUNCTION(margin_below_two),
+    .error_scale = FUNCTION(unit_scale_1)};

@@ -1,0 +1,27 @@
+/* Small models with known motions, written by hand in the form of generated ones. */
+#ifndef FLEXFMU_TEST_MODELS_H
+#define FLEXFMU_TEST_MODELS_H
+
+#include "model.h"
+
+/* three oscillators y'' + 2 zeta w y' + w^2 (y - u) = 0, mixed by a rotation so that all matrices are full;
+ * parameters: three angular frequencies and one damping ratio; static equilibrium y = u;
+ * outputs: the three coordinates in the mixed frame, their rates and accelerations */
+extern const flex_model oscillators;
+
+/* a pendulum of unit length and mass in unit gravity, y'' + sin(y) = u; one output: its energy */
+extern const flex_model pendulum;
+
+/* two bodies in their orbit, y'' = -y/|y|^3; outputs: energy and angular momentum */
+extern const flex_model orbit;
+
+/* double pendulum of unit lengths and masses in unit gravity: a mass matrix that changes; one output: its energy */
+extern const flex_model double_pendulum;
+
+/* no unknowns: outputs are the square of the input and its margin 1 - u */
+extern const flex_model rigid;
+
+/* y'' + y = u, which gives NaN where y exceeds `limit`, with the margin 2 - u; outputs: y; parameter `load` is tunable */
+extern const flex_model fragile;
+
+#endif
