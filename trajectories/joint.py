@@ -16,8 +16,12 @@ from flexfmu.trajectories.jets import Array, Jet, checked_order
 from flexfmu.trajectories.trajectory import Trajectory
 
 SAMPLES_PER_INTERVAL = 200
-"""Points between two breakpoints at which the margins are first looked at; between two of them a margin has at most
-one minimum and a joint turns by far less than π."""
+"""Points between two breakpoints at which margins and angles are first looked at; between two of them a margin has at
+most one minimum."""
+
+LARGEST_TURN = 1.0
+"""Angle [rad] that a joint may turn between two samples, far below the π at which turns become ambiguous; where it turns
+more, next to a base, samples are added."""
 
 REFINEMENTS = 24
 """Rounds in which the neighbourhood of a smallest margin shrinks to a quarter: its time is exact to 1e-14 of the
@@ -95,9 +99,19 @@ class JointTrajectory:
     def _samples(self) -> tuple[Array, Array]:
         """Sample times [s], shape (N,), and continuous joint angles [rad], shape (N, 2)."""
         time = _sample_times(self.task)
+        for _ in range(REFINEMENTS):
+            angles = np.unwrap(self._principal_angles(time), axis=0)
+            wide = np.flatnonzero(np.max(np.abs(np.diff(angles, axis=0)), axis=1) > LARGEST_TURN)
+            if not wide.size:
+                break
+            time = np.insert(time, wide + 1, 0.5 * (time[wide] + time[wide + 1]))
+        return time, angles
+
+    def _principal_angles(self, time: Array) -> Array:
+        """Joint angles modulo 2π [rad], shape (N, 2)."""
         position = self.task.evaluate(time, 0)
         angles = self.kinematics.joints(Jet(position[:, :, 0]), Jet(position[:, :, 1]))
-        return time, np.unwrap(np.stack([angle.value for angle in angles], axis=-1), axis=0)
+        return np.stack([angle.value for angle in angles], axis=-1)
 
     def _reference(self, time: Array) -> Array:
         """Angles between the samples [rad], good to much less than π, shape (N, 2)."""

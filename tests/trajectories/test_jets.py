@@ -1,0 +1,171 @@
+"""Jets against known series and against algebraic identities."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from flexfmu.trajectories import Jet, TrajectoryError
+from flexfmu.trajectories.jets import arctan2, compose, cos, power, revert, sin, sincos, sqrt, stack
+
+ORDER = 12
+
+coefficients = arrays(float, (7, 3), elements=st.floats(-2.0, 2.0))
+seeded = settings(derandomize=True, deadline=None, max_examples=60)
+
+
+def variable(value: float = 0.0) -> Jet:
+    return Jet.variable(value, ORDER)
+
+
+@pytest.mark.parametrize(
+    ("jet", "series"),
+    [
+        (1.0 / (1.0 - variable()), [1.0] * (ORDER + 1)),
+        (sin(variable()), [math.sin(k * math.pi / 2) / math.factorial(k) for k in range(ORDER + 1)]),
+        (cos(variable()), [math.cos(k * math.pi / 2) / math.factorial(k) for k in range(ORDER + 1)]),
+        (arctan2(variable(), Jet.constant(1.0, ORDER)), [math.sin(k * math.pi / 2) / max(k, 1) for k in range(ORDER + 1)]),
+        (sqrt(1.0 + 4.0 * variable()), [-((-1) ** k) * math.comb(2 * k, k) / (2 * k - 1) for k in range(ORDER + 1)]),
+        (power(1.0 - variable(), -3.0), [math.comb(k + 2, 2) for k in range(ORDER + 1)]),
+    ],
+)
+def test_elementary_functions_have_their_known_series(jet: Jet, series: list[float]) -> None:
+    """Protects each recurrence against the textbook's Taylor series."""
+    np.testing.assert_allclose(jet.coefficients, series, rtol=1e-13, atol=1e-15)
+
+
+def test_reversion_of_sine_is_arcsine() -> None:
+    """Protects series reversion, on which arc-length derivatives rest, against a known inverse function."""
+    arcsine = [math.comb(k - 1, (k - 1) // 2) / (2 ** (k - 1) * k) if k % 2 else 0.0 for k in range(ORDER + 1)]
+    np.testing.assert_allclose(revert(sin(variable())).coefficients, arcsine, rtol=1e-13, atol=1e-15)
+
+
+@seeded
+@given(coefficients, coefficients)
+def test_product_is_the_truncated_product_of_polynomials(a: np.ndarray, b: np.ndarray) -> None:
+    """Protects multiplication, order by order and point by point."""
+    product = (Jet(a) * Jet(b)).coefficients
+    expected = np.stack([np.convolve(a[:, i], b[:, i])[:7] for i in range(3)], axis=1)
+    np.testing.assert_allclose(product, expected, rtol=0, atol=1e-13)
+
+
+@seeded
+@given(coefficients, coefficients)
+def test_division_undoes_multiplication(a: np.ndarray, b: np.ndarray) -> None:
+    """Protects division, for denominators well away from zero."""
+    denominator = Jet(0.2 * b) + 2.0
+    np.testing.assert_allclose((Jet(a) * denominator / denominator).coefficients, a, rtol=0, atol=1e-12)
+
+
+@seeded
+@given(coefficients)
+def test_roots_and_powers_agree(a: np.ndarray) -> None:
+    """Protects the root and the real power: (√u)² = u, u^½ = √u and u^(-1/3) cubed times u is 1."""
+    u = Jet(0.3 * a) + 2.0
+    root, third = sqrt(u), power(u, -1.0 / 3.0)
+    np.testing.assert_allclose((root * root).coefficients, u.coefficients, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(power(u, 0.5).coefficients, root.coefficients, rtol=0, atol=1e-12)
+    np.testing.assert_allclose((third * third * third * u - 1.0).coefficients, 0.0, atol=1e-12)
+
+
+@seeded
+@given(coefficients)
+def test_angle_is_recovered_from_sine_and_cosine(a: np.ndarray) -> None:
+    """Protects sine, cosine and the angle of a point against each other, also where the radius varies."""
+    angle = Jet(a)
+    s, c = sincos(angle)
+    radius = 2.0 + 0.5 * sin(2.0 * angle)
+    found = arctan2(radius * s, radius * c)
+    expected = a.copy()
+    expected[0] = np.arctan2(np.sin(a[0]), np.cos(a[0]))
+    np.testing.assert_allclose((s * s + c * c - 1.0).coefficients, 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.coefficients, expected, rtol=1e-9, atol=1e-9)
+
+
+@seeded
+@given(coefficients, coefficients)
+def test_composition_is_associative_with_multiplication(a: np.ndarray, b: np.ndarray) -> None:
+    """Protects composition: (f g)∘h = (f∘h)(g∘h), and the stacked form agrees with the single one."""
+    inner = Jet(0.5 * b)
+    f, g = Jet(a), Jet(a[::-1])
+    np.testing.assert_allclose(
+        compose(f * g, inner).coefficients,
+        (compose(f, inner) * compose(g, inner)).coefficients,
+        rtol=1e-10,
+        atol=1e-9,
+    )
+    both = compose(stack((f, g)), inner).coefficients
+    np.testing.assert_array_equal(both[:, 1], compose(g, inner).coefficients)
+
+
+def test_composition_with_the_reversion_is_the_identity() -> None:
+    """Protects reversion for many points at once: s(u(s)) = s."""
+    u = Jet.variable(np.linspace(0.5, 2.0, 9), 8)
+    s = u + 0.3 * sin(u)
+    identity = compose(s, revert(s))
+    np.testing.assert_allclose(identity.coefficients[1], 1.0, rtol=1e-14)
+    np.testing.assert_allclose(identity.coefficients[2:], 0.0, atol=1e-13)
+
+
+def test_derivatives_are_unnormalised() -> None:
+    """Protects the factorials between Taylor coefficients and derivatives, in both directions."""
+    derivatives = np.array([[2.0], [3.0], [4.0], [5.0]])
+    jet = Jet.from_derivatives(derivatives)
+    np.testing.assert_allclose(jet.coefficients[:, 0], [2.0, 3.0, 2.0, 5.0 / 6.0])
+    np.testing.assert_allclose(jet.derivatives(), derivatives)
+    np.testing.assert_allclose(jet.differentiate().derivatives(), derivatives[1:])
+    np.testing.assert_allclose(jet.differentiate().integrate(2.0).derivatives(), derivatives)
+    np.testing.assert_allclose(jet.rescale(-2.0).derivatives()[:, 0], [2.0, -6.0, 16.0, -40.0])
+
+
+def test_numbers_and_arrays_are_constants_on_either_side() -> None:
+    """Protects mixed arithmetic, where numpy would otherwise spread a jet over an array's elements."""
+    value = np.array([1.0, 2.0])
+    jet = Jet.variable(value, 2)
+    for result, expected in (
+        (value * jet, [value**2, value, [0, 0]]),
+        (value - jet, [[0, 0], [-1, -1], [0, 0]]),
+        (np.float64(2.0) + jet, [value + 2.0, [1, 1], [0, 0]]),
+        (jet / 2.0, [value / 2.0, [0.5, 0.5], [0, 0]]),
+        (1.0 / jet, [1 / value, -1 / value**2, 1 / value**3]),
+    ):
+        assert isinstance(result, Jet)
+        np.testing.assert_allclose(result.coefficients, expected)
+
+
+def test_the_lower_order_and_the_common_shape_win() -> None:
+    """Protects the promise that no coefficient is invented, and broadcasting from the last axis."""
+    scalar, points = Jet.variable(2.0, 5), Jet.variable(np.ones((4, 3)), 3)
+    for result in (scalar * points, scalar + points, scalar / points, points - scalar):
+        assert result.order == 3
+        assert result.shape == (4, 3)
+
+
+@pytest.mark.parametrize(
+    ("operation", "message"),
+    [
+        (lambda: sqrt(Jet.variable([1.0, 0.0], 1)), "square root .* above zero, got 0.0 at index 1"),
+        (lambda: sqrt(Jet.constant(-1.0, 0)), "square root .* above zero, got -1.0"),
+        (lambda: sqrt(Jet.constant(np.nan, 0)), "square root .* got nan"),
+        (lambda: power(Jet.variable(0.0, 1), 0.5), "real power .* above zero"),
+        (lambda: 1.0 / Jet.variable([[1.0, 2.0], [0.0, 1.0]], 1), "division .* other than zero, got 0.0 at index 1, 0"),
+        (lambda: Jet.variable(0.0, -1), "whole number of at least 0, got -1"),
+        (lambda: Jet.constant(0.0, 1.5), "whole number of at least 0, got 1.5"),  # type: ignore[arg-type]
+        (lambda: Jet.constant(0.0, 0).differentiate(), "order 0 has no derivative"),
+        (lambda: Jet(np.zeros((0, 2))), "at least one coefficient"),
+    ],
+)
+def test_what_has_no_series_is_refused(operation, message) -> None:
+    """Protects against NaN that travels on silently."""
+    with pytest.raises(TrajectoryError, match=message):
+        operation()
+
+
+def test_square_root_of_zero_is_zero_without_derivatives() -> None:
+    """Protects values at a workspace boundary, where only the derivatives are infinite."""
+    assert sqrt(Jet.constant(0.0, 0)).value == 0.0
