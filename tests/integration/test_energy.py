@@ -7,6 +7,8 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from fmpy.fmi2 import FMU2Slave
+
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.assembly import motor_angles
 from flexfmu.model.numeric import numeric_model, standstill
@@ -14,7 +16,6 @@ from flexfmu.model.plants import build_model
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 from flexfmu.model.statics import static_equilibrium
-from fmpy.fmi2 import FMU2Slave
 
 STEPS, STEP = 100_000, 1e-4
 
