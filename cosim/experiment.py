@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter
 
-from flexfmu.cosim.master import Outcome
-from flexfmu.cosim.planning import MotionPlan
+from flexfmu.cosim.fmu_file import open_fmu
+from flexfmu.cosim.fmu_slave import FmuSlave
+from flexfmu.cosim.fmu_variables import Value, parameter_names
+from flexfmu.cosim.master import Outcome, Progress, simulate
+from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.cosim.results import Recording
+from flexfmu.cosim.rigid_motion import with_rigid_motion
+from flexfmu.cosim.scene_parameters import parameters_for
+from flexfmu.cosim.system import connect
+from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
 
-Progress = Callable[[float], None]
-"""Called with the simulated fraction, 0..1."""
+PLANT, REFERENCES = "plant", "trajectory"
+"""Names of the slaves."""
 
 
 @dataclass(frozen=True)
@@ -113,4 +122,41 @@ def run_scene(
         InputError: the FMU can't be loaded or lacks a variable; a parameter doesn't exist.
         BuildError: the FMU can't be built (no compiler, for example).
     """
-    raise NotImplementedError
+    planning = perf_counter()
+    motion = plan(scene)
+    building = perf_counter()
+    path = fmu_path if fmu_path is not None else build_scene(scene).path
+    loading = perf_counter()
+    plant = FmuSlave(path, PLANT, _parameters(scene, path, initial, parameters or {}), input_order)
+    references = TrajectorySlave(motion.joints, order=input_order, name=REFERENCES)
+    names = [variable.name for variable in references.variables]
+    system = connect([references, plant], [(f"{REFERENCES}.{name}", f"{PLANT}.{name}") for name in names])
+    step = scene.cosimulation.step if communication_step is None else communication_step
+    relative = scene.cosimulation.tolerance if tolerance is None else tolerance
+    simulating = perf_counter()
+    simulation = simulate(system, motion.stop_time, step, tolerance=relative, progress=progress)
+    done = perf_counter()
+    return Run(
+        plan=motion,
+        recording=with_rigid_motion(_plain_names(simulation.recording), motion),
+        outcome=simulation.outcome,
+        message=simulation.message,
+        fmu_path=path,
+        communication_step=step,
+        tolerance=relative,
+        input_order=input_order,
+        health=Health(plant.statistics, plant.messages),
+        timing=Timing(building - planning, loading - building, simulating - loading, done - simulating),
+    )
+
+
+def _parameters(scene: Scene, path: Path, initial: str | None, changes: Mapping[str, float]) -> dict[str, Value]:
+    """All parameters that the FMU has, from the scene, but for the changes."""
+    available = parameter_names(open_fmu(path).description)
+    start = {"initial": initial or scene.cosimulation.initial}
+    return {**parameters_for(scene, available), **start, **changes}
+
+
+def _plain_names(recording: Recording) -> Recording:
+    """Without the slaves' names: the variables of both have different names."""
+    return Recording(recording.time, {name.partition(".")[2]: column for name, column in recording.columns.items()})

@@ -49,7 +49,7 @@ def time_grid(start: float, stop: float, step: float, marks: Iterable[float] = (
     inside = [mark for mark in marks if start - near < mark < stop + near]
     fixed = merge([start, stop, *inside], near)
     fixed[0], fixed[-1] = start, stop
-    ticks: Instants = start + step * np.arange(int((stop - start) / step + 1.0))
+    ticks = start + step * np.arange(int((stop - start) / step + 1.0), dtype=np.float64)
     ticks = ticks[_distance(ticks, fixed) > near]
     times = np.union1d(ticks[ticks < stop], fixed)
     marked = _distance(times, np.asarray(inside)) <= near if inside else np.zeros(times.shape, dtype=np.bool_)
@@ -79,8 +79,7 @@ def sample_instants(sample_time: float, start: float, stop: float) -> Instants:
     """
     if not 0.0 < sample_time < np.inf or (stop - start) / sample_time > MAXIMUM_POINTS:
         raise InputError(f"a sample time of {sample_time} s doesn't suit a run from {start} s to {stop} s")
-    instants: Instants = start + sample_time * np.arange(int((stop - start) / sample_time + 1.0 + COINCIDENT))
-    return instants
+    return start + sample_time * np.arange(int((stop - start) / sample_time + 1.0 + COINCIDENT), dtype=np.float64)
 
 
 def is_sample_instant(grid: TimeGrid, sample_time: float) -> NDArray[np.bool_]:

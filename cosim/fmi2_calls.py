@@ -1,0 +1,70 @@
+"""The FMI 2.0 functions of a loaded FMU as plain C calls on addresses, without any conversion on the way.
+
+fmpy's methods turn lists into C arrays at every call; here arrays are numpy buffers whose addresses are taken once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ctypes import CFUNCTYPE, c_char_p, c_double, c_int, c_size_t, c_void_p
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
+"""fmi2Status."""
+
+LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3
+"""fmi2StatusKind."""
+
+CO_SIMULATION = 1
+"""fmi2Type."""
+
+_SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "fmi2Instantiate": (c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int),
+    "fmi2FreeInstance": (None, c_void_p),
+    "fmi2SetupExperiment": (c_int, c_void_p, c_int, c_double, c_double, c_int, c_double),
+    "fmi2EnterInitializationMode": (c_int, c_void_p),
+    "fmi2ExitInitializationMode": (c_int, c_void_p),
+    "fmi2Terminate": (c_int, c_void_p),
+    "fmi2GetReal": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
+    "fmi2GetInteger": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
+    "fmi2GetBoolean": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
+    "fmi2SetReal": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
+    "fmi2SetInteger": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
+    "fmi2SetBoolean": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
+    "fmi2SetString": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
+    "fmi2SetRealInputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
+    "fmi2GetRealOutputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
+    "fmi2DoStep": (c_int, c_void_p, c_double, c_double, c_int),
+    "fmi2GetRealStatus": (c_int, c_void_p, c_int, c_void_p),
+    "fmi2GetBooleanStatus": (c_int, c_void_p, c_int, c_void_p),
+    "fmi2GetFMUstate": (c_int, c_void_p, c_void_p),
+    "fmi2SetFMUstate": (c_int, c_void_p, c_void_p),
+    "fmi2FreeFMUstate": (c_int, c_void_p, c_void_p),
+}
+"""Function → (result, arguments); pointers as addresses."""
+
+Calls = dict[str, Callable[..., Any]]
+
+
+def fmi2_calls(library: Any) -> Calls:
+    """All functions of the table, from a loaded library.
+
+    Raises:
+        AttributeError: the library lacks a function.
+    """
+    return {name: CFUNCTYPE(result, *arguments)((name, library)) for name, (result, *arguments) in _SIGNATURES.items()}
+
+
+def address(array: NDArray[Any]) -> int:
+    """Address of a C-contiguous array, valid while the array lives."""
+    if not array.flags.c_contiguous:
+        raise ValueError("a buffer for FMI functions must be C-contiguous")
+    return int(array.ctypes.data)
+
+
+def value_references(references: list[int]) -> NDArray[np.uint32]:
+    """Value references as FMI functions take them."""
+    return np.array(references, dtype=np.uint32)

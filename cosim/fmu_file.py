@@ -1,0 +1,92 @@
+"""FMU files: unpacked once per content, described, and checked for what a slave needs."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import fmpy
+from fmpy.model_description import read_model_description
+
+from flexfmu.cosim.errors import FmuFileError
+
+
+@dataclass(frozen=True)
+class UnpackedFmu:
+    """An FMU on disk, ready to be loaded.
+
+    Attributes:
+        path: the FMU file.
+        folder: where it has been unpacked; gone when the process ends.
+        description: model description as fmpy reads it.
+    """
+
+    path: Path
+    folder: Path
+    description: Any
+
+
+def open_fmu(path: Path) -> UnpackedFmu:
+    """Unpack an FMI 2.0 co-simulation FMU, or find it unpacked from an earlier time.
+
+    Raises:
+        FmuFileError: it is missing, broken, of another kind, or has no binary for this platform.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise FmuFileError(f"can't read the FMU {path}: {error.strerror}; check the path") from error
+    folder, description = _unpack(hashlib.sha256(content).hexdigest(), path)
+    _check(path, folder, description)
+    return UnpackedFmu(path, folder, description)
+
+
+@cache
+def _root() -> tempfile.TemporaryDirectory[str]:
+    """Folder of all unpacked FMUs of this process, removed at its end."""
+    return tempfile.TemporaryDirectory(prefix="flexfmu-", ignore_cleanup_errors=True)
+
+
+_unpacked: dict[str, tuple[Path, Any]] = {}
+"""Content hash → folder and model description, so that the same FMU is unpacked and parsed once."""
+
+
+def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
+    """Folder and model description of the FMU with that content."""
+    if digest not in _unpacked:
+        folder = Path(_root().name) / digest
+        attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
+        description = attempt(path, lambda: read_model_description(str(folder), validate=False))
+        _unpacked[digest] = folder, description
+    return _unpacked[digest]
+
+
+def attempt(path: Path, action: Callable[[], Any]) -> Any:
+    """Do something with fmpy, whose errors are of many kinds."""
+    try:
+        return action()
+    except zipfile.BadZipFile:
+        raise FmuFileError(f"{path} is no FMU: not a zip file; build it again or check the path") from None
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FmuFileError(f"{path} is a broken FMU: {reason}; `flexfmu validate` tells more") from error
+
+
+def _check(path: Path, folder: Path, description: Any) -> None:
+    """Version, kind and platform."""
+    if not description.fmiVersion.startswith("2."):
+        raise FmuFileError(f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0")
+    if description.coSimulation is None:
+        raise FmuFileError(f"{path} is for model exchange only; export it for co-simulation")
+    identifier = description.coSimulation.modelIdentifier
+    library = folder / "binaries" / fmpy.platform / (identifier + fmpy.sharedLibraryExtension)
+    if not library.is_file():
+        platforms = sorted(each.name for each in (folder / "binaries").glob("*") if each.is_dir())
+        found = ", ".join(platforms) or "none"
+        raise FmuFileError(f"{path} has no binary for {fmpy.platform} (it has: {found}); build it for this platform")

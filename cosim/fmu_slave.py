@@ -1,0 +1,233 @@
+"""An FMI 2.0 co-simulation FMU as a slave: loaded with fmpy, called on preallocated buffers."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Mapping
+from ctypes import byref, c_double, c_int, c_void_p
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from flexfmu.cosim import fmi2_calls as fmi2
+from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.fmu_file import open_fmu
+from flexfmu.cosim.fmu_instance import FmuInstance, load_calls
+from flexfmu.cosim.fmu_transfers import Transfers
+from flexfmu.cosim.fmu_variables import Handle, Value, read_variables, settings
+from flexfmu.cosim.slave import Call, Indices, RealArray
+
+INTERPOLATION_ORDER = 1
+"""Highest input derivative for an FMU that says it interpolates inputs; FMI 2.0 lets it say no more than that."""
+
+STATISTICS = "statistics."
+"""Prefix of the integer variables that tell how the FMU fared."""
+
+
+class FmuSlave:
+    """One instance of an FMU at a time; may run again and again, each time anew from its start values.
+
+    Args:
+        path: the FMU file.
+        name: name of the slave.
+        parameters: start values of parameters (and inputs) by name, in the FMU's units.
+        input_order: highest input derivative to use; None for what the model description lets one assume: 1 where the
+            FMU interpolates inputs, else 0.
+
+    Attributes:
+        statistics: Integer variables ``statistics.*`` at the end of the last run, without the prefix.
+        messages: what the FMU logged in the last run, warnings and worse.
+
+    Raises:
+        FmuFileError: the FMU is missing or broken, of another kind, or has no binary for this platform.
+        InputError: a parameter doesn't exist or its value doesn't suit its type.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        name: str = "fmu",
+        parameters: Mapping[str, Value] | None = None,
+        input_order: int | None = None,
+    ) -> None:
+        self.name = name
+        self._fmu = open_fmu(Path(path))
+        known = read_variables(self._fmu.description)
+        self.variables, self.feedthrough = known.connectable, known.feedthrough
+        self._handles = known.handles
+        self._counters = {n: h for n, h in known.others.items() if n.startswith(STATISTICS) and h.kind == "Integer"}
+        self._settings = settings(self._fmu.description, parameters or {})
+        capabilities = self._fmu.description.coSimulation
+        self.max_output_order = int(capabilities.maxOutputDerivativeOrder or 0)
+        order = INTERPOLATION_ORDER if input_order is None else input_order
+        self.max_input_order = order if capabilities.canInterpolateInputs else 0
+        self._fmi = load_calls(self._fmu)
+        self._presets: dict[int, float] = {}
+        self._run: _InstanceRun | None = None
+        self.statistics: Mapping[str, int] = {}
+        self.messages: tuple[str, ...] = ()
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Instantiate, set parameters and inputs, and go through initialisation mode.
+
+        Raises:
+            SlaveError: the FMU refuses, with its own sentence.
+        """
+        self.terminate()
+        self._run = run = _InstanceRun(FmuInstance(self._fmu, self._fmi, self.name))
+        weakref.finalize(self, run.free)
+        for setting in self._settings:
+            run.instance.check(f"setting {setting.name} = {setting.value}", run.transfers.setting(setting))
+        handles = [self._handles[index] for index in self._presets]
+        if handles:
+            run.instance.check("setting inputs", run.transfers.set(handles, np.array([*self._presets.values()])))
+        run.instance.initialize(start_time, stop_time, tolerance)
+
+    def step(self, time: float, step: float) -> None:
+        """Let the FMU advance.
+
+        Raises:
+            SlaveError: the FMU fails or gets through only a part of the step; carries the last time that it reached.
+        """
+        run = self._running()
+        if (status := run.do_step(time, step, run.no_rollback)) > fmi2.WARNING:
+            raise run.step_error(status, time, step)
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """Set inputs; before initialisation they are kept for it."""
+        if self._run is None:
+            self._presets.update(zip(indices.tolist(), values.tolist(), strict=True))
+        else:
+            self.bind_set(indices, np.ascontiguousarray(values))()
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Read variables."""
+        buffer = np.empty(values.shape)
+        self.bind_get(indices, buffer)()
+        values[:] = buffer
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Set derivatives of inputs."""
+        self.bind_set_derivatives(indices, np.ascontiguousarray(derivatives))()
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Read derivatives of outputs."""
+        buffer = np.empty(derivatives.shape)
+        self.bind_get_derivatives(indices, buffer)()
+        derivatives[:] = buffer
+
+    def bind_set(self, indices: Indices, values: RealArray) -> Call:
+        """A call that sets inputs from the buffer."""
+        run = self._running()
+        return run.instance.checked("setting inputs", run.transfers.set(self._select(indices), values))
+
+    def bind_get(self, indices: Indices, values: RealArray) -> Call:
+        """A call that reads variables into the buffer."""
+        run = self._running()
+        return run.instance.checked("reading variables", run.transfers.get(self._select(indices), values))
+
+    def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
+        """A call that sets derivatives of inputs from the buffer."""
+        run = self._running()
+        call = run.transfers.set_derivatives(self._select(indices), derivatives)
+        return run.instance.checked("setting input derivatives", call)
+
+    def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
+        """A call that reads derivatives of outputs into the buffer."""
+        run = self._running()
+        call = run.transfers.get_derivatives(self._select(indices), derivatives)
+        return run.instance.checked("reading output derivatives", call)
+
+    def save(self) -> object:
+        """The FMU's complete state; valid until `terminate`.
+
+        Raises:
+            SlaveError: the FMU can't save its state.
+        """
+        return self._running().save()
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        self._running().restore(state)
+
+    def terminate(self) -> None:
+        """Read the statistics, then terminate and free the instance; nothing to do without one."""
+        if self._run is not None:
+            run, self._run = self._run, None
+            self.statistics = run.statistics(self._counters)
+            run.free()
+            self.messages = tuple(run.instance.log.messages)
+
+    def _select(self, indices: Indices) -> list[Handle]:
+        """Handles of variables."""
+        return [self._handles[index] for index in indices]
+
+    def _running(self) -> _InstanceRun:
+        """The present run.
+
+        Raises:
+            SlaveError: there is none.
+        """
+        if self._run is None:
+            raise SlaveError(self.name, "not initialised; call initialize first")
+        return self._run
+
+
+class _InstanceRun:
+    """One run of an instance, from its start values to its end."""
+
+    def __init__(self, instance: FmuInstance) -> None:
+        self.instance = instance
+        self.transfers = Transfers(instance.fmi, instance.component)
+        self.do_step: Callable[[float, float, int], int] = partial(instance.fmi["fmi2DoStep"], instance.component)
+        self.no_rollback = 1
+        self._states: list[c_void_p] = []
+        self._freed = False
+
+    def step_error(self, status: int, time: float, step: float) -> SlaveError:
+        """What a failed step has to say, with the last time that the FMU reached."""
+        reached, terminated = c_double(time), c_int(0)
+        component, fmi = self.instance.component, self.instance.fmi
+        error = self.instance.error(f"the step from {time:.9g} s by {step:.9g} s", status, time)
+        if status == fmi2.DISCARD:
+            fmi["fmi2GetRealStatus"](component, fmi2.LAST_SUCCESSFUL_TIME, byref(reached))
+            fmi["fmi2GetBooleanStatus"](component, fmi2.TERMINATED, byref(terminated))
+            ended = "; the FMU asks to end the simulation" if terminated.value else ""
+            return SlaveError(error.slave, error.reason + ended, reached.value)
+        return error
+
+    def save(self) -> object:
+        """The complete state."""
+        state = c_void_p()
+        call = partial(self.instance.fmi["fmi2GetFMUstate"], self.instance.component, byref(state))
+        self.instance.check("saving the state", call)
+        self._states.append(state)
+        self.no_rollback = 0
+        return state
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        call = partial(self.instance.fmi["fmi2SetFMUstate"], self.instance.component, state)
+        self.instance.check("restoring a state", call)
+
+    def statistics(self, counters: Mapping[str, Handle]) -> dict[str, int]:
+        """The counters that can be read."""
+        values = np.zeros(len(counters))
+        if (
+            not counters
+            or not self.instance.initialized
+            or self.transfers.get([*counters.values()], values)() > fmi2.WARNING
+        ):
+            return {}
+        return {name.removeprefix(STATISTICS): int(value) for name, value in zip(counters, values, strict=True)}
+
+    def free(self) -> None:
+        """Free states and instance, once."""
+        if self._freed:
+            return
+        self._freed = True
+        if self.instance.alive:
+            for state in self._states:
+                self.instance.fmi["fmi2FreeFMUstate"](self.instance.component, byref(state))
+        self.instance.free()

@@ -1,0 +1,118 @@
+"""Variables of an FMU as slaves show them, with what the FMI functions need to reach them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, Literal, cast
+
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.slave import Causality, SlaveVariable
+
+Kind = Literal["Real", "Integer", "Boolean", "String"]
+"""Which family of FMI functions reaches a variable; enumerations are reached like integers."""
+
+Value = float | int | bool | str
+"""Value of a parameter; the item's name will do for an enumeration."""
+
+
+@dataclass(frozen=True)
+class Handle:
+    """How the FMI functions reach a variable."""
+
+    kind: Kind
+    reference: int
+
+
+@dataclass(frozen=True)
+class FmuVariables:
+    """All that a model description says about variables.
+
+    Attributes:
+        connectable: numeric inputs, outputs and parameters, in the order of the model description.
+        handles: how to reach each of them.
+        others: name → handle of all further variables (locals).
+        feedthrough: output → inputs that it depends on at the same instant; outputs without a statement are left out.
+    """
+
+    connectable: tuple[SlaveVariable, ...]
+    handles: tuple[Handle, ...]
+    others: Mapping[str, Handle]
+    feedthrough: Mapping[str, tuple[str, ...]]
+
+
+def read_variables(description: Any) -> FmuVariables:
+    """Sort the variables of a model description that fmpy has read."""
+    numeric = [
+        v for v in description.modelVariables if v.causality in ("input", "output", "parameter") and v.type != "String"
+    ]
+    others = {v.name: _handle(v) for v in description.modelVariables if v not in numeric}
+    inputs = {v.name for v in numeric if v.causality == "input"}
+    depends = {
+        unknown.variable.name: tuple(v.name for v in unknown.dependencies if v.name in inputs)
+        for unknown in description.outputs
+        if unknown.dependencies is not None
+    }
+    return FmuVariables(tuple(map(_variable, numeric)), tuple(map(_handle, numeric)), others, depends)
+
+
+def _variable(variable: Any) -> SlaveVariable:
+    """The variable as the master sees it."""
+    unit = variable.unit or (variable.declaredType.unit if variable.declaredType else None) or ""
+    start = None if variable.start is None else _number(variable.start)
+    return SlaveVariable(variable.name, cast(Causality, variable.causality), unit, start)
+
+
+def _number(text: str) -> float:
+    """A start value; booleans are spelt in two ways."""
+    return float({"true": 1.0, "false": 0.0}.get(text, text))
+
+
+def _handle(variable: Any) -> Handle:
+    """How to reach the variable."""
+    return Handle("Integer" if variable.type == "Enumeration" else variable.type, variable.valueReference)
+
+
+def parameter_names(description: Any) -> frozenset[str]:
+    """Names of all parameters."""
+    return frozenset(v.name for v in description.modelVariables if v.causality == "parameter")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A parameter with the value that it shall have."""
+
+    name: str
+    handle: Handle
+    value: Value
+
+
+def settings(description: Any, parameters: Mapping[str, Value]) -> Sequence[Setting]:
+    """Look up parameters by name and translate the items of enumerations.
+
+    Raises:
+        InputError: there is no such parameter, or the value doesn't suit its type.
+    """
+    known = {v.name: v for v in description.modelVariables if v.causality in ("parameter", "input")}
+    result = []
+    for name, value in parameters.items():
+        if name not in known:
+            hint = get_close_matches(name, known, n=1)
+            raise InputError(f"the FMU has no parameter {name!r}" + (f"; did you mean {hint[0]!r}?" if hint else ""))
+        result.append(Setting(name, _handle(known[name]), _translate(known[name], value)))
+    return result
+
+
+def _translate(variable: Any, value: Value) -> Value:
+    """The value as the variable's type has it."""
+    if variable.type == "String":
+        return str(value)
+    if variable.type == "Enumeration" and isinstance(value, str):
+        items = {item.name: int(item.value) for item in variable.declaredType.items}
+        if value not in items:
+            raise InputError(f"{variable.name} must be one of {', '.join(items)}, got {value!r}")
+        return items[value]
+    if isinstance(value, str):
+        raise InputError(f"{variable.name} is a number, got {value!r}")
+    return value

@@ -1,0 +1,55 @@
+"""The values that a scene gives to the parameters of an FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from flexfmu.cosim.errors import InputError
+from flexfmu.model.scene import Link, ModalDamping, Scene, StiffnessDamping
+
+
+def scene_parameters(scene: Scene) -> dict[str, float]:
+    """All parameters that an FMU of any effects may have, named as in the FMU, in SI units.
+
+    What the scene leaves out is zero.
+    """
+    mechanism, damping = scene.mechanism, scene.effects.damping
+    return {
+        "base_half_distance": mechanism.base_half_distance,
+        **_link("proximal", mechanism.proximal),
+        **_link("distal", mechanism.distal),
+        "material.density": mechanism.material.density,
+        "material.youngs_modulus": mechanism.material.youngs_modulus,
+        "payload.mass": scene.payload.mass,
+        "gravity.x": scene.effects.gravity[0],
+        "gravity.y": scene.effects.gravity[1],
+        "damping.ratio": damping.ratio if isinstance(damping, ModalDamping) else 0.0,
+        "damping.time": damping.time if isinstance(damping, StiffnessDamping) else 0.0,
+        "start.x": scene.trajectory.start[0],
+        "start.y": scene.trajectory.start[1],
+    }
+
+
+EFFECTS = ("payload.mass", "gravity.x", "gravity.y", "damping.ratio", "damping.time")
+"""Parameters without which an FMU lacks the effect itself; zero switches it off."""
+
+
+def parameters_for(scene: Scene, available: Collection[str]) -> dict[str, float]:
+    """The scene's values of those parameters that an FMU has.
+
+    Raises:
+        InputError: the scene has an effect that the FMU lacks.
+    """
+    values = scene_parameters(scene)
+    for name in EFFECTS:
+        if values[name] != 0.0 and name not in available:
+            raise InputError(
+                f"the FMU lacks {name}, which is {values[name]} in scene {scene.name}; build it from this scene"
+            )
+    return {name: value for name, value in values.items() if name in available}
+
+
+def _link(name: str, link: Link) -> dict[str, float]:
+    """Parameters of a kind of link."""
+    sizes = {"length": link.length, "diameter": link.diameter, "inner_diameter": link.inner_diameter}
+    return {f"{name}.{key}": value for key, value in sizes.items()}
