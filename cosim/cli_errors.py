@@ -11,15 +11,7 @@ from contextlib import contextmanager
 
 import typer
 
-from flexfmu.cosim.errors import CosimError, InputError
-from flexfmu.fmu_build.errors import BuildError, MissingCompilerError, PlatformError
-from flexfmu.model.errors import EquilibriumError, SceneError
-from flexfmu.trajectories.errors import TrajectoryError
-
 FAILURE, USAGE = 1, 2
-
-_USAGE_ERRORS = (SceneError, TrajectoryError, InputError, PlatformError)
-_FAILURES = (CosimError, BuildError, EquilibriumError)
 
 
 @contextmanager
@@ -30,17 +22,17 @@ def one_line_errors() -> Iterator[None]:
     """
     try:
         yield
+    except typer.Exit:
+        raise
     except KeyboardInterrupt:
-        raise _exit("interrupted", FAILURE) from None
-    except MissingCompilerError as error:
-        raise _exit(str(error), FAILURE) from error
-    except _USAGE_ERRORS as error:
-        raise _exit(str(error), USAGE) from error
-    except _FAILURES as error:
-        raise _exit(str(error), FAILURE) from error
-    except OSError as error:
-        where = f" ({error.filename})" if error.filename else ""
-        raise _exit(f"{error.strerror or error}{where}", FAILURE) from error
+        show_error("interrupted")
+        raise typer.Exit(FAILURE) from None
+    except Exception as error:
+        status = _exit_status(error)
+        if status is None:
+            raise
+        show_error(_sentence(error))
+        raise typer.Exit(status) from error
 
 
 def show_error(message: str) -> None:
@@ -48,6 +40,26 @@ def show_error(message: str) -> None:
     print(f"flexfmu: {' '.join(message.split())}", file=sys.stderr)
 
 
-def _exit(message: str, status: int) -> typer.Exit:
-    show_error(message)
-    return typer.Exit(status)
+def _exit_status(error: Exception) -> int | None:
+    """The exit status for an error; None for a mistake in flexfmu.
+
+    The families of errors are imported here: `flexfmu --help` would wait for SciPy otherwise.
+    """
+    from flexfmu.cosim.errors import CosimError, InputError
+    from flexfmu.fmu_build.errors import BuildError, MissingCompilerError, PlatformError
+    from flexfmu.model.errors import EquilibriumError, SceneError
+    from flexfmu.trajectories.errors import TrajectoryError
+
+    if isinstance(error, MissingCompilerError):
+        return FAILURE
+    if isinstance(error, SceneError | TrajectoryError | InputError | PlatformError):
+        return USAGE
+    return FAILURE if isinstance(error, CosimError | BuildError | EquilibriumError | OSError) else None
+
+
+def _sentence(error: Exception) -> str:
+    """The error's own words, the system's where it comes from there."""
+    if isinstance(error, OSError):
+        where = f" ({error.filename})" if error.filename else ""
+        return f"{error.strerror or error}{where}"
+    return str(error)

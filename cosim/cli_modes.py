@@ -41,11 +41,16 @@ def _print_table(name: str, poses: list[ModalPose]) -> None:
     for heading in ("s", "x [m]", "y [m]", "q11 [rad]", "q21 [rad]", *(f"f{k}" for k in range(1, shown + 1))):
         table.add_column(heading, justify="right", no_wrap=True)
     for pose in poses:
-        place = (f"{pose.s:.3f}", f"{pose.x:+.4f}", f"{pose.y:+.4f}", f"{pose.q11:+.4f}", f"{pose.q21:+.4f}")
-        table.add_row(*place, *(f"{f:.2f}" for f in pose.frequencies[:shown]))
+        place = (_signed(value) for value in (pose.x, pose.y, pose.q11, pose.q21))
+        table.add_row(f"{pose.s:.3f}", *place, *(f"{f:.2f}" for f in pose.frequencies[:shown]))
     notes = []
     if total == 0:
         notes = ["All links are rigid: there are no natural frequencies."]
     elif total > shown:
         notes = [f"The lowest {shown} of {total}; --json prints all of them."]
     print_rich(table, *(Text(note, style="italic") for note in notes))
+
+
+def _signed(value: float) -> str:
+    """Four decimals without a negative zero."""
+    return f"{round(value, 4) + 0.0:.4f}"

@@ -12,11 +12,13 @@ from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
 from flexfmu.cosim.cli_errors import FAILURE, show_error
+from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.experiment import Run, run_scene
 from flexfmu.cosim.metric_table import METRICS, display
 from flexfmu.cosim.metrics import Measurement, Settings, measure, settings_for
 from flexfmu.cosim.output import OutputFolder
 from flexfmu.cosim.summary import summarise, to_json
+from flexfmu.model.errors import EquilibriumError
 from flexfmu.model.scene_file import load_scene
 
 RESULTS = Path("results")
@@ -36,8 +38,8 @@ def run_command(source: str, out: Path | None, as_json: bool) -> int:
         run = run_scene(scene, progress=lambda fraction: show("simulating", fraction))
         show("writing the results", None)
         run.recording.write_csv(folder.path / "results.csv")
-        settings = settings_for(run.plan) if run.completed else None
-        summary = summarise(run, _measure(run, settings))
+        settings, measurements, problem = _measure(run)
+        summary = summarise(run, measurements)
         folder.write("summary.json", to_json(summary))
         show("drawing the report", None)
         folder.write("report.html", _report(run, settings, summary))
@@ -45,15 +47,22 @@ def run_command(source: str, out: Path | None, as_json: bool) -> int:
         print_text(to_json(summary))
     else:
         _print_summary(summary, folder.path)
-    if not run.completed:
-        show_error(f"{run.message}; what was recorded is in {folder.path}")
+    if problem is not None:
+        show_error(f"{problem}; what was recorded is in {folder.path}")
         return FAILURE
     return 0
 
 
-def _measure(run: Run, settings: Settings | None) -> Mapping[str, Measurement]:
-    """The metrics; without values where the run was cut short."""
-    return dict.fromkeys(METRICS, Measurement(None)) if settings is None else measure(run.recording, settings)
+def _measure(run: Run) -> tuple[Settings | None, Mapping[str, Measurement], str | None]:
+    """What the metrics depend on, the metrics, and why there are none where that is so."""
+    none = dict.fromkeys(METRICS, Measurement(None))
+    if not run.completed:
+        return None, none, run.message
+    try:
+        settings = settings_for(run.plan)
+        return settings, measure(run.recording, settings), None
+    except (EquilibriumError, ResultsError) as error:
+        return None, none, str(error)
 
 
 def _report(run: Run, settings: Settings | None, summary: Mapping[str, Any]) -> str:

@@ -28,13 +28,15 @@ class MetricInfo:
 
 _NEGLIGIBLE: Mapping[str, float] = {"m": 1e-12, "m/s": 1e-9, "m/s2": 1e-6, "N.m": 1e-9, "s": 1e-9}
 
+_DISPLAY_UNITS: Mapping[str, str] = {"N.m": "N·m", "m/s2": "m/s²"}
+
 
 def _millimetres(label: str, description: str) -> MetricInfo:
     return MetricInfo(label, "m", "mm", 1e3, _NEGLIGIBLE["m"], description)
 
 
 def _plain(label: str, unit: str, description: str) -> MetricInfo:
-    return MetricInfo(label, unit, unit, 1.0, _NEGLIGIBLE[unit], description)
+    return MetricInfo(label, unit, _DISPLAY_UNITS.get(unit, unit), 1.0, _NEGLIGIBLE[unit], description)
 
 
 _BOTH_SIDES = "over the motion, both sides of every jump and t = 0+ included"
@@ -86,7 +88,7 @@ METRICS: Mapping[str, MetricInfo] = {
 }
 
 
-def display(name: str, value: float | None) -> str:
-    """A metric's value for people, with its unit: six significant digits, a dash where there is none."""
+def display(name: str, value: float | None, digits: int = 6) -> str:
+    """A metric's value for people, with its unit and so many significant digits; a dash where there is none."""
     info = METRICS[name]
-    return "–" if value is None else f"{value * info.display_factor:.6g} {info.display_unit}"
+    return "–" if value is None else f"{value * info.display_factor:.{digits}g} {info.display_unit}"

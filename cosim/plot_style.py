@@ -80,7 +80,7 @@ def to_svg(drawing: Figure, key: str, title: str) -> str:
     size = re.search(r'viewBox="[^"]*"', text)
     if opening is None or size is None:
         raise RuntimeError("matplotlib wrote an SVG without a view box")
-    head = f'<svg {size[0]} role="img" aria-label="{title}" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    head = f'<svg {size[0]} role="img" aria-label="{title}">'
     return head + text[opening.end() :]
 
 
@@ -91,9 +91,9 @@ def mark_time(axes: Axes, time: float, text: str) -> None:
         text,
         (time, 1.0),
         xycoords=("data", "axes fraction"),
-        xytext=(4, -2),
+        xytext=(0, 3),
         textcoords="offset points",
-        va="top",
+        ha="center",
         fontsize=8,
         color=GREY,
     )

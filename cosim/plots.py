@@ -115,7 +115,7 @@ def _draw_pair(
             time, values = _curve(segments(run.recording, [name]))
             axes.plot(time, factor * values[:, 0], label=label)
     axes.set_ylabel(axis)
-    axes.legend(loc="upper right", ncols=2)
+    figure.legend(loc="outside upper right", ncols=2)
     _time_axis(axes, run)
 
 

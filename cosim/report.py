@@ -43,11 +43,11 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         motion=_motion_sentence(summary["scene"]),
         completed=health["outcome"] == "completed",
         health=health,
-        tiles=[{"label": METRICS[name].label, "value": display(name, metrics[name])} for name in TILES],
+        tiles=[{"label": METRICS[name].label, "value": display(name, metrics[name], digits=4)} for name in TILES],
         metrics=[_metric_row(name, metrics[name], health["interpolation_errors"][name]) for name in metrics],
         plots=list(plots),
+        parameters=_scene_rows(summary["scene"]),
         tables={
-            "Parameters": _scene_rows(summary["scene"]),
             "Health": _health_rows(health),
             "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
             "Versions": {name: value or "–" for name, value in summary["versions"].items()},

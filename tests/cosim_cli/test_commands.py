@@ -1,0 +1,279 @@
+"""The commands in this process: what they write and print, and how they end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from flexfmu.cosim import cli_run
+from flexfmu.cosim.cli import app
+from flexfmu.cosim.errors import ResultsError
+from flexfmu.cosim.experiment import Run
+from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.results import Recording
+from flexfmu.fmu_build.errors import MissingCompilerError
+from flexfmu.model.errors import EquilibriumError
+from flexfmu.model.scene_file import load_scene
+
+MakeRun = Callable[..., Run]
+SCENE = "barnard2012-6kg"
+
+
+def flexfmu(*arguments: str) -> Result:
+    """Run a command."""
+    return CliRunner().invoke(app, list(arguments))
+
+
+@pytest.fixture
+def simulated(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Replace the simulation: simulated(run=...) or simulated(error=...); a complete run by default."""
+
+    def replace(error: BaseException | None = None, **options: Any) -> None:
+        def run_scene(*_: Any, **__: Any) -> Run:
+            if error is not None:
+                raise error
+            return make_run(**options)
+
+        monkeypatch.setattr(cli_run, "run_scene", run_scene)
+
+    return replace
+
+
+def test_run_writes_three_files_and_prints_the_metrics(simulated: Callable[..., None], tmp_path: Path) -> None:
+    """results.csv, summary.json and report.html are there; the table names every metric."""
+    simulated()
+    result = flexfmu("run", SCENE, "--out", str(tmp_path / "out"))
+    assert result.exit_code == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"results.csv", "summary.json", "report.html"}
+    assert all(info.label in result.stdout for info in METRICS.values())
+    assert result.stderr == ""
+
+
+def test_run_json_is_the_summary_and_nothing_else(simulated: Callable[..., None], tmp_path: Path) -> None:
+    """Standard output holds exactly what summary.json holds."""
+    simulated()
+    result = flexfmu("run", SCENE, "--out", str(tmp_path), "--json")
+    assert result.exit_code == 0
+    assert result.stdout == (tmp_path / "summary.json").read_text(encoding="utf-8")
+    assert json.loads(result.stdout)["scene"]["name"] == SCENE
+
+
+def test_results_go_to_a_folder_named_after_the_scene(
+    simulated: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without --out the results are in results/<scene>."""
+    simulated()
+    monkeypatch.chdir(tmp_path)
+    assert flexfmu("run", SCENE).exit_code == 0
+    assert (tmp_path / "results" / SCENE / "report.html").is_file()
+
+
+@pytest.mark.parametrize("outcome", [Outcome.STEP_FAILED, Outcome.NOT_FINITE, Outcome.INTERRUPTED])
+def test_what_was_recorded_before_a_failure_is_written(
+    simulated: Callable[..., None], tmp_path: Path, outcome: Outcome
+) -> None:
+    """The run broke off at 0.2 s: the recording until then, a summary with the outcome, status 1, one line."""
+    simulated(outcome=outcome, end=0.2)
+    result = flexfmu("run", SCENE, "--out", str(tmp_path), "--json")
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    assert "step failed at 0.2 s" in result.stderr
+    assert Recording.read_csv(tmp_path / "results.csv").time[-1] == pytest.approx(0.2, abs=1e-3)
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert summary["health"]["outcome"] == outcome.name.lower().replace("_", " ")
+    assert json.loads(result.stdout) == summary
+
+
+def test_metrics_that_cannot_be_computed_do_not_lose_the_recording(
+    simulated: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without an equilibrium at the end pose there are no metrics, but the results are there."""
+
+    def no_equilibrium(_: Any) -> None:
+        raise EquilibriumError("no static equilibrium")
+
+    simulated()
+    monkeypatch.setattr(cli_run, "settings_for", no_equilibrium)
+    result = flexfmu("run", SCENE, "--out", str(tmp_path))
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
+    assert (tmp_path / "summary.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (MissingCompilerError("no C compiler found; install gcc"), 1),
+        (KeyboardInterrupt(), 1),
+        (ResultsError("can't write results.csv: No space left on device"), 1),
+        (OSError(28, "No space left on device"), 1),
+    ],
+)
+def test_failures_are_one_line(
+    simulated: Callable[..., None], tmp_path: Path, error: BaseException, status: int
+) -> None:
+    """Every failure that a user can meet is one line on standard error, nothing on standard output."""
+    simulated(error=error)
+    result = flexfmu("run", SCENE, "--out", str(tmp_path))
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (status, "", 1)
+
+
+def test_mistakes_of_ours_keep_their_traceback(simulated: Callable[..., None], tmp_path: Path) -> None:
+    """An unexpected error isn't hidden behind a friendly line."""
+    simulated(error=ZeroDivisionError("a mistake"))
+    assert isinstance(flexfmu("run", SCENE, "--out", str(tmp_path)).exception, ZeroDivisionError)
+
+
+def test_unwritable_folder_is_found_before_the_simulation(simulated: Callable[..., None], tmp_path: Path) -> None:
+    """A folder below a file can't be made: status 1, and the simulation isn't even started."""
+    simulated(error=ZeroDivisionError("must not be simulated"))
+    (tmp_path / "file").write_text("")
+    result = flexfmu("run", SCENE, "--out", str(tmp_path / "file" / "out"))
+    assert result.exit_code == 1
+    assert "Not a directory" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_full_disk_leaves_no_half_file(
+    simulated: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that fills up while the report is written: one line, the files before it whole, no remains."""
+    write = Path.write_text
+
+    def full(self: Path, text: str, **options: Any) -> int:
+        if "report" in self.name:
+            write(self, text[:1000], **options)
+            raise OSError(28, "No space left on device", str(self))
+        return write(self, text, **options)
+
+    simulated()
+    monkeypatch.setattr(Path, "write_text", full)
+    result = flexfmu("run", SCENE, "--out", str(tmp_path))
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
+    assert "No space left on device" in result.stderr
+    assert {path.name for path in tmp_path.iterdir()} == {"results.csv", "summary.json"}
+
+
+WRONG_SCENES = {
+    "unknown key": ('name = "x"', 'nmae = "x"', "name"),
+    "missing key": ("mass = 6.0", "", "payload.mass"),
+    "wrong type": ("mass = 6.0", 'mass = "six"', "payload.mass"),
+    "out of range": ("mass = 6.0", "mass = -0.1", "payload.mass"),
+    "not a number": ("mass = 6.0", "mass = nan", "payload.mass"),
+    "not TOML": ("mass = 6.0", "mass = ", "TOML"),
+    "out of reach": ("start = [-0.175, 0.320]", "start = [-0.175, 3.2]", "reaches 0.14"),
+    "path leaves the workspace": ("width = 0.350", "width = 1.350", "reach"),
+    "blends overlap": ("width = 0.025 }", "width = 0.2 }", "width"),
+    "contradicting mode": ('working_mode = "elbows-out"', 'working_mode = "elbows-in"', "mode"),
+    "unknown blend": ('kind = "lame"', 'kind = "circle"', "blend.kind"),
+    "unfeasible clothoid": ('kind = "lame", height = 0.025', 'kind = "clothoid", height = 0.010', "clothoid"),
+    "torque drive": ('drive = "motion"', 'drive = "torque"', "drive"),
+}
+
+
+FINE_FOR = {
+    "build": {"path leaves the workspace", "unfeasible clothoid"},  # the FMU doesn't depend on the path
+    "modes": {"torque drive"},  # nor do the frequencies depend on the drive
+    "run": set[str](),
+}
+
+
+@pytest.mark.parametrize(
+    ("command", "mistake"),
+    [(command, mistake) for command, fine in FINE_FOR.items() for mistake in WRONG_SCENES if mistake not in fine],
+)
+def test_wrong_scene_files_are_one_line_and_status_2(
+    command: str, mistake: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each mistake names the key and the file, in one line, with exit status 2."""
+    old, new, named = WRONG_SCENES[mistake]
+    shipped = _shipped_text()
+    text = shipped.replace('name = "barnard2012-6kg"', 'name = "x"').replace(old, new)
+    assert text != shipped.replace('name = "barnard2012-6kg"', 'name = "x"')
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / "cache"))
+    result = flexfmu(command, "scene.toml")
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1), result.stderr
+    assert named in result.stderr
+
+
+def _shipped_text() -> str:
+    """The text of a shipped scene."""
+    from importlib.resources import files
+
+    return files("flexfmu.cosim").joinpath("scenes", f"{SCENE}.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("command", ["run", "build", "modes"])
+def test_unknown_scene_lists_the_shipped_ones(command: str) -> None:
+    """Whoever mistypes a name sees which there are."""
+    result = flexfmu(command, "barnard2012-7kg")
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert "barnard2012-6kg" in result.stderr
+    assert "barnard2012-0.1kg" in result.stderr
+
+
+def test_modes_json_has_the_contract_s_poses() -> None:
+    """Start, middle and end of the path, ascending frequencies, the paper's first one near 58 Hz."""
+    result = flexfmu("modes", SCENE, "--poses", "3", "--json")
+    assert result.exit_code == 0
+    poses = json.loads(result.stdout)["poses"]
+    assert [pose["s"] for pose in poses] == [0.0, 0.5, 1.0]
+    assert all(list(pose) == ["s", "x", "y", "q11", "q21", "frequencies"] for pose in poses)
+    for pose in poses:
+        assert pose["frequencies"] == sorted(pose["frequencies"])
+        assert 57.0 - 0.5 < pose["frequencies"][0] < 59.0
+    assert (poses[0]["x"], poses[0]["y"]) == pytest.approx(load_scene(SCENE).trajectory.start)
+    assert poses[2]["x"] == pytest.approx(0.175)
+
+
+def test_modes_of_a_rigid_robot_are_none(tmp_path: Path) -> None:
+    """A rigid scene has no frequencies, and that is no error."""
+    text = _shipped_text().replace("proximal_bending = 3", "").replace("distal_axial = 3", "")
+    (tmp_path / "rigid.toml").write_text(text, encoding="utf-8")
+    result = flexfmu("modes", str(tmp_path / "rigid.toml"), "--poses", "3")
+    assert result.exit_code == 0
+    assert "no natural frequencies" in result.stdout
+
+
+@pytest.mark.parametrize("count", ["4", "2", "-1", "x"])
+def test_modes_need_an_odd_number_of_poses(count: str) -> None:
+    """The middle of the path is always among the poses."""
+    assert flexfmu("modes", SCENE, "--poses", count).exit_code == 2
+
+
+def test_validate_wants_an_fmu(tmp_path: Path) -> None:
+    """A missing file and a file that is no FMU are wrong input."""
+    for path in (tmp_path / "missing.fmu", tmp_path / "text.fmu", tmp_path):
+        if path.name == "text.fmu":
+            path.write_text("not a zip")
+        result = flexfmu("validate", str(path))
+        assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+
+
+def test_unknown_platform_is_wrong_usage(tmp_path: Path) -> None:
+    """The known platforms are listed."""
+    result = flexfmu("build", SCENE, "--platform", "amiga", "-o", str(tmp_path / "x.fmu"))
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    assert "linux64" in result.stderr
+
+
+def test_version_and_usage() -> None:
+    """--version prints the installed version; a missing argument or an unknown command is status 2."""
+    assert flexfmu("--version").stdout == f"flexfmu {version('flexfmu')}\n"
+    assert flexfmu("run").exit_code == flexfmu("fly").exit_code == 2
+
+
+@pytest.mark.parametrize("command", ["build", "run", "paper", "modes", "validate"])
+def test_every_command_has_a_help_text(command: str) -> None:
+    """Each command says what it does and offers --json."""
+    result = flexfmu(command, "--help")
+    assert result.exit_code == 0
+    assert "--json" in result.stdout

@@ -1,0 +1,110 @@
+"""The command as a process of its own: exit status, streams, pipes, full devices, speed of starting."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FLEXFMU = (sys.executable, "-c", "from flexfmu.cosim.cli import main; main()")
+SCENE = "barnard2012-6kg"
+FULL = Path("/dev/full")
+
+
+def flexfmu(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the command and wait for it."""
+    return subprocess.run(
+        [*FLEXFMU, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, **environment},
+    )
+
+
+def test_help_loads_no_heavy_package() -> None:
+    """`flexfmu --help` must answer at once: no CasADi, SciPy, Matplotlib, NumPy or fmpy."""
+    code = (
+        "import sys\nfrom flexfmu.cosim.cli import app\n"
+        "try:\n    app(['--help'])\nexcept SystemExit:\n    pass\n"
+        "print(sorted({name.split('.')[0] for name in sys.modules} & {'casadi', 'scipy', 'matplotlib', 'numpy', 'fmpy', 'pydantic'}))"
+    )
+    outcome = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert outcome.stdout.splitlines()[-1] == "[]"
+
+
+def test_result_on_stdout_nothing_on_stderr() -> None:
+    """In a pipe there is no progress; the JSON is all there is."""
+    outcome = flexfmu("modes", SCENE, "--poses", "3", "--json")
+    assert (outcome.returncode, outcome.stderr) == (0, "")
+    assert len(json.loads(outcome.stdout)["poses"]) == 3
+
+
+@pytest.mark.parametrize("arguments", ["modes nowhere.toml", "run nowhere", "build nowhere", "validate nowhere.fmu"])
+def test_wrong_input_is_one_line_without_traceback(arguments: str) -> None:
+    """Status 2, one line on standard error, nothing on standard output."""
+    outcome = flexfmu(*arguments.split())
+    assert (outcome.returncode, outcome.stdout, outcome.stderr.count("\n")) == (2, "", 1)
+    assert "Traceback" not in outcome.stderr
+
+
+def test_missing_compiler(tmp_path: Path) -> None:
+    """Without a compiler a build that isn't in the cache ends with status 1 and says what to do."""
+    outcome = flexfmu(
+        "build", SCENE, "-o", str(tmp_path / "x.fmu"), CC=str(tmp_path / "no-such-cc"), FLEXFMU_CACHE=str(tmp_path)
+    )
+    assert (outcome.returncode, outcome.stdout, outcome.stderr.count("\n")) == (1, "", 1)
+    assert "no-such-cc" in outcome.stderr
+
+
+def test_reader_that_goes_away() -> None:
+    """`flexfmu modes ... | head -1` ends without a traceback."""
+    command = f"{shlex.join(FLEXFMU)} modes {SCENE} --poses 3 --json | head -c 1"
+    outcome = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=120, check=False)
+    assert (outcome.stdout, outcome.stderr) == ("{", "")
+
+
+def test_closed_reader_before_the_output_comes() -> None:
+    """The pipe's other end is gone before anything is written."""
+    command = f"{shlex.join(FLEXFMU)} modes {SCENE} --poses 3 | true"
+    outcome = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=120, check=False)
+    assert outcome.stderr == ""
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
+def test_full_device_as_standard_output() -> None:
+    """A full disk behind standard output is an error in one line."""
+    with FULL.open("w") as full:
+        outcome = subprocess.run(
+            [*FLEXFMU, "modes", SCENE, "--poses", "3"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+    assert (outcome.returncode, outcome.stderr.count("\n")) == (1, 1)
+    assert "No space left on device" in outcome.stderr
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="this system has no /proc")
+def test_folder_that_cannot_be_made() -> None:
+    """Not even root can make a folder in /proc: status 1 before anything is simulated."""
+    outcome = flexfmu("run", SCENE, "--out", "/proc/flexfmu")
+    assert (outcome.returncode, outcome.stdout, outcome.stderr.count("\n")) == (1, "", 1)
+    assert "/proc/flexfmu" in outcome.stderr
+
+
+@pytest.mark.skipif(os.name != "posix" or os.getuid() == 0, reason="root may write everywhere")
+def test_read_only_folder(tmp_path: Path) -> None:
+    """A folder without write permission."""
+    tmp_path.chmod(0o555)
+    outcome = flexfmu("run", SCENE, "--out", str(tmp_path))
+    assert (outcome.returncode, outcome.stdout, outcome.stderr.count("\n")) == (1, "", 1)
+    assert "Permission denied" in outcome.stderr

@@ -1,0 +1,179 @@
+"""What a run leaves behind for machines and people: summary.json and report.html."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+
+import pytest
+
+from flexfmu.cosim.experiment import Run
+from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.metrics import Measurement, measure_run, settings_for
+from flexfmu.cosim.plots import draw_plots
+from flexfmu.cosim.report import render_report
+from flexfmu.cosim.summary import describe_effects, summarise, to_json
+
+MakeRun = Callable[..., Run]
+VOID = {"meta", "br", "hr", "img", "link", "input"}
+
+
+class Page(HTMLParser):
+    """Reads a page: whether its tags close in order, its identifiers and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.identifiers: list[str] = []
+        self.references: list[str] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Remember what must be closed, and identifiers."""
+        if tag not in VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name == "id" and value:
+                self.identifiers.append(value)
+            self.references += re.findall(r"url\(#([^)]*)\)", value or "")
+            if name in ("href", "xlink:href") and value:
+                self.references.append(value.removeprefix("#"))
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Self-closing elements of SVG."""
+        self.handle_starttag(tag, attrs)
+        self.handle_endtag(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        """Every element closes the one opened last."""
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        """Collect text."""
+        self.text += data
+
+
+def report_of(run: Run) -> str:
+    """The report of a run."""
+    settings = settings_for(run.plan) if run.completed else None
+    plots = draw_plots(run, None if settings is None else settings.end_equilibrium)
+    return render_report(summarise(run, measure_run(run)), plots)
+
+
+def test_summary_has_the_contract_s_keys(make_run: MakeRun) -> None:
+    """Users' scripts read these keys."""
+    run = make_run()
+    summary = summarise(run, measure_run(run))
+    assert list(summary) == ["scene", "effects", "metrics", "health", "timing", "versions"]
+    assert list(summary["metrics"]) == list(METRICS)
+    assert {"flexfmu", "casadi", "fmpy", "numpy", "python", "platform", "compiler"} <= set(summary["versions"])
+    assert summary["health"]["outcome"] == "completed"
+    assert summary["health"]["warnings"] == []
+    assert summary["timing"]["total"] == pytest.approx(0.37)
+    assert json.loads(to_json(summary)) == json.loads(json.dumps(summary))
+
+
+def test_metrics_of_the_run_are_plain_numbers(make_run: MakeRun) -> None:
+    """The residual vibration is that of the run in memory: it starts at 2e-4 m in each direction's sine, 58 Hz."""
+    metrics = summarise(run := make_run(), measure_run(run))["metrics"]
+    assert 2.0e-4 < metrics["residual_vibration_amplitude"] < 2.9e-4
+    assert metrics["end_velocity_error"] == pytest.approx(0.0, abs=1e-12)
+    assert 0.05 < metrics["settling_time"] < 0.08
+
+
+def test_coarse_step_is_said(make_run: MakeRun) -> None:
+    """At 16 ms a 58 Hz vibration is hardly sampled once a period: the metrics that depend on it are named, others are not."""
+    warnings = summarise(run := make_run(step=1.6e-2), measure_run(run))["health"]["warnings"]
+    names = {warning["metric"] for warning in warnings}
+    assert "residual_vibration_amplitude" in names
+    assert "end_position_error" not in names
+    assert all("communication step of 0.016 s is too coarse" in warning["message"] for warning in warnings)
+
+
+def test_effects_that_are_not_there_are_not_listed(make_run: MakeRun) -> None:
+    """The list of effects follows the scene."""
+    scene = make_run().scene
+    assert list(describe_effects(scene)) == ["proximal_bending", "distal_axial", "damping", "gravity", "payload"]
+    bare = scene.replace(
+        {
+            "effects.gravity": [0.0, 0.0],
+            "effects.damping": {"kind": "none"},
+            "payload.mass": 0.0,
+            "effects.distal_axial": 0,
+        }
+    )
+    assert list(describe_effects(bare)) == ["proximal_bending"]
+    assert list(describe_effects(bare.replace({"effects.proximal_bending": 0}))) == ["rigid"]
+
+
+def test_cut_short_run_has_no_metrics(make_run: MakeRun) -> None:
+    """Half a motion has no peak: null instead of a number that looks like one."""
+    run = make_run(outcome=Outcome.STEP_FAILED, end=0.2)
+    summary = summarise(run, measure_run(run))
+    assert set(summary["metrics"].values()) == {None}
+    assert summary["health"]["outcome"] == "step failed"
+    assert summary["health"]["end_time"] == pytest.approx(0.2, abs=1e-3)
+
+
+def test_json_refuses_what_json_does_not_know() -> None:
+    """NaN in a file would stop every other reader."""
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        to_json({"metric": float("nan")})
+
+
+def test_report_is_one_offline_file(make_run: MakeRun) -> None:
+    """No address, no script, nothing to fetch; tags close in order; identifiers are unique and references resolve."""
+    text = report_of(make_run())
+    assert not re.search(r"https?:|<script|@import|<link|<img", text)
+    page = Page(text)
+    assert page.open == []
+    assert len(page.identifiers) == len(set(page.identifiers))
+    assert set(page.references) <= set(page.identifiers)
+
+
+def test_report_shows_scene_metrics_and_plots(make_run: MakeRun) -> None:
+    """Effects, every metric, every plot, parameters and versions are on the page."""
+    text = report_of(make_run())
+    assert text.count("<svg") == 7
+    page = Page(text)
+    for wanted in (
+        *(info.label for info in METRICS.values()),
+        "Motor torques",
+        "Residual vibration",
+        "mechanism.base_half_distance",
+        "Point mass of 6 kg",
+        "fmpy",
+    ):
+        assert wanted in page.text
+
+
+def test_report_of_a_failed_run_says_so(make_run: MakeRun) -> None:
+    """A run that broke off is shown as far as it came, under a notice."""
+    text = report_of(make_run(outcome=Outcome.STEP_FAILED, end=0.2))
+    assert "did not finish" in text
+    assert "step failed at 0.2 s" in text
+    assert "Residual vibration</h3>" not in text
+    assert Page(text).open == []
+
+
+def test_report_without_any_recorded_step(make_run: MakeRun) -> None:
+    """An initialisation that failed leaves the scene's picture and the notice."""
+    text = report_of(make_run(outcome=Outcome.INITIALISATION_FAILED, end=-1.0))
+    assert text.count("<svg") == 1
+
+
+def test_report_escapes_what_it_shows(make_run: MakeRun) -> None:
+    """A message of the FMU is text, not markup."""
+    run = make_run()
+    summary = summarise(run, dict.fromkeys(METRICS, Measurement(None)))
+    summary["health"]["messages"] = ["<b>solver & state</b>"]
+    assert "&lt;b&gt;solver &amp; state&lt;/b&gt;" in render_report(summary, [])
+
+
+def test_same_run_same_report(make_run: MakeRun) -> None:
+    """Reports can be compared: nothing in them depends on when they were drawn."""
+    assert report_of(make_run()) == report_of(make_run())
