@@ -27,6 +27,7 @@
 #define CALIBRATION_STEPS 40
 #define CALIBRATION_ERROR_GROWTH 3.0
 #define CALIBRATION_STEP_GROWTH 1.25
+#define CALIBRATION_BEND 4.0
 
 /* step size control: aim below the tolerance, limits of a change, change that is worth new factors */
 #define SAFETY 0.5
@@ -245,11 +246,22 @@ static double held_error(const flex_gauss *gauss, double error, double h) {
   return fmax(error, HOLD * record->held_error * pow(fmin(ratio, 1.0), gauss->stages.tableau->stages + 1));
 }
 
+// what the prediction missed, divided by how far it reached out (error term of interpolation): a derivative of the motion
+// that jumps where the inputs do
+static double bend(const flex_gauss *gauss, double h) {
+  const flex_tableau *tableau = gauss->stages.tableau;
+  double history = gauss->record->history_step;
+  if (history == 0.0) return HUGE_VAL;
+  double x = 1.0 + h / history, reach = h * x * (x - 1.0);
+  for (int i = 0; i < tableau->stages; i++) reach *= x - tableau->c[i];
+  return gauss->stages.record->misprediction / (reach * pow(history, tableau->stages + 2));
+}
+
 // whether the last calibration says something about a step of size h with this cheap estimate
-static int is_calibrated(const flex_gauss_record *record, double error, double h) {
+static int is_calibrated(const flex_gauss_record *record, double error, double bend, double h) {
   return record->sharpness > 0.0 && record->calibration_age < CALIBRATION_STEPS &&
          h <= CALIBRATION_STEP_GROWTH * record->calibration_step &&
-         error <= CALIBRATION_ERROR_GROWTH * record->calibration_error;
+         error <= CALIBRATION_ERROR_GROWTH * record->calibration_error && bend <= CALIBRATION_BEND * record->calibration_bend;
 }
 
 // calibrated estimate; the methods' orders differ by s
@@ -294,7 +306,7 @@ static flex_outcome reject(flex_gauss *gauss, const flex_gauss_record *before, d
 
 // one step against two halves; the halves are kept
 static flex_outcome calibrate(flex_gauss *gauss, const flex_gauss_record *before, double t, double h, double error,
-                              double allowed, double *value) {
+                              double bend, double allowed, double *value) {
   flex_gauss_record *record = gauss->record;
   const flex_tableau *tableau = gauss->stages.tableau;
   int n = gauss->n, order = 2 * tableau->stages + 1;
@@ -334,6 +346,7 @@ static flex_outcome calibrate(flex_gauss *gauss, const flex_gauss_record *before
   record->sharpness = fmin(1.0, full_error / error);
   record->calibration_step = h;
   record->calibration_error = error;
+  record->calibration_bend = bend;
   record->calibration_age = 0;
   suggest(record, h, fitting);
   return FLEX_DONE;
@@ -353,10 +366,11 @@ static flex_outcome step(flex_gauss *gauss, double t, double h, double tolerance
 
   // estimates; the cheap one alone is enough where it is small
   double error = held_error(gauss, cheap_error(gauss, h), h);
-  int calibrated = is_calibrated(record, error, h);
+  double missed = bend(gauss, h);
+  int calibrated = is_calibrated(record, error, missed, h);
   record->held_error = error;
   record->held_step = h;
-  if (error > allowed && !calibrated) return calibrate(gauss, &before, t, h, error, allowed, value);
+  if (error > allowed && !calibrated) return calibrate(gauss, &before, t, h, error, missed, allowed, value);
   double fitting = fitting_step(h, error, allowed, stages + 1);
   if (calibrated) {
     double sharp = calibrated_error(gauss, error, h);

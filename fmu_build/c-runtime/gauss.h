@@ -18,6 +18,7 @@ typedef struct {
   double sharpness;         /* sharp estimate / cheap estimate at the last calibration; 0 = not calibrated */
   double calibration_step;  /* [s] */
   double calibration_error; /* cheap estimate at the last calibration */
+  double calibration_bend;  /* what prediction missed there, for a unit of its reach */
   int calibration_age;      /* steps since then */
   int padding;
   long long steps, rejections;

@@ -232,6 +232,7 @@ static flex_outcome iterate(flex_stages *stages, double h, const double *y, cons
 
     double increment = stage_norm(stages, stages->residual);
     if (!isfinite(increment)) return FLEX_NOT_FINITE;
+    if (k == 1) record->misprediction = increment;
     if (k > 1) {
       contraction = increment / previous;
       record->unchecked_steps = 0;

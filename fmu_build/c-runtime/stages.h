@@ -19,6 +19,7 @@
 typedef struct {
   double factored_step;     /* step size of the factorised matrices [s]; 0 = none */
   double contraction;       /* of the last step that took more than one iteration */
+  double misprediction;     /* size of the first correction of the last step, in the error norm */
   double excess_iterations; /* beyond what a fresh matrix needs, since the last refresh */
   double usual_iterations;  /* what a fresh matrix needs */
   int have_jacobian;        /* 1 = M, D, K are there */
