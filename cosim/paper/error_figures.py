@@ -21,7 +21,7 @@ def path_errors(simulations: Mapping[Case, Simulation]) -> Drawing:
     for panel, curve in zip(panels, CURVE_COLOURS, strict=True):
         draw_errors(panel, simulations, curve)
         panel.set_title(curve)
-    panels[0].legend(loc="upper right", ncols=2)
+    drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(PROFILE_COLOURS))
     panels[-1].set_xlabel("time [s]")
     return drawing
 

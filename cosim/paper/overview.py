@@ -23,19 +23,23 @@ PARITY = {
 }
 """Metric of Tables 7 and 9 → label and marker."""
 
+ROOM_FOR_LEGEND = 1.35
+"""Factor by which the axis of the errors reaches beyond them."""
+
 UNITS = {"mm": 1e3}
 """What to multiply figures of a unit with, so that all of them share one pair of axes."""
 
 
 def overview(simulations: Mapping[Case, Simulation], tables: Sequence[ComparisonTable]) -> Drawing:
     """The picture for the README."""
-    drawing = draw(11.0, 6.0)
+    drawing = draw(11.0, 5.0)
     grid = drawing.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
     _robot(drawing.add_subplot(grid[:, 0]))
     errors = drawing.add_subplot(grid[0, 1])
     draw_errors(errors, simulations, "Lamé")
     errors.set(xlabel="time [s]", title="What elasticity leaves: 6 kg in 0.43 s")
-    errors.legend(loc="upper right", fontsize=8, ncols=2)
+    errors.set_ylim(top=ROOM_FOR_LEGEND * errors.get_ylim()[1])
+    errors.legend(loc="upper left", fontsize=8, ncols=2, handlelength=1.2, columnspacing=1.0)
     _parity(drawing.add_subplot(grid[1, 1]), tables)
     return drawing
 
@@ -47,18 +51,32 @@ def _robot(axes: Axes) -> None:
     draw_bases(axes, motion)
     draw_path(axes, motion)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", title="The five-bar robot and its pick-and-place path", aspect="equal")
-    axes.autoscale_view()
+    axes.set(xlim=(-400.0, 400.0), ylim=(-85.0, 375.0))
 
 
 def _parity(axes: Axes, tables: Sequence[ComparisonTable]) -> None:
+    """Computed over printed figures on equal axes; a misprint is hollow."""
     chosen = [table for table in tables if table.printed.key in ("table-07", "table-09")]
     for (metric, (label, marker)), colour in zip(PARITY.items(), CURVE_COLOURS.values(), strict=True):
-        comparisons = [table.comparison(metric) for table in chosen]
-        printed = [UNITS.get(c.quantity.unit, 1.0) * float(cell.printed) for c in comparisons for cell in c.cells]
-        computed = [UNITS.get(c.quantity.unit, 1.0) * cell.computed for c in comparisons for cell in c.cells]
-        axes.loglog(printed, computed, marker, color=colour, label=label, markersize=5, alpha=0.8, markeredgewidth=0)
+        cells = [
+            (UNITS.get(comparison.quantity.unit, 1.0), cell)
+            for comparison in (table.comparison(metric) for table in chosen)
+            for cell in comparison.cells
+        ]
+        points = [(scale * float(cell.printed), scale * cell.computed) for scale, cell in cells if cell.believable]
+        axes.loglog(
+            *np.transpose(points), marker, color=colour, label=label, markersize=5, alpha=0.8, markeredgewidth=0
+        )
+        for scale, cell in cells:
+            if not cell.believable:
+                _misprint(axes, (scale * float(cell.printed), scale * cell.computed), marker, colour)
     limits = np.array([2.0, 220.0])
     axes.plot(limits, limits, color=GREY, linewidth=1.0, zorder=1)
     axes.set(xlim=limits, ylim=limits, xlabel="printed in the paper", ylabel="computed through the FMU")
     axes.set_title("Tables 7 and 9: 72 figures", color=INK)
     axes.legend(loc="upper left", fontsize=8)
+
+
+def _misprint(axes: Axes, point: tuple[float, float], marker: str, colour: str) -> None:
+    axes.loglog(*point, marker, markerfacecolor="white", markeredgecolor=colour, markersize=5)
+    axes.annotate("misprint", point, xytext=(0, -14), textcoords="offset points", ha="center", fontsize=8, color=GREY)
