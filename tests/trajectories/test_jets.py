@@ -29,7 +29,10 @@ def variable(value: float = 0.0) -> Jet:
         (1.0 / (1.0 - variable()), [1.0] * (ORDER + 1)),
         (sin(variable()), [math.sin(k * math.pi / 2) / math.factorial(k) for k in range(ORDER + 1)]),
         (cos(variable()), [math.cos(k * math.pi / 2) / math.factorial(k) for k in range(ORDER + 1)]),
-        (arctan2(variable(), Jet.constant(1.0, ORDER)), [math.sin(k * math.pi / 2) / max(k, 1) for k in range(ORDER + 1)]),
+        (
+            arctan2(variable(), Jet.constant(1.0, ORDER)),
+            [math.sin(k * math.pi / 2) / max(k, 1) for k in range(ORDER + 1)],
+        ),
         (sqrt(1.0 + 4.0 * variable()), [-((-1) ** k) * math.comb(2 * k, k) / (2 * k - 1) for k in range(ORDER + 1)]),
         (power(1.0 - variable(), -3.0), [math.comb(k + 2, 2) for k in range(ORDER + 1)]),
     ],

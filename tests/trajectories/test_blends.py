@@ -1,0 +1,157 @@
+"""Blends: the curves of the paper, by exact arc length."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from flexfmu.trajectories import Blend, ClothoidPair, Jet, LameBlend, PolarPolynomial, TrajectoryError
+from flexfmu.trajectories.jets import Array, arctan2, sqrt
+
+KINDS: tuple[Callable[[float, float], Blend], ...] = (LameBlend, ClothoidPair, PolarPolynomial)
+ROUNDING = 1e-15
+"""Error that rounding leaves of a value of size 1; it grows by less than a factor of 4 with each derivative."""
+
+seeded = settings(derandomize=True, deadline=None, max_examples=40)
+extents = st.floats(0.002, 0.2)
+ratios = {LameBlend: st.floats(0.1, 10.0), PolarPolynomial: st.floats(0.1, 10.0), ClothoidPair: st.floats(0.563, 1.778)}
+
+
+@st.composite
+def blends(draw: st.DrawFn) -> Blend:
+    """A blend of any kind with feasible extents."""
+    kind = draw(st.sampled_from(KINDS))
+    height = draw(extents)
+    return kind(height, height * draw(ratios[kind]))
+
+
+def sampled(blend: Blend, order: int, points: int = 201) -> tuple[Jet, Jet]:
+    """Jets along the whole blend."""
+    return blend.curve.jets(np.linspace(0.0, blend.curve.length, points), order)
+
+
+def growth(x: Jet, y: Jet) -> Array:
+    """1/R [1/m], shape (N,), so that the k-th coefficients of x and y are at most R^(1-k): their natural size."""
+    coefficients = np.abs(np.stack([x.coefficients[2:], y.coefficients[2:]]))
+    return np.asarray(np.max(coefficients ** (1.0 / np.arange(1, x.order))[:, None], axis=(0, 1)))
+
+
+def scaled(jet: Jet, rate: Array) -> Array:
+    """Coefficients in units of their natural size."""
+    return np.abs(jet.coefficients / rate ** np.arange(jet.order + 1)[:, None])
+
+
+@seeded
+@given(blends())
+def test_a_blend_goes_from_the_lift_into_the_crossing(blend: Blend) -> None:
+    """Protects position, tangent and curvature at both ends, which make the path's curvature continuous."""
+    x, y = (jet.derivatives() for jet in blend.curve.jets([0.0, blend.curve.length], 2))
+    size = max(blend.height, blend.width)
+    np.testing.assert_allclose([x[0, 0], y[0, 0]], [0.0, 0.0], atol=1e-15 * size)
+    np.testing.assert_allclose([x[0, 1], y[0, 1]], [blend.width, blend.height], atol=2e-15 * size)
+    np.testing.assert_allclose([x[1, 0], y[1, 0], x[1, 1], y[1, 1]], [0.0, 1.0, 1.0, 0.0], atol=1e-14)
+    np.testing.assert_allclose([x[2], y[2]], 0.0, atol=1e-10 / min(blend.height, blend.width))
+
+
+@seeded
+@given(blends())
+def test_arc_length_runs_at_unit_speed(blend: Blend) -> None:
+    """Protects exact arc length to order 8: |X'| = 1 and hence X'·X'' = 0 with all further derivatives."""
+    x, y = sampled(blend, 9)
+    rate = growth(x, y)
+    dx, dy = x.differentiate(), y.differentiate()
+    error = scaled(dx * dx + dy * dy - 1.0, rate).max(axis=1)
+    assert np.all(error < ROUNDING * 4.0 ** np.arange(9))
+
+
+@seeded
+@given(blends())
+def test_a_blend_turns_one_way_by_a_right_angle(blend: Blend) -> None:
+    """Protects the sign of the curvature: no blend overshoots."""
+    x, y = (jet.derivatives() for jet in sampled(blend, 2))
+    assert (x[1] * y[2] - y[1] * x[2]).max() < 1e-9 / min(blend.height, blend.width)
+
+
+@seeded
+@given(extents, ratios[LameBlend])
+def test_lame_fulfils_its_equation_in_all_derivatives(height: float, ratio: float) -> None:
+    """Protects the curve itself: ((e - x)/e)³ + (y/d)³ = 1 with eight derivatives along it."""
+    blend = LameBlend(height, height * ratio)
+    x, y = sampled(blend, 8)
+    u, v = 1.0 - x / blend.width, y / blend.height
+    assert scaled(u * u * u + v * v * v - 1.0, growth(x, y)).max() < ROUNDING * 4.0**8
+
+
+@seeded
+@given(extents, ratios[PolarPolynomial])
+def test_polar_polynomial_fulfils_its_equation_in_all_derivatives(height: float, ratio: float) -> None:
+    """Protects the curve itself, as the affine image of r(φ) = 1 + φ²/2 - φ³/Φ + φ⁴/(2Φ²), Φ = π/2."""
+    blend = PolarPolynomial(height, height * ratio)
+    x, y = sampled(blend, 8)
+    u, v = 1.0 - x / blend.width, y / blend.height
+    phi, full = arctan2(v, u), 0.5 * math.pi
+    polynomial = 1.0 + phi * phi / 2.0 - phi * phi * phi / full + phi * phi * phi * phi / (2.0 * full**2)
+    assert scaled(sqrt(u * u + v * v) - polynomial, growth(x, y)).max() < ROUNDING * 4.0**8
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_equal_extents_make_a_blend_symmetric(kind: Callable[[float, float], Blend]) -> None:
+    """Protects both halves against each other: running backwards swaps the axes."""
+    size = 0.025
+    curve = kind(size, size).curve
+    s = np.linspace(0.0, curve.length, 100)  # an even number leaves out the middle, where the clothoids' jets jump
+    x, y = curve.jets(s, 6)
+    u, v = (jet.rescale(-1.0) for jet in curve.jets(s[::-1], 6))
+    rate = growth(x, y)
+    assert scaled(x - (size - v), rate).max() < 1e-12 * size
+    assert scaled(y - (size - u), rate).max() < 1e-12 * size
+
+
+@pytest.mark.parametrize(("height", "width"), [(0.025, 0.025), (0.025, 0.0445), (0.02, 0.175), (0.175, 0.02)])
+def test_length_is_the_integral_of_the_plain_formula(height: float, width: float) -> None:
+    """Protects the length against the Lamé curve written as two graphs, integrated by an adaptive rule."""
+
+    def half(across: float, along: float) -> float:
+        limit = along * 0.5 ** (1.0 / 3.0)
+        return float(
+            quad(lambda v: math.hypot(1.0, across / along * (v / along) ** 2 * (1.0 - (v / along) ** 3) ** (-2.0 / 3.0)), 0.0, limit, epsabs=0.0, epsrel=1e-13)[0]
+        )  # fmt: skip
+
+    assert LameBlend(height, width).curve.length == pytest.approx(half(width, height) + half(height, width), rel=1e-13)
+
+
+def test_blends_scale() -> None:
+    """Protects units: a blend ten times as large is ten times as long, its curvature a tenth."""
+    for kind in KINDS:
+        small, large = kind(0.02, 0.03).curve, kind(0.2, 0.3).curve
+        assert large.length == pytest.approx(10.0 * small.length, rel=1e-15)
+        x, y = large.jets(0.3 * large.length, 5), small.jets(0.3 * small.length, 5)
+        np.testing.assert_allclose(x[0].derivatives() * 10.0 ** np.arange(-1.0, 5.0)[:, None], y[0].derivatives(), 1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("bad", [0.0, -0.025, math.nan, math.inf])
+def test_extents_that_are_no_lengths_are_refused(kind: Callable[[float, float], Blend], bad: float) -> None:
+    """Protects against negative, vanishing and undefined blends."""
+    with pytest.raises(TrajectoryError, match=f"blend height d must be above zero and finite, got {bad:g} m"):
+        kind(bad, 0.025)
+    with pytest.raises(TrajectoryError, match=f"blend width e must be above zero and finite, got {bad:g} m"):
+        kind(0.025, bad)
+
+
+def test_arc_lengths_off_the_curve_are_refused() -> None:
+    """Protects against extrapolation."""
+    curve = LameBlend(0.025, 0.025).curve
+    for s in (-1e-9, 0.05, math.nan):
+        with pytest.raises(
+            TrajectoryError, match=r"arc length must be between 0 and 0.0421562\d+ m, got .* at index 1"
+        ):
+            curve.jets([0.0, s])
+    with pytest.raises(TrajectoryError, match="order"):
+        curve.jets(0.0, -1)
