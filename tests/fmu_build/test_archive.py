@@ -49,8 +49,8 @@ def test_file_in_the_way_of_a_folder_is_an_error(tmp_path: Path) -> None:
 
 def test_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A failed write keeps what was there and leaves no half file behind."""
-    target = tmp_path / "x.fmu"
-    target.write_bytes(b"old")
+    target = tmp_path / "out" / "x.fmu"
+    write_atomically(target, b"old")
 
     def fail(_source: str, _target: Path) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -58,5 +58,5 @@ def test_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(ArchiveError, match="No space left on device; choose a writable folder"):
         write_atomically(target, b"new")
-    assert [path.name for path in tmp_path.iterdir()] == ["x.fmu"]
+    assert [path.name for path in target.parent.iterdir()] == ["x.fmu"]
     assert target.read_bytes() == b"old"

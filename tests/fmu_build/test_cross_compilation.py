@@ -1,0 +1,41 @@
+"""Binaries for other platforms, by zig."""
+
+from __future__ import annotations
+
+import importlib.util
+import zipfile
+from collections.abc import Callable
+
+import pytest
+
+from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.platforms import PLATFORMS
+from flexfmu.fmu_build.static_checks import FUNCTIONS
+from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.model.symbolic import SymbolicModel
+
+MakeModel = Callable[..., SymbolicModel]
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="needs ziglang"),
+]
+
+MAGIC = {"linux64": b"\x7fELF", "win64": b"MZ", "darwin64": b"\xcf\xfa\xed\xfe"}
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_one_fmu_serves_several_platforms(make_oscillators: MakeModel, name: str) -> None:
+    """Each platform's library has its name, its format and the FMI functions."""
+    target = PLATFORMS[name]
+    with zipfile.ZipFile(build_fmu(make_oscillators(), platforms=[name]).path) as archive:
+        library = archive.read(f"binaries/{name}/oscillators{target.suffix}")
+    assert library.startswith(MAGIC[name])
+    assert all(function.encode() in library for function in FUNCTIONS)
+
+
+def test_zig_builds_sound_fmus_too(make_oscillators: MakeModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a machine without a compiler the one from PyPI gives the same good FMU."""
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    assert validate_fmu(build_fmu(make_oscillators(), stop_time=0.1).path) == []

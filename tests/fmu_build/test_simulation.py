@@ -1,0 +1,99 @@
+"""Built FMUs under fmpy, against closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from flexfmu.fmu_build.build import build_fmu
+from flexfmu.model.symbolic import SymbolicModel
+
+MakeModel = Callable[..., SymbolicModel]
+
+MASS, STIFFNESS, COUPLING, FORCE = 2.0, 800.0, 150.0, 3.0
+STATES = ("first.position", "second.position", "der(first.position)", "der(second.position)")
+
+
+def _matrices(mass: float = MASS) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """M, K and B of the two oscillators."""
+    total = STIFFNESS + COUPLING
+    return mass * np.eye(2), np.array([[total, -COUPLING], [-COUPLING, total]]), np.array([1.0, 0.0])
+
+
+def _released(time: NDArray[np.float64], mass: float = MASS) -> NDArray[np.float64]:
+    """Positions and velocities after a constant force acts from rest: y = (I - V cos(w t) V') y_static, shape (N, 4)."""
+    M, K, B = _matrices(mass)
+    rest = np.linalg.solve(K, B * FORCE)
+    squares, V = np.linalg.eigh(np.linalg.solve(M, K))
+    w = np.sqrt(squares)
+    amplitudes = V.T @ rest
+    angle = np.outer(time, w)
+    return np.hstack([rest - (np.cos(angle) * amplitudes) @ V.T, (np.sin(angle) * w * amplitudes) @ V.T])
+
+
+def _simulate(path: Path, **settings: Any) -> Any:
+    return fmpy.simulate_fmu(str(path), output=[*STATES, "first.spring_force"], **settings)
+
+
+def test_free_oscillation_agrees_with_its_closed_form(make_oscillators: MakeModel) -> None:
+    """The whole way from symbols to a running binary gives the right motion, to the tolerance."""
+    path = build_fmu(make_oscillators(static_start=False), tolerance=1e-10).path
+    result = _simulate(path, stop_time=2.0, output_interval=1e-2)
+    computed = np.column_stack([result[name] for name in STATES])
+    expected = _released(result["time"])
+    scale = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(computed / scale, expected / scale, atol=1e-8)
+    np.testing.assert_allclose(result["first.spring_force"], -STIFFNESS * result["first.position"], rtol=1e-14)
+
+
+def test_tolerance_is_honoured(make_oscillators: MakeModel) -> None:
+    """A tighter relative tolerance of the importer gives a smaller error, down to its size."""
+    path = build_fmu(make_oscillators(static_start=False)).path
+    errors = []
+    for tolerance in (1e-4, 1e-6, 1e-8):
+        result = _simulate(path, stop_time=10.0, output_interval=1.0, relative_tolerance=tolerance)
+        expected = _released(result["time"])[:, 0]
+        errors.append(np.abs(result["first.position"] - expected).max() / np.abs(expected).max())
+        assert errors[-1] < 10 * tolerance
+    assert errors[0] > errors[1] > errors[2]
+
+
+def test_static_start_stays_where_it_is(make_oscillators: MakeModel) -> None:
+    """The FMU finds the equilibrium under its start inputs, and equilibrium is no motion."""
+    _, K, B = _matrices()
+    result = _simulate(build_fmu(make_oscillators()).path, stop_time=0.5, output_interval=0.05)
+    rest = np.linalg.solve(K, B * FORCE)
+    np.testing.assert_allclose(result["first.position"], rest[0], rtol=1e-9)
+    np.testing.assert_allclose(result["second.position"], rest[1], rtol=1e-9)
+    np.testing.assert_allclose(result["der(first.position)"], 0.0, atol=1e-9 * rest[0])
+
+
+def test_parameters_need_no_new_build(make_oscillators: MakeModel) -> None:
+    """One binary serves every mass, and the choice of the start is a parameter too."""
+    path = build_fmu(make_oscillators()).path
+    start_values = {"mass": 5.0, "initial": 2}
+    result = _simulate(path, stop_time=0.5, output_interval=0.05, start_values=start_values, relative_tolerance=1e-9)
+    expected = _released(result["time"], mass=5.0)[:, 0]
+    np.testing.assert_allclose(result["first.position"], expected, atol=1e-7 * np.abs(expected).max())
+
+
+def test_default_experiment_needs_no_arguments(make_oscillators: MakeModel) -> None:
+    """`fmpy simulate FILE` runs the experiment that the build was given."""
+    path = build_fmu(make_oscillators(), stop_time=0.3, step=1e-2).path
+    result = fmpy.simulate_fmu(str(path))
+    assert result["time"][-1] == pytest.approx(0.3)
+
+
+def test_model_without_unknowns_is_an_fmu_too(make_lever: MakeModel) -> None:
+    """A rigid scene has nothing to integrate, and its outputs still follow its inputs."""
+    ramp = np.array([(0.0, 0.0), (1.0, 3.0)], dtype=[("time", float), ("angle", float)])
+    result = fmpy.simulate_fmu(
+        str(build_fmu(make_lever()).path), stop_time=1.0, output_interval=0.1, input=ramp, output=["angle", "angle_out"]
+    )
+    np.testing.assert_allclose(result["angle_out"], 2.0 * result["angle"], atol=1e-14)
