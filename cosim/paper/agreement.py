@@ -32,7 +32,7 @@ class Agreement:
         """The counts in one sentence."""
         if not self.compared:
             return f"{_cells(self.misprinted)} misprinted."
-        more = f"; {_cells(self.misprinted)} misprinted" if self.misprinted else ""
+        more = f"; {_cells(self.misprinted)} misprinted and not counted" if self.misprinted else ""
         return f"{self._counts()}{more}."
 
     def _counts(self) -> str:

@@ -86,7 +86,7 @@ def percentage(relative: float) -> str:
     """A relative error as text with sign: two decimals below 10 %, none above 1000 %."""
     value = 100 * relative
     decimals = 2 if abs(value) < 9.995 else 1 if abs(value) < 999.5 else 0
-    return f"{value:+.{decimals}f} %".replace("-", "\N{MINUS SIGN}")
+    return f"{value:+.{decimals}f}\N{NO-BREAK SPACE}%".replace("-", "\N{MINUS SIGN}")
 
 
 def _block(comparison: Comparison, remarks: tuple[Remark, ...]) -> Block:

@@ -79,4 +79,4 @@ def _parity(axes: Axes, tables: Sequence[ComparisonTable]) -> None:
 
 def _misprint(axes: Axes, point: tuple[float, float], marker: str, colour: str) -> None:
     axes.loglog(*point, marker, markerfacecolor="white", markeredgecolor=colour, markersize=5)
-    axes.annotate("misprint", point, xytext=(0, -14), textcoords="offset points", ha="center", fontsize=8, color=GREY)
+    axes.annotate("misprint", point, xytext=(-8, -3), textcoords="offset points", ha="right", fontsize=8, color=GREY)

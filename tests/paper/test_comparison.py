@@ -77,7 +77,7 @@ def test_misprinted_cells_are_not_counted_as_compared() -> None:
     assert (agreement.compared, agreement.misprinted) == (35, 1)
     assert agreement.within[0] == agreement.to_the_digits == 35
     assert "35 within 0.1 %" in agreement.sentence()
-    assert "1 cell is misprinted" in agreement.sentence()
+    assert "1 cell is misprinted and not counted" in agreement.sentence()
 
 
 def test_agreement_counts_within_each_bound() -> None:
@@ -95,7 +95,13 @@ def test_remarks_reach_their_cells() -> None:
 
 
 @pytest.mark.parametrize(
-    ("relative", "text"), [(0.00123, "+0.12 %"), (-0.1523, "−15.2 %"), (12.0, "+1200 %"), (0.0, "+0.00 %")]
+    ("relative", "text"),
+    [
+        (0.00123, "+0.12\N{NO-BREAK SPACE}%"),
+        (-0.1523, "−15.2\N{NO-BREAK SPACE}%"),
+        (12.0, "+1200\N{NO-BREAK SPACE}%"),
+        (0.0, "+0.00\N{NO-BREAK SPACE}%"),
+    ],
 )
 def test_percentages_are_signed(relative: float, text: str) -> None:
     """Relative errors read the same in every table."""
