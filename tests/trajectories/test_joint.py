@@ -1,0 +1,161 @@
+"""Joint trajectories: inverse kinematics with derivatives, continuous angles, and margins checked while planning."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexfmu.trajectories import (
+    BangBang,
+    Jet,
+    JointTrajectory,
+    LameBlend,
+    Margin,
+    PickAndPlacePath,
+    SeventhDegreePolynomial,
+    TaskTrajectory,
+    TrajectoryError,
+)
+from flexfmu.trajectories.jets import Array, arctan2
+
+
+def task(
+    start: tuple[float, float] = (-0.175, 0.320), height: float = 0.025, profile: Any = None, width: float = 0.35
+) -> TaskTrajectory:
+    """The paper's path with a Lamé blend, elsewhere on request."""
+    path = PickAndPlacePath(start, (0.0, -1.0), height, width, LameBlend(0.025, 0.025))
+    return TaskTrajectory(path, profile or SeventhDegreePolynomial(), 0.43)
+
+
+def test_forward_kinematics_gives_the_path_back(five_bar: Any) -> None:
+    """Protects the working mode and the angles: the joints put the end effector where the path is."""
+    trajectory = JointTrajectory(task(), five_bar)
+    times = np.linspace(-0.1, 0.5, 301)
+    q1, q2 = trajectory.evaluate(times, 0)[0].T
+    np.testing.assert_allclose(five_bar.end_effector(q1, q2), task().evaluate(times, 0)[0], rtol=0, atol=1e-14)
+    assert np.all(q1 > 0.5 * math.pi)  # elbows outwards
+    assert np.all(q2 < 0.5 * math.pi)
+
+
+def test_each_derivative_is_the_integral_of_the_next(five_bar: Any) -> None:
+    """Protects every joint derivative to order 8 and both one-sided limits, by quadrature between breakpoints."""
+    trajectory = JointTrajectory(task(profile=BangBang(), height=0.03), five_bar)
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    for start, end in zip(trajectory.breakpoints[:-1], trajectory.breakpoints[1:], strict=True):
+        edges = np.linspace(start, end, 17)
+        half = 0.5 * np.diff(edges)
+        values = trajectory.evaluate((edges[:-1] + half * (nodes[:, None] + 1.0)).ravel(), 8)
+        integrals = np.einsum("n,i,knic->kc", weights, half, values.reshape(9, 40, 16, 2))
+        first, last = (trajectory.evaluate(t, 8, s)[:, 0] for t, s in ((start, "right"), (end, "left")))
+        scale = np.abs(values).max(axis=(1, 2))[:, None] * (end - start)
+        assert np.all(np.abs(last[:-1] - first[:-1] - integrals[1:]) <= 1e-11 * scale[1:] + 1e-14)
+
+
+def test_joints_stand_still_with_the_end_effector(five_bar: Any) -> None:
+    """Protects both ends of the motion and the shared list of breakpoints."""
+    trajectory = JointTrajectory(task(profile=BangBang()), five_bar)
+    assert trajectory.duration == 0.43
+    assert trajectory.breakpoints == trajectory.task.breakpoints
+    np.testing.assert_array_equal(trajectory.evaluate([-1.0, 1.0], 6)[1:], 0.0)
+    np.testing.assert_array_equal(trajectory.evaluate([0.0], 6, "left")[1:], 0.0)
+    assert np.all(np.abs(trajectory.evaluate([0.0], 2, "right")[2]) > 1.0)
+    assert trajectory.evaluate(0.1).shape == (3, 1, 2)
+
+
+@dataclass(frozen=True)
+class Pointer:
+    """A telescope at a base: its one angle as both joints, modulo 2π; the margin is its length."""
+
+    base: tuple[float, float]
+    required: float = 0.0
+
+    def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
+        angle = arctan2(y - self.base[1], x - self.base[0])
+        return angle, angle + 4.0 * math.pi
+
+    def margins(self, position: Array) -> tuple[Margin, ...]:
+        return (Margin("length", "m", np.hypot(*(position - self.base).T), self.required),)
+
+
+@pytest.mark.parametrize("below", [0.01, 1e-3, 1e-5, 1e-8])
+def test_angles_are_continuous_however_fast_they_turn(below: float) -> None:
+    """Protects continuity across ±π, next to a base as well, where half a turn takes less than a sample's time."""
+    motion = TaskTrajectory(
+        PickAndPlacePath((-0.2, 0.0), (0.0, -1.0), 0.05, 0.4, LameBlend(0.05, 0.05)), SeventhDegreePolynomial(), 1.0
+    )
+    trajectory = JointTrajectory(motion, Pointer((0.0, -0.05 + below)))
+    start, end = trajectory.evaluate([0.0, 1.0], 0)[0]
+    inner = math.atan2(0.05 - below, 0.2)
+    np.testing.assert_allclose(end - start, math.pi + 2.0 * inner, rtol=1e-14)
+    random = np.random.default_rng(1).permutation(np.linspace(0.0, 1.0, 501))
+    shuffled = trajectory.evaluate(random, 0)[0]
+    ordered = shuffled[np.argsort(random)]
+    assert np.all(np.diff(ordered, axis=0) > -1e-12)  # turns one way: no jump back by 2π
+    assert np.all(ordered <= end + 1e-12)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("base", [0.0, 0.01234, -0.0777])
+def test_the_worst_point_is_located_exactly(base: float, side: float) -> None:
+    """Protects the message: the nearest approach to a base is found to rounding, between whichever samples it lies."""
+    kinematics = Pointer((base, 0.295 + 0.05 * side), required=0.06)
+    with pytest.raises(TrajectoryError) as caught:
+        JointTrajectory(task(), kinematics)
+    message = str(caught.value)
+    found = re.match(
+        r"length is (\S+) m at \(x, y\) = \((\S+), (\S+)\) m, t = (\S+) s; it must be at least 0.06 m along", message
+    )
+    assert found, message
+    value, x, y, time = map(float, found.groups())
+    assert value == pytest.approx(0.05, rel=1e-5)
+    assert x == pytest.approx(base, abs=2e-6)
+    assert y == pytest.approx(0.295, abs=1e-6)
+    position = task().evaluate(time, 0)[0, 0]
+    np.testing.assert_allclose(position, [base, 0.295], rtol=0, atol=1e-5)
+    assert "\n" not in message
+
+
+def test_a_narrow_violation_between_samples_is_found() -> None:
+    """Protects planning against margins that fall short for a moment only: 1 part in 10⁹ below what is required."""
+    JointTrajectory(task(), Pointer((0.0123, 0.345), required=0.05 * (1.0 - 1e-9)))
+    with pytest.raises(TrajectoryError, match=r"length is 0.05 m"):
+        JointTrajectory(task(), Pointer((0.0123, 0.345), required=0.05 * (1.0 + 1e-9)))
+
+
+def test_leaving_the_workspace_is_refused(five_bar: Any) -> None:
+    """Protects planning: the far corner is out of leg 1's reach, and the message says where, when and by how much."""
+    with pytest.raises(
+        TrajectoryError, match=r"reach of leg 1 is -0\.\d+ m at \(x, y\) = .* it must be at least 0.001 m"
+    ):
+        JointTrajectory(task(start=(-0.175, 0.600)), five_bar)
+
+
+def test_undefined_margins_are_violations_but_named_last() -> None:
+    """Protects against NaN: a margin that isn't defined somewhere is violated there; a defined one tells more."""
+
+    @dataclass(frozen=True)
+    class Partial(Pointer):
+        required: float = 0.1
+
+        def margins(self, position: Array) -> tuple[Margin, ...]:
+            (length,) = Pointer.margins(self, position)
+            sine = Margin("sine", "1", np.where(length.values > 0.2, 0.5, np.nan), 0.02)
+            return sine, replace(length, required=self.required)
+
+    with pytest.raises(TrajectoryError, match=r"sine is undefined at .* at least 0.02 along"):
+        JointTrajectory(task(), Partial((0.0, 0.4), required=0.0))
+    with pytest.raises(TrajectoryError, match=r"length is 0.105 m at .* at least 0.2 m"):
+        JointTrajectory(task(), Partial((0.0, 0.4), required=0.2))
+
+
+def test_senseless_requests_are_refused(five_bar: Any) -> None:
+    """Protects joint trajectories like task trajectories."""
+    trajectory = JointTrajectory(task(), five_bar)
+    for arguments in ((math.nan,), (0.0, -1), (0.0, 2, "both"), ([[0.0]],)):
+        with pytest.raises(TrajectoryError):
+            trajectory.evaluate(*arguments)

@@ -1,0 +1,214 @@
+"""Motion in time: derivatives of any order, one-sided at breakpoints, standstill before and after."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexfmu.trajectories import (
+    BangBang,
+    Blend,
+    ClothoidPair,
+    LameBlend,
+    PickAndPlacePath,
+    PolarPolynomial,
+    Profile,
+    SeventhDegreePolynomial,
+    TaskTrajectory,
+    TrajectoryError,
+    Trapezoidal,
+)
+
+PROFILES = (SeventhDegreePolynomial(), BangBang(), Trapezoidal(0.25), Trapezoidal(0.125))
+BLENDS = (LameBlend(0.025, 0.025), ClothoidPair(0.025, 0.025), PolarPolynomial(0.025, 0.025), LameBlend(0.02, 0.175))
+seeded = settings(derandomize=True, deadline=None, max_examples=30)
+
+
+def planned(
+    blend: Blend = BLENDS[0], profile: Profile = PROFILES[0], duration: float = 0.43, height: float = 0.025
+) -> TaskTrajectory:
+    """The paper's path, higher on request."""
+    return TaskTrajectory(PickAndPlacePath((-0.175, 0.320), (0.0, -1.0), height, 0.350, blend), profile, duration)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("blend", BLENDS)
+def test_each_derivative_is_the_integral_of_the_next(blend: Blend, profile: Profile) -> None:
+    """Protects every derivative to order 8 and both one-sided limits, by quadrature between breakpoints.
+
+    Between the limits at an interval's ends a derivative changes by the integral of the next one.
+    """
+    trajectory = planned(blend, profile, height=0.03)
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    for start, end in pairwise(trajectory.breakpoints):
+        edges = np.linspace(start, end, 17)
+        half = 0.5 * np.diff(edges)
+        times = edges[:-1] + half * (nodes[:, None] + 1.0)
+        values = trajectory.evaluate(times.ravel(), 8)
+        integrals = np.einsum("n,i,knic->kc", weights, half, values.reshape(9, 40, 16, 2))
+        first, last = (trajectory.evaluate(t, 8, s)[:, 0] for t, s in ((start, "right"), (end, "left")))
+        scale = np.abs(values).max(axis=(1, 2))[:, None] * (end - start)
+        assert np.all(np.abs(last[:-1] - first[:-1] - integrals[1:]) <= 1e-11 * scale[1:] + 1e-15)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_motion_on_a_straight_part_is_the_profile_itself(profile: Profile) -> None:
+    """Protects composition and time scaling against a closed form: acceleration in the middle of the crossing."""
+    trajectory = planned(profile=profile, duration=0.5)
+    eta = np.array([0.4, 0.45, 0.55])
+    motion = trajectory.evaluate(0.5 * eta, 3)
+    velocity = {"SeventhDegreePolynomial": 140 * eta**3 * (1 - eta) ** 3, "BangBang": 4 * np.minimum(eta, 1 - eta)}
+    expected = velocity.get(type(profile).__name__, np.full(3, 1.0 / (1.0 - getattr(profile, "ramp", 0.0))))
+    np.testing.assert_allclose(motion[1, :, 0], expected * trajectory.path.length / 0.5, rtol=1e-14)
+    np.testing.assert_array_equal(motion[1:, :, 1], 0.0)
+
+
+def test_speed_along_the_path_is_the_profiles() -> None:
+    """Protects exact arc length in time: the norm of the velocity doesn't know the path's shape."""
+    times = np.linspace(0.0, 0.43, 1001)
+    for blend in BLENDS:
+        trajectory = planned(blend)
+        eta = times / 0.43
+        expected = 140.0 * eta**3 * (1.0 - eta) ** 3 * trajectory.path.length / 0.43
+        speed = np.hypot(*trajectory.evaluate(times, 1)[1].T)
+        np.testing.assert_allclose(speed, expected, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("blend", BLENDS)
+def test_standstill_before_and_after(blend: Blend, profile: Profile) -> None:
+    """Protects both ends: outside the motion nothing moves; at its ends one side moves, the other stands."""
+    trajectory = planned(blend, profile)
+    rest = trajectory.evaluate([-1.0, -1e-9, 0.43 + 1e-9, 9.0], 6)
+    np.testing.assert_array_equal(rest[1:], 0.0)
+    np.testing.assert_allclose(rest[0, :2], [[-0.175, 0.320]] * 2, rtol=0, atol=1e-16)
+    np.testing.assert_allclose(rest[0, 2:], [[0.175, 0.320]] * 2, rtol=0, atol=1e-16)
+    np.testing.assert_array_equal(trajectory.evaluate(0.0, 6, "left")[1:], 0.0)
+    np.testing.assert_array_equal(trajectory.evaluate(0.43, 6, "right")[1:], 0.0)
+    order = 4 if isinstance(profile, SeventhDegreePolynomial) else 2
+    first, last = trajectory.evaluate(0.0, 6, "right")[order, 0], trajectory.evaluate(0.43, 6, "left")[order, 0]
+    assert first[1] < -1.0  # off towards -y with the first derivative that isn't zero
+    assert last[1] == pytest.approx(first[1], rel=1e-12)  # y(t) is symmetric about the middle
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("blend", BLENDS)
+def test_only_breakpoints_have_two_sides(blend: Blend, profile: Profile) -> None:
+    """Protects the list of breakpoints: position and velocity have one value there, some derivative has two; between
+    breakpoints both sides agree."""
+    trajectory = planned(blend, profile, height=0.03)
+    points = np.array(trajectory.breakpoints)
+    left, right = (trajectory.evaluate(points, 6, side) for side in ("left", "right"))
+    np.testing.assert_allclose(left[0], right[0], rtol=0, atol=2e-15)
+    np.testing.assert_allclose(left[1], right[1], rtol=0, atol=1e-12)
+    scale = np.abs(right).max(axis=1)[:, None]
+    assert np.all(np.any(np.abs(left - right) > 1e-9 * scale, axis=(0, 2)))
+    elsewhere = points[:-1] + 0.37 * np.diff(points)
+    left, right = (trajectory.evaluate(elsewhere, 6, side) for side in ("left", "right"))
+    np.testing.assert_array_equal(left, right)
+
+
+def test_smooth_middle_of_the_polynomial_is_no_breakpoint() -> None:
+    """Protects continuity where the polynomial's expansion changes from one end to the other."""
+    trajectory = planned(profile=SeventhDegreePolynomial(), duration=1.0)
+    assert 0.5 not in trajectory.breakpoints
+    left, right = (trajectory.evaluate(0.5, 7, side)[:, 0, 0] for side in ("left", "right"))
+    np.testing.assert_allclose(left, right, rtol=1e-13, atol=1e-11)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_breakpoints_are_sorted_and_symmetric(profile: Profile) -> None:
+    """Protects what a master lands on: jumps of the profile and passages of knots, 0 and the duration included."""
+    trajectory = planned(ClothoidPair(0.02, 0.03), profile, 0.3, height=0.05)
+    points = np.array(trajectory.breakpoints)
+    assert points[0] == 0.0
+    assert points[-1] == 0.3
+    assert len(points) == 2 + 6 + len(profile.jumps)
+    assert np.all(np.diff(points) > 1e-6)
+    np.testing.assert_allclose(points + points[::-1], 0.3, rtol=0, atol=1e-15)
+    position = trajectory.evaluate(points, 0)[0]
+    knots = np.stack([jet.value for jet in trajectory.path.jets(trajectory.path.knots, 0)], axis=-1)
+    distance = np.linalg.norm(position[:, None] - knots, axis=-1)
+    assert distance.min(axis=0).max() < 1e-15
+
+
+def test_coinciding_breakpoints_are_merged() -> None:
+    """Protects the middle, where the bang-bang's jump and the knot between two blends without a straight part meet."""
+    assert planned(LameBlend(0.025, 0.175), BangBang()).breakpoints == (0.0, 0.215, 0.43)
+    assert len(planned(LameBlend(0.025, 0.175), Trapezoidal(0.5 - 1e-14)).breakpoints) == 3
+
+
+def test_a_time_next_to_a_breakpoint_is_at_it() -> None:
+    """Protects integer ticks, whose products round: n · step can miss the breakpoint by an ulp on either side."""
+    trajectory = planned(profile=BangBang(), duration=0.43)
+    for time in (np.nextafter(0.215, 0.0), 0.215, np.nextafter(0.215, 1.0)):
+        left, right = (trajectory.evaluate(time, 2, side)[2, 0, 0] for side in ("left", "right"))
+        assert left > 0.0 > right
+    for time in (np.nextafter(0.43, 0.0), np.nextafter(0.43, 1.0)):
+        assert trajectory.evaluate(time, 2, "left")[2, 0, 1] < -1.0
+        assert trajectory.evaluate(time, 2, "right")[2, 0, 1] == 0.0
+
+
+@seeded
+@given(
+    st.sampled_from(BLENDS),
+    st.one_of(st.sampled_from(PROFILES), st.floats(0.01, 0.5).map(Trapezoidal)),
+    st.floats(0.01, 50.0),
+)
+def test_derivatives_scale_with_the_duration(blend: Blend, profile: Profile, duration: float) -> None:
+    """Protects the time scale for random motions: the k-th derivative goes with duration^-k."""
+    slow, unit = planned(blend, profile, duration), planned(blend, profile, 1.0)
+    eta = np.linspace(0.0113, 0.9871, 50)
+    expected = unit.evaluate(eta, 5) / duration ** np.arange(6.0)[:, None, None]
+    scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
+    assert np.all(np.abs(slow.evaluate(duration * eta, 5) - expected) <= 1e-10 * scale)
+
+
+def test_shapes_follow_times_and_order() -> None:
+    """Protects the contract (order + 1, N, 2), for one number, arrays and none."""
+    trajectory = planned()
+    assert trajectory.evaluate(0.1).shape == (3, 1, 2)
+    assert trajectory.evaluate([0.1, 0.2, 0.5], order=0).shape == (1, 3, 2)
+    assert trajectory.evaluate(np.empty(0), 4).shape == (5, 0, 2)
+    both = trajectory.evaluate([0.1, 0.3], 6)
+    np.testing.assert_allclose(both[:, 1:], trajectory.evaluate(0.3, 6), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(both[:3], trajectory.evaluate([0.1, 0.3], 2))
+
+
+@pytest.mark.parametrize("duration", [0.0, -0.43, math.nan, math.inf])
+def test_durations_that_are_none_are_refused(duration: float) -> None:
+    """Protects against infinite velocities and motions that never end."""
+    with pytest.raises(TrajectoryError, match=f"trajectory duration must be above zero and finite, got {duration:g} s"):
+        planned(duration=duration)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([0.0, math.nan],), "times must be finite, got nan s at index 1"),
+        ((math.inf,), "times must be finite, got inf s at index 0"),
+        (([[0.0]],), r"shape \(N,\), got shape \(1, 1\)"),
+        ((0.0, -1), "order of a derivative must be a whole number of at least 0, got -1"),
+        ((0.0, 1.5), "whole number .* got 1.5"),
+        ((0.0, 2, "both"), 'side must be "left" or "right", got \'both\''),
+    ],
+)
+def test_senseless_requests_are_refused(arguments: tuple[object, ...], message: str) -> None:
+    """Protects against NaN that travels on silently."""
+    with pytest.raises(TrajectoryError, match=message):
+        planned().evaluate(*arguments)  # type: ignore[arg-type]
+
+
+def test_ten_thousand_points_of_order_six_are_cheap() -> None:
+    """Protects vectorisation: a loop over the points would take seconds, this takes about 15 ms."""
+    trajectory, times = planned(), np.linspace(0.0, 0.43, 10_000)
+    trajectory.evaluate(times[:2], 6)
+    start = clock.perf_counter()
+    trajectory.evaluate(times, 6)
+    assert clock.perf_counter() - start < 0.5
