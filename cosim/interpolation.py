@@ -67,61 +67,102 @@ class HermiteSegments:
         """
         return HermiteSegments(self.start, self.end, self.left - left, self.right - right)
 
-    def evaluate(self, theta: Array) -> Array:
-        """(k, n, c) values at the normalised times ``theta`` (k,) of every segment."""
-        return np.tensordot(bernstein_basis(theta, len(self.control) - 1), self.control, axes=1)
+    def evaluate(self, theta: Array, order: int = 0) -> Array:
+        """(k, n, c) time derivative of some order at the normalised times ``theta`` (k,) of every segment."""
+        control = self._derivative_control(order)
+        return np.tensordot(bernstein_basis(theta, len(control) - 1), control, axes=1)
 
     def maximum_norm(self) -> float:
         """Largest Euclidean norm over the channels, anywhere on the segments, both sides of every jump included."""
         return maximum_norm(self.control)
 
-    def mean_square(self) -> float:
-        """Mean over time of the squared norm: Gauss quadrature with as many points as integrate it exactly."""
-        points, weights = gauss_legendre(len(self.control))
-        squares = np.sum(self.evaluate(points) ** 2, axis=2)
-        return float(weights @ squares @ self.duration / np.sum(self.duration))
+    def mean_product(self, first: Array, second: Array) -> float:
+        """Mean over time of the inner product of two signals (k, n, c), given at the k points of `quadrature`."""
+        _, weights = self.quadrature
+        products = np.sum(first * second, axis=2)
+        return float(weights @ products @ self.duration / np.sum(self.duration))
+
+    @property
+    def quadrature(self) -> tuple[Array, Array]:
+        """Normalised times and weights of Gauss quadrature, exact for products of the signal with its error."""
+        return gauss_legendre(len(self.control) + 1)
 
     def error_estimate(self) -> Array:
         """(n,) estimated largest interpolation error of the norm within each segment.
 
-        The first derivative that is not interpolated, the m-th, jumps between neighbouring segments in proportion to
-        the derivative of order 2 m of the signal, which is what the interpolation error depends on. A node counts
-        where the interpolated derivatives themselves are continuous; a segment without such a neighbour (a piece of
-        one segment between two breakpoints) is judged by the change that its own highest derivative makes. Within a
-        factor of two where a step is below 2 rad of the vibration, an order of magnitude beyond.
+        The first derivative that is not interpolated, the m-th (m odd), jumps between neighbouring segments in
+        proportion to the signal's derivative of order 2 m, which is what the interpolation error depends on. A node
+        counts where the interpolated derivatives themselves are continuous; a segment without such a neighbour (a
+        piece of one segment between two breakpoints) is judged by the change that its own highest derivative makes.
+        Within a factor of two where a step is below 2 rad of the vibration, an order of magnitude beyond.
         """
-        order = 2 * len(self.left)
-        inner = self._node_derivatives()
-        derivative = np.fmax(np.concatenate([[np.nan], inner]), np.concatenate([inner, [np.nan]]))
-        estimate: Array = derivative * self.duration**order / (math.factorial(order) * 2**order)
-        alone = np.isnan(estimate)
+        derivative = np.fmax(*np.linalg.norm(self._highest_derivatives, axis=2))
+        alone = np.asarray(np.isnan(derivative))
+        estimate: Array = derivative * np.abs(self._error_shape(np.array([0.5]), order=0)[0])
         if np.any(alone):
             estimate[alone] = self.select(alone)._lower_degree_change()
         return estimate
 
-    def _node_derivatives(self) -> Array:
-        """(n - 1,) norm of the derivative of order 2 m at the inner nodes; NaN where a node tells nothing."""
+    def deviation_estimate(self, theta: Array, order: int = 0) -> Array:
+        """(k, n, c) estimated difference of the signal's time derivative of some order from the interpolant's.
+
+        Where only its size is known (see `error_estimate`) it points in the direction of that derivative.
+
+        Args:
+            theta: (k,) normalised times in each segment.
+            order: order of the derivative, at most that of the highest one that is interpolated.
+        """
+        ends = self._highest_derivatives
+        known = ~np.isnan(ends)
+        mean = np.where(known, ends, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        deviation: Array = self._error_shape(theta, order)[:, :, np.newaxis] * mean
+        alone = ~known.any(axis=(0, 2))
+        if np.any(alone):
+            deviation[:, alone] = self.select(np.asarray(alone))._unsigned_deviation(theta, order)
+        return deviation
+
+    @cached_property
+    def _highest_derivatives(self) -> Array:
+        """(2, n, c) derivative of order 2 m next to the start and to the end of each segment; NaN where unknown."""
         m = len(self.left)
-        jump = np.linalg.norm(self._uninterpolated(at_end=False)[1:] - self._uninterpolated(at_end=True)[:-1], axis=1)
+        jump = self._uninterpolated(at_end=False)[1:] - self._uninterpolated(at_end=True)[:-1]
         first, second = self.duration[:-1], self.duration[1:]
-        derivative = jump * math.factorial(2 * m) / math.factorial(m) / (first**m + second**m)
-        useful = _continuous(self.right[:, :-1], self.left[:, 1:]) & (
-            np.minimum(first, second) > COMPARABLE_STEPS * np.maximum(first, second)
-        )
-        return np.where(useful, derivative, np.nan)
+        scale = math.factorial(2 * m) / math.factorial(m) / (first**m + second**m)
+        comparable = np.minimum(first, second) > COMPARABLE_STEPS * np.maximum(first, second)
+        useful = comparable & _continuous(self.right[:, :-1], self.left[:, 1:])
+        inner = np.where(useful[:, np.newaxis], jump * scale[:, np.newaxis], np.nan)
+        unknown = np.full((1, jump.shape[1]), np.nan)
+        return np.stack([np.concatenate([unknown, inner]), np.concatenate([inner, unknown])])
+
+    def _error_shape(self, theta: Array, order: int) -> Array:
+        """(k, n) the signal minus its interpolant, differentiated, for a derivative of order 2 m of one."""
+        m = len(self.left)
+        node_polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
+        shape = node_polynomial.deriv(order) if order else node_polynomial
+        return np.outer(shape(theta), self.duration ** (2 * m - order)) / math.factorial(2 * m)
+
+    def _unsigned_deviation(self, theta: Array, order: int) -> Array:
+        """(k, n, c) the error of a segment without neighbours, as if it were all in the direction of the derivative."""
+        values = self.evaluate(theta, order)
+        norm = np.linalg.norm(values, axis=2, keepdims=True)
+        return np.asarray(values / np.where(norm > 0.0, norm, 1.0) * self._lower_degree_change(order)[:, np.newaxis])
 
     def _uninterpolated(self, *, at_end: bool) -> Array:
         """(n, c) the interpolant's derivative of order m at the start or end of each segment."""
-        m, degree = len(self.left), len(self.control) - 1
-        differences = np.diff(self.control, n=m, axis=0)
-        scale = math.factorial(degree) / math.factorial(degree - m) / self.duration**m
-        return np.asarray(differences[-1 if at_end else 0] * scale[:, np.newaxis])
+        return np.asarray(self._derivative_control(len(self.left))[-1 if at_end else 0])
 
-    def _lower_degree_change(self) -> Array:
+    def _derivative_control(self, order: int) -> Array:
+        """(2 m - order, n, c) control points of the interpolant's time derivative."""
+        degree = len(self.control) - 1
+        scale = math.perm(degree, order) / self.duration**order
+        return np.asarray(np.diff(self.control, n=order, axis=0) * scale[:, np.newaxis])
+
+    def _lower_degree_change(self, order: int = 0) -> Array:
         """(n,) largest difference from the interpolant that leaves the highest derivative out: a pessimistic bound."""
         lower = HermiteSegments(self.start, self.end, self.left[:-1], self.right[:-1])
         theta = np.linspace(0.0, 1.0, 9)
-        return np.asarray(np.linalg.norm(self.evaluate(theta) - lower.evaluate(theta), axis=2).max(axis=0))
+        change = self.evaluate(theta, order) - lower.evaluate(theta, order)
+        return np.asarray(np.linalg.norm(change, axis=2).max(axis=0))
 
 
 def _continuous(before: Array, after: Array) -> NDArray[np.bool_]:

@@ -16,7 +16,6 @@ from flexfmu.cosim.interpolation import HermiteSegments
 from flexfmu.cosim.mechanism_plot import draw_scene
 from flexfmu.cosim.plot_style import GREY
 from flexfmu.cosim.signals import (
-    ACCELERATION,
     TIP_DEFLECTIONS,
     TORQUES,
     deviation_from_point,
@@ -120,12 +119,12 @@ def _draw_pair(
 
 
 def _draw_position_error(figure: Figure, run: Run) -> None:
-    _draw_norm(figure, run, deviation_from_rigid(position(run.recording), run.plan.task, 0), "error [mm]", 1e3)
+    _draw_norm(figure, run, deviation_from_rigid(position(run.recording), run.plan.task), "error [mm]", 1e3)
 
 
 def _draw_acceleration_error(figure: Figure, run: Run) -> None:
-    acceleration = segments(run.recording, ACCELERATION).within(0.0, run.plan.duration)
-    _draw_norm(figure, run, deviation_from_rigid(acceleration, run.plan.task, 2), "error [m/s²]", 1.0)
+    motion = position(run.recording).within(0.0, run.plan.duration)
+    _draw_norm(figure, run, deviation_from_rigid(motion, run.plan.task), "error [m/s²]", 1.0, order=2)
 
 
 def _draw_dwell(figure: Figure, run: Run, end_equilibrium: Array) -> None:
@@ -135,9 +134,10 @@ def _draw_dwell(figure: Figure, run: Run, end_equilibrium: Array) -> None:
     axes.set_xlim(run.plan.duration, run.recording.time[-1])
 
 
-def _draw_norm(figure: Figure, run: Run, signal: HermiteSegments, label: str, factor: float) -> Axes:
+def _draw_norm(figure: Figure, run: Run, signal: HermiteSegments, label: str, factor: float, order: int = 0) -> Axes:
+    """Norm of a signal's time derivative."""
     axes = figure.subplots()
-    time, values = _curve(signal)
+    time, values = _curve(signal, order)
     axes.plot(time, factor * np.linalg.norm(values, axis=1))
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
@@ -145,9 +145,9 @@ def _draw_norm(figure: Figure, run: Run, signal: HermiteSegments, label: str, fa
     return axes
 
 
-def _curve(signal: HermiteSegments) -> tuple[Array, Array]:
+def _curve(signal: HermiteSegments, order: int = 0) -> tuple[Array, Array]:
     """Enough points of a signal for a smooth curve."""
-    return sample(signal, int(np.clip(POINTS // max(len(signal.start), 1), 2, 20)))
+    return sample(signal, int(np.clip(POINTS // max(len(signal.start), 1), 2, 20)), order)
 
 
 def _time_axis(axes: Axes, run: Run) -> None:
