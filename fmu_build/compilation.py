@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,6 +38,7 @@ def compile_library(
 
     Raises:
         CompileError: the compiler or the linker refuses.
+        ArchiveError: there is no room for temporary files.
     """
     texts = sources.generated | sources.runtime
     jobs = {
@@ -44,8 +47,7 @@ def compile_library(
         if name.endswith(".c")
     }
     library = f"{sources.model_identifier}{compiler.platform.suffix}"
-    with tempfile.TemporaryDirectory(prefix="flexfmu-") as name:
-        folder = Path(name)
+    with _work_folder() as folder:
         for file, text in texts.items():
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
         kept = {job: _kept_object(job, texts, compiler) for job in jobs.values()}
@@ -55,6 +57,17 @@ def compile_library(
             _keep(folder / job.object_file, kept[job])
         compiler.link([job.object_file for job in jobs.values()], library, folder)
         return (folder / library).read_bytes()
+
+
+@contextmanager
+def _work_folder() -> Iterator[Path]:
+    """A temporary folder; whatever the file system refuses becomes one sentence."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="flexfmu-") as name:
+            yield Path(name)
+    except OSError as error:
+        remedy = "free some space, or name another folder in the variable TMPDIR"
+        raise ArchiveError(f"cannot compile in a temporary folder: {error.strerror}; {remedy}") from error
 
 
 def _kept_object(job: CompileJob, texts: dict[str, str], compiler: Compiler) -> Path:

@@ -30,7 +30,7 @@ COMMON_FLAGS = (
     "-fdata-sections",
 )
 
-_COMPILERS = ("cc", "gcc", "clang")
+_COMPILERS = (("cc",), ("gcc",), ("clang",))
 _REMEDY = "install gcc or clang, or run: pip install flexfmu[zig]"
 
 
@@ -49,16 +49,22 @@ class CompileJob:
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler for one platform."""
+    """A C compiler for one platform.
+
+    Attributes:
+        command: how it is called, arguments included.
+        executable: the file that does the work; another version of it is another compiler.
+        platform: what it compiles for.
+    """
 
     command: tuple[str, ...]
+    executable: Path
     platform: Platform
 
     def identity(self) -> str:
         """What tells this compiler from another or from its next version: command, file, time and size."""
-        executable = Path(shutil.which(self.command[0]) or self.command[0])
-        facts = executable.stat()
-        return f"{self.command} {executable.resolve()} {facts.st_mtime_ns} {facts.st_size}"
+        facts = self.executable.stat()
+        return f"{self.command} {self.executable} {facts.st_mtime_ns} {facts.st_size}"
 
     def compile(self, jobs: Iterable[CompileJob], folder: Path) -> None:
         """Compile all jobs in ``folder``, as many at once as there are processors, the largest source first.
@@ -95,27 +101,32 @@ def find_compiler(platform: Platform) -> Compiler:
         MissingCompilerError: there is none; the message says what to install.
     """
     is_native = platform == native_platform()
-    command = _native_command() if is_native else None
-    command = command or _zig_command(platform)
-    if command is None:
+    compiler = _native_compiler(platform) if is_native else None
+    compiler = compiler or _zig_compiler(platform)
+    if compiler is None:
         where = "" if is_native else f" for {platform.name} on {native_platform().name}"
         remedy = _REMEDY if is_native else "run: pip install flexfmu[zig]"
         raise MissingCompilerError(f"no C compiler found{where}; {remedy}")
-    return Compiler(command, platform)
+    return compiler
 
 
-def _native_command() -> tuple[str, ...] | None:
+def _native_compiler(platform: Platform) -> Compiler | None:
     chosen = tuple(shlex.split(os.environ.get("CC", "")))
-    if chosen and shutil.which(chosen[0]) is None:
+    for command in (chosen,) if chosen else _COMPILERS:
+        executable = shutil.which(command[0])
+        if executable is not None:
+            return Compiler(command, Path(executable).resolve(), platform)
+    if chosen:
         raise MissingCompilerError(f"C compiler '{chosen[0]}' of the variable CC not found; correct CC or unset it")
-    found = next((name for name in _COMPILERS if shutil.which(name)), None)
-    return chosen or ((found,) if found else None)
+    return None
 
 
-def _zig_command(platform: Platform) -> tuple[str, ...] | None:
-    if importlib.util.find_spec("ziglang") is None:
+def _zig_compiler(platform: Platform) -> Compiler | None:
+    spec = importlib.util.find_spec("ziglang")
+    if spec is None or not spec.submodule_search_locations:
         return None
-    return (sys.executable, "-m", "ziglang", "cc", "-target", platform.zig_target)
+    command = (sys.executable, "-m", "ziglang", "cc", "-target", platform.zig_target)
+    return Compiler(command, Path(spec.submodule_search_locations[0]), platform)
 
 
 def _run(command: tuple[str, ...], folder: Path, what: str) -> None:

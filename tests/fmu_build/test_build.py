@@ -6,6 +6,7 @@ import os
 import stat
 import subprocess
 import sys
+import tempfile
 import zipfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +16,7 @@ import pytest
 
 from flexfmu.fmu_build import build, toolchain
 from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.elf import exported_symbols
 from flexfmu.fmu_build.errors import ArchiveError, MissingCompilerError, PlatformError
 from flexfmu.fmu_build.platforms import native_platform
@@ -205,3 +207,19 @@ def test_progress_tells_each_stage(make_oscillators: MakeModel) -> None:
     build_fmu(make_oscillators, key="oscillators", progress=told.append)
     build_fmu(_never, key="oscillators", progress=told.append)
     assert told == ["building the model", "generating C", f"compiling for {native_platform().name}", "packing"]
+
+
+def test_full_temporary_folder_is_an_error(
+    make_oscillators: MakeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A compiler without room for its files gives one sentence with the way out."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(ArchiveError, match="TMPDIR"):
+        build_fmu(make_oscillators(), output=tmp_path / "robot.fmu")
+
+
+def test_runtime_compiles_without_warnings(make_oscillators: MakeModel) -> None:
+    """Whoever compiles the sources of an FMU with all warnings sees none of ours."""
+    sources = generate_sources(make_oscillators(), build.DefaultExperiment())
+    compiler = toolchain.find_compiler(native_platform())
+    assert compile_library(sources, compiler, cache=False, runtime_flags=(*toolchain.RUNTIME_FLAGS, "-Werror"))

@@ -1,0 +1,117 @@
+"""The FMU of a scene: what determines it, and how long it takes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu as validate_by_fmpy
+
+from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.scene_build import build_scene, scene_key
+from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.model.plants import build_model
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+PATH_CHANGES: dict[str, Any] = {
+    "trajectory.lift": (0.1, -1.0),
+    "trajectory.height": 0.030,
+    "trajectory.width": 0.300,
+    "trajectory.blend": {"kind": "polar", "height": 0.02, "width": 0.02},
+    "trajectory.profile": {"kind": "bang-bang"},
+    "trajectory.duration": 0.5,
+    "trajectory.dwell": 0.1,
+    "cosimulation.step": 1e-3,
+    "cosimulation.tolerance": 1e-4,
+    "cosimulation.settling_band": 1e-6,
+}
+"""Changes of the motion and of the way it is run."""
+
+MODEL_CHANGES: list[dict[str, Any]] = [
+    {"name": "other"},
+    {"mechanism.working_mode": "elbows-in", "mechanism.assembly_mode": "right"},
+    {"mechanism.base_half_distance": 0.11},
+    {"mechanism.proximal.diameter": 0.04},
+    {"mechanism.material.density": 7800.0},
+    {"payload.mass": 0.1},
+    {"effects.gravity": (0.0, 0.0)},
+    {"effects.proximal_bending": 2},
+    {"effects.damping": {"kind": "stiffness", "time": 1e-4}},
+    {"trajectory.start": (-0.17, 0.32)},
+    {"cosimulation.initial": "undeformed"},
+]
+"""Changes that make another model."""
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """The paper's scene."""
+    return load_scene("barnard2012-6kg")
+
+
+def test_path_does_not_matter(scene: Scene) -> None:
+    """All motions of a robot share one model: what the key leaves out has no influence on the generated sources."""
+    changed = scene.replace(PATH_CHANGES)
+    assert scene_key(changed) == scene_key(scene)
+    first, second = (generate_sources(build_model(each), DefaultExperiment()) for each in (scene, changed))
+    assert first == second
+
+
+@pytest.mark.parametrize("changes", MODEL_CHANGES, ids=lambda changes: next(iter(changes)))
+def test_all_else_matters(scene: Scene, changes: dict[str, Any]) -> None:
+    """Whatever the model depends on is in the key."""
+    assert scene_key(scene.replace(changes)) != scene_key(scene)
+
+
+def test_default_experiment_is_the_scene_s(scene: Scene) -> None:
+    """The FMU proposes the scene's step and tolerance, and ends with its dwell."""
+    description = fmpy.read_model_description(str(build_scene(scene).path))
+    experiment = description.defaultExperiment
+    assert float(experiment.stopTime) == scene.trajectory.duration + scene.trajectory.dwell
+    assert float(experiment.stepSize) == scene.cosimulation.step
+    assert float(experiment.tolerance) == scene.cosimulation.tolerance
+
+
+def test_paper_s_robot_passes_all_checks(scene: Scene) -> None:
+    """No findings, neither of fmpy nor of ours, and the robot stays in its static equilibrium."""
+    path = build_scene(scene).path
+    assert validate_by_fmpy(str(path)) == []
+    assert validate_fmu(path) == []
+    result = fmpy.simulate_fmu(str(path), stop_time=0.05, output=["joint1.torque", "end_effector.velocity.x"])
+    np.testing.assert_allclose(result["joint1.torque"], result["joint1.torque"][0], rtol=1e-9)
+    np.testing.assert_allclose(result["end_effector.velocity.x"], 0.0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_cold_build_takes_ten_seconds_at_most(scene: Scene) -> None:
+    """Model, C, compilation and archive of the paper's robot, nothing cached."""
+    assert build_scene(scene, cache=False).seconds < 10.0
+
+
+def test_cached_build_takes_a_tenth_of_a_second_at_most(scene: Scene) -> None:
+    """Decision included, and without CasADi in the process."""
+    build_scene(scene)
+    script = (
+        "import sys; from flexfmu.model.scene_file import load_scene\n"
+        "from flexfmu.fmu_build.scene_build import build_scene\n"
+        "built = build_scene(load_scene('barnard2012-6kg'))\n"
+        "print(built.cached, built.seconds < 0.1, 'casadi' in sys.modules)"
+    )
+    outcome = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=os.environ, check=True)
+    assert outcome.stdout.split() == ["True", "True", "False"]
+
+
+def test_other_start_values_compile_one_table(scene: Scene, object_folder: Path) -> None:
+    """Object files are kept: a scene with another payload compiles its table of constants and nothing else."""
+    build_scene(scene)
+    before = set(object_folder.iterdir())
+    assert not build_scene(scene.replace({"payload.mass": 5.0})).cached
+    assert len(set(object_folder.iterdir()) - before) == 1
