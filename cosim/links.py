@@ -133,3 +133,9 @@ def stale_after_step(system: System) -> frozenset[int]:
     for _ in system.slaves:
         stale |= {each.target for each in through if each.source in stale}
     return frozenset(stale)
+
+
+def loop_order(system: System) -> int:
+    """Highest derivative that goes round a closed loop; 0 where there is none."""
+    coupled = couplings(system)
+    return max((coupled[each.source, each.target].order for each in system.delayed), default=0)

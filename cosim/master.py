@@ -126,7 +126,7 @@ class _Run:
         time, jump = self._times[point], self._marked[point]
         if jump:
             self.recorder.append(time)
-        self.schedule.exchange(point, time, jump)
+        self.schedule.exchange(point, time, jump or point == 0)
         self.recorder.append(time)
 
     def outcome(self, error: BaseException | None) -> Outcome:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -35,7 +34,7 @@ class OutputPort:
         self.indices: Indices = np.array([i for i, each in variables if each.causality == "output"], np.intp)
         self.recorded = 1 + min(output_order(slave), RECORDED_ORDER)
         self.signals = np.zeros((max(self.recorded, 1 + coupling_order), self.indices.size))
-        self._flat = self.signals.reshape(-1)
+        self._finite = np.ones(self.signals.shape, dtype=np.bool_)
         self._read = self.read_announced = nothing
 
     def bind(self) -> None:
@@ -55,7 +54,8 @@ class OutputPort:
             NotFiniteError: an output or one of its derivatives is infinite or not a number.
         """
         self._read()
-        if not math.isfinite(self._flat.dot(self._flat)) and not np.isfinite(self._flat).all():
+        np.isfinite(self.signals, self._finite)
+        if not self._finite.all():
             raise self._not_finite(time)
 
     def _not_finite(self, time: float) -> NotFiniteError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from flexfmu.cosim.grid import TimeGrid, is_sample_instant
-from flexfmu.cosim.links import stale_after_step, wire
+from flexfmu.cosim.links import loop_order, stale_after_step, wire
 from flexfmu.cosim.ports import InputPort, OutputPort
 from flexfmu.cosim.slave import KnowsItsFuture, Sampled, Slave
 from flexfmu.cosim.system import System
@@ -48,6 +48,7 @@ class Schedule:
         self._visits = _visits(system, inputs, self.outputs, grid)
         stepped = [i for i in system.step_order if not isinstance(system.slaves[i], Sampled)]
         self._steps = [(system.slaves[i], inputs[i], bool(inputs[i].interpolating), self.outputs[i]) for i in stepped]
+        self._rounds = loop_order(system)
         self._interpolating = [inputs[i] for i in stepped if inputs[i].interpolating]
 
     def initialize(self, tolerance: float | None) -> None:
@@ -64,7 +65,13 @@ class Schedule:
             outputs.read(start)
 
     def exchange(self, point: int, time: float, jump: bool) -> None:
-        """Pass on the outputs at a communication point; afterwards all is ready for the step that begins there."""
+        """Pass on the outputs at a communication point; afterwards all is ready for the step that begins there.
+
+        Args:
+            point: index of the communication point.
+            time: its time [s].
+            jump: whether signals may jump, as they may at the start: all outputs are read anew.
+        """
         for future, port in self._futures:
             self.active = future.name
             future.announce(time)
@@ -75,6 +82,20 @@ class Schedule:
             if visit.due and visit.due[point] and isinstance(visit.slave, Sampled):
                 visit.slave.sample(time)
             if jump or visit.stale:
+                visit.outputs.read(time)
+        if jump:
+            self._settle(time)
+
+    def _settle(self, time: float) -> None:
+        """Let the derivatives go round closed loops until they belong to the same instant.
+
+        The k-th derivative of an output depends on derivatives of the inputs up to the k-th, so that one more is right
+        after each round.
+        """
+        for _ in range(self._rounds):
+            for visit in self._visits:
+                self.active = visit.slave.name
+                visit.inputs.exchange()
                 visit.outputs.read(time)
 
     def advance(self, begin: float, end: float) -> None:

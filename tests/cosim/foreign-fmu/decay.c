@@ -1,0 +1,160 @@
+/* A plain FMI 2.0 co-simulation FMU as another tool might make it: x' = rate (u - x), no input or output derivatives,
+ * no saved states, outputs of all types, messages with format arguments. `trouble` makes it fail from 0.5 s on. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi2Functions.h"
+
+enum { NONE = 1, FAILS, DISCARDS, FORGETS };
+
+typedef struct {
+  const fmi2CallbackFunctions *callbacks;
+  double x, u, rate, time;
+  int trouble, steps, inverted;
+  char label[32];
+} decay;
+
+int decay_instances = 0; /* how many are alive, for the tests */
+
+static fmi2Status say(decay *d, fmi2Status status) {
+  d->callbacks->logger(d->callbacks->componentEnvironment, d->label, status, "logStatusError", "%s is tired after %d steps", d->label,
+                       d->steps);
+  return status;
+}
+
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
+  (void)name, (void)type, (void)resources, (void)visible, (void)logging;
+  if (strcmp(guid, "decay") != 0) return NULL;
+  decay *d = calloc(1, sizeof *d);
+  d->callbacks = callbacks;
+  d->x = 1.0;
+  d->rate = 1.0;
+  d->trouble = NONE;
+  strcpy(d->label, "decay");
+  decay_instances++;
+  return d;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+  decay_instances--;
+  free(c);
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real tolerance, fmi2Real start, fmi2Boolean stops,
+                               fmi2Real stop) {
+  (void)defined, (void)tolerance, (void)stops, (void)stop;
+  ((decay *)c)->time = start;
+  return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return ((decay *)c)->rate < 0.0 ? say(c, fmi2Error) : fmi2OK; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
+fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) { (void)c; return fmi2Error; }
+
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
+  decay *d = c;
+  for (size_t i = 0; i < n; i++) value[i] = vr[i] == 0 ? d->x : vr[i] == 1 ? d->u : d->rate;
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
+  decay *d = c;
+  for (size_t i = 0; i < n; i++) *(vr[i] == 0 ? &d->x : vr[i] == 1 ? &d->u : &d->rate) = value[i];
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[]) {
+  for (size_t i = 0; i < n; i++) value[i] = vr[i] == 0 ? ((decay *)c)->steps : ((decay *)c)->trouble;
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer value[]) {
+  (void)vr;
+  for (size_t i = 0; i < n; i++) ((decay *)c)->trouble = value[i];
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value[]) {
+  (void)vr;
+  for (size_t i = 0; i < n; i++) value[i] = ((decay *)c)->inverted;
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Boolean value[]) {
+  (void)vr;
+  for (size_t i = 0; i < n; i++) ((decay *)c)->inverted = value[i];
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String value[]) {
+  (void)vr;
+  for (size_t i = 0; i < n; i++) strncpy(((decay *)c)->label, value[i], sizeof ((decay *)c)->label - 1);
+  return fmi2OK;
+}
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolean noSet) {
+  (void)noSet;
+  decay *d = c;
+  if (point + step > 0.5 + 1e-9) {
+    if (d->trouble == FAILS) return say(d, fmi2Error);
+    if (d->trouble == DISCARDS) return fmi2Discard;
+    if (d->trouble == FORGETS) d->x = NAN;
+  }
+  double u = d->inverted ? -d->u : d->u;
+  d->x = u + (d->x - u) * exp(-d->rate * step);
+  d->time = point + step;
+  d->steps++;
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
+  if (kind == fmi2LastSuccessfulTime) *value = ((decay *)c)->time;
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+  (void)c, (void)kind;
+  *value = fmi2True;
+  return fmi2OK;
+}
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+const char *fmi2GetVersion(void) { return "2.0"; }
+
+/* what this FMU lacks */
+fmi2Status fmi2CancelStep(fmi2Component c) { (void)c; return fmi2Error; }
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
+  (void)c, (void)on, (void)n, (void)categories;
+  return fmi2OK;
+}
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2String value[]) {
+  (void)c, (void)vr, (void)n, (void)value;
+  return fmi2Error;
+}
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
+                                       const fmi2Real value[]) {
+  (void)c, (void)vr, (void)n, (void)order, (void)value;
+  return fmi2Error;
+}
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
+                                        fmi2Real value[]) {
+  (void)c, (void)vr, (void)n, (void)order, (void)value;
+  return fmi2Error;
+}
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference u[], size_t nu, const fmi2ValueReference k[],
+                                        size_t nk, const fmi2Real dk[], fmi2Real du[]) {
+  (void)c, (void)u, (void)nu, (void)k, (void)nk, (void)dk, (void)du;
+  return fmi2Error;
+}
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind k, fmi2Status *v) { (void)c, (void)k, (void)v; return fmi2Error; }
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind k, fmi2Integer *v) { (void)c, (void)k, (void)v; return fmi2Error; }
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind k, fmi2String *v) { (void)c, (void)k, (void)v; return fmi2Error; }
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *s) { (void)c, (void)s; return fmi2Error; }
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate s) { (void)c, (void)s; return fmi2Error; }
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *s) { (void)c, (void)s; return fmi2Error; }
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate s, size_t *n) { (void)c, (void)s, (void)n; return fmi2Error; }
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate s, fmi2Byte b[], size_t n) { (void)c, (void)s, (void)b, (void)n; return fmi2Error; }
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte b[], size_t n, fmi2FMUstate *s) { (void)c, (void)b, (void)n, (void)s; return fmi2Error; }

@@ -1,0 +1,161 @@
+"""FMUs as slaves: any FMI 2.0 co-simulation FMU runs, and a failing one says why in its own words."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import zipfile
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from flexfmu.cosim.errors import FmuFileError, InputError
+from flexfmu.cosim.fmu_slave import FmuSlave
+from flexfmu.cosim.master import Outcome, Simulation, simulate
+from flexfmu.cosim.system import connect
+
+
+def run(path: Path, **parameters: float | str) -> tuple[FmuSlave, Simulation]:
+    """One second of the FMU alone."""
+    slave = FmuSlave(path, "decay", parameters)
+    return slave, simulate(connect([slave], []), stop=1.0, step=0.1)
+
+
+def living_instances(slave: FmuSlave) -> int:
+    """How many instances of the foreign FMU exist."""
+    return ctypes.c_int.in_dll(ctypes.CDLL(str(next(slave._fmu.folder.glob("binaries/*/*")))), "decay_instances").value
+
+
+def test_a_foreign_fmu_runs(foreign_fmu: Path) -> None:
+    """An FMU without any optional capability gives the closed form, its integers and its units."""
+    slave, result = run(foreign_fmu, rate=2.0)
+    assert result.outcome is Outcome.COMPLETED
+    np.testing.assert_allclose(result.recording["decay.x"].values, np.exp(-2.0 * result.recording.time), rtol=1e-14)
+    np.testing.assert_array_equal(result.recording["decay.steps"].values, np.arange(11.0))
+    assert result.recording["decay.x"].unit == "m"
+    assert result.recording["decay.x"].first is None
+    assert slave.statistics == {"steps": 10}
+    assert living_instances(slave) == 0
+
+
+def test_every_run_starts_anew(foreign_fmu: Path) -> None:
+    """A slave can run again, from its start values, with the same result."""
+    slave, first = run(foreign_fmu, rate=2.0)
+    again = simulate(connect([slave], []), stop=1.0, step=0.1)
+    np.testing.assert_array_equal(again.recording["decay.x"].values, first.recording["decay.x"].values)
+
+
+def test_several_instances_at_once(foreign_fmu: Path) -> None:
+    """Two instances of one FMU don't share state, and one drives the other through reals and booleans alike."""
+    first, second = FmuSlave(foreign_fmu, "first", {"rate": 3.0}), FmuSlave(foreign_fmu, "second", {"inverted": True})
+    result = simulate(connect([first, second], [("first.x", "second.u")]), stop=1.0, step=0.5)
+    held = [math.exp(-3.0 * 0.5 * n) for n in range(2)]
+    x = 1.0
+    for u in held:
+        x = -u + (x + u) * math.exp(-0.5)
+    assert result.recording["second.x"].values[-1] == pytest.approx(x, rel=1e-14)
+
+
+def test_a_failing_fmu_speaks_for_itself(foreign_fmu: Path) -> None:
+    """The error carries the FMU's sentence, formatted with its arguments; the results up to the failure are kept."""
+    slave, result = run(foreign_fmu, trouble="fails", label="Bob")
+    assert result.outcome is Outcome.STEP_FAILED
+    assert result.message == "decay failed at 0.5 s: Bob is tired after 5 steps"
+    np.testing.assert_allclose(result.recording.time, np.arange(6) * 0.1)
+    assert slave.messages == ("Bob is tired after 5 steps",)
+    assert living_instances(slave) == 0
+
+
+def test_a_discarded_step_tells_how_far_it_came(foreign_fmu: Path) -> None:
+    """fmi2Discard ends the run with the FMU's last successful time."""
+    _, result = run(foreign_fmu, trouble="discards")
+    assert result.outcome is Outcome.STEP_FAILED
+    assert "failed at 0.5 s" in result.message
+    assert "fmi2Discard" in result.message
+    assert "asks to end the simulation" in result.message
+
+
+def test_not_a_number_stops_the_run(foreign_fmu: Path) -> None:
+    """NaN never gets into the results."""
+    _, result = run(foreign_fmu, trouble="forgets")
+    assert result.outcome is Outcome.NOT_FINITE
+    assert "x became nan" in result.message
+    assert np.isfinite(result.recording["decay.x"].values).all()
+
+
+def test_failing_initialisation(foreign_fmu: Path) -> None:
+    """An FMU that refuses its parameters is freed, and says why."""
+    slave, result = run(foreign_fmu, rate=-1.0)
+    assert result.outcome is Outcome.INITIALISATION_FAILED
+    assert "is tired after 0 steps" in result.message
+    assert living_instances(slave) == 0
+
+
+def test_dropped_slaves_leave_no_instance(foreign_fmu: Path) -> None:
+    """A slave that nobody terminates is freed with its object."""
+    slave, other = FmuSlave(foreign_fmu), FmuSlave(foreign_fmu)
+    slave.initialize(0.0, 1.0, None)
+    assert living_instances(other) == 1
+    del slave
+    assert living_instances(other) == 0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"rats": 1.0}, "no parameter 'rats'; did you mean 'rate'"),
+        ({"trouble": "sings"}, "must be one of none, fails, discards, forgets"),
+        ({"rate": "fast"}, "rate is a number"),
+    ],
+)
+def test_wrong_parameters(foreign_fmu: Path, parameters: dict[str, float | str], message: str) -> None:
+    """A wrong parameter is refused before anything runs."""
+    with pytest.raises(InputError, match=message):
+        FmuSlave(foreign_fmu, parameters=parameters)
+
+
+def test_missing_and_broken_files(foreign_fmu: Path, tmp_path: Path) -> None:
+    """Each broken FMU gets one line that says what is wrong with it."""
+    text = tmp_path / "text.fmu"
+    text.write_text("no zip")
+    empty = tmp_path / "empty.fmu"
+    with zipfile.ZipFile(empty, "w") as archive:
+        archive.writestr("readme.txt", "")
+    for path, message in [(tmp_path / "none.fmu", "No such file"), (text, "not a zip"), (empty, "broken FMU")]:
+        with pytest.raises(FmuFileError, match=message) as caught:
+            FmuSlave(path)
+        assert "\n" not in str(caught.value)
+
+
+def rewritten(fmu: Path, path: Path, old: str, new: str, platform: str = fmpy.platform) -> Path:
+    """The FMU with another model description and platform."""
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name.endswith(".xml"):
+                content = content.replace(old.encode(), new.encode())
+            target.writestr(name.replace(f"binaries/{fmpy.platform}", f"binaries/{platform}"), content)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "platform", "message"),
+    [
+        ("", "", "amiga64", "has no binary for .* .it has: amiga64"),
+        ('fmiVersion="2.0"', 'fmiVersion="1.0"', fmpy.platform, "FMI 1.0|broken"),
+        ("CoSimulation modelIdentifier", "ModelExchange modelIdentifier", fmpy.platform, "model exchange|broken"),
+    ],
+)
+def test_unsuitable_fmus(foreign_fmu: Path, tmp_path: Path, old: str, new: str, platform: str, message: str) -> None:
+    """FMUs of another kind or platform are told apart from broken ones."""
+    with pytest.raises(FmuFileError, match=message):
+        FmuSlave(rewritten(foreign_fmu, tmp_path / "other.fmu", old, new, platform))
+
+
+def test_wrong_guid_is_refused(foreign_fmu: Path, tmp_path: Path) -> None:
+    """An FMU that can't be instantiated fails the run, not the program."""
+    _, result = run(rewritten(foreign_fmu, tmp_path / "guid.fmu", 'guid="decay"', 'guid="other"'))
+    assert result.outcome is Outcome.INITIALISATION_FAILED
+    assert "fmi2Error" in result.message or "instantiation" in result.message

@@ -1,0 +1,70 @@
+"""The time grid: integer ticks, marks hit exactly, no drift."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.grid import COINCIDENT, is_sample_instant, time_grid
+
+
+def test_no_drift_after_many_steps() -> None:
+    """After 1e5 steps a communication point is still start + n * step to the last digit, and marks are hit exactly."""
+    marks = [1.0 / 3.0, 7.77]
+    grid = time_grid(0.0, 10.0, 1e-4, marks)
+    assert grid.times.size == 100_001 + 1  # 7.77 is a tick, but for rounding
+    assert grid.times[-1] == 10.0
+    assert set(marks) <= set(grid.times.tolist())
+    ticks = grid.times[~np.isin(grid.times, [*marks, 10.0])]
+    np.testing.assert_array_equal(ticks, np.rint(ticks / 1e-4) * 1e-4)
+    assert grid.times[grid.marked].tolist() == marks
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(
+    start=st.floats(-10.0, 10.0),
+    span=st.floats(1e-3, 10.0),
+    count=st.floats(0.3, 500.0),
+    shares=st.lists(st.floats(-0.2, 1.2), max_size=8),
+)
+def test_grid_properties(start: float, span: float, count: float, shares: list[float]) -> None:
+    """Whatever the marks: points increase, no step is too long or vanishes, start, stop and inner marks are points."""
+    stop, step = start + span, span / count
+    marks = [start + share * span for share in shares]
+    grid = time_grid(start, stop, step, marks)
+    steps = np.diff(grid.times)
+    assert grid.times[0] == start
+    assert grid.times[-1] == stop
+    assert (steps > 0.99 * COINCIDENT * step).all()
+    assert (steps < step * (1.0 + 3.0 * COINCIDENT) + 1e-14).all()
+    for mark in marks:
+        if start <= mark <= stop:
+            nearest = abs(grid.times - mark).argmin()
+            assert abs(grid.times[nearest] - mark) <= COINCIDENT * step
+            assert grid.marked[nearest]
+
+
+def test_near_coincident_marks_are_one_point() -> None:
+    """A tick beside a breakpoint doesn't make a step of rounding errors, nor do two breakpoints beside each other."""
+    grid = time_grid(0.0, 1.0, 0.1, [0.3 + 1e-12, 0.3 + 2e-12, 1e-13])
+    assert grid.times.size == 11
+    assert grid.times[3] == 0.3 + 1e-12
+    assert grid.marked.tolist() == [n in (0, 3) for n in range(11)]
+
+
+def test_sample_instants_are_points() -> None:
+    """Sample instants that are ticks but for rounding are recognised as such."""
+    grid = time_grid(0.0, 1.0, 0.1, [0.3 * n for n in range(4)])
+    assert np.flatnonzero(is_sample_instant(grid, 0.3)).tolist() == [0, 3, 6, 9]
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "step"), [(0, 1, 0), (0, 1, -1), (1, 1, 0.1), (0, 1, 1e-9), (0, np.nan, 0.1)]
+)
+def test_senseless_grids_are_refused(start: float, stop: float, step: float) -> None:
+    """A step in the wrong unit is an error, not a full memory."""
+    with pytest.raises(InputError):
+        time_grid(start, stop, step)

@@ -1,0 +1,303 @@
+"""The master: coupling has the order that the derivatives allow, jumps have two sides, failures keep what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.system import connect
+
+STIFFNESS, COUPLING = 4.0, 9.0
+
+
+class Mass:
+    """A unit mass on a spring of its own, coupled by another to the displacement that is its input.
+
+    x'' = -STIFFNESS x + COUPLING (u - x), solved exactly for a polynomial input; takes and gives derivatives up to
+    ``order``.
+    """
+
+    feedthrough = {"x": ()}  # noqa: RUF012
+
+    def __init__(self, name: str, start: float, order: int) -> None:
+        self.name, self.start, self.max_input_order, self.max_output_order = name, start, 2 * order + 1, order
+        self.variables = (SlaveVariable("x", "output", "m"), SlaveVariable("u", "input", "m", 0.0))
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.state = np.array([self.start, 0.0])
+        self.input = np.zeros(self.max_input_order + 1)
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        if hasattr(self, "input"):
+            self.input[:] = 0.0
+            self.input[0] = values[0]
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        self.input[1 : len(derivatives) + 1] = derivatives[:, 0]
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = self.state[0]
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        x = [*self.state]
+        for k in range(2, len(derivatives) + 1):
+            x.append(-(STIFFNESS + COUPLING) * x[k - 2] + COUPLING * self.input[k - 2])
+        derivatives[:, 0] = x[1 : len(derivatives) + 1]
+
+    def step(self, time: float, step: float) -> None:
+        count = self.input.size
+        matrix = np.zeros((2 + count, 2 + count))
+        matrix[0, 1], matrix[1, 0], matrix[1, 2] = 1.0, -(STIFFNESS + COUPLING), COUPLING
+        matrix[2:-1, 3:] = np.eye(count - 1)
+        after = expm(matrix * step) @ np.concatenate([self.state, self.input])
+        self.state, self.input = after[:2], after[2:]
+
+
+def coupled_error(order: int, step: float) -> float:
+    """Largest error of both displacements after one second, against the normal modes of the two masses."""
+    slaves = [Mass("left", 1.0, order), Mass("right", 0.0, order)]
+    result = simulate(connect(slaves, [("left.x", "right.u"), ("right.x", "left.u")]), stop=1.0, step=step)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    time = result.recording.time
+    together, apart = np.cos(np.sqrt(STIFFNESS) * time), np.cos(np.sqrt(STIFFNESS + 2.0 * COUPLING) * time)
+    left, right = (result.recording[f"{name}.x"].values for name in ("left", "right"))
+    return float(max(abs(left - (together + apart) / 2.0).max(), abs(right - (together - apart) / 2.0).max()))
+
+
+@pytest.mark.parametrize("order", range(4))
+def test_coupling_order(order: int) -> None:
+    """A two-mass oscillator split into two slaves converges with the order that k input derivatives allow, k + 1."""
+    steps = (0.02, 0.01)
+    errors = [coupled_error(order, step) for step in steps]
+    assert np.log2(errors[0] / errors[1]) > order + 1 - 0.2
+    assert errors[1] < 10.0 ** (-1 - 1.7 * order)
+
+
+class Source:
+    """y = sin(3 t), without any derivatives or knowledge of the future."""
+
+    name = "source"
+    variables = (SlaveVariable("y", "output"),)
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.time = start_time
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = np.sin(3.0 * self.time)
+
+    def step(self, time: float, step: float) -> None:
+        self.time = time + step
+
+
+class Recorder:
+    """Passes its input on as its output and notes everything that it is told."""
+
+    max_input_order = 1
+    variables = (SlaveVariable("u", "input", start=7.0), SlaveVariable("y", "output"))
+
+    def __init__(self, name: str = "recorder") -> None:
+        self.name = name
+        self.steps: list[tuple[float, float]] = []
+        self.inputs: list[tuple[float, float]] = []
+        self.terminated = 0
+        self.input = [7.0, 0.0]
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.input = [float(values[0]), 0.0]
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        self.input[1] = float(derivatives[0, 0])
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = self.input[0]
+
+    def step(self, time: float, step: float) -> None:
+        self.steps.append((time, step))
+        self.inputs.append((self.input[0], self.input[1]))
+        self.input[0] += self.input[1] * step
+
+    def terminate(self) -> None:
+        self.terminated += 1
+
+
+def test_feedforward_is_interpolated() -> None:
+    """In a chain the source is advanced first, however the slaves are listed: the target's input interpolates between
+    both ends of the step, and passes through every value of the source."""
+    target = Recorder()
+    result = simulate(connect([target, Source()], [("source.y", "recorder.u")]), stop=1.0, step=0.1)
+    values = result.recording["source.y"].values
+    np.testing.assert_allclose([value for value, _ in target.inputs], values[:-1], rtol=0, atol=1e-15)
+    np.testing.assert_allclose([rate for _, rate in target.inputs], np.diff(values) / 0.1, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(result.recording["recorder.y"].values, values, rtol=0, atol=1e-15)
+
+
+def test_breakpoints_and_ticks_are_exact() -> None:
+    """Slaves are told times without drift: the same numbers as start + n * step."""
+    target = Recorder()
+    simulate(connect([target], []), stop=10.0, step=1e-4)
+    np.testing.assert_array_equal([time for time, _ in target.steps], np.arange(100_000) * 1e-4)
+    assert sum(target.steps[-1]) == pytest.approx(10.0, rel=1e-15)
+
+
+class Controller:
+    """Samples its input every 0.25 s and holds minus twice its value."""
+
+    name = "controller"
+    sample_time = 0.25
+    variables = (SlaveVariable("y", "input", start=0.0), SlaveVariable("u", "output"))
+
+    def __init__(self) -> None:
+        self.y = self.u = 0.0
+        self.samples: list[float] = []
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.y = float(values[0])
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = self.u
+
+    def step(self, time: float, step: float) -> None:
+        raise AssertionError("a sampled slave is never stepped")
+
+    def sample(self, time: float) -> None:
+        self.samples.append(time)
+        self.u = -2.0 * self.y
+
+
+class Integrator:
+    """x' = u, from x = 1."""
+
+    name = "plant"
+    feedthrough = {"x": ()}  # noqa: RUF012
+    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("x", "output"))
+
+    def __init__(self) -> None:
+        self.x, self.u = 1.0, 0.0
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.u = float(values[0])
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = self.x
+
+    def step(self, time: float, step: float) -> None:
+        self.x += step * self.u
+
+
+def test_sampled_controller() -> None:
+    """A controller with its own sample time acts at its instants, between ticks too, without delay, and holds: the
+    loop gives the geometric series of the sampled system, and its output jumps from left to right limit."""
+    controller = Controller()
+    system = connect([controller, Integrator()], [("plant.x", "controller.y"), ("controller.u", "plant.u")])
+    result = simulate(system, stop=1.0, step=0.1)
+    assert controller.samples == [0.0, 0.25, 0.5, 0.75, 1.0]
+    time, x, u = result.recording.time, result.recording["plant.x"].values, result.recording["controller.u"].values
+    np.testing.assert_allclose([x[time == t][-1] for t in controller.samples], 0.5 ** np.arange(5), rtol=1e-14)
+    assert u[time == 0.25].tolist() == [-2.0, pytest.approx(-1.0)]
+
+
+class Troublemaker(Recorder):
+    """Does something bad in its fourth step."""
+
+    def __init__(self, trouble: Callable[[], None]) -> None:
+        super().__init__("troublemaker")
+        self.trouble = trouble
+
+    def step(self, time: float, step: float) -> None:
+        super().step(time, step)
+        if len(self.steps) == 4:
+            self.trouble()
+
+
+def fail(error: BaseException) -> Callable[[], None]:
+    """Raise that error."""
+
+    def trouble() -> None:
+        raise error
+
+    return trouble
+
+
+@pytest.mark.parametrize(
+    ("error", "outcome", "message"),
+    [
+        (
+            SlaveError("troublemaker", "no convergence\nin 10 iterations"),
+            Outcome.STEP_FAILED,
+            "troublemaker failed at 0.3 s: no convergence in 10 iterations",
+        ),
+        (SlaveError("troublemaker", "gave up", 0.35), Outcome.STEP_FAILED, "troublemaker failed at 0.35 s: gave up"),
+        (ZeroDivisionError("by zero"), Outcome.STEP_FAILED, "troublemaker failed at 0.3 s: ZeroDivisionError: by zero"),
+        (KeyboardInterrupt(), Outcome.INTERRUPTED, "the simulation was interrupted; the results end there"),
+    ],
+)
+def test_a_failure_keeps_what_was_recorded(error: BaseException, outcome: Outcome, message: str) -> None:
+    """Whatever happens in a slave, the run ends with its name, time and reason, the results up to there, and all slaves
+    terminated."""
+    bystander, troublemaker = Recorder("bystander"), Troublemaker(fail(error))
+    result = simulate(connect([bystander, troublemaker], []), stop=1.0, step=0.1)
+    assert (result.outcome, result.message, result.error) == (outcome, message, error)
+    np.testing.assert_allclose(result.recording.time, [0.0, 0.1, 0.2, 0.3])
+    assert result.steps == 3
+    assert (bystander.terminated, troublemaker.terminated) == (1, 1)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_outputs_must_be_finite(value: float) -> None:
+    """NaN and infinity stop the run and don't get into the results; huge numbers do no harm."""
+    troublemaker = Troublemaker(lambda: troublemaker.input.__setitem__(0, value))
+    troublemaker.input[0] = 1e200
+    result = simulate(connect([troublemaker], []), stop=1.0, step=0.1)
+    assert result.outcome is Outcome.NOT_FINITE
+    assert result.message == f"troublemaker failed at 0.4 s: y became {value}"
+    assert result.recording["troublemaker.y"].values.tolist() == [1e200] * 4
+
+
+def test_failing_initialisation() -> None:
+    """A slave that can't be initialised ends the run before it begins; the others are terminated all the same."""
+    bystander, other = Recorder("bystander"), Recorder("other")
+    other.initialize = lambda *arguments: fail(SlaveError("other", "mass must be positive"))()  # type: ignore[method-assign]
+    result = simulate(connect([bystander, other], []), stop=1.0, step=0.1)
+    assert result.outcome is Outcome.INITIALISATION_FAILED
+    assert result.message == "other failed at 0 s: mass must be positive"
+    assert result.recording.time.size == 0
+    assert bystander.terminated == 1
+
+
+def test_progress_is_told() -> None:
+    """Progress rises to one and doesn't come more often than about a hundred times."""
+    told: list[float] = []
+    simulate(connect([Recorder()], []), stop=1.0, step=1e-3, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert 90 <= len(told) <= 110
+
+
+def test_a_start_value_stays_where_nothing_is_connected() -> None:
+    """An input that is not connected keeps its start value."""
+    result = simulate(connect([Recorder()], []), stop=0.5, step=0.1)
+    assert set(result.recording["recorder.y"].values) == {7.0}
+
+
+def test_taylor_of_the_twin() -> None:
+    """The twin that the coupling test relies on is right by itself: a constant input gives the closed form."""
+    mass = Mass("mass", 0.0, 0)
+    mass.initialize(0.0, 1.0, None)
+    mass.set(np.array([1]), np.array([2.0]))
+    mass.step(0.0, 0.3)
+    omega2 = STIFFNESS + COUPLING
+    assert mass.state[0] == pytest.approx(2.0 * COUPLING / omega2 * (1.0 - np.cos(np.sqrt(omega2) * 0.3)), rel=1e-13)

@@ -1,0 +1,129 @@
+"""Wiring: mistakes are named, slaves are sorted by direct feedthrough, algebraic loops are found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import pytest
+
+from flexfmu.cosim.errors import AlgebraicLoopError, WiringError
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.system import System, connect
+
+
+class Block:
+    """A slave that does nothing, with inputs u1.. and outputs y1.. in metres."""
+
+    def __init__(self, name: str, feedthrough: Mapping[str, Sequence[str]], unit: str = "m") -> None:
+        self.name, self.feedthrough = name, feedthrough
+        inputs = [SlaveVariable(f"u{i}", "input", "m", 0.0) for i in (1, 2)]
+        self.variables = (*inputs, *(SlaveVariable(output, "output", unit) for output in ("y1", "y2")))
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+    def get(self, indices: Indices, values: RealArray) -> None: ...
+    def step(self, time: float, step: float) -> None: ...
+
+
+def state(name: str) -> Block:
+    """Outputs depend on states alone."""
+    return Block(name, {"y1": (), "y2": ()})
+
+
+def gain(name: str) -> Block:
+    """y1 depends on u1, y2 on u2."""
+    return Block(name, {"y1": ("u1",), "y2": ("u2",)})
+
+
+def names(system: System, order: Sequence[int]) -> list[str]:
+    """Slaves in that order."""
+    return [system.slaves[i].name for i in order]
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "message"),
+    [
+        ("a.y9", "b.u1", "a.y9.*no such output; did you mean a.y"),
+        ("a.y1", "b.w1", "b.w1.*no such input; did you mean b.u"),
+        ("c.y1", "b.u1", "there is no slave 'c'; slaves: a, b"),
+        ("a.u1", "b.u1", "'a.u1' is no output"),
+        ("a.y1", "b.y1", "'b.y1' is no input"),
+        ("y1", "b.u1", "there is no slave 'y1'"),
+    ],
+)
+def test_wrong_names(source: str, target: str, message: str) -> None:
+    """A misspelt or reversed connection is named together with what there is."""
+    with pytest.raises(WiringError, match=message):
+        connect([state("a"), state("b")], [(source, target)])
+
+
+def test_units_must_match() -> None:
+    """Metres don't go into radians."""
+    with pytest.raises(WiringError, match=r"a\.y1 is in rad, b\.u1 in m"):
+        connect([Block("a", {}, unit="rad"), state("b")], [("a.y1", "b.u1")])
+
+
+def test_an_unknown_unit_fits() -> None:
+    """An FMU without units can be wired."""
+    assert connect([Block("a", {}, unit=""), state("b")], [("a.y1", "b.u1")]).connections
+
+
+def test_one_source_per_input() -> None:
+    """An input that is connected twice has no value."""
+    with pytest.raises(WiringError, match=r"b\.u1 is connected twice"):
+        connect([state("a"), state("b")], [("a.y1", "b.u1"), ("a.y2", "b.u1")])
+
+
+@pytest.mark.parametrize("slaves", [[state("a"), state("a")], [state("a.b")], [state("")]])
+def test_slave_names(slaves: list[Block]) -> None:
+    """Names of slaves are unique and can be told from those of variables."""
+    with pytest.raises(WiringError):
+        connect(slaves, [])
+
+
+def test_chain_is_sorted_by_feedthrough() -> None:
+    """However the slaves are listed, an output is up to date when it is passed on, and none is delayed."""
+    system = connect([gain("c"), gain("b"), state("a")], [("b.y1", "c.u1"), ("a.y1", "b.u1")])
+    assert names(system, system.exchange_order)[-3:] == ["a", "b", "c"] or names(system, system.step_order) == [
+        "a",
+        "b",
+        "c",
+    ]
+    assert names(system, system.step_order) == ["a", "b", "c"]
+    assert system.delayed == ()
+
+
+def test_feedback_through_a_state() -> None:
+    """Plant and controller: the plant is read first, and the signal that is delayed over a step is named."""
+    system = connect(
+        [gain("controller"), state("plant")], [("plant.y1", "controller.u1"), ("controller.y1", "plant.u1")]
+    )
+    assert names(system, system.step_order) == ["plant", "controller"]
+    assert [system.describe(each) for each in system.delayed] == ["controller.y1 -> plant.u1"]
+
+
+def test_algebraic_loops_are_named() -> None:
+    """Two gains that feed each other have no solution by passing signals on; the error shows the loop."""
+    with pytest.raises(AlgebraicLoopError) as caught:
+        connect([gain("a"), gain("b")], [("a.y1", "b.u1"), ("b.y1", "a.u1")])
+    for signal in ("a.u1 -> a.y1", "a.y1 -> b.u1", "b.u1 -> b.y1", "b.y1 -> a.u1"):
+        assert signal in str(caught.value)
+
+
+def test_undeclared_feedthrough_is_assumed() -> None:
+    """A slave that says nothing about feedthrough is taken to pass everything on."""
+    with pytest.raises(AlgebraicLoopError):
+        connect([Block("a", {}), gain("b")], [("a.y1", "b.u1"), ("b.y1", "a.u2")])
+
+
+def test_crossing_signals_are_no_loop() -> None:
+    """Loops are looked for between variables: two gains that serve each other on separate ways are fine."""
+    system = connect([gain("a"), gain("b")], [("a.y1", "b.u1"), ("b.y1", "a.u2")])
+    order = names(system, system.exchange_order)
+    assert order == ["a", "b", "a"]
+
+
+def test_a_signal_may_feed_its_own_slave() -> None:
+    """Feedback of a slave to itself through a state is delayed like any other."""
+    system = connect([state("a")], [("a.y1", "a.u1")])
+    assert len(system.delayed) == 1

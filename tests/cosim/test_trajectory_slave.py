@@ -1,0 +1,137 @@
+"""A trajectory as a slave: exact at communication points and on both sides of jumps, close in between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.grid import time_grid
+from flexfmu.cosim.trajectory_slave import TrajectorySlave
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """Two axes at rest that accelerate with 3 and 5 rad/s2 from the first breakpoint to the last; in between the
+    acceleration jumps by another 1 rad/s2 at each breakpoint."""
+
+    breakpoints: tuple[float, ...]
+
+    @property
+    def duration(self) -> float:
+        return self.breakpoints[-1]
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: str = "right") -> Array:
+        t = np.atleast_1d(np.asarray(time, dtype=float))
+        result = np.zeros((order + 1, t.size, 2))
+        for start in self.breakpoints[:-1]:
+            moving = t >= start if side == "right" else t > start
+            for k in range(3):
+                result[k, moving, :] += ((t[moving] - start) ** (2 - k) / factorial(2 - k))[:, None]
+        return result
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Two axes that swing as sin(5 t) and cos(7 t) [rad] for ten seconds."""
+
+    duration: float = 10.0
+    breakpoints: tuple[float, ...] = (0.0, 10.0)
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: str = "right") -> Array:
+        t = np.atleast_1d(np.asarray(time, dtype=float))
+        axes = ((5.0, 0.0), (7.0, np.pi / 2))
+        return np.array(
+            [[w**k * np.sin(w * t + phase + k * np.pi / 2) for w, phase in axes] for k in range(order + 1)]
+        ).swapaxes(1, 2)
+
+
+def started(slave: TrajectorySlave, times: Array) -> TrajectorySlave:
+    """The slave at the first of the communication points."""
+    slave.prepare(times)
+    slave.initialize(times[0], times[-1], None)
+    return slave
+
+
+def current(slave: TrajectorySlave, order: int) -> Array:
+    """(order + 1, 6): references with derivatives."""
+    signals, everything = np.zeros((order + 1, 6)), np.arange(6)
+    slave.get(everything, signals[0])
+    slave.get_derivatives(everything, signals[1:])
+    return signals
+
+
+def worst_error(order: int, step: float) -> float:
+    """Largest error of the position references within steps of that size, of degree ``order``."""
+    times, worst = np.arange(0.0, 1.0, step), 0.0
+    slave = started(TrajectorySlave(Swing(), order=order), times)
+    for time in times[:-1]:
+        slave.announce(time)
+        polynomial = current(slave, order)[:, :2]
+        for tau in np.linspace(0.0, step, 7):
+            value = sum(polynomial[k] * tau**k / factorial(k) for k in range(order + 1))
+            worst = max(worst, float(abs(value - Swing().evaluate(time + tau)[0, 0]).max()))
+        slave.step(time, step)
+    return worst
+
+
+@pytest.mark.parametrize("order", range(10))
+def test_error_within_a_step_falls_with_the_order(order: int) -> None:
+    """A polynomial of degree k is off by O(h^(k + 1)) within a step: what a tool that sends fewer derivatives loses."""
+    slope = np.log2(worst_error(order, 0.2) / worst_error(order, 0.1))
+    assert slope == pytest.approx(order + 1, abs=0.5)
+
+
+def test_names_and_units() -> None:
+    """The references are named like the inputs of the motion-driven plant, in its order."""
+    variables = TrajectorySlave(Swing()).variables
+    assert [v.name for v in variables[::2]] == [
+        f"joint1.reference.{k}" for k in ("position", "velocity", "acceleration")
+    ]
+    assert [v.unit for v in variables[::2]] == ["rad", "rad/s", "rad/s2"]
+
+
+def test_both_sides_of_a_jump() -> None:
+    """Before a breakpoint the references are the left limits, after it the right ones; before the start at rest."""
+    slave = started(TrajectorySlave(Ramp((0.0, 0.5, 1.0))), np.array([0.0, 0.5, 1.0]))
+    assert current(slave, 2)[0, 4] == 0.0
+    slave.announce(0.0)
+    assert current(slave, 9)[0, 4] == 1.0
+    slave.step(0.0, 0.5)
+    assert current(slave, 2)[0, 4] == 1.0
+    slave.announce(0.5)
+    assert current(slave, 9)[0, 4] == 2.0
+
+
+def test_breakpoints_at_one_communication_point() -> None:
+    """Breakpoints nearer than rounding share a communication point: left of the first, right of the last."""
+    ramp = Ramp((0.0, 0.5, 0.5 + 1e-13, 1.0))
+    grid = time_grid(0.0, 1.0, 0.1, ramp.breakpoints)
+    assert grid.times.size == 11
+    slave = started(TrajectorySlave(ramp), grid.times)
+    for time in grid.times[:5]:
+        slave.announce(time)
+        slave.step(time, 0.1)
+    assert current(slave, 2)[0, 4] == 1.0
+    slave.announce(grid.times[5])
+    assert current(slave, 9)[0, 4] == 3.0
+
+
+def test_only_known_communication_points() -> None:
+    """The polynomials belong to the grid that they were calculated for."""
+    slave = started(TrajectorySlave(Swing()), np.arange(0.0, 1.0, 0.1))
+    with pytest.raises(InputError, match=r"0\.05 s is not the communication point 0\.0 s"):
+        slave.announce(0.05)
+
+
+@pytest.mark.parametrize("order", [-1, 10])
+def test_impossible_orders(order: int) -> None:
+    """Only degrees that can be made are accepted."""
+    with pytest.raises(InputError, match="must be 0 to 9"):
+        TrajectorySlave(Swing(), order=order)
