@@ -81,7 +81,8 @@ def _simulations(report: PaperReport, out: Path, progress: Progress) -> PaperRep
     tables = [table for table in printed_tables() if table.scene]
     simulations = run_cases(simulated_cases(tables), out, progress)
     compared = (compare(table, _evaluators(table.scene, simulations)) for table in tables)
-    return _simulation_figures(replace(report, tables=(*report.tables, *compared)), simulations, out, progress)
+    report = replace(report, tables=(*report.tables, *compared), versions=versions(_fmu(simulations)))
+    return _simulation_figures(report, simulations, out, progress)
 
 
 def run_cases(cases: Sequence[Case], out: Path, progress: Progress) -> Mapping[Case, Simulation]:
@@ -97,6 +98,11 @@ def run_cases(cases: Sequence[Case], out: Path, progress: Progress) -> Mapping[C
         write_simulations(done.values(), out)
         progress(f"simulated {', '.join(simulation.case)}", 0.30 + 0.65 * len(done) / len(cases))
     return done
+
+
+def _fmu(simulations: Mapping[Case, Simulation]) -> Path:
+    """The FMU that served all simulations."""
+    return next(iter(simulations.values())).fmu_path
 
 
 def _evaluators(scene: str, simulations: Mapping[Case, Simulation]) -> Mapping[str, Evaluate]:

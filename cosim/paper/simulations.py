@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,8 @@ class Simulation:
         metrics: name → value in SI units.
         duration: duration of the motion [s].
         time, path_error: instants [s] and norm of the end effector's position error [m], over motion and dwell.
-        build_time, simulation_time: wall-clock times [s].
+        fmu_path: the FMU that was simulated.
+        simulation_time: wall-clock time [s].
     """
 
     case: Case
@@ -35,7 +37,7 @@ class Simulation:
     duration: float
     time: Series
     path_error: Series
-    build_time: float
+    fmu_path: Path
     simulation_time: float
 
 
@@ -76,7 +78,7 @@ def _simulation(case: Case, run: Run) -> Simulation:
         duration=run.plan.duration,
         time=run.recording.time,
         path_error=path_error(run),
-        build_time=run.timing.build,
+        fmu_path=run.fmu_path,
         simulation_time=run.timing.simulate,
     )
 

@@ -47,9 +47,10 @@ def _table(block: Block) -> Table:
 
 
 def _cell(cell: CellText) -> Text:
+    difference = cell.difference.replace("\N{NO-BREAK SPACE}", "")  # rich would break the line there
     return Text.assemble(
         (cell.paper, "strike" if cell.grade is Grade.MISPRINT else ""),
         " → ",
         (cell.computed, "bold"),
-        (f" ({cell.difference}){cell.marks or ' '}", _COLOURS[cell.grade]),
+        (f" ({difference}){cell.marks or ' '}", _COLOURS[cell.grade]),
     )

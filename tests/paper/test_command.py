@@ -26,7 +26,7 @@ CASES: tuple[Case, ...] = (
 def simulation(case: Case) -> Simulation:
     """A simulation whose metrics are 1, 2, 3, ... in the order of `METRICS`."""
     metrics = {name: float(index) for index, name in enumerate(METRICS, 1)}
-    return Simulation(case, metrics, 0.43, np.array([0.0, 0.68]), np.array([0.0, 1e-4]), 1.0, 0.2)
+    return Simulation(case, metrics, 0.43, np.array([0.0, 0.68]), np.array([0.0, 1e-4]), Path("plant.fmu"), 0.2)
 
 
 def fail_after_two(cases: Iterable[Case]) -> Iterator[Simulation]:
@@ -71,6 +71,6 @@ def test_both_names_of_the_clothoid_pair_are_one_simulation() -> None:
 def test_a_metric_without_a_value_is_an_error() -> None:
     """A run that was cut short must not become an empty cell."""
     case = CASES[0]
-    broken = Simulation(case, dict.fromkeys(METRICS), 0.43, np.zeros(1), np.zeros(1), 0.0, 0.0)
+    broken = Simulation(case, dict.fromkeys(METRICS), 0.43, np.zeros(1), np.zeros(1), Path("plant.fmu"), 0.0)
     with pytest.raises(PaperError, match="Bang-bang, Lamé: the simulation has no peak_torque_1"):
         evaluators({case: broken}, case[0])["peak_torque_1"]("Bang-bang", "Lamé")
