@@ -107,7 +107,7 @@ class Jet:
         return Jet(-self.coefficients)
 
     def __add__(self, other: Jet | ArrayLike) -> Jet:
-        return _add(self, other if isinstance(other, Jet) else Jet.constant(other, self.order))
+        return _add(self, other) if isinstance(other, Jet) else _shift(self, np.asarray(other, dtype=float))
 
     __radd__ = __add__
 
@@ -118,12 +118,19 @@ class Jet:
         return -self + other
 
     def __mul__(self, other: Jet | ArrayLike) -> Jet:
-        return _multiply(self, other) if isinstance(other, Jet) else Jet(self.coefficients * np.asarray(other)[None])
+        if isinstance(other, Jet):
+            return _multiply(self, other)
+        factor = np.asarray(other, dtype=float)
+        return Jet(_aligned(self, factor.ndim + 1) * factor)
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Jet | ArrayLike) -> Jet:
-        return _divide(self, other) if isinstance(other, Jet) else self * (1.0 / np.asarray(other, dtype=float))
+        if isinstance(other, Jet):
+            return _divide(self, other)
+        divisor = np.asarray(other, dtype=float)
+        _require(divisor, divisor != 0.0, "division", "other than zero")
+        return Jet(_aligned(self, divisor.ndim + 1) / divisor)
 
     def __rtruediv__(self, other: ArrayLike) -> Jet:
         return _divide(Jet.constant(other, self.order), self)
@@ -235,6 +242,14 @@ def _add(u: Jet, w: Jet) -> Jet:
     return Jet(_aligned(u, w.coefficients.ndim)[: order + 1] + _aligned(w, u.coefficients.ndim)[: order + 1])
 
 
+def _shift(u: Jet, constant: Array) -> Jet:
+    a = _aligned(u, constant.ndim + 1)
+    v = np.empty((u.order + 1, *np.broadcast_shapes(a.shape[1:], constant.shape)))
+    v[1:] = a[1:]
+    v[0] = a[0] + constant
+    return Jet(v)
+
+
 def _multiply(u: Jet, w: Jet) -> Jet:
     order = min(u.order, w.order)
     a, b = _aligned(u, w.coefficients.ndim), _aligned(w, u.coefficients.ndim)
@@ -280,7 +295,7 @@ def _column(values: Array, like: Array) -> Array:
 
 
 def _aligned(jet: Jet, ndim: int) -> Array:
-    """The jet's coefficients with axes of length 1 behind the first, so that points broadcast from the last axis."""
+    """Coefficients with at least ``ndim`` axes: axes of length 1 behind the first, as points broadcast from the last."""
     missing = max(0, ndim - jet.coefficients.ndim)
     return jet.coefficients.reshape(len(jet.coefficients), *(1,) * missing, *jet.shape)
 

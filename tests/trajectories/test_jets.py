@@ -147,6 +147,15 @@ def test_the_lower_order_and_the_common_shape_win() -> None:
     for result in (scalar * points, scalar + points, scalar / points, points - scalar):
         assert result.order == 3
         assert result.shape == (4, 3)
+    array = np.arange(1.0, 7.0).reshape(2, 3)
+    row = Jet.variable(np.array([1.0, 2.0, 4.0]), 1)
+    for result, value in (
+        (row * array, row.value * array),
+        (row / array, row.value / array),
+        (array - row, array - row.value),
+    ):
+        assert result.coefficients.shape == (2, 2, 3)
+        np.testing.assert_allclose(result.value, value)
 
 
 @pytest.mark.parametrize(
@@ -157,6 +166,7 @@ def test_the_lower_order_and_the_common_shape_win() -> None:
         (lambda: sqrt(Jet.constant(np.nan, 0)), "square root .* got nan"),
         (lambda: power(Jet.variable(0.0, 1), 0.5), "real power .* above zero"),
         (lambda: 1.0 / Jet.variable([[1.0, 2.0], [0.0, 1.0]], 1), "division .* other than zero, got 0.0 at index 1, 0"),
+        (lambda: Jet.variable(1.0, 1) / 0.0, "division .* other than zero, got 0.0"),
         (lambda: Jet.variable(0.0, -1), "whole number of at least 0, got -1"),
         (lambda: Jet.constant(0.0, 1.5), "whole number of at least 0, got 1.5"),  # type: ignore[arg-type]
         (lambda: Jet.constant(0.0, 0).differentiate(), "order 0 has no derivative"),
