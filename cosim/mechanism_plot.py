@@ -25,7 +25,7 @@ def draw_scene(figure: Figure, run: Run) -> None:
     axes.annotate("start", path[0], xytext=(6, 6), textcoords="offset points", fontsize=8.5)
     axes.annotate("end", path[-1], xytext=(6, 6), textcoords="offset points", fontsize=8.5)
     _draw_bases(axes, run.scene.mechanism.base_half_distance)
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", anchor="N")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
 

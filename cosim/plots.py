@@ -54,11 +54,11 @@ def draw_plots(run: Run, end_equilibrium: Array | None) -> Iterator[Plot]:
     """
     with plot_style.style():
         yield _plot(
-            "scene", "Scene", "The rigid mechanism at start, middle and end of the path.", (5.2, 4.2), draw_scene, run
+            "scene", "Scene", "The rigid mechanism at start, middle and end of the path.", (5.2, 3.5), draw_scene, run
         )
         if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
             return
-        yield _plot("references", "Joint references", "What drives the robot.", (5.2, 4.2), _draw_references, run)
+        yield _plot("references", "Joint references", "What drives the robot.", (5.2, 3.9), _draw_references, run)
         yield _plot("torques", "Motor torques", "Positive counter-clockwise.", (5.2, 2.7), _draw_torques, run)
         if any(name in run.recording.columns for name in TIP_DEFLECTIONS):
             caption = "Transverse displacement of the proximal links' tips."

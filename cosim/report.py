@@ -23,6 +23,17 @@ TILES = (
 """The metrics that stand on top."""
 
 
+_NAMES: Mapping[str, str] = {
+    "lame": "Lamé",
+    "clothoid": "clothoid",
+    "polar": "polar polynomial",
+    "poly7": "seventh-degree polynomial",
+    "bang-bang": "bang-bang",
+    "trapezoidal": "trapezoidal",
+}
+"""Kinds of blends and profiles in the scene file → what people call them."""
+
+
 def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
     """The report as HTML.
 
@@ -58,7 +69,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
 
 def _motion_sentence(scene: Mapping[str, Any]) -> str:
     trajectory = scene["trajectory"]
-    blend, profile = trajectory["blend"]["kind"], trajectory["profile"]["kind"]
+    blend, profile = _NAMES[trajectory["blend"]["kind"]], _NAMES[trajectory["profile"]["kind"]]
     return (
         f"Pick-and-place motion of {1e3 * trajectory['height']:g} mm × {1e3 * trajectory['width']:g} mm in "
         f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile, then a dwell of "

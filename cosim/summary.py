@@ -18,10 +18,10 @@ COARSE = 1e-5
 """Estimated interpolation error, relative to a metric's value, from which the communication step counts as too coarse."""
 
 _FAMILIES: Mapping[str, str] = {
-    "proximal_bending": "bending of the proximal links",
-    "proximal_axial": "stretching of the proximal links",
-    "distal_bending": "bending of the distal links",
-    "distal_axial": "stretching of the distal links",
+    "proximal_bending": "Bending of the proximal links",
+    "proximal_axial": "Stretching of the proximal links",
+    "distal_bending": "Bending of the distal links",
+    "distal_axial": "Stretching of the distal links",
 }
 
 
@@ -52,7 +52,7 @@ def describe_effects(scene: Scene) -> dict[str, str]:
     for key, what in _FAMILIES.items():
         modes = getattr(effects, key)
         if modes:
-            found[key] = f"{what[0].upper()}{what[1:]}: {modes} {effects.basis} shape{'s' if modes > 1 else ''} each"
+            found[key] = f"{what}: {modes} assumed mode{'s' if modes > 1 else ''} each"
     found |= _damping(effects)
     if any(effects.gravity):
         found["gravity"] = "Gravity of ({:g}, {:g}) m/s2".format(*effects.gravity)
