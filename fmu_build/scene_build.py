@@ -56,7 +56,12 @@ def build_scene(
         platforms=platforms,
         step=scene.cosimulation.step,
         tolerance=scene.cosimulation.tolerance,
-        stop_time=scene.trajectory.duration + scene.trajectory.dwell,
+        stop_time=_stop_time(scene),
         cache=cache,
         progress=progress,
     )
+
+
+def _stop_time(scene: Scene) -> float:
+    """End of motion and dwell [s], without the sum's rounding: 0.43 and 0.25 make 0.68."""
+    return float(f"{scene.trajectory.duration + scene.trajectory.dwell:.12g}")
