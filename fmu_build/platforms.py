@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from flexfmu.fmu_build.errors import PlatformError
 
@@ -46,21 +46,24 @@ PLATFORMS = {
 """Every platform that can be built for, by its FMI 2.0 name."""
 
 _SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
-_MACHINES = {"x86_64", "amd64", "aarch64", "arm64"}
+_MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 
 
 def native_platform() -> Platform:
     """The platform of this interpreter, named as FMI 2.0 importers on this machine look for it.
 
+    FMI 2.0 knows no processors; on ARM its 64-bit names stand for ARM binaries.
+
     Raises:
         PlatformError: FMI 2.0 has no name for this machine.
     """
-    machine = platform.machine().lower()
     name = _SYSTEMS.get(sys.platform)
-    if name is None or machine not in _MACHINES or sys.maxsize <= 2**32:
-        known = ", ".join(PLATFORMS)
-        raise PlatformError(f"no FMI 2.0 platform for {sys.platform} on {machine}; build on one of {known}")
-    return PLATFORMS[name]
+    processor = _MACHINES.get(platform.machine().lower())
+    if name is None or processor is None or sys.maxsize <= 2**32:
+        where = f"{sys.platform} on {platform.machine()}"
+        raise PlatformError(f"FMI 2.0 has no platform for {where}; build on one of {', '.join(PLATFORMS)}")
+    target = PLATFORMS[name]
+    return replace(target, zig_target=target.zig_target.replace("x86_64", processor))
 
 
 def find_platforms(names: Iterable[str] | None) -> tuple[Platform, ...]:
@@ -69,8 +72,9 @@ def find_platforms(names: Iterable[str] | None) -> tuple[Platform, ...]:
     Raises:
         PlatformError: a name is unknown.
     """
-    wanted = sorted(set(names or ()))
+    native = native_platform()
+    wanted = sorted(set(names or ())) or [native.name]
     unknown = [name for name in wanted if name not in PLATFORMS]
     if unknown:
         raise PlatformError(f"unknown platform '{unknown[0]}'; choose from {', '.join(PLATFORMS)}")
-    return tuple(PLATFORMS[name] for name in wanted) or (native_platform(),)
+    return tuple(native if name == native.name else PLATFORMS[name] for name in wanted)

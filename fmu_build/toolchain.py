@@ -100,7 +100,7 @@ def find_compiler(platform: Platform) -> Compiler:
     Raises:
         MissingCompilerError: there is none; the message says what to install.
     """
-    is_native = platform == native_platform()
+    is_native = platform.name == native_platform().name
     compiler = _native_compiler(platform) if is_native else None
     compiler = compiler or _zig_compiler(platform)
     if compiler is None:

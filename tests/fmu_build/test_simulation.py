@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.interface import STATISTICS
 from flexfmu.model.symbolic import SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]
@@ -97,3 +98,17 @@ def test_model_without_unknowns_is_an_fmu_too(make_lever: MakeModel) -> None:
         str(build_fmu(make_lever()).path), stop_time=1.0, output_interval=0.1, input=ramp, output=["angle", "angle_out"]
     )
     np.testing.assert_allclose(result["angle_out"], 2.0 * result["angle"], atol=1e-14)
+
+
+def test_statistics_tell_the_work(make_oscillators: MakeModel) -> None:
+    """The integrator's counters are variables like any other; equilibrium costs less than motion."""
+    path = build_fmu(make_oscillators()).path
+    names = [*STATISTICS]
+    work = [
+        fmpy.simulate_fmu(str(path), stop_time=1.0, output_interval=0.1, output=names, start_values={"initial": start})
+        for start in (1, 2)
+    ]
+    resting, moving = ([int(result[name][-1]) for name in names] for result in work)
+    assert moving[0] > 10
+    assert moving[2] >= moving[0]
+    assert resting[2] < moving[2]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import platform
+import sys
 from pathlib import Path
 
 import pytest
@@ -112,3 +114,30 @@ def test_other_compiler_has_another_identity(monkeypatch: pytest.MonkeyPatch) ->
     first = find_compiler(native_platform()).identity()
     monkeypatch.setenv("CC", "gcc -m64")
     assert find_compiler(native_platform()).identity() != first
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "name", "zig_target"),
+    [
+        ("linux", "x86_64", "linux64", "x86_64-linux-gnu.2.17"),
+        ("linux", "aarch64", "linux64", "aarch64-linux-gnu.2.17"),
+        ("win32", "AMD64", "win64", "x86_64-windows-gnu"),
+        ("darwin", "arm64", "darwin64", "aarch64-macos"),
+    ],
+)
+def test_native_platform_fits_the_interpreter(
+    monkeypatch: pytest.MonkeyPatch, system: str, machine: str, name: str, zig_target: str
+) -> None:
+    """An importer in this process must be able to load what is built by default, on ARM too."""
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    (native,) = find_platforms([name])
+    assert (native.name, native.zig_target) == (name, zig_target)
+
+
+def test_machine_without_a_name_in_fmi_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """FMI 2.0 ends here, and says so."""
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
+    with pytest.raises(PlatformError, match="no platform for linux on riscv64"):
+        find_platforms(None)
