@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Mapping
-from ctypes import byref, c_double, c_int, c_void_p
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from flexfmu.cosim import fmi2_calls as fmi2
+from flexfmu.cosim.binding import nothing
 from flexfmu.cosim.errors import SlaveError
 from flexfmu.cosim.fmu_file import open_fmu
 from flexfmu.cosim.fmu_instance import FmuInstance, load_calls
-from flexfmu.cosim.fmu_transfers import Transfers
+from flexfmu.cosim.fmu_run import STATISTICS, FmuRun
 from flexfmu.cosim.fmu_variables import Handle, Value, read_variables, settings
 from flexfmu.cosim.slave import Call, Indices, RealArray
 
 INTERPOLATION_ORDER = 1
 """Highest input derivative for an FMU that says it interpolates inputs; FMI 2.0 lets it say no more than that."""
-
-STATISTICS = "statistics."
-"""Prefix of the integer variables that tell how the FMU fared."""
 
 
 class FmuSlave:
@@ -64,7 +60,8 @@ class FmuSlave:
         self.max_input_order = order if capabilities.canInterpolateInputs else 0
         self._fmi = load_calls(self._fmu)
         self._presets: dict[int, float] = {}
-        self._run: _InstanceRun | None = None
+        self._run: FmuRun | None = None
+        self._free: Call = nothing
         self.statistics: Mapping[str, int] = {}
         self.messages: tuple[str, ...] = ()
 
@@ -75,8 +72,8 @@ class FmuSlave:
             SlaveError: the FMU refuses, with its own sentence.
         """
         self.terminate()
-        self._run = run = _InstanceRun(FmuInstance(self._fmu, self._fmi, self.name))
-        weakref.finalize(self, run.free)
+        self._run = run = FmuRun(FmuInstance(self._fmu, self._fmi, self.name))
+        self._free = weakref.finalize(self, run.free)
         for setting in self._settings:
             run.instance.check(f"setting {setting.name} = {setting.value}", run.transfers.setting(setting))
         handles = [self._handles[index] for index in self._presets]
@@ -156,14 +153,14 @@ class FmuSlave:
         if self._run is not None:
             run, self._run = self._run, None
             self.statistics = run.statistics(self._counters)
-            run.free()
+            self._free()
             self.messages = tuple(run.instance.log.messages)
 
     def _select(self, indices: Indices) -> list[Handle]:
         """Handles of variables."""
         return [self._handles[index] for index in indices]
 
-    def _running(self) -> _InstanceRun:
+    def _running(self) -> FmuRun:
         """The present run.
 
         Raises:
@@ -172,62 +169,3 @@ class FmuSlave:
         if self._run is None:
             raise SlaveError(self.name, "not initialised; call initialize first")
         return self._run
-
-
-class _InstanceRun:
-    """One run of an instance, from its start values to its end."""
-
-    def __init__(self, instance: FmuInstance) -> None:
-        self.instance = instance
-        self.transfers = Transfers(instance.fmi, instance.component)
-        self.do_step: Callable[[float, float, int], int] = partial(instance.fmi["fmi2DoStep"], instance.component)
-        self.no_rollback = 1
-        self._states: list[c_void_p] = []
-        self._freed = False
-
-    def step_error(self, status: int, time: float, step: float) -> SlaveError:
-        """What a failed step has to say, with the last time that the FMU reached."""
-        reached, terminated = c_double(time), c_int(0)
-        component, fmi = self.instance.component, self.instance.fmi
-        error = self.instance.error(f"the step from {time:.9g} s by {step:.9g} s", status, time)
-        if status == fmi2.DISCARD:
-            fmi["fmi2GetRealStatus"](component, fmi2.LAST_SUCCESSFUL_TIME, byref(reached))
-            fmi["fmi2GetBooleanStatus"](component, fmi2.TERMINATED, byref(terminated))
-            ended = "; the FMU asks to end the simulation" if terminated.value else ""
-            return SlaveError(error.slave, error.reason + ended, reached.value)
-        return error
-
-    def save(self) -> object:
-        """The complete state."""
-        state = c_void_p()
-        call = partial(self.instance.fmi["fmi2GetFMUstate"], self.instance.component, byref(state))
-        self.instance.check("saving the state", call)
-        self._states.append(state)
-        self.no_rollback = 0
-        return state
-
-    def restore(self, state: object) -> None:
-        """Go back to a saved state."""
-        call = partial(self.instance.fmi["fmi2SetFMUstate"], self.instance.component, state)
-        self.instance.check("restoring a state", call)
-
-    def statistics(self, counters: Mapping[str, Handle]) -> dict[str, int]:
-        """The counters that can be read."""
-        values = np.zeros(len(counters))
-        if (
-            not counters
-            or not self.instance.initialized
-            or self.transfers.get([*counters.values()], values)() > fmi2.WARNING
-        ):
-            return {}
-        return {name.removeprefix(STATISTICS): int(value) for name, value in zip(counters, values, strict=True)}
-
-    def free(self) -> None:
-        """Free states and instance, once."""
-        if self._freed:
-            return
-        self._freed = True
-        if self.instance.alive:
-            for state in self._states:
-                self.instance.fmi["fmi2FreeFMUstate"](self.instance.component, byref(state))
-        self.instance.free()

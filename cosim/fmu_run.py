@@ -1,0 +1,73 @@
+"""One run of an FMU: steps, saved states, and the statistics at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from ctypes import byref, c_double, c_int, c_void_p
+from functools import partial
+
+import numpy as np
+
+from flexfmu.cosim import fmi2_calls as fmi2
+from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.fmu_instance import FmuInstance
+from flexfmu.cosim.fmu_transfers import Transfers
+from flexfmu.cosim.fmu_variables import Handle
+
+STATISTICS = "statistics."
+"""Prefix of the integer variables that tell how the FMU fared."""
+
+
+class FmuRun:
+    """One run of an instance, from its start values to its end."""
+
+    def __init__(self, instance: FmuInstance) -> None:
+        self.instance = instance
+        self.transfers = Transfers(instance.fmi, instance.component)
+        self.do_step: Callable[[float, float, int], int] = partial(instance.fmi["fmi2DoStep"], instance.component)
+        self.no_rollback = 1
+        self._states: list[c_void_p] = []
+
+    def step_error(self, status: int, time: float, step: float) -> SlaveError:
+        """What a failed step has to say, with the last time that the FMU reached."""
+        reached, terminated = c_double(time), c_int(0)
+        component, fmi = self.instance.component, self.instance.fmi
+        error = self.instance.error(f"the step from {time:.9g} s by {step:.9g} s", status, time)
+        if status == fmi2.DISCARD:
+            fmi["fmi2GetRealStatus"](component, fmi2.LAST_SUCCESSFUL_TIME, byref(reached))
+            fmi["fmi2GetBooleanStatus"](component, fmi2.TERMINATED, byref(terminated))
+            ended = "; the FMU asks to end the simulation" if terminated.value else ""
+            return SlaveError(error.slave, error.reason + ended, reached.value)
+        return error
+
+    def save(self) -> object:
+        """The complete state."""
+        state = c_void_p()
+        call = partial(self.instance.fmi["fmi2GetFMUstate"], self.instance.component, byref(state))
+        self.instance.check("saving the state", call)
+        self._states.append(state)
+        self.no_rollback = 0
+        return state
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        call = partial(self.instance.fmi["fmi2SetFMUstate"], self.instance.component, state)
+        self.instance.check("restoring a state", call)
+
+    def statistics(self, counters: Mapping[str, Handle]) -> dict[str, int]:
+        """The counters that can be read."""
+        values = np.zeros(len(counters))
+        if (
+            not counters
+            or not self.instance.initialized
+            or self.transfers.get([*counters.values()], values)() > fmi2.WARNING
+        ):
+            return {}
+        return {name.removeprefix(STATISTICS): int(value) for name, value in zip(counters, values, strict=True)}
+
+    def free(self) -> None:
+        """Free states and instance; to be called once."""
+        if self.instance.alive:
+            for state in self._states:
+                self.instance.fmi["fmi2FreeFMUstate"](self.instance.component, byref(state))
+        self.instance.free()
