@@ -6,8 +6,8 @@
 
 #include "linear_algebra.h"
 
-/* iterations after which a step is given up: with a contraction below 0.3 twelve digits are there */
-#define MAX_ITERATIONS 12
+/* iterations after which a step is given up: with a contraction of 0.3 all digits are there */
+#define MAX_ITERATIONS 30
 
 /* slowest contraction that an iteration may have before a fresh matrix is taken */
 #define SLOW_CONTRACTION 0.3

@@ -4,7 +4,7 @@
 
 #include "model.h"
 
-/* three oscillators y'' + 2 zeta w y' + w^2 (y - u) = 0, mixed by a rotation so that all matrices are full;
+/* three oscillators y'' + 2 zeta w y' + w^2 (y - u) = 0, the first two mixed by a rotation, the third as stiff as you like;
  * parameters: three angular frequencies and one damping ratio; static equilibrium y = u;
  * outputs: the three coordinates in the mixed frame, their rates and accelerations */
 extern const flex_model oscillators;
@@ -21,7 +21,8 @@ extern const flex_model double_pendulum;
 /* no unknowns: outputs are the square of the input and its margin 1 - u */
 extern const flex_model rigid;
 
-/* y'' + y = u, which gives NaN where y exceeds `limit`, with the margin 2 - u; outputs: y; parameter `load` is tunable */
+/* y'' + y = force + load, which gives NaN where y exceeds `limit`, with the margin 2 - force, at least 0.5; one output: y;
+ * `limit` is fixed, `load` tunable; this is flex_the_model too */
 extern const flex_model fragile;
 
 #endif

@@ -1,0 +1,526 @@
+/* The FMI functions, called as an importer calls them. The model is `fragile`: y'' + y = force + load. */
+#include <stdarg.h>
+#include <string.h>
+
+#include "check.h"
+#include "fmi2Functions.h"
+#include "fmi2_states.h"
+#include "models.h"
+#include "tests.h"
+
+enum { FORCE, LIMIT, LOAD, POSITION };
+enum { INITIAL, STEPS };
+
+/* what the importer hears and gives, per instance */
+typedef struct {
+  char message[1024], category[64];
+  int n_messages, n_allocations, n_live;
+} importer;
+
+static void hear(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category, fmi2String message, ...) {
+  importer *ear = environment;
+  (void)name, (void)status;
+  va_list arguments;
+  va_start(arguments, message);
+  vsnprintf(ear->message, sizeof ear->message, message, arguments);
+  va_end(arguments);
+  snprintf(ear->category, sizeof ear->category, "%s", category);
+  ear->n_messages++;
+}
+
+static importer *payer;  // whose memory is being taken
+
+static void *give(size_t count, size_t size) {
+  payer->n_allocations++;
+  payer->n_live++;
+  return calloc(count, size);
+}
+
+static void take_back(void *memory) {
+  if (memory) payer->n_live--;
+  free(memory);
+}
+
+static fmi2Component instantiate(importer *ear, const char *guid) {
+  memset(ear, 0, sizeof *ear);
+  payer = ear;
+  const fmi2CallbackFunctions callbacks = {hear, give, take_back, NULL, ear};
+  return fmi2Instantiate("test", fmi2CoSimulation, guid, "file:///nowhere at all", &callbacks, fmi2False, fmi2False);
+}
+
+// an instance that moves already, with a constant force
+static fmi2Component started(importer *ear, double force) {
+  fmi2Component c = instantiate(ear, flex_the_model.guid);
+  const fmi2ValueReference vr = FORCE;
+  CHECK(c != NULL);
+  CHECK(fmi2SetupExperiment(c, fmi2True, 1e-8, 0.0, fmi2False, 0.0) == fmi2OK);
+  CHECK(fmi2EnterInitializationMode(c) == fmi2OK);
+  CHECK(fmi2SetReal(c, &vr, 1, &force) == fmi2OK);
+  CHECK(fmi2ExitInitializationMode(c) == fmi2OK);
+  return c;
+}
+
+static double get(fmi2Component c, fmi2ValueReference vr) {
+  double value = NAN;
+  CHECK(fmi2GetReal(c, &vr, 1, &value) == fmi2OK);
+  return value;
+}
+
+static fmi2Status set(fmi2Component c, fmi2ValueReference vr, double value) {
+  return fmi2SetReal(c, &vr, 1, &value);
+}
+
+static fmi2Status set_derivative(fmi2Component c, int order, double value) {
+  const fmi2ValueReference vr = FORCE;
+  return fmi2SetRealInputDerivatives(c, &vr, 1, &order, &value);
+}
+
+static int get_integer(fmi2Component c, fmi2ValueReference vr) {
+  int value = -1;
+  CHECK(fmi2GetInteger(c, &vr, 1, &value) == fmi2OK);
+  return value;
+}
+
+// the way that every importer goes
+void test_fmi_life_cycle(void) {
+  importer ear;
+  fmi2Component c = instantiate(&ear, flex_the_model.guid);
+  CHECK(c != NULL);
+  CHECK(strcmp(fmi2GetVersion(), "2.0") == 0 && strcmp(fmi2GetTypesPlatform(), "default") == 0);
+  CHECK(fmi2SetupExperiment(c, fmi2True, 1e-9, 5.0, fmi2True, 8.0) == fmi2OK);
+  CHECK(set(c, FORCE, 0.25) == fmi2OK);
+  CHECK(fmi2EnterInitializationMode(c) == fmi2OK);
+  CHECK_CLOSE(get(c, POSITION), 0.25, 1e-15);
+  CHECK(set(c, FORCE, 0.5) == fmi2OK);
+  CHECK_CLOSE(get(c, POSITION), 0.5, 1e-15);
+  CHECK(fmi2ExitInitializationMode(c) == fmi2OK);
+
+  // released at t = 5
+  CHECK(set(c, FORCE, 0.0) == fmi2OK);
+  for (int k = 0; k < 30; k++) CHECK(fmi2DoStep(c, 5.0 + k * 0.1, 0.1, fmi2True) == fmi2OK);
+  CHECK_CLOSE(get(c, POSITION), 0.5 * cos(3.0), 1e-8);
+  const fmi2ValueReference position[2] = {POSITION, POSITION};
+  const fmi2Integer order[2] = {1, 2};
+  double derivative[2], last;
+  CHECK(fmi2GetRealOutputDerivatives(c, position, 2, order, derivative) == fmi2OK);
+  CHECK_CLOSE(derivative[0], -0.5 * sin(3.0), 1e-8);
+  CHECK_CLOSE(derivative[1], -0.5 * cos(3.0), 1e-8);
+  CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &last) == fmi2OK);
+  CHECK_CLOSE(last, 8.0, 1e-14);
+  CHECK(get_integer(c, STEPS) >= 30);
+  CHECK(fmi2Terminate(c) == fmi2OK);
+  CHECK_CLOSE(get(c, POSITION), 0.5 * cos(3.0), 1e-8);
+  fmi2FreeInstance(c);
+  CHECK(ear.n_live == 0 && ear.n_messages == 0);
+}
+
+// brings an instance into a state; NULL for states that a call leaves at once
+static fmi2Component in_phase(importer *ear, flex_phase phase) {
+  if (phase == INSTANTIATED) return instantiate(ear, flex_the_model.guid);
+  if (phase == INITIALISATION_MODE) {
+    fmi2Component c = instantiate(ear, flex_the_model.guid);
+    CHECK(fmi2EnterInitializationMode(c) == fmi2OK);
+    return c;
+  }
+  fmi2Component c = started(ear, 0.0);
+  if (phase == STEP_FAILED) {
+    CHECK(set(c, FORCE, 1.0) == fmi2OK && set_derivative(c, 1, 1.0) == fmi2OK);
+    CHECK(fmi2DoStep(c, 0.0, 1.0, fmi2True) == fmi2Discard);
+    CHECK(set(c, FORCE, 0.0) == fmi2OK);
+  }
+  if (phase == TERMINATED) CHECK(fmi2Terminate(c) == fmi2OK);
+  ear->n_messages = 0;
+  return c;
+}
+
+// makes the call with harmless arguments
+static fmi2Status make_call(fmi2Component c, flex_call_id call, fmi2FMUstate *state, double time) {
+  const fmi2ValueReference real = FORCE, output = POSITION, integer = INITIAL;
+  const fmi2Integer order = 1, one = 1;
+  const double zero = 0.0;
+  static fmi2Byte bytes[65536];
+  double value;
+  int number;
+  size_t size = 0;
+  fmi2Status status;
+  fmi2String text;
+  fmi2FMUstate copy = NULL;
+  switch (call) {
+    case call_fmi2SetDebugLogging: return fmi2SetDebugLogging(c, fmi2True, 0, NULL);
+    case call_fmi2SetupExperiment: return fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0);
+    case call_fmi2EnterInitializationMode: return fmi2EnterInitializationMode(c);
+    case call_fmi2ExitInitializationMode: return fmi2ExitInitializationMode(c);
+    case call_fmi2Terminate: return fmi2Terminate(c);
+    case call_fmi2Reset: return fmi2Reset(c);
+    case call_fmi2GetReal: return fmi2GetReal(c, &real, 1, &value);
+    case call_fmi2GetInteger: return fmi2GetInteger(c, &integer, 1, &number);
+    case call_fmi2GetBoolean: return fmi2GetBoolean(c, NULL, 0, NULL);
+    case call_fmi2GetString: return fmi2GetString(c, NULL, 0, NULL);
+    case call_fmi2SetReal: return fmi2SetReal(c, &real, 1, &zero);
+    case call_fmi2SetInteger: return fmi2SetInteger(c, &integer, 0, &one);
+    case call_fmi2SetBoolean: return fmi2SetBoolean(c, NULL, 0, NULL);
+    case call_fmi2SetString: return fmi2SetString(c, NULL, 0, NULL);
+    case call_fmi2GetFMUstate: return fmi2GetFMUstate(c, state);
+    case call_fmi2SetFMUstate: return fmi2SetFMUstate(c, *state);
+    case call_fmi2FreeFMUstate: return fmi2FreeFMUstate(c, &copy);
+    case call_fmi2SerializedFMUstateSize: return fmi2SerializedFMUstateSize(c, *state, &size);
+    case call_fmi2SerializeFMUstate: return fmi2SerializeFMUstate(c, *state, bytes, sizeof bytes);
+    case call_fmi2DeSerializeFMUstate:
+      status = fmi2DeSerializeFMUstate(c, bytes, sizeof bytes, &copy);
+      fmi2FreeFMUstate(c, &copy);
+      return status;
+    case call_fmi2GetDirectionalDerivative: return fmi2GetDirectionalDerivative(c, &output, 1, &real, 1, &zero, &value);
+    case call_fmi2SetRealInputDerivatives: return fmi2SetRealInputDerivatives(c, &real, 1, &order, &zero);
+    case call_fmi2GetRealOutputDerivatives: return fmi2GetRealOutputDerivatives(c, &output, 1, &order, &value);
+    case call_fmi2DoStep: return fmi2DoStep(c, time, 1e-3, fmi2True);
+    case call_fmi2CancelStep: return fmi2CancelStep(c);
+    case call_fmi2GetStatus: return fmi2GetStatus(c, fmi2DoStepStatus, &status);
+    case call_fmi2GetRealStatus: return fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &value);
+    case call_fmi2GetIntegerStatus: return fmi2GetIntegerStatus(c, fmi2DoStepStatus, &number);
+    case call_fmi2GetBooleanStatus: return fmi2GetBooleanStatus(c, fmi2Terminated, &number);
+    case call_fmi2GetStringStatus: return fmi2GetStringStatus(c, fmi2PendingStatus, &text);
+  }
+  return fmi2Fatal;
+}
+
+// every function in every state: legal calls are served, the others say what and where, and change nothing
+void test_fmi_calls_out_of_place_are_refused(void) {
+  static const int phases[] = {INSTANTIATED, INITIALISATION_MODE, STEP_COMPLETE, STEP_FAILED, TERMINATED};
+  static const struct {
+    const char *name;
+    int legal;
+  } table[] = {
+#define X(function, phases) {#function, phases},
+      FLEX_FMI2_CALLS(X)
+#undef X
+  };
+  for (int p = 0; p < 5; p++)
+    for (int call = 0; call < (int)(sizeof table / sizeof *table); call++) {
+      importer ear;
+      fmi2Component c = in_phase(&ear, (flex_phase)phases[p]);
+      fmi2FMUstate state = NULL;
+      double time = 0.0;
+      if (phases[p] & (STEP_COMPLETE | STEP_FAILED)) CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &time) == fmi2OK);
+      CHECK(fmi2GetFMUstate(c, &state) == fmi2OK);
+      if (call == call_fmi2DeSerializeFMUstate) make_call(c, call_fmi2SerializeFMUstate, &state, time);
+      fmi2Status status = make_call(c, (flex_call_id)call, &state, time);
+      if (!(table[call].legal & phases[p])) {
+        CHECK(status == fmi2Error && ear.n_messages == 1);
+        CHECK(strstr(ear.message, table[call].name) != NULL && strcmp(ear.category, "logStatusError") == 0);
+      } else if (call == call_fmi2GetDirectionalDerivative) {
+        CHECK(status == fmi2Error && strstr(ear.message, "no directional derivatives") != NULL);
+      } else if (call == call_fmi2GetIntegerStatus) {
+        CHECK(status == fmi2Discard);
+      } else {
+        if (status != fmi2OK) printf("%s: %s\n", table[call].name, ear.message);
+        CHECK(status == fmi2OK && ear.n_messages == 0);
+      }
+      fmi2FreeFMUstate(c, &state);
+      fmi2FreeInstance(c);
+      CHECK(ear.n_live == 0);
+    }
+
+  // no instance at all
+  for (int call = 0; call < (int)(sizeof table / sizeof *table); call++) {
+    fmi2FMUstate state = NULL;
+    CHECK(make_call(NULL, (flex_call_id)call, &state, 0.0) == fmi2Error);
+  }
+  fmi2FreeInstance(NULL);
+}
+
+// a binary of another version must not be run with this description
+void test_fmi_instantiation_is_checked(void) {
+  importer ear;
+  CHECK(instantiate(&ear, "{somebody else}") == NULL);
+  CHECK(strstr(ear.message, "GUID") != NULL && ear.n_live == 0);
+
+  const fmi2CallbackFunctions bare = {NULL, NULL, NULL, NULL, NULL}, callbacks = {hear, give, take_back, NULL, &ear};
+  CHECK(fmi2Instantiate("x", fmi2ModelExchange, flex_the_model.guid, NULL, &callbacks, fmi2False, fmi2True) == NULL);
+  CHECK(strstr(ear.message, "model exchange") != NULL);
+  CHECK(fmi2Instantiate("", fmi2CoSimulation, flex_the_model.guid, NULL, &callbacks, fmi2False, fmi2True) == NULL);
+  CHECK(fmi2Instantiate("x", fmi2CoSimulation, flex_the_model.guid, NULL, NULL, fmi2False, fmi2True) == NULL);
+
+  // callbacks may be missing: the C library's memory, nobody to talk to
+  fmi2Component c = fmi2Instantiate("x", fmi2CoSimulation, flex_the_model.guid, NULL, &bare, fmi2False, fmi2True);
+  CHECK(c != NULL);
+  CHECK(fmi2DoStep(c, 0.0, 1.0, fmi2True) == fmi2Error);
+  fmi2FreeInstance(c);
+}
+
+// a refused value leaves the old one, and the sentence names variable, value, unit and range
+void test_fmi_values_are_checked(void) {
+  importer ear;
+  fmi2Component c = instantiate(&ear, flex_the_model.guid);
+  CHECK(set(c, FORCE, NAN) == fmi2Error);
+  CHECK(strstr(ear.message, "force must be a finite number in N, got") != NULL);
+  CHECK(set(c, FORCE, INFINITY) == fmi2Error);
+  CHECK(set(c, FORCE, 101.0) == fmi2Error);
+  CHECK(strcmp(ear.message, "force must be in -100 .. 100 N, got 101") == 0);
+  CHECK(set(c, LOAD, -5.5) == fmi2Error);
+  CHECK(strstr(ear.message, "load must be in -5 .. 5 N, got -5.5") != NULL);
+  CHECK(set(c, POSITION, 0.0) == fmi2Error);
+  CHECK(strstr(ear.message, "position is an output") != NULL);
+  CHECK(set(c, 4, 0.0) == fmi2Error);
+  CHECK(strstr(ear.message, "value reference 4") != NULL);
+  CHECK(set_derivative(c, 4, 0.0) == fmi2Error);
+  CHECK(strstr(ear.message, "order 1 to 3, got order 4") != NULL);
+  CHECK(set_derivative(c, 0, 0.0) == fmi2Error);
+  CHECK(set_derivative(c, 1, NAN) == fmi2Error);
+  CHECK(get(c, FORCE) == 0.0 && get(c, LOAD) == 0.0);
+
+  const fmi2ValueReference initial = INITIAL, steps = STEPS, unknown = 6, text = 0;
+  const fmi2Integer three = 3, two = 2;
+  fmi2Boolean truth = 0;
+  CHECK(fmi2SetInteger(c, &initial, 1, &three) == fmi2Error);
+  CHECK(strstr(ear.message, "1 (static) or 2 (undeformed), got 3") != NULL);
+  CHECK(fmi2SetInteger(c, &steps, 1, &two) == fmi2Error);
+  CHECK(fmi2SetInteger(c, &unknown, 1, &two) == fmi2Error);
+  CHECK(fmi2SetInteger(c, &initial, 1, &two) == fmi2OK && get_integer(c, INITIAL) == 2);
+  CHECK(fmi2SetBoolean(c, &text, 1, &truth) == fmi2Error);
+
+  CHECK(fmi2SetupExperiment(c, fmi2True, 0.0, 0.0, fmi2False, 0.0) == fmi2Error);
+  CHECK(fmi2SetupExperiment(c, fmi2True, 1e-6, NAN, fmi2False, 0.0) == fmi2Error);
+  CHECK(fmi2SetupExperiment(c, fmi2True, 1e-6, 1.0, fmi2True, 0.5) == fmi2Error);
+  CHECK(fmi2SetupExperiment(c, fmi2True, 1e-16, 0.0, fmi2False, 0.0) == fmi2Warning);
+  fmi2FreeInstance(c);
+}
+
+// impossible communication steps are errors of the importer; the plant stays where it is
+void test_fmi_steps_are_checked(void) {
+  importer ear;
+  fmi2Component c = instantiate(&ear, flex_the_model.guid);
+  CHECK(fmi2SetupExperiment(c, fmi2False, 0.0, 1.0, fmi2True, 2.0) == fmi2OK);
+  CHECK(fmi2EnterInitializationMode(c) == fmi2OK && fmi2ExitInitializationMode(c) == fmi2OK);
+  CHECK(fmi2DoStep(c, 1.0, 0.0, fmi2True) == fmi2Error);
+  CHECK(strstr(ear.message, "must be positive and finite, got 0 s") != NULL);
+  CHECK(fmi2DoStep(c, 1.0, -0.1, fmi2True) == fmi2Error);
+  CHECK(fmi2DoStep(c, 1.0, NAN, fmi2True) == fmi2Error);
+  CHECK(fmi2DoStep(c, 1.1, 0.1, fmi2True) == fmi2Error);
+  CHECK(strstr(ear.message, "present time 1 s") != NULL);
+  CHECK(fmi2DoStep(c, 1.0, 1.5, fmi2True) == fmi2Error);
+  CHECK(strstr(ear.message, "stop time") != NULL);
+  CHECK(fmi2DoStep(c, 1.0, 1e-20, fmi2True) == fmi2Error);
+  CHECK(strstr(ear.message, "lost by rounding") != NULL);
+  for (int k = 0; k < 10; k++) CHECK(fmi2DoStep(c, 1.0 + 0.1 * k, 0.1, fmi2True) == fmi2OK);
+  fmi2FreeInstance(c);
+}
+
+// a varied force, different in each step
+static void drive(fmi2Component c, int first, int last, double *trace) {
+  for (int k = first; k < last; k++) {
+    CHECK(set(c, FORCE, sin(0.3 * k)) == fmi2OK);
+    CHECK(set_derivative(c, 1, cos(0.1 * k)) == fmi2OK);
+    CHECK(fmi2DoStep(c, 0.05 * k, 0.05, fmi2False) == fmi2OK);
+    trace[k - first] = get(c, POSITION);
+  }
+}
+
+// masters that repeat steps rely on the same bits: everything the integrator remembers belongs to the state
+void test_fmi_rollback_is_exact(void) {
+  for (int cut = 0; cut < 60; cut += 7) {
+    importer ear;
+    fmi2Component c = started(&ear, 0.3);
+    double before[60], first[60], second[60];
+    fmi2FMUstate state = NULL;
+    drive(c, 0, cut, before);
+    CHECK(fmi2GetFMUstate(c, &state) == fmi2OK);
+    drive(c, cut, 60, first);
+    int steps = get_integer(c, STEPS);
+    CHECK(fmi2SetFMUstate(c, state) == fmi2OK);
+    drive(c, cut, 60, second);
+    CHECK(memcmp(first, second, (size_t)(60 - cut) * sizeof(double)) == 0);
+    CHECK(get_integer(c, STEPS) == steps);
+
+    // an existing state is reused
+    fmi2FMUstate same = state;
+    CHECK(fmi2GetFMUstate(c, &state) == fmi2OK && state == same);
+    CHECK(fmi2FreeFMUstate(c, &state) == fmi2OK && state == NULL);
+    fmi2FreeInstance(c);
+    CHECK(ear.n_live == 0);
+  }
+}
+
+// a state written to a file goes on in another instance; foreign or cut bytes are refused
+void test_fmi_states_travel_between_instances(void) {
+  importer ear, other_ear;
+  fmi2Component c = started(&ear, 0.3), other = started(&other_ear, -0.7);
+  static fmi2Byte bytes[65536];
+  double here[20], there[20];
+  fmi2FMUstate state = NULL, copy = NULL;
+  size_t size;
+  drive(c, 0, 20, here);
+  CHECK(fmi2GetFMUstate(c, &state) == fmi2OK && fmi2SerializedFMUstateSize(c, state, &size) == fmi2OK);
+  CHECK(size <= sizeof bytes && fmi2SerializeFMUstate(c, state, bytes, size - 1) == fmi2Error);
+  CHECK(fmi2SerializeFMUstate(c, state, bytes, size) == fmi2OK);
+  drive(c, 20, 40, here);
+
+  CHECK(fmi2DeSerializeFMUstate(other, bytes, size, &copy) == fmi2OK && fmi2SetFMUstate(other, copy) == fmi2OK);
+  drive(other, 20, 40, there);
+  CHECK(memcmp(here, there, sizeof here) == 0);
+  fmi2FMUstate none = NULL;
+  CHECK(fmi2DeSerializeFMUstate(other, bytes, size - 1, &none) == fmi2Error && none == NULL);
+  CHECK(fmi2DeSerializeFMUstate(other, bytes, 3, &none) == fmi2Error && none == NULL);
+  bytes[0] ^= 1;
+  CHECK(fmi2DeSerializeFMUstate(other, bytes, size, &none) == fmi2Error && none == NULL);
+  CHECK(strstr(other_ear.message, "does not belong") != NULL);
+  CHECK(fmi2SetFMUstate(other, NULL) == fmi2Error);
+  fmi2FreeFMUstate(c, &state);
+  fmi2FreeFMUstate(other, &copy);
+  fmi2FreeInstance(c);
+  fmi2FreeInstance(other);
+}
+
+// two instances side by side give what each gives alone: no state outside them
+void test_fmi_instances_are_independent(void) {
+  importer ear, other_ear;
+  double alone[30], together[30], other[30];
+  fmi2Component c = started(&ear, 0.3);
+  drive(c, 0, 30, alone);
+  fmi2FreeInstance(c);
+  c = started(&ear, 0.3);
+  fmi2Component d = started(&other_ear, 1.0);
+  for (int k = 0; k < 30; k++) {
+    drive(c, k, k + 1, together + k);
+    drive(d, k, k + 1, other + k);
+  }
+  CHECK(memcmp(alone, together, sizeof alone) == 0);
+  CHECK(memcmp(alone, other, sizeof alone) != 0);
+  fmi2FreeInstance(c);
+  fmi2FreeInstance(d);
+}
+
+// near a singularity the step is discarded with the reason, the plant stays at the last good time and can go on
+void test_fmi_singularity_discards_the_step(void) {
+  importer ear;
+  fmi2Component c = started(&ear, 0.0);
+  CHECK(set_derivative(c, 1, 1.0) == fmi2OK);
+  CHECK(fmi2DoStep(c, 0.0, 1.0, fmi2True) == fmi2OK);
+
+  // the margin 2 - t reaches 0.5 at t = 1.5
+  CHECK(fmi2DoStep(c, 1.0, 1.0, fmi2True) == fmi2Discard);
+  CHECK(strstr(ear.message, "distance between the elbows (m) is 0.") != NULL && strcmp(ear.category, "logStatusDiscard") == 0);
+  double last, position;
+  fmi2Status status;
+  CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &last) == fmi2OK);
+  CHECK_CLOSE(last, 1.5, 1e-6);
+  CHECK(fmi2GetStatus(c, fmi2DoStepStatus, &status) == fmi2OK && status == fmi2Discard);
+  position = get(c, POSITION);
+  CHECK_CLOSE(position, last - sin(last), 1e-8);
+
+  // with another force it goes on from there
+  CHECK(set(c, FORCE, last) == fmi2OK);
+  CHECK_CLOSE(get(c, POSITION), position, 0.0);
+  CHECK(set(c, FORCE, 1.0) == fmi2OK);
+  CHECK(fmi2DoStep(c, last, 0.5, fmi2True) == fmi2OK);
+  CHECK(isfinite(get(c, POSITION)));
+  fmi2FreeInstance(c);
+}
+
+// NaN from the model never reaches an output
+void test_fmi_nan_discards_the_step(void) {
+  importer ear;
+  fmi2Component c = instantiate(&ear, flex_the_model.guid);
+  CHECK(set(c, LIMIT, 0.4) == fmi2OK);
+  CHECK(fmi2EnterInitializationMode(c) == fmi2OK && fmi2ExitInitializationMode(c) == fmi2OK);
+  CHECK(set(c, FORCE, 1.0) == fmi2OK);
+
+  // y = 1 - cos(t) passes the limit 0.4 at acos(0.6)
+  CHECK(fmi2DoStep(c, 0.0, 2.0, fmi2True) == fmi2Discard);
+  CHECK(strstr(ear.message, "no finite number") != NULL);
+  double last;
+  CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &last) == fmi2OK);
+  CHECK_CLOSE(last, acos(0.6), 1e-5);
+  CHECK_CLOSE(get(c, POSITION), 1.0 - cos(last), 1e-6);
+  CHECK(fmi2DoStep(c, last, 0.5, fmi2True) == fmi2Discard);
+  fmi2FreeInstance(c);
+
+  // the same at the start
+  c = instantiate(&ear, flex_the_model.guid);
+  CHECK(set(c, LIMIT, -1.0) == fmi2OK && fmi2EnterInitializationMode(c) == fmi2OK);
+  CHECK(fmi2ExitInitializationMode(c) == fmi2Error && strstr(ear.message, "no finite number") != NULL);
+  CHECK(set(c, LIMIT, 1.0) == fmi2OK && fmi2ExitInitializationMode(c) == fmi2OK);
+  fmi2FreeInstance(c);
+}
+
+// the second run on one instance equals the first
+void test_fmi_reset_starts_over(void) {
+  importer ear;
+  fmi2Component c = started(&ear, 0.3);
+  double first[30], second[30];
+  drive(c, 0, 30, first);
+  CHECK(fmi2Terminate(c) == fmi2OK && fmi2Reset(c) == fmi2OK);
+  CHECK(get(c, FORCE) == 0.0 && get(c, LIMIT) == 10.0);
+  CHECK(fmi2SetupExperiment(c, fmi2True, 1e-8, 0.0, fmi2False, 0.0) == fmi2OK);
+  CHECK(fmi2EnterInitializationMode(c) == fmi2OK && set(c, FORCE, 0.3) == fmi2OK && fmi2ExitInitializationMode(c) == fmi2OK);
+  drive(c, 0, 30, second);
+  CHECK(memcmp(first, second, sizeof first) == 0);
+  fmi2FreeInstance(c);
+}
+
+// real-time importers cannot have a step wait for memory
+void test_fmi_allocates_once(void) {
+  importer ear;
+  fmi2Component c = started(&ear, 0.3);
+  double trace[50];
+  drive(c, 0, 50, trace);
+  CHECK(ear.n_allocations == 1);
+  fmi2FreeInstance(c);
+  CHECK(ear.n_live == 0);
+}
+
+// statistics on request, errors unless switched off, unknown categories refused; a % in a text is no format
+void test_fmi_logs_what_is_asked_for(void) {
+  importer ear;
+  const fmi2String statistics[1] = {"statistics"}, unknown[1] = {"weather %s"}, errors[1] = {"logStatusError"};
+  double trace[10];
+  fmi2Component c = started(&ear, 0.3);
+  drive(c, 0, 10, trace);
+  CHECK(fmi2SetDebugLogging(c, fmi2True, 1, unknown) == fmi2Error);
+  CHECK(strstr(ear.message, "'weather %s' is unknown") != NULL);
+  CHECK(fmi2SetDebugLogging(c, fmi2True, 1, statistics) == fmi2OK);
+  CHECK(fmi2Terminate(c) == fmi2OK);
+  CHECK(strcmp(ear.category, "statistics") == 0 && strstr(ear.message, " steps, ") != NULL);
+  int heard = ear.n_messages;
+  CHECK(fmi2SetDebugLogging(c, fmi2False, 1, errors) == fmi2OK);
+  CHECK(fmi2DoStep(c, 0.5, 0.1, fmi2True) == fmi2Error && ear.n_messages == heard);
+  fmi2FreeInstance(c);
+}
+
+// outputs that are read after an input was set are the right-sided limits, position and rate going on
+void test_fmi_inputs_jump_at_communication_points(void) {
+  importer ear;
+  fmi2Component c = started(&ear, 0.0);
+  const fmi2ValueReference position = POSITION;
+  const fmi2Integer order = 2;
+  double left, right;
+  CHECK(fmi2DoStep(c, 0.0, 0.5, fmi2True) == fmi2OK);
+  CHECK(fmi2GetRealOutputDerivatives(c, &position, 1, &order, &left) == fmi2OK);
+  CHECK(set(c, FORCE, 1.25) == fmi2OK);
+  CHECK(fmi2GetRealOutputDerivatives(c, &position, 1, &order, &right) == fmi2OK);
+  CHECK_CLOSE(left, 0.0, 1e-15);
+  CHECK_CLOSE(right, 1.25, 1e-15);
+
+  // derivatives go on over several steps until a new value is set
+  CHECK(set(c, FORCE, 0.0) == fmi2OK && set_derivative(c, 1, 0.5) == fmi2OK);
+  CHECK(fmi2DoStep(c, 0.5, 0.5, fmi2True) == fmi2OK && fmi2DoStep(c, 1.0, 0.5, fmi2True) == fmi2OK);
+  CHECK_CLOSE(get(c, FORCE), 0.5, 1e-15);
+  CHECK_CLOSE(get(c, POSITION), 0.5 * (1.0 - sin(1.0)), 1e-8);
+  fmi2FreeInstance(c);
+}
+
+// times are start + n h: they must meet over a long run, also where the importer sums them up
+void test_fmi_runs_a_hundred_thousand_steps(void) {
+  importer ear;
+  fmi2Component c = started(&ear, 0.5);
+  CHECK(set(c, FORCE, 0.0) == fmi2OK);
+  for (int k = 0; k < 50000; k++) CHECK(fmi2DoStep(c, 1e-3 * k, 1e-3, fmi2True) == fmi2OK);
+  double sum = 50.0, last;
+  for (int k = 0; k < 50000; k++) {
+    CHECK(fmi2DoStep(c, sum, 1e-3, fmi2True) == fmi2OK);
+    sum += 1e-3;
+  }
+  CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &last) == fmi2OK);
+  CHECK_CLOSE(last, 100.0, 1e-9);
+  CHECK_CLOSE(get(c, POSITION), 0.5 * cos(100.0), 1e-7);
+  fmi2FreeInstance(c);
+}

@@ -1,0 +1,288 @@
+/* The integrator against closed forms and invariants. */
+#include <string.h>
+
+#include "check.h"
+#include "models.h"
+#include "plants.h"
+#include "tests.h"
+
+#define TAU 6.283185307179586
+
+/* columns of the rotation between the modes and the coordinates of the oscillators */
+static const double modes[3][3] = {{0.6, 0.8, 0.0}, {-0.8, 0.6, 0.0}, {0.0, 0.0, 1.0}};
+
+static double modal(const double *x, int mode) {
+  return modes[mode][0] * x[0] + modes[mode][1] * x[1] + modes[mode][2] * x[2];
+}
+
+// oscillators with the given frequencies, held at modal deflections and let go
+static flex_plant *let_go(const double frequency[3], double damping, const double deflection[3], double tolerance) {
+  flex_plant *plant = make_plant(&oscillators, tolerance);
+  memcpy(plant->p, frequency, 3 * sizeof(double));
+  plant->p[3] = damping;
+  for (int i = 0; i < 3; i++)
+    set_input(plant, i, modes[0][i] * deflection[0] + modes[1][i] * deflection[1] + modes[2][i] * deflection[2]);
+  begin_static(plant);
+  for (int i = 0; i < 3; i++) set_input(plant, i, 0.0);
+  return plant;
+}
+
+// deflection and rate of a mode that was let go at t = 0
+static void free_vibration(double w, double zeta, double deflection, double t, double *q, double *p) {
+  double wd = w * sqrt(1.0 - zeta * zeta), decay = deflection * exp(-zeta * w * t);
+  *q = decay * (cos(wd * t) + zeta * w / wd * sin(wd * t));
+  *p = -decay * w * w / wd * sin(wd * t);
+}
+
+// error in the energy norm, relative to the energy at the start
+static double vibration_error(const flex_plant *plant, const double deflection[3]) {
+  double error = 0.0, scale = 0.0;
+  for (int k = 0; k < 3; k++) {
+    double w = plant->p[k], q, p;
+    free_vibration(w, plant->p[3], deflection[k], plant->record->time, &q, &p);
+    double dq = w * (modal(plant->gauss.y, k) - q), dp = modal(plant->gauss.v, k) - p;
+    error += dq * dq + dp * dp;
+    scale += w * w * deflection[k] * deflection[k];
+  }
+  return sqrt(error / scale);
+}
+
+// equal steps of a method without any control, stage equations solved to rounding errors
+static void fixed_steps(flex_plant *plant, const flex_tableau *tableau, double duration, int count) {
+  flex_gauss *gauss = &plant->gauss;
+  flex_stages *stages = &gauss->stages;
+  double h = duration / count;
+  int n = gauss->n;
+  stages->tableau = tableau;
+  flex_stages_clear(stages);
+  for (int k = 0; k < count; k++) {
+    CHECK(flex_gauss_accelerate(gauss, plant->u) == FLEX_DONE);
+    for (int i = 0; i < tableau->stages; i++) memcpy(stages->acceleration + i * n, gauss->a, (size_t)n * sizeof(double));
+    CHECK(flex_stages_solve(stages, k * h, h, gauss->y, gauss->v, gauss->a, 1.0, 0.0) == FLEX_DONE);
+    for (int c = 0; c < n; c++) {
+      double dy = 0.0, dv = 0.0;
+      for (int i = 0; i < tableau->stages; i++) {
+        dy += tableau->b_position[i] * stages->acceleration[i * n + c];
+        dv += tableau->b[i] * stages->acceleration[i * n + c];
+      }
+      gauss->y[c] += h * gauss->v[c] + h * h * dy;
+      gauss->v[c] += h * dv;
+    }
+  }
+}
+
+// slope of the error over the step size between two numbers of steps
+static void check_order(const flex_model *model, const double *y, const double *v, const flex_tableau *tableau, int count) {
+  double end[3][4];
+  const int counts[3] = {count, 2 * count, 16 * count};
+  for (int k = 0; k < 3; k++) {
+    flex_plant *plant = make_plant(model, 1e-6);
+    begin_at(plant, y, v);
+    fixed_steps(plant, tableau, 2.0, counts[k]);
+    memcpy(end[k], plant->gauss.y, (size_t)(2 * model->n) * sizeof(double));
+    free_plant(plant);
+  }
+  double coarse = 0.0, fine = 0.0;
+  for (int c = 0; c < 2 * model->n; c++) {
+    coarse += fabs(end[0][c] - end[2][c]);
+    fine += fabs(end[1][c] - end[2][c]);
+  }
+  CHECK_BETWEEN(log2(coarse / fine), 2 * tableau->stages - 0.3, 2 * tableau->stages + 0.3);
+}
+
+// the order is what makes Gauss methods cheap; a wrong coefficient or an inexact Newton iteration would lower it
+void test_order_is_twice_the_stages(void) {
+  const double y[1] = {2.0}, v[1] = {0.5};
+  check_order(&pendulum, y, v, &flex_gauss_2, 8);
+  check_order(&pendulum, y, v, &flex_gauss_3, 8);
+  check_order(&pendulum, y, v, &flex_gauss_4, 6);
+}
+
+// the same where the mass matrix depends on the position and forces on the rates
+void test_order_is_twice_the_stages_for_full_masses(void) {
+  const double y[2] = {0.6, -0.3}, v[2] = {0.3, 0.4};
+  check_order(&double_pendulum, y, v, &flex_gauss_2, 20);
+  check_order(&double_pendulum, y, v, &flex_gauss_3, 20);
+  check_order(&double_pendulum, y, v, &flex_gauss_4, 20);
+}
+
+// the importer's tolerance must mean something: ten periods end within a factor 10 of it, on either side
+void test_tolerance_is_achieved(void) {
+  const double frequency[3] = {1.0, 1.0, 1.0}, deflection[3] = {1.0, 0.3, 0.1};
+  for (double tolerance = 1e-3; tolerance > 0.9e-9; tolerance *= 0.1) {
+    flex_plant *plant = let_go(frequency, 0.0, deflection, tolerance);
+    advance(plant, 0.0, 10.0 * TAU, 1);
+    CHECK_BETWEEN(vibration_error(plant, deflection), 0.1 * tolerance, 10.0 * tolerance);
+    free_plant(plant);
+  }
+
+  // several frequencies, damped and not
+  const double mixed[3] = {1.0, 2.0, 4.0};
+  for (double tolerance = 1e-3; tolerance > 0.9e-11; tolerance *= 0.1)
+    for (double damping = 0.0; damping < 0.25; damping += 0.1) {
+      flex_plant *plant = let_go(mixed, damping, deflection, tolerance);
+      advance(plant, 0.0, TAU, 4);
+      CHECK_BETWEEN(vibration_error(plant, deflection), 0.0, 10.0 * tolerance);
+      free_plant(plant);
+    }
+}
+
+// the tolerance holds whatever the communication step, which must not cost more than its own solution each
+void test_tolerance_is_achieved_between_short_steps(void) {
+  const double frequency[3] = {1.0, 2.0, 3.0}, deflection[3] = {1.0, 0.3, 0.1};
+  for (double tolerance = 1e-3; tolerance > 0.9e-9; tolerance *= 0.1)
+    for (int count = 10; count <= 10000; count *= 10) {
+      flex_plant *plant = let_go(frequency, 0.0, deflection, tolerance);
+      advance(plant, 0.0, 3.0 * TAU / count, count);
+      CHECK_BETWEEN(vibration_error(plant, deflection), 0.0, 10.0 * tolerance);
+      if (count == 10000) CHECK(plant->record->stages.iterations < 1.3 * count);
+      free_plant(plant);
+    }
+}
+
+// an A-stable method does not see a mode a million times faster that isn't excited
+void test_stiff_modes_at_rest_cost_nothing(void) {
+  const double soft[3] = {1.0, 3.0, 5.0}, stiff[3] = {1.0, 3.0, 1e6}, deflection[3] = {1.0, 0.2, 0.0};
+  for (double tolerance = 1e-3; tolerance > 0.9e-7; tolerance *= 0.1)
+    for (double damping = 0.0; damping < 0.3; damping += 0.2) {
+      flex_plant *plain = let_go(soft, damping, deflection, tolerance), *plant = let_go(stiff, damping, deflection, tolerance);
+      advance(plain, 0.0, TAU, 3);
+      advance(plant, 0.0, TAU, 3);
+      CHECK(plant->record->gauss.steps <= 2 * plain->record->gauss.steps + 10);
+      CHECK_BETWEEN(vibration_error(plant, deflection), 0.0, 10.0 * tolerance);
+      free_plant(plain);
+      free_plant(plant);
+    }
+}
+
+// a fast mode that does carry energy is part of the solution and has to be right
+void test_stiff_modes_in_motion_are_resolved(void) {
+  const double frequency[3] = {1.0, 3.0, 1e3}, deflection[3] = {1.0, 0.2, 1e-4};
+  flex_plant *plant = let_go(frequency, 0.05, deflection, 1e-5);
+  advance(plant, 0.0, 1e-3, 50);
+  CHECK_BETWEEN(vibration_error(plant, deflection), 0.0, 1e-4);
+  free_plant(plant);
+}
+
+// input derivatives carry a polynomial over the step: its response is a polynomial, which collocation gives exactly
+void test_forced_motion_is_exact(void) {
+  const double w = 2.0;
+  flex_plant *plant = make_plant(&oscillators, 1e-9);
+  for (int k = 0; k < 3; k++) plant->p[k] = w;
+
+  // q = t^3 solves q'' + w^2 q = w^2 u with u = t^3 + 6 t / w^2, mode for mode
+  const double zero[3] = {0.0, 0.0, 0.0};
+  begin_at(plant, zero, zero);
+  set_input(plant, 0, 0.0);
+  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 6.0 / (w * w));
+  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 3, 6.0);
+  advance(plant, 0.0, 0.25, 8);
+  CHECK_CLOSE(plant->gauss.y[0], 8.0, 1e-12);
+  CHECK_CLOSE(plant->gauss.v[0], 12.0, 1e-12);
+  CHECK_CLOSE(plant->gauss.a[0], 12.0, 1e-12);
+  free_plant(plant);
+}
+
+// an input that jumps between steps starts a new motion: nothing of the old one may be extrapolated into it
+void test_jumps_of_the_input_are_met(void) {
+  const double frequency[3] = {1.0, 3.0, 7.0}, nothing[3] = {0.0, 0.0, 0.0};
+  for (double tolerance = 1e-4; tolerance > 0.9e-10; tolerance *= 0.01) {
+    flex_plant *plant = let_go(frequency, 0.0, nothing, tolerance);
+    double q[3] = {0.0}, p[3] = {0.0};
+    for (int k = 0; k < 40; k++) {
+      double load = k % 3 - 1.0, h = 0.4;
+      for (int i = 0; i < 3; i++) set_input(plant, i, load * modes[0][i] + 0.5 * load * modes[2][i]);
+      advance(plant, k * h, h, 1);
+
+      // closed form over the step: vibration about the new equilibrium
+      const double rest[3] = {load, 0.0, 0.5 * load};
+      for (int m = 0; m < 3; m++) {
+        double w = frequency[m], c = cos(w * h), s = sin(w * h), x = q[m] - rest[m];
+        q[m] = rest[m] + x * c + p[m] / w * s;
+        p[m] = -x * w * s + p[m] * c;
+      }
+    }
+    for (int m = 0; m < 3; m++) CHECK_CLOSE(modal(plant->gauss.y, m), q[m], 20.0 * tolerance);
+    free_plant(plant);
+  }
+}
+
+static double oscillator_energy(const flex_plant *plant) {
+  double energy = 0.0;
+  for (int k = 0; k < 3; k++) {
+    double q = modal(plant->gauss.y, k), p = modal(plant->gauss.v, k);
+    energy += 0.5 * (plant->p[k] * plant->p[k] * q * q + p * p);
+  }
+  return energy;
+}
+
+// Gauss methods keep quadratic invariants if the stages are solved and summed well enough: no damping of their own
+void test_energy_stays_over_many_steps(void) {
+  const double deflection[3] = {1.0, 0.3, 1e-3};
+  const double frequency[2][3] = {{1.0, 3.0, 7.0}, {1.0, 3.0, 2e3}};
+  const double tolerances[3] = {1e-5, 1e-8, 1e-11};
+  for (int f = 0; f < 2; f++)
+    for (int t = 0; t < 3; t++) {
+      if (f == 1 && t == 2) continue;  // would resolve 2000 rad/s to eleven digits
+      flex_plant *plant = let_go(frequency[f], 0.0, deflection, tolerances[t]);
+      double start = oscillator_energy(plant);
+      advance(plant, 0.0, f == 0 ? 0.02 : 1e-4, 100000);
+      CHECK_CLOSE(oscillator_energy(plant) / start, 1.0, 1e-9);
+      free_plant(plant);
+    }
+}
+
+// nonlinear motion keeps its energy to the accuracy of the method, without drift
+void test_energy_stays_in_nonlinear_motion(void) {
+  const double y1[1] = {2.5}, v1[1] = {0.0}, y2[2] = {1.0, -0.5}, v2[2] = {0.3, 0.8};
+  flex_plant *single = make_plant(&pendulum, 1e-10), *twofold = make_plant(&double_pendulum, 1e-10);
+  begin_at(single, y1, v1);
+  begin_at(twofold, y2, v2);
+  double single_start = output(single, 0), twofold_start = output(twofold, 0);
+  advance(single, 0.0, 0.02, 100000);
+  advance(twofold, 0.0, 0.01, 20000);
+  CHECK_CLOSE(output(single, 0), single_start, 1e-9);
+  CHECK_CLOSE(output(twofold, 0), twofold_start, 1e-8);
+  free_plant(single);
+  free_plant(twofold);
+}
+
+// an eccentric orbit needs steps that differ by a factor of ten along the way
+void test_orbit_keeps_energy_and_momentum(void) {
+  const double e = 0.8, y[2] = {1.0 - e, 0.0}, v[2] = {0.0, sqrt((1.0 + e) / (1.0 - e))};
+  for (double tolerance = 1e-4; tolerance > 0.9e-10; tolerance *= 0.01) {
+    flex_plant *plant = make_plant(&orbit, tolerance);
+    begin_at(plant, y, v);
+    double energy = output(plant, 0), momentum = output(plant, 1);
+    advance(plant, 0.0, TAU, 3);
+    CHECK_CLOSE(output(plant, 0), energy, 100.0 * tolerance);
+    CHECK_CLOSE(output(plant, 1), momentum, 10.0 * tolerance);
+    CHECK_CLOSE(plant->gauss.y[0], y[0], 1000.0 * tolerance);
+    free_plant(plant);
+  }
+}
+
+// communication steps of any size: the time they take is theirs, the result is the motion's
+void test_step_sizes_from_nanoseconds_to_seconds(void) {
+  const double frequency[3] = {100.0, 360.0, 1e4}, deflection[3] = {1.0, 0.1, 0.0};
+  const double sizes[] = {1e-9, 1e-7, 1e-5, 1e-3, 0.1, 1.0};
+  for (int k = 0; k < 6; k++) {
+    flex_plant *plant = let_go(frequency, 0.02, deflection, 1e-6);
+    advance(plant, 0.0, sizes[k], k < 3 ? 1000 : 3);
+    CHECK_BETWEEN(vibration_error(plant, deflection), 0.0, 1e-5);
+    free_plant(plant);
+  }
+}
+
+// nothing moves without a cause: rounding errors must not be mistaken for a motion
+void test_rest_stays_at_rest(void) {
+  const double frequency[3] = {1.0, 30.0, 1e5}, load[3] = {1.0, 1e-3, 1e-6};
+  flex_plant *plant = make_plant(&oscillators, 1e-10);
+  memcpy(plant->p, frequency, sizeof frequency);
+  for (int i = 0; i < 3; i++) set_input(plant, i, load[i]);
+  begin_static(plant);
+  advance(plant, 0.0, 0.1, 100);
+  for (int i = 0; i < 3; i++) CHECK_CLOSE(plant->gauss.y[i], load[i], 1e-13);
+  CHECK(plant->record->gauss.steps < 2000);
+  free_plant(plant);
+}

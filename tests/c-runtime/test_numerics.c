@@ -1,0 +1,194 @@
+/* Building blocks: linear solvers, tableaus, input polynomials. */
+#include <string.h>
+
+#include "check.h"
+#include "inputs.h"
+#include "linear_algebra.h"
+#include "tableaus.h"
+#include "tests.h"
+
+/* minimal standard generator (Park, Miller 1988), the same numbers everywhere; -1 .. 1 */
+static double random_number(unsigned long *state) {
+  *state = *state * 16807UL % 2147483647UL;
+  return (double)*state / 1073741823.5 - 1.0;
+}
+
+enum { SIZE = 9 };
+
+// a solver that loses digits would stop Newton's iterations early
+void test_linear_solvers_invert(void) {
+  unsigned long seed = 7;
+  for (int n = 1; n <= SIZE; n++) {
+    double a[SIZE * SIZE], lu[SIZE * SIZE], x[SIZE], b[SIZE], z[2 * SIZE * SIZE], zlu[2 * SIZE * SIZE], zx[2 * SIZE], zb[2 * SIZE];
+    int pivots[SIZE];
+    for (int i = 0; i < n * n; i++) a[i] = random_number(&seed);
+    for (int i = 0; i < 2 * n * n; i++) z[i] = random_number(&seed);
+    for (int i = 0; i < 2 * n; i++) zb[i] = zx[i] = random_number(&seed);
+    for (int i = 0; i < n; i++) b[i] = x[i] = random_number(&seed);
+
+    // real
+    memcpy(lu, a, sizeof a);
+    CHECK(flex_lu_factor(n, lu, pivots) == 0);
+    flex_lu_solve(n, lu, pivots, x);
+    for (int i = 0; i < n; i++) {
+      double sum = 0.0;
+      for (int j = 0; j < n; j++) sum += a[j * n + i] * x[j];
+      CHECK_CLOSE(sum, b[i], 1e-12);
+    }
+
+    // complex
+    memcpy(zlu, z, sizeof z);
+    CHECK(flex_complex_lu_factor(n, zlu, pivots) == 0);
+    flex_complex_lu_solve(n, zlu, pivots, zx);
+    for (int i = 0; i < n; i++) {
+      double re = 0.0, im = 0.0;
+      for (int j = 0; j < n; j++) {
+        const double *e = z + 2 * (j * n + i);
+        re += e[0] * zx[2 * j] - e[1] * zx[2 * j + 1];
+        im += e[0] * zx[2 * j + 1] + e[1] * zx[2 * j];
+      }
+      CHECK_CLOSE(re, zb[2 * i], 1e-12);
+      CHECK_CLOSE(im, zb[2 * i + 1], 1e-12);
+    }
+
+    // symmetric: A A' + 1
+    double spd[SIZE * SIZE], l[SIZE * SIZE];
+    for (int i = 0; i < n; i++)
+      for (int j = 0; j < n; j++) {
+        spd[j * n + i] = i == j;
+        for (int k = 0; k < n; k++) spd[j * n + i] += a[k * n + i] * a[k * n + j];
+      }
+    memcpy(l, spd, sizeof spd);
+    memcpy(x, b, sizeof b);
+    CHECK(flex_cholesky_factor(n, l) == 0);
+    flex_cholesky_solve(n, l, x);
+    for (int i = 0; i < n; i++) {
+      double sum = 0.0;
+      for (int j = 0; j < n; j++) sum += spd[j * n + i] * x[j];
+      CHECK_CLOSE(sum, b[i], 1e-12);
+    }
+  }
+}
+
+// a singular or poisoned matrix must be reported, not divided by
+void test_linear_solvers_refuse_singular_matrices(void) {
+  double singular[4] = {1.0, 2.0, 2.0, 4.0}, poisoned[4] = {NAN, 0.0, 0.0, 1.0}, indefinite[4] = {1.0, 2.0, 2.0, 1.0};
+  double complex_singular[8] = {1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 4.0, 4.0};
+  int pivots[2];
+  CHECK(flex_lu_factor(2, singular, pivots) == 1);
+  CHECK(flex_lu_factor(2, poisoned, pivots) == 1);
+  CHECK(flex_complex_lu_factor(2, complex_singular, pivots) == 1);
+  CHECK(flex_cholesky_factor(2, indefinite) == 1);
+  double poisoned_again[1] = {NAN};
+  CHECK(flex_cholesky_factor(1, poisoned_again) == 1);
+}
+
+static const flex_tableau *const tableaus[] = {&flex_gauss_2, &flex_gauss_3, &flex_gauss_4};
+
+// a wrong digit in a table costs orders of convergence
+void test_tableaus_meet_the_order_conditions(void) {
+  for (int t = 0; t < 3; t++) {
+    const flex_tableau *m = tableaus[t];
+    int s = m->stages;
+    CHECK(s == t + 2);
+
+    // quadrature of order 2 s, positions of order 2 s
+    for (int k = 0; k < 2 * s; k++) {
+      double rate = 0.0, position = 0.0;
+      for (int i = 0; i < s; i++) rate += m->b[i] * pow(m->c[i], k), position += m->b_position[i] * pow(m->c[i], k);
+      CHECK_CLOSE(rate, 1.0 / (k + 1), 1e-15);
+      if (k < 2 * s - 1) CHECK_CLOSE(position, 1.0 / ((k + 1) * (k + 2.0)), 1e-15);
+    }
+
+    // stages integrate polynomials up to degree s - 1 once, up to s - 2 twice; the polynomial through them reaches both ends
+    for (int k = 0; k < s; k++) {
+      double start = 0.0, end = 0.0;
+      for (int i = 0; i < s; i++) {
+        double once = 0.0, twice = 0.0;
+        for (int j = 0; j < s; j++) once += m->a[i][j] * pow(m->c[j], k), twice += m->a_squared[i][j] * pow(m->c[j], k);
+        CHECK_CLOSE(once, pow(m->c[i], k + 1) / (k + 1), 1e-15);
+        if (k < s - 1) CHECK_CLOSE(twice, pow(m->c[i], k + 2) / ((k + 1) * (k + 2.0)), 1e-15);
+        start += m->at_start[i] * pow(m->c[i], k);
+        end += m->at_end[i] * pow(m->c[i], k);
+      }
+      CHECK_CLOSE(start, k == 0, 1e-14);
+      CHECK_CLOSE(end, 1.0, 1e-14);
+    }
+  }
+}
+
+// b_i a_ij + b_j a_ji = b_i b_j keeps quadratic invariants, the energy of a linear vibration among them (Cooper 1987)
+void test_tableaus_are_symplectic(void) {
+  for (int t = 0; t < 3; t++) {
+    const flex_tableau *m = tableaus[t];
+    for (int i = 0; i < m->stages; i++)
+      for (int j = 0; j < m->stages; j++)
+        CHECK_CLOSE(m->b[i] * m->a[i][j] + m->b[j] * m->a[j][i], m->b[i] * m->b[j], 4e-17);
+  }
+}
+
+// Newton's method is solved in the eigenvectors: A and A A must come back from them
+void test_tableaus_are_diagonal_in_their_eigenvectors(void) {
+  for (int t = 0; t < 3; t++) {
+    const flex_tableau *m = tableaus[t];
+    for (int i = 0; i < m->stages; i++)
+      for (int j = 0; j < m->stages; j++) {
+        double one = 0.0, a = 0.0, a_squared = 0.0;
+        for (int k = 0; k < m->n_blocks; k++) {
+          const flex_eigenvalue *z = &m->blocks[k];
+          const double *l = z->left[j], *r = z->right[i], *v = z->value;
+          double re = l[0] * r[0] - l[1] * r[1], im = l[0] * r[1] + l[1] * r[0];
+          one += re;
+          a += re * v[0] - im * v[1];
+          a_squared += re * (v[0] * v[0] - v[1] * v[1]) - im * 2.0 * v[0] * v[1];
+        }
+        CHECK_CLOSE(one, i == j, 2e-14);
+        CHECK_CLOSE(a, m->a[i][j], 2e-14);
+        CHECK_CLOSE(a_squared, m->a_squared[i][j], 2e-14);
+      }
+  }
+}
+
+static void make_inputs(flex_inputs *inputs, double *memory) {
+  flex_arena arena = {(char *)memory, 0};
+  flex_inputs_take(inputs, 2, 3, &arena);
+  flex_inputs_clear(inputs);
+}
+
+// the plant integrates over the polynomial that the importer has described, from whatever time it was set
+void test_inputs_are_polynomials(void) {
+  double memory[64] = {0}, u[2], u1[2], u2[2];
+  flex_inputs inputs;
+  make_inputs(&inputs, memory);
+
+  // 1 + 2 t + 3 t^2 + 4 t^3 about t = 10, and a constant
+  flex_inputs_set(&inputs, 0, 10.0, 1.0);
+  flex_inputs_set_derivative(&inputs, 0, 10.0, 1, 2.0);
+  flex_inputs_set_derivative(&inputs, 0, 10.0, 2, 6.0);
+  flex_inputs_set_derivative(&inputs, 0, 10.0, 3, 24.0);
+  flex_inputs_set(&inputs, 1, 10.0, -5.0);
+  flex_inputs_evaluate(&inputs, 10.0, 0.5, u);
+  CHECK_CLOSE(u[0], 1.0 + 1.0 + 0.75 + 0.5, 1e-15);
+  CHECK(u[1] == -5.0);
+  flex_inputs_rates(&inputs, 10.5, u1, u2);
+  CHECK_CLOSE(u1[0], 2.0 + 3.0 + 3.0, 1e-14);
+  CHECK_CLOSE(u2[0], 6.0 + 12.0, 1e-14);
+  CHECK(u1[1] == 0.0 && u2[1] == 0.0);
+
+  // a new second derivative at t = 11: value 10, first 20, third 24 stay as they are there
+  flex_inputs_set_derivative(&inputs, 0, 11.0, 2, 0.0);
+  flex_inputs_evaluate(&inputs, 11.0, 2.0, u);
+  CHECK_CLOSE(u[0], 10.0 + 20.0 * 2.0 + 4.0 * 8.0, 1e-12);
+}
+
+// the derivatives of a value belong to it: a new value without them is a constant
+void test_inputs_forget_derivatives_when_set(void) {
+  double memory[64] = {0}, u[2];
+  flex_inputs inputs;
+  make_inputs(&inputs, memory);
+  flex_inputs_set(&inputs, 0, 0.0, 1.0);
+  flex_inputs_set_derivative(&inputs, 0, 0.0, 3, 6.0);
+  flex_inputs_set(&inputs, 0, 1.0, 3.0);
+  flex_inputs_evaluate(&inputs, 5.0, 0.0, u);
+  CHECK(u[0] == 3.0);
+}

@@ -1,0 +1,112 @@
+/* The plant: start, outputs with their rates, parameters. */
+#include <string.h>
+
+#include "check.h"
+#include "models.h"
+#include "plants.h"
+#include "tests.h"
+#include "variables.h"
+
+// the motion starts where gravity and loads leave the structure, so that it does not ring from the first moment on
+void test_static_equilibrium_is_found(void) {
+  for (double torque = -0.99; torque < 1.0; torque += 0.33) {
+    flex_plant *plant = make_plant(&pendulum, 1e-6);
+    set_input(plant, 0, torque);
+    begin_static(plant);
+    CHECK_CLOSE(plant->gauss.y[0], asin(torque), 1e-13);
+    CHECK(plant->gauss.v[0] == 0.0);
+    output(plant, 0);
+    CHECK_CLOSE(plant->gauss.a[0], 0.0, 1e-14);
+    free_plant(plant);
+  }
+}
+
+// a torque that no deflection can balance is an answer, not an endless search
+void test_static_equilibrium_may_be_missing(void) {
+  flex_plant *plant = make_plant(&pendulum, 1e-6);
+  set_input(plant, 0, 1.5);
+  flex_failure failure = flex_plant_begin(plant);
+  CHECK(failure.outcome == FLEX_NO_EQUILIBRIUM);
+  flex_explain(plant, "initialisation", &failure);
+  CHECK(strstr(plant->message, "initial = 2") != NULL);
+
+  // the instance is still usable
+  plant->record->starts_static = 0;
+  flex_plant_start_changed(plant);
+  CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
+  output(plant, 0);
+  CHECK_CLOSE(plant->gauss.a[0], 1.5, 1e-15);
+  free_plant(plant);
+}
+
+// metrics interpolate outputs by their derivatives: both must be exact, also right after an input has changed
+void test_rates_of_outputs_are_exact(void) {
+  flex_plant *plant = make_plant(&oscillators, 1e-12);
+  const double y[3] = {0.3, -0.2, 0.1}, v[3] = {1.0, 0.5, -2.0};
+  plant->p[3] = 0.1;
+  begin_at(plant, y, v);
+  set_input(plant, 0, 0.7);
+  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 2.0);
+  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 2, -3.0);
+  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 3, 5.0);
+  advance(plant, 0.0, 0.3, 1);
+  CHECK(flex_plant_need_rates(plant, 2).outcome == FLEX_DONE);
+  double first[9], second[9], before[9], after[9];
+  memcpy(first, plant->first_rates, sizeof first);
+  memcpy(second, plant->second_rates, sizeof second);
+
+  // against differences over a small time, of values and of first rates
+  double h = 1e-4;
+  for (int i = 0; i < 9; i++) before[i] = output(plant, i);
+  advance(plant, 0.3, h, 1);
+  for (int i = 0; i < 9; i++) after[i] = output(plant, i);
+  CHECK(flex_plant_need_rates(plant, 2).outcome == FLEX_DONE);
+  for (int i = 0; i < 9; i++) {
+    double mean = 0.5 * (first[i] + plant->first_rates[i]) + h * (second[i] - plant->second_rates[i]) / 12.0;
+    CHECK_CLOSE((after[i] - before[i]) / h, mean, 1e-8);
+    CHECK_CLOSE((plant->first_rates[i] - first[i]) / h, 0.5 * (second[i] + plant->second_rates[i]), 1e-4);
+  }
+
+  // a new first derivative of the input changes the rates of accelerations and nothing else
+  flex_inputs_set_derivative(&plant->inputs, 0, plant->record->time, 1, 100.0);
+  flex_plant_inputs_changed(plant);
+  CHECK(flex_plant_need_rates(plant, 1).outcome == FLEX_DONE);
+  CHECK(output(plant, 6) == after[6]);
+  CHECK(fabs(plant->first_rates[6] - first[6]) > 1.0);
+  free_plant(plant);
+}
+
+// a scene without elastic links is a valid scene
+void test_rigid_models_follow_their_inputs(void) {
+  flex_plant *plant = make_plant(&rigid, 1e-6);
+  set_input(plant, 0, -3.0);
+  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 2.0);
+  begin_static(plant);
+  CHECK(output(plant, 0) == 9.0);
+  advance(plant, 0.0, 0.5, 2);
+  CHECK_CLOSE(output(plant, 0), 1.0, 1e-15);
+  CHECK(flex_plant_need_rates(plant, 2).outcome == FLEX_DONE);
+  CHECK_CLOSE(plant->first_rates[0], 2.0 * -1.0 * 2.0, 1e-14);
+  CHECK_CLOSE(plant->second_rates[0], 2.0 * 2.0 * 2.0, 1e-14);
+
+  // 1 - u >= 0 ends at t = 2
+  flex_failure failure = flex_plant_advance(plant, 1.0, 3.5);
+  CHECK(failure.outcome == FLEX_TOO_SINGULAR && failure.time == 1.0);
+  CHECK_CLOSE(failure.value, -3.0, 1e-14);
+  CHECK_CLOSE(output(plant, 0), 1.0, 1e-15);
+  free_plant(plant);
+}
+
+// a tunable parameter acts from the communication point on, a fixed one is refused
+void test_parameters_may_be_tuned(void) {
+  flex_plant *plant = make_plant(&fragile, 1e-9);
+  begin_static(plant);
+  advance(plant, 0.0, 0.5, 2);
+  CHECK_CLOSE(output(plant, 0), 0.0, 1e-15);
+  CHECK(flex_set_real(plant, 2, 0.5) == 0);
+  CHECK(flex_set_real(plant, 1, 3.0) == 1);
+  CHECK(strstr(plant->message, "limit is fixed") != NULL);
+  advance(plant, 1.0, 0.25, 8);
+  CHECK_CLOSE(output(plant, 0), 0.5 * (1.0 - cos(2.0)), 1e-8);
+  free_plant(plant);
+}

@@ -1,0 +1,51 @@
+/* All tests; each stops the program if it fails. The name says what it protects, the comment in the source why. */
+#ifndef FLEXFMU_TESTS_H
+#define FLEXFMU_TESTS_H
+
+#define TESTS(X)                                \
+  X(linear_solvers_invert)                      \
+  X(linear_solvers_refuse_singular_matrices)    \
+  X(tableaus_meet_the_order_conditions)         \
+  X(tableaus_are_symplectic)                    \
+  X(tableaus_are_diagonal_in_their_eigenvectors) \
+  X(inputs_are_polynomials)                     \
+  X(inputs_forget_derivatives_when_set)         \
+  X(order_is_twice_the_stages)                  \
+  X(order_is_twice_the_stages_for_full_masses)  \
+  X(tolerance_is_achieved)                      \
+  X(tolerance_is_achieved_between_short_steps)  \
+  X(stiff_modes_at_rest_cost_nothing)           \
+  X(stiff_modes_in_motion_are_resolved)         \
+  X(forced_motion_is_exact)                     \
+  X(jumps_of_the_input_are_met)                 \
+  X(energy_stays_over_many_steps)               \
+  X(energy_stays_in_nonlinear_motion)           \
+  X(orbit_keeps_energy_and_momentum)            \
+  X(step_sizes_from_nanoseconds_to_seconds)     \
+  X(rest_stays_at_rest)                         \
+  X(static_equilibrium_is_found)                \
+  X(static_equilibrium_may_be_missing)          \
+  X(rates_of_outputs_are_exact)                 \
+  X(rigid_models_follow_their_inputs)           \
+  X(parameters_may_be_tuned)                    \
+  X(fmi_life_cycle)                             \
+  X(fmi_calls_out_of_place_are_refused)         \
+  X(fmi_instantiation_is_checked)               \
+  X(fmi_values_are_checked)                     \
+  X(fmi_steps_are_checked)                      \
+  X(fmi_rollback_is_exact)                      \
+  X(fmi_states_travel_between_instances)        \
+  X(fmi_instances_are_independent)              \
+  X(fmi_singularity_discards_the_step)          \
+  X(fmi_nan_discards_the_step)                  \
+  X(fmi_reset_starts_over)                      \
+  X(fmi_allocates_once)                         \
+  X(fmi_logs_what_is_asked_for)                 \
+  X(fmi_inputs_jump_at_communication_points)    \
+  X(fmi_runs_a_hundred_thousand_steps)
+
+#define X(name) void test_##name(void);
+TESTS(X)
+#undef X
+
+#endif

@@ -1,0 +1,109 @@
+"""The C runtime: compiled without a warning, run as it is and under the address and undefined-behaviour sanitizers."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+RUNTIME = Path(__file__).parents[1] / "fmu_build" / "c-runtime"
+TESTS = Path(__file__).parent / "c-runtime"
+FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fvisibility=hidden", "-ffp-contract=off", "-fPIC")
+SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+NAMES = re.findall(r"\bX\((\w+)\)", (TESTS / "tests.h").read_text().split("#define X(")[0])
+COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+
+
+def run(*command: object) -> str:
+    """Standard output of a command that must succeed."""
+    outcome = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
+    assert outcome.returncode == 0, f"{command[0]}: {outcome.stdout}{outcome.stderr}"
+    return outcome.stdout
+
+
+def compile_all(folder: Path, sources: list[Path], flags: tuple[str, ...]) -> list[Path]:
+    """Object files of the sources, compiled side by side."""
+
+    def compile_one(source: Path) -> Path:
+        target = folder / f"{source.stem}.o"
+        run(COMPILER, *FLAGS, *flags, "-I", RUNTIME, "-c", source, "-o", target)
+        return target
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(compile_one, sources))
+
+
+def build(folder: Path, flags: tuple[str, ...]) -> Path:
+    """The test program."""
+    objects = compile_all(folder, sorted([*RUNTIME.glob("*.c"), *TESTS.glob("*.c")]), flags)
+    program = folder / "tests"
+    run(COMPILER, *flags, *objects, "-lm", "-o", program)
+    return program
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(tmp_path_factory.mktemp("plain"), ("-O2",))
+
+
+@pytest.fixture(scope="module")
+def sanitized(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(tmp_path_factory.mktemp("sanitized"), SANITIZERS)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_c(program: Path, name: str) -> None:
+    """Each test in C states beside its source what it protects."""
+    run(program, name)
+
+
+def test_lists_all_tests(program: Path) -> None:
+    """A test that isn't found here would never run."""
+    assert run(program).split() == NAMES
+    assert len(NAMES) >= 40
+
+
+def test_sanitizers_find_nothing(sanitized: Path) -> None:
+    """A read beyond an array or an overflow gives right results on one machine and wrong ones on another."""
+    run(sanitized, *NAMES)
+
+
+@pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
+def test_has_no_writable_globals(tmp_path: Path) -> None:
+    """Several instances in one process, and threads, must not share anything that changes."""
+    objects = compile_all(tmp_path, sorted(RUNTIME.glob("*.c")), ("-O2",))
+    symbols = [line.split() for line in run("nm", *objects).splitlines() if len(line.split()) == 3]
+    assert [
+        name for _, kind, name in symbols if kind in "bBcCD" or (kind == "d" and not name.startswith("calls"))
+    ] == []
+
+
+@pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
+def test_exports_the_fmi_functions_only(tmp_path: Path) -> None:
+    """Two FMUs in one process would otherwise call into each other."""
+    sources = [*RUNTIME.glob("*.c"), TESTS / "models.c"]
+    library = tmp_path / "library.so"
+    run(COMPILER, "-shared", *compile_all(tmp_path, sorted(sources), ("-O2",)), "-lm", "-o", library)
+    exported = {line.split()[-1] for line in run("nm", "-D", "--defined-only", library).splitlines()}
+    functions = {name for name in exported if name.startswith("fmi2")}
+    assert exported - functions - {"_init", "_fini", "_edata", "_end", "__bss_start"} == set()
+    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", (RUNTIME / "fmi2Functions.h").read_text()))
+    model_exchange = {
+        "fmi2EnterEventMode",
+        "fmi2NewDiscreteStates",
+        "fmi2EnterContinuousTimeMode",
+        "fmi2CompletedIntegratorStep",
+        "fmi2SetTime",
+        "fmi2SetContinuousStates",
+        "fmi2GetDerivatives",
+        "fmi2GetEventIndicators",
+        "fmi2GetContinuousStates",
+        "fmi2GetNominalsOfContinuousStates",
+    }
+    assert functions == declared - model_exchange
