@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rich import box
+from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -73,17 +74,39 @@ def _report(run: Run, settings: Settings | None, summary: Mapping[str, Any]) -> 
 
 
 def _print_summary(summary: Mapping[str, Any], folder: Path) -> None:
-    health, timing = summary["health"], summary["timing"]
-    table = Table(box=box.SIMPLE_HEAD, title=summary["scene"]["name"], title_justify="left", title_style="bold")
+    """The metrics of a complete run, how the FMU fared, what to be careful with, and where the files are."""
+    name, health, metrics = summary["scene"]["name"], summary["health"], summary["metrics"]
+    parts: list[RenderableType] = []
+    if health["outcome"] == "completed":
+        parts.append(_metrics_table(name, metrics))
+    parts.append(Text(_health_line(health, summary["timing"])))
+    if health["warnings"]:
+        parts.append(Text(_warning_line(health), style="yellow"))
+    parts.append(Text(f"results.csv, summary.json and report.html are in {folder}"))
+    print_rich(*parts)
+
+
+def _metrics_table(title: str, metrics: Mapping[str, float | None]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold")
     table.add_column("Metric")
     table.add_column("Value", justify="right")
-    for name, value in summary["metrics"].items():
+    for name, value in metrics.items():
         table.add_row(METRICS[name].label, display(name, value))
+    return table
+
+
+def _health_line(health: Mapping[str, Any], timing: Mapping[str, float]) -> str:
     statistics = ", ".join(f"{count} {name}" for name, count in health["statistics"].items())
-    lines = [
+    return (
         f"{health['outcome']}: {health['end_time'] or 0.0:g} s simulated in {timing['simulate']:.3f} s "
-        f"(FMU ready in {timing['build']:.3f} s)" + (f"; {statistics}" if statistics else ""),
-        *(f"warning: {warning['message']}" for warning in health["warnings"]),
-        f"results.csv, summary.json and report.html are in {folder}",
-    ]
-    print_rich(table, *(Text(line, style="yellow" if line.startswith("warning") else "") for line in lines))
+        f"(FMU ready in {timing['build']:.3f} s)" + (f"; {statistics}" if statistics else "")
+    )
+
+
+def _warning_line(health: Mapping[str, Any]) -> str:
+    """All metrics for which the communication step is too coarse, each with its estimated error."""
+    coarse = "; ".join(
+        f"{METRICS[warning['metric']].label} ± {display(warning['metric'], warning['estimated_error'], digits=1)}"
+        for warning in health["warnings"]
+    )
+    return f"warning: the communication step of {health['communication_step']:g} s is too coarse for: {coarse}"

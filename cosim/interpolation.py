@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.bernstein import Array, bernstein_basis, gauss_legendre, hermite_control_points, maximum_norm
 
-COMPARABLE_STEPS = 1e-3
+COMPARABLE_STEPS = 0.1
 """Ratio of neighbouring segments below which the shorter one says only rounding about high derivatives."""
 
 CONTINUITY = 1e-9

@@ -26,7 +26,7 @@ class MetricInfo:
     description: str
 
 
-_NEGLIGIBLE: Mapping[str, float] = {"m": 1e-12, "m/s": 1e-9, "m/s2": 1e-6, "N.m": 1e-9, "s": 1e-9}
+_NEGLIGIBLE: Mapping[str, float] = {"m": 1e-12, "m/s": 1e-9, "m/s2": 1e-5, "N.m": 1e-9, "s": 1e-9}
 
 _DISPLAY_UNITS: Mapping[str, str] = {"N.m": "N·m", "m/s2": "m/s²"}
 
