@@ -20,6 +20,7 @@ class Platform:
         zig_target: target triple for ``zig cc``; the Linux one asks for an old C library, so that the FMU runs anywhere.
         compile_flags: position independence, where the target knows it.
         link_flags: drop what nobody calls and all symbols that nobody needs.
+        zig_link_flags: what zig's linker needs besides, to leave out times and folders.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Platform:
     zig_target: str
     compile_flags: tuple[str, ...]
     link_flags: tuple[str, ...]
+    zig_link_flags: tuple[str, ...] = ()
 
 
 PLATFORMS = {
@@ -39,8 +41,8 @@ PLATFORMS = {
             ("-fPIC",),
             ("-shared", "-s", "-Wl,--gc-sections", "-Wl,-z,defs", "-lm"),
         ),
-        Platform("win64", ".dll", "x86_64-windows-gnu", (), ("-shared", "-s", "-Wl,--gc-sections")),
-        Platform("darwin64", ".dylib", "x86_64-macos", ("-fPIC",), ("-shared", "-Wl,-dead_strip", "-Wl,-x")),
+        Platform("win64", ".dll", "x86_64-windows-gnu", (), ("-shared", "-s", "-Wl,--gc-sections"), ("-Wl,-Brepro",)),
+        Platform("darwin64", ".dylib", "x86_64-macos", ("-fPIC",), ("-shared", "-Wl,-dead_strip", "-Wl,-x"), ("-s",)),
     )
 }
 """Every platform that can be built for, by its FMI 2.0 name."""

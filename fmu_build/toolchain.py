@@ -10,7 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flexfmu.fmu_build.errors import CompileError, MissingCompilerError
@@ -26,6 +26,7 @@ COMMON_FLAGS = (
     "-fvisibility=hidden",  # nothing but the FMI functions is exported
     "-ffp-contract=off",  # the same roundings on every machine
     "-fno-math-errno",  # sqrt is an instruction, not a call
+    "-g0",  # nothing about the folder in which it was compiled
     "-ffunction-sections",
     "-fdata-sections",
 )
@@ -126,7 +127,8 @@ def _zig_compiler(platform: Platform) -> Compiler | None:
     if spec is None or not spec.submodule_search_locations:
         return None
     command = (sys.executable, "-m", "ziglang", "cc", "-target", platform.zig_target)
-    return Compiler(command, Path(spec.submodule_search_locations[0]), platform)
+    flags = (*platform.link_flags, *platform.zig_link_flags)
+    return Compiler(command, Path(spec.submodule_search_locations[0]), replace(platform, link_flags=flags))
 
 
 def _run(command: tuple[str, ...], folder: Path, what: str) -> None:

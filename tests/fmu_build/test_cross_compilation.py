@@ -5,12 +5,17 @@ from __future__ import annotations
 import importlib.util
 import zipfile
 from collections.abc import Callable
+from time import sleep
 
 import pytest
 
 from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.compilation import compile_library
+from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.platforms import PLATFORMS
+from flexfmu.fmu_build.sources import generate_sources
 from flexfmu.fmu_build.static_checks import FUNCTIONS
+from flexfmu.fmu_build.toolchain import find_compiler
 from flexfmu.fmu_build.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicModel
 
@@ -32,6 +37,16 @@ def test_one_fmu_serves_several_platforms(make_oscillators: MakeModel, name: str
         library = archive.read(f"binaries/{name}/oscillators{target.suffix}")
     assert library.startswith(MAGIC[name])
     assert all(function.encode() in library for function in FUNCTIONS)
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_binaries_hold_no_time(make_oscillators: MakeModel, name: str) -> None:
+    """Linked again a second later, the library has the same bytes, on every platform."""
+    sources = generate_sources(make_oscillators(), DefaultExperiment())
+    compiler = find_compiler(PLATFORMS[name])
+    first = compile_library(sources, compiler)
+    sleep(1.1)
+    assert compile_library(sources, compiler) == first
 
 
 def test_zig_builds_sound_fmus_too(make_oscillators: MakeModel, monkeypatch: pytest.MonkeyPatch) -> None:
