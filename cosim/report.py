@@ -54,6 +54,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         motion=_motion_sentence(summary["scene"]),
         completed=health["outcome"] == "completed",
         health=health,
+        coarse=[_coarse_row(warning) for warning in health["warnings"]],
         tiles=[{"label": METRICS[name].label, "value": display(name, metrics[name], digits=4)} for name in TILES],
         metrics=[_metric_row(name, metrics[name], health["interpolation_errors"][name]) for name in metrics],
         plots=list(plots),
@@ -85,6 +86,11 @@ def _metric_row(name: str, value: float | None, error: float) -> dict[str, str]:
         "error": "–" if value is None else f"{error * info.display_factor:.1g} {info.display_unit}",
         "description": info.description,
     }
+
+
+def _coarse_row(warning: Mapping[str, Any]) -> dict[str, str]:
+    name = warning["metric"]
+    return {"label": METRICS[name].label, "error": f"± {display(name, warning['estimated_error'], digits=1)}"}
 
 
 def _scene_rows(section: Mapping[str, Any], prefix: str = "") -> dict[str, str]:

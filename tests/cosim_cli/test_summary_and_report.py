@@ -91,6 +91,7 @@ def test_coarse_step_is_said(make_run: MakeRun) -> None:
     names = {warning["metric"] for warning in warnings}
     assert "residual_vibration_amplitude" in names
     assert "end_position_error" not in names
+    assert "step of 0.016 s is too coarse" in report_of(run)
     assert all("communication step of 0.016 s is too coarse" in warning["message"] for warning in warnings)
 
 
