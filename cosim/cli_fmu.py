@@ -10,7 +10,7 @@ from rich.text import Text
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
 from flexfmu.cosim.cli_errors import FAILURE
 from flexfmu.cosim.errors import FmuFileError
-from flexfmu.cosim.summary import to_json
+from flexfmu.cosim.json_text import to_json
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.model.scene_file import load_scene
 

@@ -7,9 +7,9 @@ from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
+from flexfmu.cosim.json_text import to_json
 from flexfmu.cosim.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.summary import to_json
 from flexfmu.model.scene_file import load_scene
 
 SHOWN_FREQUENCIES = 6

@@ -15,10 +15,11 @@ from flexfmu.cosim.cli_console import print_rich, print_text, progress
 from flexfmu.cosim.cli_errors import FAILURE, show_error
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.experiment import Run, run_scene
+from flexfmu.cosim.json_text import to_json
 from flexfmu.cosim.metric_table import METRICS, display
 from flexfmu.cosim.metrics import Measurement, Settings, measure, settings_for
 from flexfmu.cosim.output import OutputFolder
-from flexfmu.cosim.summary import summarise, to_json
+from flexfmu.cosim.summary import summarise
 from flexfmu.model.errors import EquilibriumError
 from flexfmu.model.scene_file import load_scene
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -39,11 +38,6 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         "timing": _timing(run),
         "versions": dict(versions(run.fmu_path)),
     }
-
-
-def to_json(data: Mapping[str, Any]) -> str:
-    """JSON text for a file or standard output; refuses NaN and infinity, which JSON doesn't know."""
-    return json.dumps(data, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
 def describe_effects(scene: Scene) -> dict[str, str]:

@@ -10,12 +10,13 @@ from html.parser import HTMLParser
 import pytest
 
 from flexfmu.cosim.experiment import Run
+from flexfmu.cosim.json_text import to_json
 from flexfmu.cosim.master import Outcome
 from flexfmu.cosim.metric_table import METRICS
 from flexfmu.cosim.metrics import Measurement, measure_run, settings_for
 from flexfmu.cosim.plots import draw_plots
 from flexfmu.cosim.report import render_report
-from flexfmu.cosim.summary import describe_effects, summarise, to_json
+from flexfmu.cosim.summary import describe_effects, summarise
 
 MakeRun = Callable[..., Run]
 VOID = {"meta", "br", "hr", "img", "link", "input"}
