@@ -141,7 +141,7 @@ fmi2Status fmi2Terminate(fmi2Component c) {
   flex_log(instance, fmi2OK, LOG_STATISTICS,
            "%lld steps, %lld rejected, %lld evaluations of the equations, %lld Newton iterations, %lld factorisations",
            record->gauss.steps, record->gauss.rejections, record->stages.evaluations, record->stages.iterations,
-           record->stages.factorisations);
+           record->stages.matrix.factorisations);
   flex_enter_phase(instance, TERMINATED);
   return fmi2OK;
 }

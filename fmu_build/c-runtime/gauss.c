@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "linear_algebra.h"
+#include "prediction.h"
 
 /* share of the tolerance that one step may use. The local error is held below share x tol^(1 + 1/(2 s)): a step of the
  * size that the error admits is proportional to tol^(1/(2 s)), so this is a constant error per unit of time. */
@@ -16,25 +17,20 @@
 /* local errors below this multiple of the scale are rounding errors */
 #define ROUNDING_ERROR (32.0 * DBL_EPSILON)
 
-/* the cheap estimate: weights of the defect at the start of a step in the rates (times h) and the positions (times h^2) */
+/* the cheap estimate: weights of the defect at the start of a step in the rates (times h) and the positions (times h^2);
+ * their size hardly matters, since calibration finds what they are worth */
 #define DEFECT_RATE 0.2
 #define DEFECT_POSITION 0.05
 
-/* decay of the cheap estimate per step where it passes through zero */
-#define HOLD 0.7
-
-/* the calibration is trusted for so many steps, so much growth of the cheap estimate and of the step */
-#define CALIBRATION_STEPS 40
-#define CALIBRATION_ERROR_GROWTH 3.0
-#define CALIBRATION_STEP_GROWTH 1.25
-#define CALIBRATION_BEND 4.0
-
-/* step size control: aim below the tolerance, limits of a change, change that is worth new factors */
-#define SAFETY 0.5
-#define MAX_GROWTH 2.0
-#define MIN_SHRINK 0.1
-#define WORTHWHILE_GROWTH 1.15
+/* step after one whose equations could not be solved */
 #define FAILED_SHRINK 0.3
+
+/* least shrinking of a step that was too inaccurate, and of one that two halves could not save */
+#define INACCURATE_SHRINK 0.9
+#define HALVED_SHRINK 0.5
+
+/* a longer step that the error admits is taken up in the middle of a communication step if it is so much longer */
+#define REPLANNED_GROWTH 1.15
 
 /* a step below this part of the communication step, or this many roundings of the time, cannot help */
 #define MIN_STEP_SHARE 1e-10
@@ -70,10 +66,6 @@ void flex_gauss_take_scratch(flex_gauss *gauss, int n, int n_inputs, flex_arena 
   flex_stages_take_scratch(&gauss->stages, n, n_inputs, arena);
 }
 
-static double motion_norm(const flex_gauss *gauss, const double *y, const double *v) {
-  return flex_error_norm(gauss->n, gauss->stages.position_weight, gauss->stages.rate_weight, y, v);
-}
-
 void flex_gauss_start(flex_gauss *gauss) {
   flex_gauss_record *record = gauss->record;
   size_t size = (size_t)gauss->n * sizeof(double);
@@ -81,10 +73,8 @@ void flex_gauss_start(flex_gauss *gauss) {
   memset(gauss->v_rest, 0, size);
   record->step = 0.0;
   record->history_step = 0.0;
-  record->held_error = 0.0;
-  record->held_step = 1.0;
-  record->sharpness = 0.0;
-  record->scale = fmax(*gauss->floor, motion_norm(gauss, gauss->y, gauss->v));
+  record->scale = fmax(*gauss->floor, flex_error_norm(&gauss->stages, gauss->y, gauss->v));
+  flex_accuracy_clear(&record->accuracy);
   flex_stages_clear(&gauss->stages);
 }
 
@@ -109,48 +99,25 @@ flex_outcome flex_gauss_accelerate(flex_gauss *gauss, const double *u) {
   return isfinite(sum) ? FLEX_DONE : FLEX_NOT_FINITE;
 }
 
-// value at x of the polynomial through (nodes, values), added up into result [n]
-static void interpolate(int n, int n_nodes, const double *nodes, const double *const *values, double x, double *result) {
-  memset(result, 0, (size_t)n * sizeof *result);
-  for (int j = 0; j < n_nodes; j++) {
-    double above = 1.0, below = 1.0;
-    for (int k = 0; k < n_nodes; k++)
-      if (k != j) above *= x - nodes[k], below *= nodes[j] - nodes[k];
-    double weight = above / below;
-    for (int c = 0; c < n; c++) result[c] += weight * values[j][c];
-  }
-}
-
-// stage accelerations at (first + c_i ratio), in units of the step of the polynomial that starts with start_a
-static void predict(flex_gauss *gauss, const double *start_a, const double *stage_a, const double *end_a, double first,
-                    double ratio) {
-  const flex_tableau *tableau = gauss->stages.tableau;
-  int n = gauss->n, s = tableau->stages, n_nodes = end_a ? s + 2 : s + 1;
-  double nodes[FLEX_MAX_STAGES + 2];
-  const double *values[FLEX_MAX_STAGES + 2];
-  nodes[0] = 0.0;
-  values[0] = start_a;
-  for (int i = 0; i < s; i++) {
-    nodes[i + 1] = tableau->c[i];
-    values[i + 1] = stage_a + i * n;
-  }
-  nodes[s + 1] = 1.0;
-  values[s + 1] = end_a;
-  for (int i = 0; i < s; i++)
-    interpolate(n, n_nodes, nodes, values, first + ratio * tableau->c[i], gauss->stages.acceleration + i * n);
-}
-
 // prediction from the last step, shifted by the jump of the acceleration at the present time
 static void predict_from_history(flex_gauss *gauss, double h) {
+  const flex_history history = {gauss->start_a, gauss->stage_a, gauss->end_a};
   int n = gauss->n, s = gauss->stages.tableau->stages;
   double *a = gauss->stages.acceleration;
   if (gauss->record->history_step == 0.0) {
     for (int i = 0; i < s; i++) memcpy(a + i * n, gauss->a, (size_t)n * sizeof *a);
     return;
   }
-  predict(gauss, gauss->start_a, gauss->stage_a, gauss->end_a, 1.0, h / gauss->record->history_step);
+  flex_predict(n, gauss->stages.tableau, &history, 1.0, h / gauss->record->history_step, a);
   for (int i = 0; i < s; i++)
     for (int c = 0; c < n; c++) a[i * n + c] += gauss->a[c] - gauss->end_a[c];
+}
+
+// what the prediction missed for its reach: a high derivative of the motion, which jumps where one of the inputs does
+static double bend(const flex_gauss *gauss, double h) {
+  double history = gauss->record->history_step;
+  if (history == 0.0) return HUGE_VAL;
+  return gauss->stages.record->misprediction / (h * flex_prediction_reach(gauss->stages.tableau, history, h));
 }
 
 // x + dx with the rounding error kept in rest (Knuth's two-sum)
@@ -208,7 +175,7 @@ static flex_outcome finish(flex_gauss *gauss, double t, double h, double *margin
   if (outcome == FLEX_DONE) outcome = check_margin(gauss, gauss->end_u, margin);
   memcpy(gauss->end_a, gauss->a, size);
   record->history_step = h;
-  record->scale = fmax(record->scale, motion_norm(gauss, gauss->y, gauss->v));
+  record->scale = fmax(record->scale, flex_error_norm(&gauss->stages, gauss->y, gauss->v));
   record->steps++;
   return outcome;
 }
@@ -230,62 +197,13 @@ static double cheap_error(flex_gauss *gauss, double h) {
     for (int i = 0; i < tableau->stages; i++) value -= tableau->at_start[i] * gauss->stages.acceleration[i * n + c];
     defect[c] = value;
   }
-  flex_stages_filter(&gauss->stages, defect);
+  flex_newton_filter(&gauss->stages.matrix, defect);
   double rate = DEFECT_RATE * h, position = DEFECT_POSITION * h * h, sum = 0.0;
   for (int c = 0; c < n; c++) {
     double weight = rate * rate * gauss->stages.rate_weight[c] + position * position * gauss->stages.position_weight[c];
     sum += weight * defect[c] * defect[c];
   }
   return sqrt(sum);
-}
-
-// the cheap estimate bridged over its zeros
-static double held_error(const flex_gauss *gauss, double error, double h) {
-  const flex_gauss_record *record = gauss->record;
-  double ratio = h / record->held_step;
-  return fmax(error, HOLD * record->held_error * pow(fmin(ratio, 1.0), gauss->stages.tableau->stages + 1));
-}
-
-// what the prediction missed, divided by how far it reached out (error term of interpolation): a derivative of the motion
-// that jumps where the inputs do
-static double bend(const flex_gauss *gauss, double h) {
-  const flex_tableau *tableau = gauss->stages.tableau;
-  double history = gauss->record->history_step;
-  if (history == 0.0) return HUGE_VAL;
-  double x = 1.0 + h / history, reach = h * x * (x - 1.0);
-  for (int i = 0; i < tableau->stages; i++) reach *= x - tableau->c[i];
-  return gauss->stages.record->misprediction / (reach * pow(history, tableau->stages + 2));
-}
-
-// whether the last calibration says something about a step of size h with this cheap estimate
-static int is_calibrated(const flex_gauss_record *record, double error, double bend, double h) {
-  return record->sharpness > 0.0 && record->calibration_age < CALIBRATION_STEPS &&
-         h <= CALIBRATION_STEP_GROWTH * record->calibration_step &&
-         error <= CALIBRATION_ERROR_GROWTH * record->calibration_error && bend <= CALIBRATION_BEND * record->calibration_bend;
-}
-
-// calibrated estimate; the methods' orders differ by s
-static double calibrated_error(const flex_gauss *gauss, double error, double h) {
-  const flex_gauss_record *record = gauss->record;
-  return error * record->sharpness * pow(h / record->calibration_step, gauss->stages.tableau->stages);
-}
-
-// step size for which an error of the given order meets what is allowed
-static double fitting_step(double h, double error, double allowed, int order) {
-  if (error <= 0.0) return HUGE_VAL;
-  return h * pow(SAFETY * allowed / error, 1.0 / order);
-}
-
-// step size after a step that was taken; a step cut short by the communication step doesn't shrink it
-static void suggest(flex_gauss_record *record, double h, double fitting) {
-  int was_cut = h < 0.99 * record->step;
-  double limited = fmin(fitting, MAX_GROWTH * h);
-  if (was_cut)
-    record->step = fmax(limited, fmin(record->step, fitting));
-  else if (fitting < 0.9 * h || fitting > WORTHWHILE_GROWTH * h)
-    record->step = fmax(limited, MIN_SHRINK * h);
-  else
-    record->step = h;
 }
 
 static void save(flex_gauss *gauss) {
@@ -300,16 +218,29 @@ static flex_outcome reject(flex_gauss *gauss, const flex_gauss_record *before, d
   *record = *before;
   record->rejections = rejections;
   record->step = step;
-  record->sharpness = 0.0;
+  record->accuracy.sharpness = 0.0;
   return outcome;
 }
 
-// one step against two halves; the halves are kept
-static flex_outcome calibrate(flex_gauss *gauss, const flex_gauss_record *before, double t, double h, double error,
-                              double bend, double allowed, double *value) {
+// two steps of half the size, predicted by the full step
+static flex_outcome take_halves(flex_gauss *gauss, double t, double h, double allowed, double *value) {
+  const flex_history full = {gauss->saved + (gauss->a - gauss->y), gauss->full_a, NULL};
+  for (int half = 0; half < 2; half++) {
+    double start = t + half * 0.5 * h;
+    flex_predict(gauss->n, gauss->stages.tableau, &full, 0.5 * half, 0.5, gauss->stages.acceleration);
+    flex_outcome outcome = solve(gauss, start, 0.5 * h, 0.5 * allowed);
+    if (outcome == FLEX_DONE) outcome = finish(gauss, start, 0.5 * h, value);
+    if (outcome != FLEX_DONE) return outcome;
+  }
+  return FLEX_DONE;
+}
+
+// one step, whose stages are solved, against two halves; the halves are kept
+static flex_outcome calibrate(flex_gauss *gauss, const flex_gauss_record *before, double t, const flex_evidence *evidence,
+                              double allowed, double *value) {
   flex_gauss_record *record = gauss->record;
-  const flex_tableau *tableau = gauss->stages.tableau;
-  int n = gauss->n, order = 2 * tableau->stages + 1;
+  int n = gauss->n, s = gauss->stages.tableau->stages;
+  double h = evidence->step;
 
   // result of the full step
   for (int c = 0; c < n; c++) {
@@ -318,99 +249,89 @@ static flex_outcome calibrate(flex_gauss *gauss, const flex_gauss_record *before
     gauss->full_y[c] = gauss->y[c] + dy;
     gauss->full_v[c] = gauss->v[c] + dv;
   }
-  memcpy(gauss->full_a, gauss->stages.acceleration, (size_t)(tableau->stages * n) * sizeof(double));
-
-  // two halves, predicted by the full step's polynomial
-  for (int half = 0; half < 2; half++) {
-    predict(gauss, gauss->saved + (gauss->a - gauss->y), gauss->full_a, NULL, 0.5 * half, 0.5);
-    flex_outcome outcome = solve(gauss, t + half * 0.5 * h, 0.5 * h, 0.5 * allowed);
-    if (outcome == FLEX_DONE) outcome = finish(gauss, t + half * 0.5 * h, 0.5 * h, value);
-    if (outcome != FLEX_DONE) return reject(gauss, before, FAILED_SHRINK * h, outcome);
-  }
+  memcpy(gauss->full_a, gauss->stages.acceleration, (size_t)(s * n) * sizeof(double));
+  flex_outcome outcome = take_halves(gauss, t, h, allowed, value);
+  if (outcome != FLEX_DONE) return reject(gauss, before, FAILED_SHRINK * h, outcome);
 
   // difference of the results = error of the full step, but for a factor 1 - 2^(-2 s)
   for (int c = 0; c < n; c++) {
     gauss->full_y[c] -= gauss->y[c];
     gauss->full_v[c] -= gauss->v[c];
   }
-  double full_error = motion_norm(gauss, gauss->full_y, gauss->full_v);
-  double halves_error = full_error / (ldexp(1.0, 2 * tableau->stages) - 1.0);
-  if (!isfinite(full_error)) return reject(gauss, before, FAILED_SHRINK * h, FLEX_NOT_FINITE);
-  double fitting = fitting_step(h, full_error, allowed, order);
+  double error = flex_error_norm(&gauss->stages, gauss->full_y, gauss->full_v);
+  if (!isfinite(error)) return reject(gauss, before, FAILED_SHRINK * h, FLEX_NOT_FINITE);
+  double fitting = flex_fitting_step(h, error, allowed, 2 * s + 1), halves_error = error / (ldexp(1.0, 2 * s) - 1.0);
   if (halves_error > allowed) {
     *value = halves_error / record->scale;
-    return reject(gauss, before, h * fmin(0.5, fmax(MIN_SHRINK, fitting / h)), FLEX_INACCURATE);
+    return reject(gauss, before, flex_smaller_step(h, fitting, HALVED_SHRINK), FLEX_INACCURATE);
   }
-
-  // what was learnt
-  record->sharpness = fmin(1.0, full_error / error);
-  record->calibration_step = h;
-  record->calibration_error = error;
-  record->calibration_bend = bend;
-  record->calibration_age = 0;
-  suggest(record, h, fitting);
+  flex_accuracy_calibrate(&record->accuracy, evidence, error);
+  record->step = flex_next_step(h, record->step, fitting);
   return FLEX_DONE;
 }
 
 // one step of size h, or two of half its size
-static flex_outcome step(flex_gauss *gauss, double t, double h, double tolerance, double *value) {
+static flex_outcome step(flex_gauss *gauss, double t, double h, double local, double *value) {
   flex_gauss_record *record = gauss->record;
   const flex_gauss_record before = *record;
-  int stages = gauss->stages.tableau->stages;
-  double allowed = fmax(tolerance, ROUNDING_ERROR) * record->scale;
+  int s = gauss->stages.tableau->stages;
+  double allowed = fmax(local, ROUNDING_ERROR) * record->scale;
 
   save(gauss);
   predict_from_history(gauss, h);
   flex_outcome outcome = solve(gauss, t, h, allowed);
   if (outcome != FLEX_DONE) return reject(gauss, &before, FAILED_SHRINK * h, outcome);
 
-  // estimates; the cheap one alone is enough where it is small
-  double error = held_error(gauss, cheap_error(gauss, h), h);
-  double missed = bend(gauss, h);
-  int calibrated = is_calibrated(record, error, missed, h);
-  record->held_error = error;
-  record->held_step = h;
-  if (error > allowed && !calibrated) return calibrate(gauss, &before, t, h, error, missed, allowed, value);
-  double fitting = fitting_step(h, error, allowed, stages + 1);
-  if (calibrated) {
-    double sharp = calibrated_error(gauss, error, h);
-    double sharp_fitting = fitting_step(h, sharp, allowed, 2 * stages + 1);
-    if (sharp > allowed && error > allowed)
-      return reject(gauss, &before, fmax(MIN_SHRINK * h, fmin(sharp_fitting, 0.9 * h)), FLEX_INACCURATE);
+  // the cheap estimate alone is enough where it is small
+  const flex_evidence evidence = {h, flex_accuracy_hold(&record->accuracy, s, cheap_error(gauss, h), h), bend(gauss, h)};
+  int is_small = evidence.error <= allowed, applies = flex_accuracy_applies(&record->accuracy, &evidence);
+  if (!is_small && !applies) return calibrate(gauss, &before, t, &evidence, allowed, value);
+
+  // step size that would fit, by the better one of the two estimates
+  double fitting = flex_fitting_step(h, evidence.error, allowed, s + 1);
+  if (applies) {
+    double error = flex_accuracy_error(&record->accuracy, s, &evidence);
+    double sharp_fitting = flex_fitting_step(h, error, allowed, 2 * s + 1);
+    *value = error / record->scale;
+    if (!is_small && error > allowed)
+      return reject(gauss, &before, flex_smaller_step(h, sharp_fitting, INACCURATE_SHRINK), FLEX_INACCURATE);
     fitting = fmax(fitting, sharp_fitting);
   }
 
   // on to the end of the step
   outcome = finish(gauss, t, h, value);
   if (outcome != FLEX_DONE) return reject(gauss, &before, FAILED_SHRINK * h, outcome);
-  record->calibration_age++;
-  suggest(record, h, fitting);
+  record->accuracy.age++;
+  record->step = flex_next_step(h, record->step, fitting);
   return FLEX_DONE;
 }
 
 // a step in which the motion changes by about its own size, for lack of anything better
 static double first_step(const flex_gauss *gauss, double span) {
-  double change = motion_norm(gauss, gauss->v, gauss->a);
+  double change = flex_error_norm(&gauss->stages, gauss->v, gauss->a);
   return change * span > gauss->record->scale ? gauss->record->scale / change : span;
 }
 
+// a rigid model has nothing to integrate
+static flex_failure advance_rigid(flex_gauss *gauss, double t0, double t1) {
+  flex_failure result = {FLEX_DONE, t0, 0.0};
+  flex_inputs_evaluate(gauss->stages.inputs, t1, 0.0, gauss->end_u);
+  result.outcome = check_margin(gauss, gauss->end_u, &result.value);
+  if (result.outcome != FLEX_DONE) return result;
+  result.time = t1;
+  gauss->record->steps++;
+  return result;
+}
+
 flex_failure flex_gauss_advance(flex_gauss *gauss, double t0, double t1, double tolerance) {
+  if (gauss->n == 0) return advance_rigid(gauss, t0, t1);
   flex_gauss_record *record = gauss->record;
   flex_failure result = {FLEX_DONE, t0, 0.0};
-  double span = t1 - t0;
+  double span = t1 - t0, order = 2.0 * gauss->stages.tableau->stages;
   double least = fmax(MIN_STEP_SHARE * span, MIN_STEP_ROUNDINGS * DBL_EPSILON * fmax(fabs(t0), fabs(t1)));
-
-  // a rigid model has nothing to integrate
-  if (gauss->n == 0) {
-    flex_inputs_evaluate(gauss->stages.inputs, t1, 0.0, gauss->end_u);
-    result.outcome = check_margin(gauss, gauss->end_u, &result.value);
-    if (result.outcome == FLEX_DONE) result.time = t1, record->steps++;
-    return result;
-  }
-
-  double order = 2.0 * gauss->stages.tableau->stages;
   double local = LOCAL_SHARE * pow(tolerance, 1.0 + 1.0 / order);
   if (record->step == 0.0) record->step = first_step(gauss, span);
+
   while (result.time < t1) {
     // equal steps to the end; their times are start + i h
     double start = result.time, remaining = t1 - start;
@@ -420,7 +341,7 @@ flex_failure flex_gauss_advance(flex_gauss *gauss, double t0, double t1, double 
       result.outcome = step(gauss, start + i * h, h, local, &result.value);
       if (result.outcome != FLEX_DONE) break;
       result.time = i + 1.0 == count ? t1 : start + (i + 1.0) * h;
-      if (record->step < h || record->step > WORTHWHILE_GROWTH * h) break;
+      if (record->step < h || record->step > REPLANNED_GROWTH * h) break;
     }
 
     // a step too small to help: what went wrong is reported

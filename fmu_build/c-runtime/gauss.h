@@ -1,26 +1,16 @@
-/* Integration of r(y, y', y'', u(t)) = 0 by Gauss collocation with control of the local error.
- *
- * Every step gives a cheap estimate for nothing: the acceleration at its start against the collocation polynomial there.
- * It is of order s + 1 only and so far too pessimistic where the method has order 2 s; now and then a sharp estimate, one
- * step against two of half its size, tells how much. Between these the cheap one, times what was found, is trusted. */
+/* Integration of r(y, y', y'', u(t)) = 0 by Gauss collocation with control of the local error. */
 #ifndef FLEXFMU_GAUSS_H
 #define FLEXFMU_GAUSS_H
 
+#include "accuracy.h"
 #include "stages.h"
 
 /* plain numbers, saved and restored with the state of the plant */
 typedef struct {
-  double step;              /* step size that the error admits [s]; 0 = not known */
-  double scale;             /* running maximum of the motion in the error norm */
-  double history_step;      /* duration of the polynomial kept for prediction [s]; 0 = none */
-  double held_error;        /* cheap estimate, decaying over zeros of the error */
-  double held_step;         /* [s], step that it belongs to */
-  double sharpness;         /* sharp estimate / cheap estimate at the last calibration; 0 = not calibrated */
-  double calibration_step;  /* [s] */
-  double calibration_error; /* cheap estimate at the last calibration */
-  double calibration_bend;  /* what prediction missed there, for a unit of its reach */
-  int calibration_age;      /* steps since then */
-  int padding;
+  flex_accuracy accuracy;
+  double step;         /* step size that the error admits [s]; 0 = not known */
+  double scale;        /* running maximum of the motion in the error norm */
+  double history_step; /* duration of the step that is kept for prediction [s]; 0 = none */
   long long steps, rejections;
 } flex_gauss_record;
 

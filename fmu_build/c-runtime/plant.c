@@ -64,6 +64,7 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
   plant->equations.evaluations = &plant->record->stages.evaluations;
   gauss->record = &plant->record->gauss;
   gauss->stages.record = &plant->record->stages;
+  gauss->stages.matrix.record = &plant->record->stages.matrix;
   gauss->stages.equations = &plant->equations;
   gauss->stages.inputs = &plant->inputs;
   gauss->stages.position_weight = plant->scale;
@@ -74,7 +75,7 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
 }
 
 static void choose_stages(flex_plant *plant) {
-  plant->gauss.stages.tableau = plant->record->tolerance < FOUR_STAGES_TOLERANCE ? &flex_gauss_4 : &flex_gauss_3;
+  flex_stages_use(&plant->gauss.stages, plant->record->tolerance < FOUR_STAGES_TOLERANCE ? &flex_gauss_4 : &flex_gauss_3);
 }
 
 void flex_plant_reset(flex_plant *plant) {
@@ -100,7 +101,7 @@ void flex_plant_restored(flex_plant *plant) {
 
 void flex_plant_parameters_changed(flex_plant *plant) {
   plant->record->have &= ~(FLEX_HAVE_DERIVED | FLEX_HAVE_START | POINT);
-  plant->record->stages.have_jacobian = 0;
+  flex_newton_clear(&plant->gauss.stages.matrix);
 }
 
 void flex_plant_inputs_changed(flex_plant *plant) {

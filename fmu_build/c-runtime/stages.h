@@ -4,28 +4,27 @@
  *
  *     Q_i = y + c_i h v + h^2 sum_j (A A)_ij a_j,     V_i = v + h sum_j A_ij a_j,     r(Q_i, V_i, a_i, u_i) = 0.
  *
- * The iteration matrix, identity x M + h A x D + h^2 A A x K with M, D, K = dr/da, dr/dv, dr/dy at one point, splits
- * into one matrix M + h z D + h^2 z^2 K for every eigenvalue z of A. It is kept while it makes the iterations converge. */
+ * The matrix of the iterations is kept while it makes them converge. */
 #ifndef FLEXFMU_STAGES_H
 #define FLEXFMU_STAGES_H
 
 #include "equations.h"
 #include "inputs.h"
 #include "memory.h"
+#include "newton_matrix.h"
 #include "outcome.h"
 #include "tableaus.h"
 
 /* plain numbers, saved and restored with the state of the plant */
 typedef struct {
-  double factored_step;     /* step size of the factorised matrices [s]; 0 = none */
+  flex_newton_record matrix;
   double contraction;       /* of the last step that took more than one iteration */
   double misprediction;     /* size of the first correction of the last step, in the error norm */
   double excess_iterations; /* beyond what a fresh matrix needs, since the last refresh */
   double usual_iterations;  /* what a fresh matrix needs */
-  int have_jacobian;        /* 1 = M, D, K are there */
   int fresh_steps;          /* steps since the last refresh */
   int unchecked_steps;      /* steps since the contraction was measured */
-  long long iterations, factorisations, evaluations;
+  long long iterations, evaluations;
 } flex_stages_record;
 
 typedef struct {
@@ -34,25 +33,23 @@ typedef struct {
   flex_equations *equations;
   const flex_inputs *inputs;
   flex_stages_record *record;
+  flex_newton_matrix matrix;
 
   /* error norm: sqrt(sum of position_weight dy^2 + rate_weight dv^2) */
   const double *position_weight, *rate_weight;
 
-  /* numeric state: M, D, K [n n] and the factors of all blocks */
-  double *mass, *damping, *stiffness, *factors;
-  int *pivots;
-
-  /* result of the last solution, stages x n; u: stages x inputs */
+  /* the unknowns, stages x n: prediction before, result after a solution */
   double *acceleration;
 
-  /* scratch */
-  double *position, *rate, *residual, *u, *weight, *block, *probe;
+  /* scratch; inputs: stages x inputs */
+  double *position, *rate, *residual, *u, *weight;
 } flex_stages;
 
 void flex_stages_take_state(flex_stages *stages, int n, flex_arena *arena);
 void flex_stages_take_scratch(flex_stages *stages, int n, int n_inputs, flex_arena *arena);
 
-/* forgets the iteration matrix */
+/* chooses the method; with another one, what is known about the matrix has to be forgotten */
+void flex_stages_use(flex_stages *stages, const flex_tableau *tableau);
 void flex_stages_clear(flex_stages *stages);
 
 /* solves for the step from t to t + h, starting from the prediction in `acceleration`.
@@ -61,10 +58,7 @@ void flex_stages_clear(flex_stages *stages);
 flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const double *y, const double *v, const double *a0,
                                double scale, double target);
 
-/* x [n] replaced by the size of inverse(M + h z D + h^2 z^2 K) M x, which leaves slow modes and takes stiff ones away */
-void flex_stages_filter(flex_stages *stages, double *x);
-
 /* sqrt(sum of position_weight dy^2 + rate_weight dv^2) */
-double flex_error_norm(int n, const double *position_weight, const double *rate_weight, const double *dy, const double *dv);
+double flex_error_norm(const flex_stages *stages, const double *dy, const double *dv);
 
 #endif

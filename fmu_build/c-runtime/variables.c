@@ -125,7 +125,7 @@ int flex_get_integer(flex_plant *plant, unsigned index, int *value) {
     case FLEX_REJECTIONS: *value = clamped(record->gauss.rejections); return 0;
     case FLEX_EVALUATIONS: *value = clamped(record->stages.evaluations); return 0;
     case FLEX_ITERATIONS: *value = clamped(record->stages.iterations); return 0;
-    case FLEX_FACTORISATIONS: *value = clamped(record->stages.factorisations); return 0;
+    case FLEX_FACTORISATIONS: *value = clamped(record->stages.matrix.factorisations); return 0;
   }
   return refuse(plant, "value reference %u of an integer variable is unknown; there are %d", index, FLEX_N_INTEGERS);
 }

@@ -53,7 +53,7 @@ static void fixed_steps(flex_plant *plant, const flex_tableau *tableau, double d
   flex_stages *stages = &gauss->stages;
   double h = duration / count;
   int n = gauss->n;
-  stages->tableau = tableau;
+  flex_stages_use(stages, tableau);
   flex_stages_clear(stages);
   for (int k = 0; k < count; k++) {
     CHECK(flex_gauss_accelerate(gauss, plant->u) == FLEX_DONE);

@@ -1,0 +1,70 @@
+#include "accuracy.h"
+
+#include <math.h>
+
+/* decay of the cheap estimate per step where it passes through zero */
+#define HOLD 0.7
+
+/* the calibration is trusted for so many steps, and for so much growth of the cheap estimate, of the step and of the bend;
+ * without a limit on the bend an error 20 times the tolerance followed each jerk of the reference */
+#define MAX_AGE 40
+#define MAX_ERROR_GROWTH 3.0
+#define MAX_STEP_GROWTH 1.25
+#define MAX_BEND_GROWTH 4.0
+
+/* aim below what is allowed: the error of a step goes with its seventh or ninth power */
+#define SAFETY 0.5
+
+/* limits of a change of the step size, and a change that is worth new factors */
+#define MAX_GROWTH 2.0
+#define MIN_SHRINK 0.1
+#define WORTHWHILE_SHRINK 0.9
+#define WORTHWHILE_GROWTH 1.15
+
+void flex_accuracy_clear(flex_accuracy *accuracy) {
+  accuracy->held_error = 0.0;
+  accuracy->held_step = 1.0;
+  accuracy->sharpness = 0.0;
+}
+
+double flex_accuracy_hold(flex_accuracy *accuracy, int stages, double error, double step) {
+  double ratio = fmin(step / accuracy->held_step, 1.0);
+  double held = fmax(error, HOLD * accuracy->held_error * pow(ratio, stages + 1));
+  accuracy->held_error = held;
+  accuracy->held_step = step;
+  return held;
+}
+
+int flex_accuracy_applies(const flex_accuracy *accuracy, const flex_evidence *evidence) {
+  return accuracy->sharpness > 0.0 && accuracy->age < MAX_AGE && evidence->step <= MAX_STEP_GROWTH * accuracy->step &&
+         evidence->error <= MAX_ERROR_GROWTH * accuracy->error && evidence->bend <= MAX_BEND_GROWTH * accuracy->bend;
+}
+
+double flex_accuracy_error(const flex_accuracy *accuracy, int stages, const flex_evidence *evidence) {
+  // the orders of the two estimates differ by s
+  return evidence->error * accuracy->sharpness * pow(evidence->step / accuracy->step, stages);
+}
+
+void flex_accuracy_calibrate(flex_accuracy *accuracy, const flex_evidence *evidence, double true_error) {
+  accuracy->sharpness = fmin(1.0, true_error / evidence->error);
+  accuracy->step = evidence->step;
+  accuracy->error = evidence->error;
+  accuracy->bend = evidence->bend;
+  accuracy->age = 0;
+}
+
+double flex_fitting_step(double step, double error, double allowed, int order) {
+  return error > 0.0 ? step * pow(SAFETY * allowed / error, 1.0 / order) : HUGE_VAL;
+}
+
+double flex_next_step(double step, double suggested, double fitting) {
+  double limited = fmax(fmin(fitting, MAX_GROWTH * step), MIN_SHRINK * step);
+
+  // a step that was cut short, to end with the communication step, says little about long ones
+  if (step < 0.99 * suggested) return fmax(limited, fmin(suggested, fitting));
+  return fitting < WORTHWHILE_SHRINK * step || fitting > WORTHWHILE_GROWTH * step ? limited : step;
+}
+
+double flex_smaller_step(double step, double fitting, double most) {
+  return fmax(MIN_SHRINK * step, fmin(fitting, most * step));
+}

@@ -1,0 +1,52 @@
+/* The matrix of the simplified Newton iterations for the stages of a collocation step.
+ *
+ * With M, D, K = dr/da, dr/dv, dr/dy at one point it is identity x M + h A x D + h^2 A A x K. In the eigenvectors of A it
+ * falls apart into one matrix M + h z D + h^2 z^2 K for every eigenvalue z, of which complex ones come in pairs. */
+#ifndef FLEXFMU_NEWTON_MATRIX_H
+#define FLEXFMU_NEWTON_MATRIX_H
+
+#include "equations.h"
+#include "memory.h"
+#include "tableaus.h"
+
+/* plain numbers, saved and restored with the state of the plant */
+typedef struct {
+  double factored_step; /* step size of the factorised matrices [s]; 0 = none */
+  int is_known;         /* 1 = M, D, K are there */
+  long long factorisations;
+} flex_newton_record;
+
+typedef struct {
+  int n;
+  const flex_tableau *tableau;
+  flex_newton_record *record;
+
+  /* numeric state: M, D, K [n n] and the factors of the matrices of all eigenvalues */
+  double *mass, *damping, *stiffness, *factors;
+  int *pivots;
+
+  /* scratch */
+  double *component, *sum, *y, *v, *r;
+} flex_newton_matrix;
+
+void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena);
+void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, flex_arena *arena);
+
+/* forgets M, D, K and the factors */
+void flex_newton_clear(flex_newton_matrix *matrix);
+
+/* M, D, K at a point by differences. position_weight, rate_weight, scale: the error norm and the size of the motion in it,
+ * which give each coordinate its own difference. Returns 0, or 1 if the model refused to be evaluated. */
+int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *v, const double *a,
+                        const double *u, const double *position_weight, const double *rate_weight, double scale);
+
+/* factors for the step size h, unless those that are there do. Returns 0, or 1 if a matrix is singular. */
+int flex_newton_factor(flex_newton_matrix *matrix, double h);
+
+/* x [stages n] replaced by the solution */
+void flex_newton_solve(flex_newton_matrix *matrix, double *x);
+
+/* x [n] replaced by the size of inverse(M + h z D + h^2 z^2 K) M x, which leaves slow modes and takes stiff ones away */
+void flex_newton_filter(flex_newton_matrix *matrix, double *x);
+
+#endif
