@@ -107,7 +107,15 @@ void test_fmi_life_cycle(void) {
   CHECK_CLOSE(derivative[1], -0.5 * cos(3.0), 1e-8);
   CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &last) == fmi2OK);
   CHECK_CLOSE(last, 8.0, 1e-14);
-  CHECK(get_integer(c, STEPS) >= 30);
+  CHECK(get_integer(c, STEPS) >= 30 && get_integer(c, STEPS + 1) >= 0);
+  for (fmi2ValueReference statistic = STEPS + 2; statistic < STEPS + 5; statistic++) CHECK(get_integer(c, statistic) > 0);
+  const fmi2Integer third = 3;
+  CHECK(fmi2GetRealOutputDerivatives(c, position, 1, &third, derivative) == fmi2Error);
+  CHECK(strstr(ear.message, "of order 1 or 2, got order 3") != NULL);
+  const fmi2ValueReference force = FORCE;
+  CHECK(fmi2GetRealOutputDerivatives(c, &force, 1, &order[0], derivative) == fmi2Error);
+  CHECK(fmi2SetRealInputDerivatives(c, position, 1, order, derivative) == fmi2Error);
+  ear.n_messages = 0;
   CHECK(fmi2Terminate(c) == fmi2OK);
   CHECK_CLOSE(get(c, POSITION), 0.5 * cos(3.0), 1e-8);
   fmi2FreeInstance(c);
@@ -262,6 +270,10 @@ void test_fmi_values_are_checked(void) {
   CHECK(strstr(ear.message, "position is an output") != NULL);
   CHECK(set(c, 4, 0.0) == fmi2Error);
   CHECK(strstr(ear.message, "value reference 4") != NULL);
+  double value;
+  const fmi2ValueReference position = POSITION;
+  CHECK(fmi2GetReal(c, &position, 1, &value) == fmi2Error);
+  CHECK(strstr(ear.message, "before fmi2EnterInitializationMode") != NULL);
   CHECK(set_derivative(c, 4, 0.0) == fmi2Error);
   CHECK(strstr(ear.message, "order 1 to 3, got order 4") != NULL);
   CHECK(set_derivative(c, 0, 0.0) == fmi2Error);

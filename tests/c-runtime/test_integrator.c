@@ -207,6 +207,57 @@ void test_jumps_of_the_input_are_met(void) {
   }
 }
 
+// sum over modes of the error in the energy norm
+static double driven_error(const flex_plant *plant, const double *q, const double *p) {
+  double error = 0.0;
+  for (int k = 0; k < 3; k++) error = fmax(error, hypot(plant->p[k] * (plant->gauss.y[k] - q[k]), plant->gauss.v[k] - p[k]));
+  return error;
+}
+
+// a slow motion teaches that cheap estimates are far too pessimistic; the vibration after a jerk must not be judged by that
+void test_jerks_are_noticed(void) {
+  const double slow = 20.0, amplitude = 1.0, jerk = 1e5, h = 5e-3;
+  for (double tolerance = 1e-6; tolerance > 0.9e-10; tolerance *= 0.1) {
+    flex_plant *plant = make_plant(&oscillators, tolerance);
+    const double w[3] = {200.0, 200.0, 900.0};
+    double y[3] = {0.0, 0.0, 0.0}, v[3], q[3], p[3], scale = 0.0, worst = 0.0;
+    memcpy(plant->p, w, sizeof w);
+
+    // forced by amplitude sin(slow t) in all coordinates, from the start on without a free vibration
+    for (int k = 0; k < 3; k++) {
+      v[k] = amplitude * slow * w[k] * w[k] / (w[k] * w[k] - slow * slow);
+      scale = fmax(scale, w[k] * amplitude);
+    }
+    begin_at(plant, y, v);
+    for (int step = 0; step < 60; step++) {
+      double t = step * h, since = t - 0.15;
+      for (int k = 0; k < 3; k++) {
+        set_input(plant, k, amplitude * sin(slow * t) + (since >= 0.0 ? jerk * since * since * since / 6.0 : 0.0));
+        for (int order = 1; order < 10; order++) {
+          double derivative = amplitude * pow(slow, order) * sin(slow * t + order * TAU / 4.0);
+          if (since >= 0.0 && order <= 3) derivative += jerk * pow(since, 3 - order) / (order == 1 ? 2.0 : 1.0);
+          flex_inputs_set_derivative(&plant->inputs, k, t, order, derivative);
+        }
+      }
+      advance(plant, t, h, 1);
+
+      // closed form at the end of the step
+      since += h;
+      for (int k = 0; k < 3; k++) {
+        q[k] = v[k] / slow * sin(slow * (t + h));
+        p[k] = v[k] * cos(slow * (t + h));
+        if (since > 0.0) {
+          q[k] += jerk * (since * since * since / 6.0 - since / (w[k] * w[k]) + sin(w[k] * since) / pow(w[k], 3));
+          p[k] += jerk * (since * since / 2.0 - 1.0 / (w[k] * w[k]) + cos(w[k] * since) / (w[k] * w[k]));
+        }
+      }
+      worst = fmax(worst, driven_error(plant, q, p) / scale);
+    }
+    CHECK_BETWEEN(worst, 0.0, 10.0 * tolerance);
+    free_plant(plant);
+  }
+}
+
 static double oscillator_energy(const flex_plant *plant) {
   double energy = 0.0;
   for (int k = 0; k < 3; k++) {

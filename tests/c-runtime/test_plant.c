@@ -110,3 +110,140 @@ void test_parameters_may_be_tuned(void) {
   CHECK_CLOSE(output(plant, 0), 0.5 * (1.0 - cos(2.0)), 1e-8);
   free_plant(plant);
 }
+
+typedef const double **in;
+typedef double **out;
+
+static int negative_mass(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = -1.0;
+  return 0;
+}
+
+static int no_floor(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = res[0][1] = 1.0, res[0][2] = 0.0;
+  return 0;
+}
+
+static int refusal(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)res, (void)iw, (void)w, (void)mem;
+  return 1;
+}
+
+static int nan_result(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = NAN;
+  return 0;
+}
+
+// M = 1 says the mass matrix, but the residual has M = 4: Newton's corrections grow threefold at any step size
+static int false_mass(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = 4.0 * arg[2][0] - 1.0;
+  return 0;
+}
+
+// y'' = 6 y^2, solved by 1/(1 - t)^2
+static int blow_up(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[2][0] - 6.0 * arg[0][0] * arg[0][0];
+  return 0;
+}
+
+// a start that fails gives the outcome and a sentence with this part
+static void check_start(const flex_model *model, flex_outcome outcome, const char *part) {
+  flex_plant *plant = make_plant(model, 1e-6);
+  flex_failure failure = flex_plant_begin(plant);
+  CHECK(failure.outcome == outcome && !plant->record->is_moving);
+  flex_explain(plant, "initialisation", &failure);
+  CHECK(strncmp(plant->message, "initialisation: ", 16) == 0 && strstr(plant->message, part) != NULL);
+  double value;
+  CHECK(flex_get_real(plant, 3, &value) == 1 && strstr(plant->message, part) != NULL);
+  free_plant(plant);
+}
+
+// whatever a model does wrong has its own sentence, and reading outputs says the same instead of giving numbers
+void test_failures_are_explained(void) {
+  flex_model model = fragile;
+  model.mass_matrix.call = negative_mass;
+  check_start(&model, FLEX_NOT_DEFINITE, "mass matrix is not positive definite");
+  model = fragile;
+  model.error_scale.call = no_floor;
+  check_start(&model, FLEX_BAD_SCALE, "unusable error norm");
+  model = fragile;
+  model.minimum_margin = 3.0;
+  check_start(&model, FLEX_TOO_SINGULAR, "distance between the elbows (m) is 2, but must be at least 3");
+  const flex_function fragile_parts[] = {{refusal, 9, 1, 0, 0}, {nan_result, 9, 1, 0, 0}};
+  for (int k = 0; k < 2; k++) {
+    flex_function *const parts[] = {&model.derive, &model.initial_inputs, &model.residual, &model.mass_matrix};
+    for (int i = 0; i < 4; i++) {
+      model = fragile;
+      *parts[i] = fragile_parts[k];
+      check_start(&model, FLEX_NOT_FINITE, "no finite number");
+    }
+  }
+
+  // outputs and rates alone may be undefined while the motion is not
+  for (int k = 0; k < 2; k++) {
+    model = fragile;
+    model.outputs = model.outputs_rate = model.outputs_rate2 = fragile_parts[k];
+    flex_plant *plant = make_plant(&model, 1e-6);
+    double value;
+    begin_static(plant);
+    advance(plant, 0.0, 0.1, 1);
+    CHECK(flex_get_real(plant, 3, &value) == 1 && strstr(plant->message, "computing outputs") != NULL);
+    CHECK(flex_get_output_derivative(plant, 3, 1, &value) == 1);
+    CHECK(flex_get_output_derivative(plant, 3, 2, &value) == 1 && strstr(plant->message, "output derivatives") != NULL);
+    free_plant(plant);
+  }
+}
+
+// equations that no step size makes solvable end the search, with the plant as it was
+void test_unsolvable_equations_are_given_up(void) {
+  flex_model model = fragile;
+  model.residual.call = false_mass;
+  flex_plant *plant = make_plant(&model, 1e-6);
+  plant->record->starts_static = 0;
+  CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
+  plant->gauss.a[0] = 10.0;
+  flex_failure failure = flex_plant_advance(plant, 0.0, 1.0);
+  CHECK(failure.outcome == FLEX_NO_CONVERGENCE && failure.time == 0.0);
+  flex_explain(plant, "integration", &failure);
+  CHECK(strstr(plant->message, "cannot be solved") != NULL);
+  CHECK(plant->gauss.y[0] == 0.0 && plant->gauss.v[0] == 0.0 && plant->gauss.a[0] == 10.0);
+  free_plant(plant);
+}
+
+// a solution that ends has to be followed to its end and left there, finite
+void test_blow_up_is_reported(void) {
+  flex_model model = fragile;
+  model.residual.call = blow_up;
+  for (double tolerance = 1e-3; tolerance > 0.9e-9; tolerance *= 1e-3) {
+    flex_plant *plant = make_plant(&model, tolerance);
+    const double y[1] = {1.0}, v[1] = {2.0};
+    begin_at(plant, y, v);
+    flex_failure failure = flex_plant_advance(plant, 0.0, 2.0);
+    CHECK(failure.outcome != FLEX_DONE && plant->record->time == failure.time);
+    CHECK_CLOSE(failure.time, 1.0, 0.1);
+    CHECK(isfinite(plant->gauss.y[0]) && isfinite(plant->gauss.v[0]) && isfinite(plant->gauss.a[0]));
+    flex_explain(plant, "integration", &failure);
+    CHECK(strlen(plant->message) > 40);
+    free_plant(plant);
+  }
+}
+
+// the energy of a pendulum under torque changes by its power: rates of a nonlinear model
+void test_rates_follow_the_power(void) {
+  flex_plant *plant = make_plant(&pendulum, 1e-11);
+  const double y[1] = {0.4}, v[1] = {1.5};
+  begin_at(plant, y, v);
+  set_input(plant, 0, 0.3);
+  flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 0.7);
+  advance(plant, 0.0, 0.2, 3);
+  CHECK(flex_plant_need_rates(plant, 2).outcome == FLEX_DONE);
+  double torque = 0.3 + 0.7 * 0.6;
+  CHECK_CLOSE(plant->first_rates[0], torque * plant->gauss.v[0], 1e-14);
+  CHECK_CLOSE(plant->second_rates[0], 0.7 * plant->gauss.v[0] + torque * plant->gauss.a[0], 1e-14);
+  free_plant(plant);
+}

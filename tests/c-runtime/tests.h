@@ -18,6 +18,7 @@
   X(stiff_modes_in_motion_are_resolved)         \
   X(forced_motion_is_exact)                     \
   X(jumps_of_the_input_are_met)                 \
+  X(jerks_are_noticed)                          \
   X(energy_stays_over_many_steps)               \
   X(energy_stays_in_nonlinear_motion)           \
   X(orbit_keeps_energy_and_momentum)            \
@@ -28,6 +29,10 @@
   X(rates_of_outputs_are_exact)                 \
   X(rigid_models_follow_their_inputs)           \
   X(parameters_may_be_tuned)                    \
+  X(rates_follow_the_power)                     \
+  X(failures_are_explained)                     \
+  X(unsolvable_equations_are_given_up)          \
+  X(blow_up_is_reported)                        \
   X(fmi_life_cycle)                             \
   X(fmi_calls_out_of_place_are_refused)         \
   X(fmi_instantiation_is_checked)               \
