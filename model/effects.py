@@ -7,6 +7,7 @@ and no line in the generated C.
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -71,6 +72,10 @@ class Effect(ABC):  # noqa: B024 - every hook has a neutral default
     def outputs(self, robot: Robot) -> Sequence[Output]:
         """Scalars worth watching."""
         return ()
+
+    def title(self) -> str:
+        """What the documentation calls the effect, for example ``point payload``."""
+        return re.sub(r"(?<!^)(?=[A-Z])", " ", type(self).__name__).lower()
 
     def sentence(self) -> str:
         """One sentence for the documentation."""
@@ -140,22 +145,22 @@ class _LinkIntegrals:
         """∫ (x + u_x) dm along e and ∫ u_y dm along n [kg m]."""
         axial, bending = _split(link, "q")
         k = axial.numel()
-        return self.half + casadi.dot(self.mean[:k], axial), casadi.dot(self.mean[k:], bending)
+        return self.half + _dot(self.mean[:k], axial), _dot(self.mean[k:], bending)
 
     def moment_rate(self, link: Link) -> tuple[casadi.SX, casadi.SX]:
         """The same for the displacements' rates [kg m/s]."""
         axial, bending = _split(link, "v")
         k = axial.numel()
-        return casadi.dot(self.mean[:k], axial), casadi.dot(self.mean[k:], bending)
+        return _dot(self.mean[:k], axial), _dot(self.mean[k:], bending)
 
     def relative_energy(self, link: Link, w: casadi.SX) -> casadi.SX:
         """Kinetic energy with respect to the base point [J]."""
         (ax, be), (axd, bed) = _split(link, "q"), _split(link, "v")
         k = ax.numel()
         gram_xx, gram_yy, gram_xy = self.gram[:k, :k], self.gram[k:, k:], self.gram[:k, k:]
-        polar = self.inertia + 2 * casadi.dot(self.first[:k], ax) + _form(gram_xx, ax, ax) + _form(gram_yy, be, be)
+        polar = self.inertia + 2 * _dot(self.first[:k], ax) + _form(gram_xx, ax, ax) + _form(gram_yy, be, be)
         deformation = _form(gram_xx, axd, axd) + _form(gram_yy, bed, bed)
-        coupling = casadi.dot(self.first[k:], bed) + _form(gram_xy, ax, bed) - _form(gram_xy, axd, be)
+        coupling = _dot(self.first[k:], bed) + _form(gram_xy, ax, bed) - _form(gram_xy, axd, be)
         return 0.5 * polar * w**2 + 0.5 * deformation + w * coupling
 
 
@@ -206,9 +211,12 @@ class ElasticFamily(Effect):
             if part.family is self._family and moving_tip
         )
 
+    def title(self) -> str:
+        return f"{self._family.group} {'bending' if self._family.direction == 'bending' else 'elongation'}"
+
     def sentence(self) -> str:
         family = self._family
-        return f"{family.group} links, {family.direction}: {len(family.shapes)} assumed mode(s)"
+        return f"Elasticity of the {family.group} links, {family.direction}, with {len(family.shapes)} assumed mode(s)."
 
 
 _TIP_NAMES: dict[Direction, tuple[str, str]] = {
@@ -363,6 +371,11 @@ def _symmetric(
             if pattern[i, j]:
                 matrix[i, j] = matrix[j, i] = entry(i, j)
     return matrix
+
+
+def _dot(left: casadi.SX, right: casadi.SX) -> casadi.SX:
+    """left' right, zero for empty vectors."""
+    return casadi.dot(left, right) if right.numel() else casadi.SX(0)
 
 
 def _form(matrix: casadi.SX, left: casadi.SX, right: casadi.SX) -> casadi.SX:

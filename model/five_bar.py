@@ -90,7 +90,7 @@ def assemble(scene: Scene) -> FiveBar:
         motor_forces=motors,
         elastic_forces=elastic,
         outputs=tuple(output for effect in effects for output in effect.outputs(robot)),
-        sentences={type(effect).__name__: effect.sentence() for effect in effects},
+        sentences={effect.title(): effect.sentence() for effect in effects},
     )
 
 

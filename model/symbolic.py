@@ -40,7 +40,7 @@ class Variable:
 
     Attributes:
         name: structured FMI name, for example ``joint1.torque``.
-        unit: unit in the spelling of `flexfmu.fmu_build.description`, for example ``N.m``; ``1`` for none.
+        unit: unit in the spelling of `flexfmu.fmu_build.units`, for example ``N.m``; ``1`` for none.
         description: one sentence.
         causality: input, parameter or output.
         start: start value in ``unit`` (inputs and parameters; outputs are calculated and have none).
