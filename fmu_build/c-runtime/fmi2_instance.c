@@ -62,7 +62,7 @@ void flex_enter_phase(flex_instance *instance, flex_phase phase) {
 flex_instance *flex_checked(fmi2Component component, flex_call_id call) {
   flex_instance *instance = component;
   if (!instance) return NULL;
-  if (calls[call].phases & flex_phase_of(instance)) return instance;
+  if (calls[call].phases & (int)flex_phase_of(instance)) return instance;
   flex_log(instance, fmi2Error, LOG_ERROR, "%s must not be called in the state '%s'", calls[call].name,
            phase_name(flex_phase_of(instance)));
   return NULL;

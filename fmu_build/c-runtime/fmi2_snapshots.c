@@ -6,13 +6,20 @@
 typedef struct {
   unsigned long long signature; /* of model and layout */
   unsigned long long size;      /* bytes that follow */
+  unsigned long long checksum;  /* of these bytes, once they are serialized */
+  unsigned long long unused;    /* keeps what follows aligned for any type */
 } flex_snapshot;
 
-// FNV-1a hash of the model's GUID and the size of its state (Fowler, Noll, Vo)
-static unsigned long long signature_of(const flex_plant *plant) {
+// FNV-1a hash (Fowler, Noll, Vo)
+static unsigned long long hash_of(const void *bytes, size_t size) {
+  const unsigned char *byte = bytes;
   unsigned long long hash = 14695981039346656037ULL;
-  for (const char *c = plant->model->guid; *c; c++) hash = (hash ^ (unsigned char)*c) * 1099511628211ULL;
-  return (hash ^ plant->state_size) * 1099511628211ULL;
+  for (size_t i = 0; i < size; i++) hash = (hash ^ byte[i]) * 1099511628211ULL;
+  return hash;
+}
+
+static unsigned long long signature_of(const flex_plant *plant) {
+  return hash_of(plant->model->guid, strlen(plant->model->guid)) ^ plant->state_size;
 }
 
 static size_t snapshot_size(const flex_plant *plant) {
@@ -43,6 +50,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
   if (!snapshot) return flex_log(instance, fmi2Error, LOG_ERROR, "out of memory for an FMU state");
   snapshot->signature = signature_of(plant);
   snapshot->size = plant->state_size;
+  snapshot->checksum = snapshot->unused = 0;
   memcpy(content(snapshot), plant->record, plant->state_size);
   *FMUstate = snapshot;
   return fmi2OK;
@@ -79,7 +87,10 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
   if (size < needed)
     return flex_log(instance, fmi2Error, LOG_ERROR, "a serialized FMU state needs %lu bytes, got room for %lu",
                     (unsigned long)needed, (unsigned long)size);
+  flex_snapshot header = *(flex_snapshot *)FMUstate;
+  header.checksum = hash_of(content(FMUstate), instance->plant->state_size);
   memcpy(serializedState, FMUstate, needed);
+  memcpy(serializedState, &header, sizeof header);
   return fmi2OK;
 }
 
@@ -88,13 +99,15 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
   if (!instance) return fmi2Error;
 
   // check the header before anything is allocated
-  flex_snapshot header = {0, 0};
+  flex_snapshot header = {0, 0, 0, 0};
   size_t needed = snapshot_size(instance->plant);
   if (size >= sizeof header) memcpy(&header, serializedState, sizeof header);
   if (!fits(instance, &header)) return fmi2Error;
   if (size < needed)
     return flex_log(instance, fmi2Error, LOG_ERROR, "a serialized FMU state has %lu bytes, got %lu", (unsigned long)needed,
                     (unsigned long)size);
+  if (hash_of(serializedState + sizeof header, instance->plant->state_size) != header.checksum)
+    return flex_log(instance, fmi2Error, LOG_ERROR, "the serialized FMU state has been changed, its checksum is wrong");
   flex_snapshot *snapshot = flex_allocate(&instance->callbacks, needed);
   if (!snapshot) return flex_log(instance, fmi2Error, LOG_ERROR, "out of memory for an FMU state");
   memcpy(snapshot, serializedState, needed);

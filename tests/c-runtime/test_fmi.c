@@ -372,6 +372,10 @@ void test_fmi_states_travel_between_instances(void) {
   fmi2FMUstate none = NULL;
   CHECK(fmi2DeSerializeFMUstate(other, bytes, size - 1, &none) == fmi2Error && none == NULL);
   CHECK(fmi2DeSerializeFMUstate(other, bytes, 3, &none) == fmi2Error && none == NULL);
+  bytes[size / 2] ^= 1;
+  CHECK(fmi2DeSerializeFMUstate(other, bytes, size, &none) == fmi2Error && none == NULL);
+  CHECK(strstr(other_ear.message, "checksum is wrong") != NULL);
+  bytes[size / 2] ^= 1;
   bytes[0] ^= 1;
   CHECK(fmi2DeSerializeFMUstate(other, bytes, size, &none) == fmi2Error && none == NULL);
   CHECK(strstr(other_ear.message, "does not belong") != NULL);
