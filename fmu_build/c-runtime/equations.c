@@ -8,10 +8,10 @@ static void widen(const flex_function *function, int *n_arg, int *n_res, int *n_
 }
 
 void flex_equations_take(flex_equations *equations, const flex_model *model, flex_arena *arena) {
-  const flex_function *functions[] = {
-      &model->derive,        &model->initial_inputs, &model->residual,     &model->mass_matrix,
-      &model->outputs,       &model->residual_rate,  &model->residual_rate2, &model->outputs_rate,
-      &model->outputs_rate2, &model->singularity,    &model->error_scale};
+  const flex_function *functions[] = {&model->derive,         &model->initial_inputs, &model->residual,
+                                      &model->mass_matrix,    &model->outputs,        &model->residual_rate,
+                                      &model->residual_rate2, &model->outputs_rate,   &model->outputs_rate2,
+                                      &model->singularity,    &model->error_scale};
 
   // the largest work space that any function needs, at least room for the arguments
   int n_arg = 9, n_res = 1, n_iw = 1, n_w = 1;

@@ -73,6 +73,8 @@ void *flex_allocate(const fmi2CallbackFunctions *callbacks, size_t size) {
 }
 
 void flex_release(const fmi2CallbackFunctions *callbacks, void *memory) {
-  if (callbacks->freeMemory) callbacks->freeMemory(memory);
-  else free(memory);
+  if (callbacks->freeMemory)
+    callbacks->freeMemory(memory);
+  else
+    free(memory);
 }

@@ -100,9 +100,11 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
 
   if (toleranceDefined && !(tolerance > 0.0 && tolerance < 1.0))
     return flex_log(instance, fmi2Error, LOG_ERROR, "the relative tolerance must be between 0 and 1, got %g", tolerance);
-  if (!isfinite(startTime)) return flex_log(instance, fmi2Error, LOG_ERROR, "the start time must be finite, got %g s", startTime);
+  if (!isfinite(startTime))
+    return flex_log(instance, fmi2Error, LOG_ERROR, "the start time must be finite, got %g s", startTime);
   if (stopTimeDefined && !(stopTime > startTime))
-    return flex_log(instance, fmi2Error, LOG_ERROR, "the stop time must be after the start time %g s, got %g s", startTime, stopTime);
+    return flex_log(instance, fmi2Error, LOG_ERROR, "the stop time must be after the start time %g s, got %g s", startTime,
+                    stopTime);
 
   flex_plant_set_start_time(instance->plant, startTime);
   record->has_stop_time = stopTimeDefined != 0;
@@ -111,8 +113,8 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
   record->tolerance = tolerance;
   if (tolerance >= LEAST_TOLERANCE) return fmi2OK;
   record->tolerance = LEAST_TOLERANCE;
-  return flex_log(instance, fmi2Warning, LOG_WARNING, "the relative tolerance %g is beyond double precision, %g is used", tolerance,
-                  LEAST_TOLERANCE);
+  return flex_log(instance, fmi2Warning, LOG_WARNING, "the relative tolerance %g is beyond double precision, %g is used",
+                  tolerance, LEAST_TOLERANCE);
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {

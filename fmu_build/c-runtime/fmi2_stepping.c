@@ -16,11 +16,13 @@ static double time_slack(double time, double step) {
 static int is_possible(const flex_instance *instance, double point, double step) {
   const flex_plant_record *record = instance->plant->record;
   if (!isfinite(point) || !isfinite(step) || !(step > 0.0)) {
-    flex_log(instance, fmi2Error, LOG_ERROR, "the communication step size must be positive and finite, got %g s at %.9g s", step, point);
+    flex_log(instance, fmi2Error, LOG_ERROR, "the communication step size must be positive and finite, got %g s at %.9g s",
+             step, point);
     return 0;
   }
   if (fabs(point - record->time) > time_slack(record->time, step)) {
-    flex_log(instance, fmi2Error, LOG_ERROR, "the communication point must be the present time %.17g s, got %.17g s", record->time, point);
+    flex_log(instance, fmi2Error, LOG_ERROR, "the communication point must be the present time %.17g s, got %.17g s",
+             record->time, point);
     return 0;
   }
   if (!(point + step > point)) {
@@ -28,7 +30,8 @@ static int is_possible(const flex_instance *instance, double point, double step)
     return 0;
   }
   if (record->has_stop_time && point + step > record->stop_time + time_slack(record->stop_time, step)) {
-    flex_log(instance, fmi2Error, LOG_ERROR, "a step of %g s from %.17g s goes beyond the stop time %.17g s", step, point, record->stop_time);
+    flex_log(instance, fmi2Error, LOG_ERROR, "a step of %g s from %.17g s goes beyond the stop time %.17g s", step, point,
+             record->stop_time);
     return 0;
   }
   return 1;

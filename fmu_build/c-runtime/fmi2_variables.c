@@ -76,8 +76,8 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
   return fmi2OK;
 }
 
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer order[],
-                                        fmi2Real value[]) {
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                        const fmi2Integer order[], fmi2Real value[]) {
   flex_instance *instance = flex_checked(c, call_fmi2GetRealOutputDerivatives);
   if (!instance) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
@@ -91,5 +91,6 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
   (void)vUnknown_ref, (void)nUnknown, (void)vKnown_ref, (void)nKnown, (void)dvKnown, (void)dvUnknown;
   flex_instance *instance = flex_checked(c, call_fmi2GetDirectionalDerivative);
   if (!instance) return fmi2Error;
-  return flex_log(instance, fmi2Error, LOG_ERROR, "this FMU provides no directional derivatives, as its model description says");
+  return flex_log(instance, fmi2Error, LOG_ERROR,
+                  "this FMU provides no directional derivatives, as its model description says");
 }

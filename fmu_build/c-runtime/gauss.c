@@ -184,7 +184,8 @@ static flex_outcome finish(flex_gauss *gauss, double t, double h, double *margin
 static flex_outcome solve(flex_gauss *gauss, double t, double h, double allowed) {
   const flex_gauss_record *record = gauss->record;
   double share = record->step > h ? h / record->step : 1.0;
-  return flex_stages_solve(&gauss->stages, t, h, gauss->y, gauss->v, gauss->a, record->scale, NEWTON_SHARE * share * allowed);
+  return flex_stages_solve(&gauss->stages, t, h, gauss->y, gauss->v, gauss->a, record->scale,
+                           NEWTON_SHARE * share * allowed);
 }
 
 // the cheap estimate: acceleration at the start against the polynomial of the stages, without what stiff modes add

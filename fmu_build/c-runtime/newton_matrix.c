@@ -41,8 +41,8 @@ static double coordinate_scale(double scale, double weight) {
 }
 
 // one column of dr/dx: x is the y or the v of the matrix, r the residual there
-static int difference_column(flex_newton_matrix *matrix, flex_equations *equations, const double *a, const double *u, double *x,
-                             int i, double size, double *column) {
+static int difference_column(flex_newton_matrix *matrix, flex_equations *equations, const double *a, const double *u,
+                             double *x, int i, double size, double *column) {
   double kept = x[i];
   x[i] = kept + DIFFERENCE * fmax(size, fabs(kept));
   double step = x[i] - kept;
@@ -52,8 +52,9 @@ static int difference_column(flex_newton_matrix *matrix, flex_equations *equatio
   return refused;
 }
 
-int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *v, const double *a,
-                        const double *u, const double *position_weight, const double *rate_weight, double scale) {
+int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *v,
+                        const double *a, const double *u, const double *position_weight, const double *rate_weight,
+                        double scale) {
   int n = matrix->n;
   memcpy(matrix->y, y, (size_t)n * sizeof *y);
   memcpy(matrix->v, v, (size_t)n * sizeof *v);
@@ -142,8 +143,7 @@ static void solve_complex(flex_newton_matrix *matrix, int block, const double *x
   }
   flex_complex_lu_solve(n, factors_of(matrix, block), pivots_of(matrix, block), component);
   for (int i = 0; i < s; i++)
-    for (int c = 0; c < n; c++)
-      sum[i * n + c] += z->right[i][0] * component[2 * c] - z->right[i][1] * component[2 * c + 1];
+    for (int c = 0; c < n; c++) sum[i * n + c] += z->right[i][0] * component[2 * c] - z->right[i][1] * component[2 * c + 1];
 }
 
 void flex_newton_solve(flex_newton_matrix *matrix, double *x) {

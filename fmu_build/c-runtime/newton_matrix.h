@@ -37,8 +37,9 @@ void flex_newton_clear(flex_newton_matrix *matrix);
 
 /* M, D, K at a point by differences. position_weight, rate_weight, scale: the error norm and the size of the motion in it,
  * which give each coordinate its own difference. Returns 0, or 1 if the model refused to be evaluated. */
-int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *v, const double *a,
-                        const double *u, const double *position_weight, const double *rate_weight, double scale);
+int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *v,
+                        const double *a, const double *u, const double *position_weight, const double *rate_weight,
+                        double scale);
 
 /* factors for the step size h, unless those that are there do. Returns 0, or 1 if a matrix is singular. */
 int flex_newton_factor(flex_newton_matrix *matrix, double h);

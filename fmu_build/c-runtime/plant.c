@@ -159,7 +159,8 @@ static flex_failure need_start(flex_plant *plant) {
   flex_gauss *gauss = &plant->gauss;
   double value = 0.0;
   flex_outcome outcome = need_derived(plant);
-  if (outcome != FLEX_DONE || record->is_moving || (record->have & FLEX_HAVE_START)) return outcome_now(plant, outcome, value);
+  if (outcome != FLEX_DONE || record->is_moving || (record->have & FLEX_HAVE_START))
+    return outcome_now(plant, outcome, value);
 
   // at rest in the undeformed pose, which must be admissible
   size_t size = (size_t)model->n * sizeof(double);
@@ -172,7 +173,8 @@ static flex_failure need_start(flex_plant *plant) {
 
   // deflected by the static loads
   if (outcome == FLEX_DONE && record->starts_static)
-    outcome = flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *gauss->floor, plant->u, gauss->y, &value);
+    outcome =
+        flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *gauss->floor, plant->u, gauss->y, &value);
   if (outcome != FLEX_DONE) return outcome_now(plant, outcome, value);
   choose_stages(plant);
   flex_gauss_start(gauss);
@@ -204,8 +206,10 @@ static flex_failure need_acceleration(flex_plant *plant) {
   memcpy(plant->u, plant->u1, size);
   record->have &= ~POINT;
   flex_outcome outcome = flex_gauss_accelerate(&plant->gauss, plant->u);
-  if (outcome == FLEX_DONE) record->have |= FLEX_HAVE_ACCELERATION;
-  else record->inputs_changed = 1;
+  if (outcome == FLEX_DONE)
+    record->have |= FLEX_HAVE_ACCELERATION;
+  else
+    record->inputs_changed = 1;
   return outcome_now(plant, outcome, 0.0);
 }
 

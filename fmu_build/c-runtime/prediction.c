@@ -15,7 +15,8 @@ static void interpolate(int n, int n_nodes, const double *nodes, const double *c
   }
 }
 
-void flex_predict(int n, const flex_tableau *tableau, const flex_history *history, double first, double ratio, double *prediction) {
+void flex_predict(int n, const flex_tableau *tableau, const flex_history *history, double first, double ratio,
+                  double *prediction) {
   int s = tableau->stages, n_nodes = history->end ? s + 2 : s + 1;
   double nodes[FLEX_MAX_STAGES + 2];
   const double *values[FLEX_MAX_STAGES + 2];

@@ -10,7 +10,8 @@ typedef struct {
 } flex_history;
 
 /* prediction [stages n] at first + ratio c_i, in units of the step that the history is about: 1 and h'/h for the next one */
-void flex_predict(int n, const flex_tableau *tableau, const flex_history *history, double first, double ratio, double *prediction);
+void flex_predict(int n, const flex_tableau *tableau, const flex_history *history, double first, double ratio,
+                  double *prediction);
 
 /* growth of the error of a prediction for a step h after one of size history: the product of the distances to the nodes */
 double flex_prediction_reach(const flex_tableau *tableau, double history, double h);

@@ -140,7 +140,8 @@ static int is_worn(const flex_stages *stages) {
 }
 
 // matrix at the start of the step, with the inputs at its middle
-static int refresh(flex_stages *stages, double t, double h, const double *y, const double *v, const double *a, double scale) {
+static int refresh(flex_stages *stages, double t, double h, const double *y, const double *v, const double *a,
+                   double scale) {
   flex_stages_record *record = stages->record;
   flex_inputs_evaluate(stages->inputs, t, 0.5 * h, stages->u);
   record->excess_iterations = 0.0;
@@ -184,6 +185,7 @@ flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const do
     // one more attempt with a fresh matrix and the plainest prediction, if the matrix was an old one
     flex_newton_clear(&stages->matrix);
     if (was_fresh) return outcome;
-    for (int i = 0; i < tableau->stages; i++) memcpy(stages->acceleration + i * stages->n, a0, (size_t)stages->n * sizeof *a0);
+    for (int i = 0; i < tableau->stages; i++)
+      memcpy(stages->acceleration + i * stages->n, a0, (size_t)stages->n * sizeof *a0);
   }
 }

@@ -61,8 +61,8 @@ static int correct(flex_statics *statics, flex_equations *equations, const doubl
 }
 
 // largest damped step that makes the next correction smaller; 0 if there is none
-static double damped_step(flex_statics *statics, flex_equations *equations, const double *weight, double size, const double *u,
-                          const double *y) {
+static double damped_step(flex_statics *statics, flex_equations *equations, const double *weight, double size,
+                          const double *u, const double *y) {
   int n = equations->model->n;
   for (double damping = 1.0; damping >= LEAST_DAMPING; damping *= 0.5) {
     for (int i = 0; i < n; i++) statics->trial[i] = y[i] - damping * statics->correction[i];

@@ -18,18 +18,19 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
   const flex_model *model = plant->model;
   double t = failure->time, value = failure->value;
   switch (failure->outcome) {
-    case FLEX_DONE:
-      plant->message[0] = '\0';
-      break;
+    case FLEX_DONE: plant->message[0] = '\0'; break;
     case FLEX_INACCURATE:
-      refuse(plant, "%s: at %.9g s no step size meets the relative tolerance %.3g, the error stays at %.3g; loosen the tolerance",
+      refuse(plant,
+             "%s: at %.9g s no step size meets the relative tolerance %.3g, the error stays at %.3g; loosen the tolerance",
              what, t, plant->record->tolerance, value);
       break;
     case FLEX_NO_CONVERGENCE:
-      refuse(plant, "%s: at %.9g s the equations of motion cannot be solved for any step size; check inputs and parameters", what, t);
+      refuse(plant, "%s: at %.9g s the equations of motion cannot be solved for any step size; check inputs and parameters",
+             what, t);
       break;
     case FLEX_NOT_FINITE:
-      refuse(plant, "%s: at %.9g s the model gives no finite number; check that the mechanism can be assembled there", what, t);
+      refuse(plant, "%s: at %.9g s the model gives no finite number; check that the mechanism can be assembled there", what,
+             t);
       break;
     case FLEX_NOT_DEFINITE:
       refuse(plant, "%s: at %.9g s the mass matrix is not positive definite; check masses and lengths", what, t);
@@ -39,7 +40,8 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
              model->margin_name, value, model->minimum_margin);
       break;
     case FLEX_NO_EQUILIBRIUM:
-      refuse(plant, "%s: at %.9g s no static equilibrium was found, the last correction was %.3g; start undeformed (initial = 2)",
+      refuse(plant,
+             "%s: at %.9g s no static equilibrium was found, the last correction was %.3g; start undeformed (initial = 2)",
              what, t, value);
       break;
     case FLEX_BAD_SCALE:
@@ -133,10 +135,12 @@ int flex_get_integer(flex_plant *plant, unsigned index, int *value) {
 int flex_set_integer(flex_plant *plant, unsigned index, int value) {
   if (index >= FLEX_N_INTEGERS)
     return refuse(plant, "value reference %u of an integer variable is unknown; there are %d", index, FLEX_N_INTEGERS);
-  if (index != FLEX_INITIAL) return refuse(plant, "integer variable %u counts the integrator's work, it cannot be set", index);
+  if (index != FLEX_INITIAL)
+    return refuse(plant, "integer variable %u counts the integrator's work, it cannot be set", index);
   if (value != FLEX_STATIC && value != FLEX_UNDEFORMED)
     return refuse(plant, "initial must be 1 (static) or 2 (undeformed), got %d", value);
-  if (plant->record->is_moving) return refuse(plant, "initial is fixed once the motion has begun; reset the instance to change it");
+  if (plant->record->is_moving)
+    return refuse(plant, "initial is fixed once the motion has begun; reset the instance to change it");
   plant->record->starts_static = value == FLEX_STATIC;
   flex_plant_start_changed(plant);
   return 0;
@@ -161,7 +165,8 @@ int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, dou
   if (!is_known(plant, index)) return 1;
   if (index < first) return refuse(plant, "value reference %u is no output, it has no derivatives", index);
   if (order < 1 || order > 2)
-    return refuse(plant, "derivatives of %s are of order 1 or 2, got order %d", model->output_variables[index - first].name, order);
+    return refuse(plant, "derivatives of %s are of order 1 or 2, got order %d", model->output_variables[index - first].name,
+                  order);
   if (failed(plant, "computing output derivatives", flex_plant_need_rates(plant, order))) return 1;
   *value = (order == 1 ? plant->first_rates : plant->second_rates)[index - first];
   return 0;

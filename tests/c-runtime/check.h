@@ -6,31 +6,31 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#define CHECK(condition)                                                   \
-  do {                                                                     \
-    if (!(condition)) {                                                    \
-      printf("%s:%d: not true: %s\n", __FILE__, __LINE__, #condition);     \
-      exit(1);                                                             \
-    }                                                                      \
+#define CHECK(condition)                                               \
+  do {                                                                 \
+    if (!(condition)) {                                                \
+      printf("%s:%d: not true: %s\n", __FILE__, __LINE__, #condition); \
+      exit(1);                                                         \
+    }                                                                  \
   } while (0)
 
-#define CHECK_CLOSE(value, expected, tolerance)                                                            \
-  do {                                                                                                     \
-    double value_ = (value), expected_ = (expected), tolerance_ = (tolerance);                             \
-    if (!(fabs(value_ - expected_) <= tolerance_)) {                                                       \
-      printf("%s:%d: %s = %.17g differs from %.17g by %.3g, allowed %.3g\n", __FILE__, __LINE__, #value,   \
-             value_, expected_, value_ - expected_, tolerance_);                                           \
-      exit(1);                                                                                             \
-    }                                                                                                      \
+#define CHECK_CLOSE(value, expected, tolerance)                                                                             \
+  do {                                                                                                                      \
+    double value_ = (value), expected_ = (expected), tolerance_ = (tolerance);                                              \
+    if (!(fabs(value_ - expected_) <= tolerance_)) {                                                                        \
+      printf("%s:%d: %s = %.17g differs from %.17g by %.3g, allowed %.3g\n", __FILE__, __LINE__, #value, value_, expected_, \
+             value_ - expected_, tolerance_);                                                                               \
+      exit(1);                                                                                                              \
+    }                                                                                                                       \
   } while (0)
 
-#define CHECK_BETWEEN(value, low, high)                                                                    \
-  do {                                                                                                     \
-    double value_ = (value);                                                                               \
-    if (!(value_ >= (low) && value_ <= (high))) {                                                          \
+#define CHECK_BETWEEN(value, low, high)                                                                                   \
+  do {                                                                                                                    \
+    double value_ = (value);                                                                                              \
+    if (!(value_ >= (low) && value_ <= (high))) {                                                                         \
       printf("%s:%d: %s = %.6g is not in %g .. %g\n", __FILE__, __LINE__, #value, value_, (double)(low), (double)(high)); \
-      exit(1);                                                                                             \
-    }                                                                                                      \
+      exit(1);                                                                                                            \
+    }                                                                                                                     \
   } while (0)
 
 #endif

@@ -68,7 +68,8 @@ static int oscillators_inputs(in arg, out res, int *iw, double *w, int mem) {
 }
 
 // x'' + 2 zeta w x' + w^2 (x - u) in the mixed frame
-static void oscillators_balance(const double *y, const double *v, const double *a, const double *u, const double *d, double *r) {
+static void oscillators_balance(const double *y, const double *v, const double *a, const double *u, const double *d,
+                                double *r) {
   double f[3];
   for (int k = 0; k < 3; k++) {
     double q = 0.0, p = 0.0;
@@ -138,26 +139,44 @@ static int oscillators_scale(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-static const flex_variable oscillator_inputs[] = {
-    {"equilibrium1", "m", 0.0, LIMITLESS, 0}, {"equilibrium2", "m", 0.0, LIMITLESS, 0}, {"equilibrium3", "m", 0.0, LIMITLESS, 0}};
+static const flex_variable oscillator_inputs[] = {{"equilibrium1", "m", 0.0, LIMITLESS, 0},
+                                                  {"equilibrium2", "m", 0.0, LIMITLESS, 0},
+                                                  {"equilibrium3", "m", 0.0, LIMITLESS, 0}};
 static const flex_variable oscillator_parameters[] = {{"frequency1", "rad/s", 1.0, 0.0, 1e9, 0},
                                                       {"frequency2", "rad/s", 3.0, 0.0, 1e9, 0},
                                                       {"frequency3", "rad/s", 7.0, 0.0, 1e9, 0},
                                                       {"damping.ratio", "1", 0.0, 0.0, 10.0, 1}};
 static const flex_variable oscillator_outputs[] = {
-    {"y1", "m", 0.0, LIMITLESS, 0},   {"y2", "m", 0.0, LIMITLESS, 0},   {"y3", "m", 0.0, LIMITLESS, 0},
-    {"v1", "m/s", 0.0, LIMITLESS, 0}, {"v2", "m/s", 0.0, LIMITLESS, 0}, {"v3", "m/s", 0.0, LIMITLESS, 0},
+    {"y1", "m", 0.0, LIMITLESS, 0},    {"y2", "m", 0.0, LIMITLESS, 0},    {"y3", "m", 0.0, LIMITLESS, 0},
+    {"v1", "m/s", 0.0, LIMITLESS, 0},  {"v2", "m/s", 0.0, LIMITLESS, 0},  {"v3", "m/s", 0.0, LIMITLESS, 0},
     {"a1", "m/s2", 0.0, LIMITLESS, 0}, {"a2", "m/s2", 0.0, LIMITLESS, 0}, {"a3", "m/s2", 0.0, LIMITLESS, 0}};
 
-const flex_model oscillators = {
-    .name = "oscillators", .guid = "{oscillators}", .n = 3, .n_inputs = 3, .n_parameters = 4, .n_derived = 4, .n_outputs = 9,
-    .max_input_order = 9, .input_variables = oscillator_inputs, .parameter_variables = oscillator_parameters,
-    .output_variables = oscillator_outputs, .static_start = 1, .default_tolerance = 1e-6, .minimum_margin = 0.0,
-    .margin_name = "margin", .derive = FUNCTION(oscillators_derive), .initial_inputs = FUNCTION(oscillators_inputs),
-    .residual = FUNCTION(oscillators_residual), .mass_matrix = FUNCTION(oscillators_mass), .outputs = FUNCTION(oscillators_outputs),
-    .residual_rate = FUNCTION(oscillators_residual_rate), .residual_rate2 = FUNCTION(oscillators_residual_rate2),
-    .outputs_rate = FUNCTION(oscillators_outputs_rate), .outputs_rate2 = FUNCTION(oscillators_outputs_rate2),
-    .singularity = FUNCTION(ample_margin), .error_scale = FUNCTION(oscillators_scale)};
+const flex_model oscillators = {.name = "oscillators",
+                                .guid = "{oscillators}",
+                                .n = 3,
+                                .n_inputs = 3,
+                                .n_parameters = 4,
+                                .n_derived = 4,
+                                .n_outputs = 9,
+                                .max_input_order = 9,
+                                .input_variables = oscillator_inputs,
+                                .parameter_variables = oscillator_parameters,
+                                .output_variables = oscillator_outputs,
+                                .static_start = 1,
+                                .default_tolerance = 1e-6,
+                                .minimum_margin = 0.0,
+                                .margin_name = "margin",
+                                .derive = FUNCTION(oscillators_derive),
+                                .initial_inputs = FUNCTION(oscillators_inputs),
+                                .residual = FUNCTION(oscillators_residual),
+                                .mass_matrix = FUNCTION(oscillators_mass),
+                                .outputs = FUNCTION(oscillators_outputs),
+                                .residual_rate = FUNCTION(oscillators_residual_rate),
+                                .residual_rate2 = FUNCTION(oscillators_residual_rate2),
+                                .outputs_rate = FUNCTION(oscillators_outputs_rate),
+                                .outputs_rate2 = FUNCTION(oscillators_outputs_rate2),
+                                .singularity = FUNCTION(ample_margin),
+                                .error_scale = FUNCTION(oscillators_scale)};
 
 /* pendulum */
 
@@ -204,14 +223,28 @@ static int pendulum_energy_rate2(in arg, out res, int *iw, double *w, int mem) {
 static const flex_variable torque_input[] = {{"torque", "N.m", 0.0, -10.0, 10.0, 0}};
 static const flex_variable energy_output[] = {{"energy", "J", 0.0, LIMITLESS, 0}};
 
-const flex_model pendulum = {
-    .name = "pendulum", .guid = "{pendulum}", .n = 1, .n_inputs = 1, .n_outputs = 1, .max_input_order = 9,
-    .input_variables = torque_input, .output_variables = energy_output, .static_start = 1, .default_tolerance = 1e-6,
-    .margin_name = "margin", .derive = FUNCTION(nothing_to_derive), .initial_inputs = FUNCTION(zero_input),
-    .residual = FUNCTION(pendulum_residual), .mass_matrix = FUNCTION(unit_mass_1), .outputs = FUNCTION(pendulum_energy),
-    .residual_rate = FUNCTION(pendulum_residual_rate), .residual_rate2 = FUNCTION(pendulum_residual_rate2),
-    .outputs_rate = FUNCTION(pendulum_energy_rate), .outputs_rate2 = FUNCTION(pendulum_energy_rate2),
-    .singularity = FUNCTION(ample_margin), .error_scale = FUNCTION(unit_scale_1)};
+const flex_model pendulum = {.name = "pendulum",
+                             .guid = "{pendulum}",
+                             .n = 1,
+                             .n_inputs = 1,
+                             .n_outputs = 1,
+                             .max_input_order = 9,
+                             .input_variables = torque_input,
+                             .output_variables = energy_output,
+                             .static_start = 1,
+                             .default_tolerance = 1e-6,
+                             .margin_name = "margin",
+                             .derive = FUNCTION(nothing_to_derive),
+                             .initial_inputs = FUNCTION(zero_input),
+                             .residual = FUNCTION(pendulum_residual),
+                             .mass_matrix = FUNCTION(unit_mass_1),
+                             .outputs = FUNCTION(pendulum_energy),
+                             .residual_rate = FUNCTION(pendulum_residual_rate),
+                             .residual_rate2 = FUNCTION(pendulum_residual_rate2),
+                             .outputs_rate = FUNCTION(pendulum_energy_rate),
+                             .outputs_rate2 = FUNCTION(pendulum_energy_rate2),
+                             .singularity = FUNCTION(ample_margin),
+                             .error_scale = FUNCTION(unit_scale_1)};
 
 /* orbit */
 
@@ -242,14 +275,27 @@ static int unknown_rates(in arg, out res, int *iw, double *w, int mem) {
   return 1;
 }
 
-static const flex_variable invariant_outputs[] = {{"energy", "J", 0.0, LIMITLESS, 0}, {"momentum", "kg.m2/s", 0.0, LIMITLESS, 0}};
+static const flex_variable invariant_outputs[] = {{"energy", "J", 0.0, LIMITLESS, 0},
+                                                  {"momentum", "kg.m2/s", 0.0, LIMITLESS, 0}};
 
-const flex_model orbit = {
-    .name = "orbit", .guid = "{orbit}", .n = 2, .n_outputs = 2, .output_variables = invariant_outputs, .default_tolerance = 1e-6,
-    .margin_name = "margin", .derive = FUNCTION(nothing_to_derive), .initial_inputs = FUNCTION(no_inputs),
-    .residual = FUNCTION(orbit_residual), .mass_matrix = FUNCTION(orbit_mass), .outputs = FUNCTION(orbit_invariants),
-    .residual_rate = FUNCTION(unknown_rates), .residual_rate2 = FUNCTION(unknown_rates), .outputs_rate = FUNCTION(unknown_rates),
-    .outputs_rate2 = FUNCTION(unknown_rates), .singularity = FUNCTION(ample_margin), .error_scale = FUNCTION(unit_scale_2)};
+const flex_model orbit = {.name = "orbit",
+                          .guid = "{orbit}",
+                          .n = 2,
+                          .n_outputs = 2,
+                          .output_variables = invariant_outputs,
+                          .default_tolerance = 1e-6,
+                          .margin_name = "margin",
+                          .derive = FUNCTION(nothing_to_derive),
+                          .initial_inputs = FUNCTION(no_inputs),
+                          .residual = FUNCTION(orbit_residual),
+                          .mass_matrix = FUNCTION(orbit_mass),
+                          .outputs = FUNCTION(orbit_invariants),
+                          .residual_rate = FUNCTION(unknown_rates),
+                          .residual_rate2 = FUNCTION(unknown_rates),
+                          .outputs_rate = FUNCTION(unknown_rates),
+                          .outputs_rate2 = FUNCTION(unknown_rates),
+                          .singularity = FUNCTION(ample_margin),
+                          .error_scale = FUNCTION(unit_scale_2)};
 
 /* double pendulum with angles y from the vertical */
 
@@ -276,13 +322,24 @@ static int double_pendulum_energy(in arg, out res, int *iw, double *w, int mem) 
   return 0;
 }
 
-const flex_model double_pendulum = {
-    .name = "double_pendulum", .guid = "{double_pendulum}", .n = 2, .n_outputs = 1, .output_variables = energy_output,
-    .default_tolerance = 1e-6, .margin_name = "margin", .derive = FUNCTION(nothing_to_derive), .initial_inputs = FUNCTION(no_inputs),
-    .residual = FUNCTION(double_pendulum_residual), .mass_matrix = FUNCTION(double_pendulum_mass),
-    .outputs = FUNCTION(double_pendulum_energy), .residual_rate = FUNCTION(unknown_rates), .residual_rate2 = FUNCTION(unknown_rates),
-    .outputs_rate = FUNCTION(unknown_rates), .outputs_rate2 = FUNCTION(unknown_rates), .singularity = FUNCTION(ample_margin),
-    .error_scale = FUNCTION(unit_scale_2)};
+const flex_model double_pendulum = {.name = "double_pendulum",
+                                    .guid = "{double_pendulum}",
+                                    .n = 2,
+                                    .n_outputs = 1,
+                                    .output_variables = energy_output,
+                                    .default_tolerance = 1e-6,
+                                    .margin_name = "margin",
+                                    .derive = FUNCTION(nothing_to_derive),
+                                    .initial_inputs = FUNCTION(no_inputs),
+                                    .residual = FUNCTION(double_pendulum_residual),
+                                    .mass_matrix = FUNCTION(double_pendulum_mass),
+                                    .outputs = FUNCTION(double_pendulum_energy),
+                                    .residual_rate = FUNCTION(unknown_rates),
+                                    .residual_rate2 = FUNCTION(unknown_rates),
+                                    .outputs_rate = FUNCTION(unknown_rates),
+                                    .outputs_rate2 = FUNCTION(unknown_rates),
+                                    .singularity = FUNCTION(ample_margin),
+                                    .error_scale = FUNCTION(unit_scale_2)};
 
 /* rigid: u, u' and u'' of the input are all there is */
 
@@ -319,13 +376,28 @@ static int unit_floor(in arg, out res, int *iw, double *w, int mem) {
 static const flex_variable angle_input[] = {{"angle", "rad", 0.0, LIMITLESS, 0}};
 static const flex_variable square_output[] = {{"square", "rad2", 0.0, LIMITLESS, 0}};
 
-const flex_model rigid = {
-    .name = "rigid", .guid = "{rigid}", .n_inputs = 1, .n_outputs = 1, .max_input_order = 9, .input_variables = angle_input,
-    .output_variables = square_output, .static_start = 1, .default_tolerance = 1e-6, .minimum_margin = 0.0,
-    .margin_name = "distance to the wall", .derive = FUNCTION(nothing_to_derive), .initial_inputs = FUNCTION(zero_input),
-    .residual = FUNCTION(no_inputs), .mass_matrix = FUNCTION(no_inputs), .outputs = FUNCTION(rigid_outputs),
-    .residual_rate = FUNCTION(no_inputs), .residual_rate2 = FUNCTION(no_inputs), .outputs_rate = FUNCTION(rigid_outputs_rate),
-    .outputs_rate2 = FUNCTION(rigid_outputs_rate2), .singularity = FUNCTION(margin_below_one), .error_scale = FUNCTION(unit_floor)};
+const flex_model rigid = {.name = "rigid",
+                          .guid = "{rigid}",
+                          .n_inputs = 1,
+                          .n_outputs = 1,
+                          .max_input_order = 9,
+                          .input_variables = angle_input,
+                          .output_variables = square_output,
+                          .static_start = 1,
+                          .default_tolerance = 1e-6,
+                          .minimum_margin = 0.0,
+                          .margin_name = "distance to the wall",
+                          .derive = FUNCTION(nothing_to_derive),
+                          .initial_inputs = FUNCTION(zero_input),
+                          .residual = FUNCTION(no_inputs),
+                          .mass_matrix = FUNCTION(no_inputs),
+                          .outputs = FUNCTION(rigid_outputs),
+                          .residual_rate = FUNCTION(no_inputs),
+                          .residual_rate2 = FUNCTION(no_inputs),
+                          .outputs_rate = FUNCTION(rigid_outputs_rate),
+                          .outputs_rate2 = FUNCTION(rigid_outputs_rate2),
+                          .singularity = FUNCTION(margin_below_one),
+                          .error_scale = FUNCTION(unit_floor)};
 
 /* fragile: d = limit, load */
 
@@ -378,20 +450,39 @@ static int margin_below_two(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-static const flex_variable fragile_parameters[] = {{"limit", "m", 10.0, -HUGE_VAL, 100.0, 0}, {"load", "N", 0.0, -5.0, 5.0, 1}};
+static const flex_variable fragile_parameters[] = {{"limit", "m", 10.0, -HUGE_VAL, 100.0, 0},
+                                                   {"load", "N", 0.0, -5.0, 5.0, 1}};
 static const flex_variable force_input[] = {{"force", "N", 0.0, -100.0, 100.0, 0}};
 static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS, 0}};
 
 // also the one that the FMI functions find
-#define FRAGILE_MODEL {  \
-  .name = "fragile", .guid = "{fragile}", .n = 1, .n_inputs = 1, .n_parameters = 2, .n_derived = 2, .n_outputs = 1, \
-  .max_input_order = 3, .input_variables = force_input, .parameter_variables = fragile_parameters, \
-  .output_variables = position_output, .static_start = 1, .default_tolerance = 1e-6, .minimum_margin = 0.5, \
-  .margin_name = "distance between the elbows (m)", .derive = FUNCTION(fragile_derive), .initial_inputs = FUNCTION(zero_input), \
-  .residual = FUNCTION(fragile_residual), .mass_matrix = FUNCTION(unit_mass_1), .outputs = FUNCTION(first_coordinate), \
-  .residual_rate = FUNCTION(fragile_residual_rate), .residual_rate2 = FUNCTION(fragile_residual_rate2), \
-  .outputs_rate = FUNCTION(second_argument), .outputs_rate2 = FUNCTION(third_argument), .singularity = FUNCTION(margin_below_two), \
-  .error_scale = FUNCTION(unit_scale_1)}
+#define FRAGILE_MODEL                                  \
+  {.name = "fragile",                                  \
+   .guid = "{fragile}",                                \
+   .n = 1,                                             \
+   .n_inputs = 1,                                      \
+   .n_parameters = 2,                                  \
+   .n_derived = 2,                                     \
+   .n_outputs = 1,                                     \
+   .max_input_order = 3,                               \
+   .input_variables = force_input,                     \
+   .parameter_variables = fragile_parameters,          \
+   .output_variables = position_output,                \
+   .static_start = 1,                                  \
+   .default_tolerance = 1e-6,                          \
+   .minimum_margin = 0.5,                              \
+   .margin_name = "distance between the elbows (m)",   \
+   .derive = FUNCTION(fragile_derive),                 \
+   .initial_inputs = FUNCTION(zero_input),             \
+   .residual = FUNCTION(fragile_residual),             \
+   .mass_matrix = FUNCTION(unit_mass_1),               \
+   .outputs = FUNCTION(first_coordinate),              \
+   .residual_rate = FUNCTION(fragile_residual_rate),   \
+   .residual_rate2 = FUNCTION(fragile_residual_rate2), \
+   .outputs_rate = FUNCTION(second_argument),          \
+   .outputs_rate2 = FUNCTION(third_argument),          \
+   .singularity = FUNCTION(margin_below_two),          \
+   .error_scale = FUNCTION(unit_scale_1)}
 
 const flex_model fragile = FRAGILE_MODEL;
 const flex_model flex_the_model = FRAGILE_MODEL;

@@ -11,12 +11,12 @@ flex_plant *make_plant(const flex_model *model, double tolerance) {
 }
 
 void free_plant(flex_plant *plant) {
-  free(plant);  // the plant lies at the beginning of its memory
+  free(plant); // the plant lies at the beginning of its memory
 }
 
 void begin_at(flex_plant *plant, const double *y, const double *v) {
   plant->record->starts_static = 0;
-  flex_plant_begin(plant);  // which may fail at the undeformed position, the origin
+  flex_plant_begin(plant); // which may fail at the undeformed position, the origin
   plant->record->is_moving = 1;
   memset(plant->gauss.a, 0, (size_t)plant->model->n * sizeof *y);
   memcpy(plant->gauss.y, y, (size_t)plant->model->n * sizeof *y);

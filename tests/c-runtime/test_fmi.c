@@ -17,7 +17,8 @@ typedef struct {
   int n_messages, n_allocations, n_live;
 } importer;
 
-static void hear(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category, fmi2String message, ...) {
+static void hear(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
+                 fmi2String message, ...) {
   importer *ear = environment;
   (void)name, (void)status;
   va_list arguments;
@@ -28,7 +29,7 @@ static void hear(fmi2ComponentEnvironment environment, fmi2String name, fmi2Stat
   ear->n_messages++;
 }
 
-static importer *payer;  // whose memory is being taken
+static importer *payer; // whose memory is being taken
 
 static void *give(size_t count, size_t size) {
   payer->n_allocations++;
@@ -414,7 +415,8 @@ void test_fmi_singularity_discards_the_step(void) {
 
   // the margin 2 - t reaches 0.5 at t = 1.5
   CHECK(fmi2DoStep(c, 1.0, 1.0, fmi2True) == fmi2Discard);
-  CHECK(strstr(ear.message, "distance between the elbows (m) is 0.") != NULL && strcmp(ear.category, "logStatusDiscard") == 0);
+  CHECK(strstr(ear.message, "distance between the elbows (m) is 0.") != NULL &&
+        strcmp(ear.category, "logStatusDiscard") == 0);
   double last, position;
   fmi2Status status;
   CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &last) == fmi2OK);

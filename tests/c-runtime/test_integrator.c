@@ -145,7 +145,8 @@ void test_stiff_modes_at_rest_cost_nothing(void) {
   const double soft[3] = {1.0, 3.0, 5.0}, stiff[3] = {1.0, 3.0, 1e6}, deflection[3] = {1.0, 0.2, 0.0};
   for (double tolerance = 1e-3; tolerance > 0.9e-7; tolerance *= 0.1)
     for (double damping = 0.0; damping < 0.3; damping += 0.2) {
-      flex_plant *plain = let_go(soft, damping, deflection, tolerance), *plant = let_go(stiff, damping, deflection, tolerance);
+      flex_plant *plain = let_go(soft, damping, deflection, tolerance),
+                 *plant = let_go(stiff, damping, deflection, tolerance);
       advance(plain, 0.0, TAU, 3);
       advance(plant, 0.0, TAU, 3);
       CHECK(plant->record->gauss.steps <= 2 * plain->record->gauss.steps + 10);
@@ -274,7 +275,7 @@ void test_energy_stays_over_many_steps(void) {
   const double tolerances[3] = {1e-5, 1e-8, 1e-11};
   for (int f = 0; f < 2; f++)
     for (int t = 0; t < 3; t++) {
-      if (f == 1 && t == 2) continue;  // would resolve 2000 rad/s to eleven digits
+      if (f == 1 && t == 2) continue; // would resolve 2000 rad/s to eleven digits
       flex_plant *plant = let_go(frequency[f], 0.0, deflection, tolerances[t]);
       double start = oscillator_energy(plant);
       advance(plant, 0.0, f == 0 ? 0.02 : 1e-4, 100000);

@@ -19,7 +19,8 @@ enum { SIZE = 9 };
 void test_linear_solvers_invert(void) {
   unsigned long seed = 7;
   for (int n = 1; n <= SIZE; n++) {
-    double a[SIZE * SIZE], lu[SIZE * SIZE], x[SIZE], b[SIZE], z[2 * SIZE * SIZE], zlu[2 * SIZE * SIZE], zx[2 * SIZE], zb[2 * SIZE];
+    double a[SIZE * SIZE], lu[SIZE * SIZE], x[SIZE], b[SIZE], z[2 * SIZE * SIZE], zlu[2 * SIZE * SIZE], zx[2 * SIZE],
+        zb[2 * SIZE];
     int pivots[SIZE];
     for (int i = 0; i < n * n; i++) a[i] = random_number(&seed);
     for (int i = 0; i < 2 * n * n; i++) z[i] = random_number(&seed);
@@ -122,8 +123,7 @@ void test_tableaus_are_symplectic(void) {
   for (int t = 0; t < 3; t++) {
     const flex_tableau *m = tableaus[t];
     for (int i = 0; i < m->stages; i++)
-      for (int j = 0; j < m->stages; j++)
-        CHECK_CLOSE(m->b[i] * m->a[i][j] + m->b[j] * m->a[j][i], m->b[i] * m->b[j], 4e-17);
+      for (int j = 0; j < m->stages; j++) CHECK_CLOSE(m->b[i] * m->a[i][j] + m->b[j] * m->a[j][i], m->b[i] * m->b[j], 4e-17);
   }
 }
 
