@@ -91,12 +91,13 @@ flex_outcome flex_gauss_accelerate(flex_gauss *gauss, const double *u) {
   if (!isfinite(sum)) return FLEX_NOT_FINITE;
   if (flex_cholesky_factor(n, gauss->mass_factor)) return FLEX_NOT_DEFINITE;
   flex_cholesky_solve(n, gauss->mass_factor, r);
+
+  // a correction that is no number must not spoil the next attempt
   sum = 0.0;
-  for (int i = 0; i < n; i++) {
-    gauss->a[i] -= r[i];
-    sum += gauss->a[i];
-  }
-  return isfinite(sum) ? FLEX_DONE : FLEX_NOT_FINITE;
+  for (int i = 0; i < n; i++) sum += r[i];
+  if (!isfinite(sum)) return FLEX_NOT_FINITE;
+  for (int i = 0; i < n; i++) gauss->a[i] -= r[i];
+  return FLEX_DONE;
 }
 
 // prediction from the last step, shifted by the jump of the acceleration at the present time

@@ -151,6 +151,13 @@ static int blow_up(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
+// y'' = force, but only up to 50 N
+static int picky(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  res[0][0] = arg[3][0] > 50.0 ? NAN : arg[2][0] - arg[3][0];
+  return 0;
+}
+
 // a start that fails gives the outcome and a sentence with this part
 static void check_start(const flex_model *model, flex_outcome outcome, const char *part) {
   flex_plant *plant = make_plant(model, 1e-6);
@@ -245,5 +252,25 @@ void test_rates_follow_the_power(void) {
   double torque = 0.3 + 0.7 * 0.6;
   CHECK_CLOSE(plant->first_rates[0], torque * plant->gauss.v[0], 1e-14);
   CHECK_CLOSE(plant->second_rates[0], 0.7 * plant->gauss.v[0] + torque * plant->gauss.a[0], 1e-14);
+  free_plant(plant);
+}
+
+// an input that the model cannot bear gives an error, and the next one that it can gives the motion again
+void test_bad_inputs_leave_no_trace(void) {
+  flex_model model = fragile;
+  model.residual.call = picky;
+  flex_plant *plant = make_plant(&model, 1e-6);
+  const double zero[1] = {0.0};
+  double value;
+  begin_at(plant, zero, zero);
+  set_input(plant, 0, 1.0);
+  advance(plant, 0.0, 0.5, 2);
+  set_input(plant, 0, 60.0);
+  CHECK(flex_get_real(plant, 3, &value) == 1);
+  CHECK(flex_plant_advance(plant, 1.0, 2.0).outcome == FLEX_NOT_FINITE);
+  set_input(plant, 0, 1.0);
+  CHECK(flex_get_real(plant, 3, &value) == 0);
+  advance(plant, 1.0, 0.5, 2);
+  CHECK_CLOSE(output(plant, 0), 2.0, 1e-12);
   free_plant(plant);
 }

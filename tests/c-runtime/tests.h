@@ -33,6 +33,7 @@
   X(failures_are_explained)                     \
   X(unsolvable_equations_are_given_up)          \
   X(blow_up_is_reported)                        \
+  X(bad_inputs_leave_no_trace)                  \
   X(fmi_life_cycle)                             \
   X(fmi_calls_out_of_place_are_refused)         \
   X(fmi_instantiation_is_checked)               \
