@@ -16,7 +16,7 @@ from flexfmu.cosim.results import Recording
 from flexfmu.cosim.rigid_motion import with_rigid_motion
 from flexfmu.cosim.scene_parameters import parameters_for
 from flexfmu.cosim.system import connect
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.trajectory_slave import HERMITE_ORDER, TrajectorySlave
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
 
@@ -95,7 +95,7 @@ def run_scene(
     *,
     communication_step: float | None = None,
     tolerance: float | None = None,
-    input_order: int = 9,
+    input_order: int | None = None,
     fmu_path: Path | None = None,
     progress: Progress | None = None,
     parameters: Mapping[str, float] | None = None,
@@ -107,7 +107,7 @@ def run_scene(
         scene: what to simulate.
         communication_step: communication step [s]; the scene's own when None.
         tolerance: relative tolerance for the FMU; the scene's own when None.
-        input_order: degree of the input polynomials, 0 (values only) to 9.
+        input_order: degree of the input polynomials, 0 (values only) to 9; None for the highest that the FMU states.
         fmu_path: an FMU to use as it is instead of building one, made from a scene with the same effects; its
             parameters are set from this scene.
         progress: called now and then with the simulated fraction, 0..1.
@@ -128,7 +128,8 @@ def run_scene(
     path = fmu_path if fmu_path is not None else build_scene(scene).path
     loading = perf_counter()
     plant = FmuSlave(path, PLANT, _parameters(scene, path, initial, parameters or {}), input_order)
-    references = TrajectorySlave(motion.joints, order=input_order, name=REFERENCES)
+    order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
+    references = TrajectorySlave(motion.joints, order=order, name=REFERENCES)
     names = [variable.name for variable in references.variables]
     system = connect([references, plant], [(f"{REFERENCES}.{name}", f"{PLANT}.{name}") for name in names])
     step = scene.cosimulation.step if communication_step is None else communication_step
@@ -144,7 +145,7 @@ def run_scene(
         fmu_path=path,
         communication_step=step,
         tolerance=relative,
-        input_order=input_order,
+        input_order=order,
         health=Health(plant.statistics, plant.messages),
         timing=Timing(building - planning, loading - building, simulating - loading, done - simulating),
     )

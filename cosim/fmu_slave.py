@@ -11,14 +11,12 @@ import numpy as np
 from flexfmu.cosim import fmi2_calls as fmi2
 from flexfmu.cosim.binding import nothing
 from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.fmu_capabilities import highest_input_derivative, highest_output_derivative
 from flexfmu.cosim.fmu_file import open_fmu
 from flexfmu.cosim.fmu_instance import FmuInstance, load_calls
 from flexfmu.cosim.fmu_run import STATISTICS, FmuRun
 from flexfmu.cosim.fmu_variables import Handle, Value, read_variables, settings
 from flexfmu.cosim.slave import Call, Indices, RealArray
-
-INTERPOLATION_ORDER = 1
-"""Highest input derivative for an FMU that says it interpolates inputs; FMI 2.0 lets it say no more than that."""
 
 
 class FmuSlave:
@@ -28,8 +26,8 @@ class FmuSlave:
         path: the FMU file.
         name: name of the slave.
         parameters: start values of parameters (and inputs) by name, in the FMU's units.
-        input_order: highest input derivative to use; None for what the model description lets one assume: 1 where the
-            FMU interpolates inputs, else 0.
+        input_order: highest input derivative to use where the FMU interpolates inputs; None for the highest that its
+            model description states.
 
     Attributes:
         statistics: Integer variables ``statistics.*`` at the end of the last run, without the prefix.
@@ -54,10 +52,9 @@ class FmuSlave:
         self._handles = known.handles
         self._counters = {n: h for n, h in known.others.items() if n.startswith(STATISTICS) and h.kind == "Integer"}
         self._settings = settings(self._fmu.description, parameters or {})
-        capabilities = self._fmu.description.coSimulation
-        self.max_output_order = int(capabilities.maxOutputDerivativeOrder or 0)
-        order = INTERPOLATION_ORDER if input_order is None else input_order
-        self.max_input_order = order if capabilities.canInterpolateInputs else 0
+        self.max_output_order = highest_output_derivative(self._fmu)
+        highest = highest_input_derivative(self._fmu)
+        self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self._fmi = load_calls(self._fmu)
         self._presets: dict[int, float] = {}
         self._run: FmuRun | None = None

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import fmpy.util
+import fmpy.validation
 import numpy as np
 import pytest
 
@@ -37,6 +38,12 @@ def test_the_run_completes(run: Run) -> None:
     assert run.health.messages == ()
     assert run.health.statistics["steps"] > 100
     assert (run.communication_step, run.tolerance, run.input_order) == (1e-3, run.scene.cosimulation.tolerance, 9)
+
+
+def test_the_fmu_states_the_order_of_its_input_derivatives(run: Run) -> None:
+    """The order of the input polynomials comes out of the FMU's description, where any other tool can read it too."""
+    assert FmuSlave(run.fmu_path).max_input_order == 9
+    assert not fmpy.validation.validate_fmu(str(run.fmu_path))
 
 
 def test_breakpoints_appear_twice(run: Run) -> None:

@@ -154,6 +154,35 @@ def test_unsuitable_fmus(foreign_fmu: Path, tmp_path: Path, old: str, new: str, 
         FmuSlave(rewritten(foreign_fmu, tmp_path / "other.fmu", old, new, platform))
 
 
+ANNOTATION = '<VendorAnnotations><Tool name="flexfmu"><InputDerivatives maxOrder="{}"/></Tool></VendorAnnotations>'
+
+
+@pytest.mark.parametrize(
+    ("capability", "annotation", "order"),
+    [
+        ("", "", 0),
+        ('canInterpolateInputs="true"', "", 1),
+        ('canInterpolateInputs="true"', ANNOTATION.format(7), 7),
+        ("", ANNOTATION.format(7), 0),
+    ],
+)
+def test_highest_input_derivative_is_the_stated_one(
+    foreign_fmu: Path, tmp_path: Path, capability: str, annotation: str, order: int
+) -> None:
+    """An FMU gets the input derivatives that its description states: none, FMI's first one, or the annotated order."""
+    able = rewritten(foreign_fmu, tmp_path / "able.fmu", "<CoSimulation ", f"<CoSimulation {capability} ")
+    annotated = rewritten(able, tmp_path / "annotated.fmu", "<ModelVariables>", f"{annotation}<ModelVariables>")
+    assert FmuSlave(annotated).max_input_order == order
+
+
+def test_unreadable_order_of_input_derivatives(foreign_fmu: Path, tmp_path: Path) -> None:
+    """An annotation that holds no number makes the FMU a broken one, in one line."""
+    able = rewritten(foreign_fmu, tmp_path / "able.fmu", "<CoSimulation ", '<CoSimulation canInterpolateInputs="true" ')
+    text = f"{ANNOTATION.format('many')}<ModelVariables>"
+    with pytest.raises(FmuFileError, match="maxOrder = 'many'"):
+        FmuSlave(rewritten(able, tmp_path / "annotated.fmu", "<ModelVariables>", text))
+
+
 def test_wrong_guid_is_refused(foreign_fmu: Path, tmp_path: Path) -> None:
     """An FMU that can't be instantiated fails the run, not the program."""
     _, result = run(rewritten(foreign_fmu, tmp_path / "guid.fmu", 'guid="decay"', 'guid="other"'))
