@@ -61,6 +61,7 @@ def _functions(five_bar: FiveBar, outputs: casadi.SX, start: casadi.SX, scene: S
     results = {
         "derive": ([p], registry.resolved()),
         "initial_inputs": ([p], _initial_inputs(five_bar, start, scene)),
+        "initial_coordinates": ([p], casadi.SX.zeros(y.numel())),
         "residual": ([y, v, a, u, d], residual),
         "mass_matrix": ([y, u, d], casadi.jacobian(residual, a)),
         "outputs": ([y, v, a, u, d], outputs),

@@ -21,6 +21,7 @@ Causality = Literal["input", "parameter", "output"]
 FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
     "derive": (("p",), "d"),
     "initial_inputs": (("p",), "u"),
+    "initial_coordinates": (("p",), "y"),
     "residual": (("y", "v", "a", "u", "d"), "r"),
     "mass_matrix": (("y", "u", "d"), "m"),
     "outputs": (("y", "v", "a", "u", "d"), "o"),
@@ -77,6 +78,9 @@ class SymbolicModel:
         static_start: start value of the FMI enumeration ``initial``: True for static equilibrium, False for undeformed.
         margin_name: what `singularity` measures, with its unit, for messages.
         minimum_margin: smallest admissible value of that measure.
+        locked: number of leading unknowns that are actuated: they start at `initial_coordinates`, are held there while
+            the others find their static equilibrium, and each belongs to the input of the same index, a generalised
+            force that holds the equilibrium unless somebody sets it.
         effects: what the model contains, for documentation: effect → sentence.
     """
 
@@ -91,6 +95,7 @@ class SymbolicModel:
     static_start: bool
     margin_name: str
     minimum_margin: float
+    locked: int = 0
     effects: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -11,7 +11,7 @@ void flex_equations_take(flex_equations *equations, const flex_model *model, fle
   const flex_function *functions[] = {&model->derive,         &model->initial_inputs, &model->residual,
                                       &model->mass_matrix,    &model->outputs,        &model->residual_rate,
                                       &model->residual_rate2, &model->outputs_rate,   &model->outputs_rate2,
-                                      &model->singularity,    &model->error_scale};
+                                      &model->singularity,    &model->error_scale,    &model->initial_coordinates};
 
   // the largest work space that any function needs, at least room for the arguments
   int n_arg = 9, n_res = 1, n_iw = 1, n_w = 1;

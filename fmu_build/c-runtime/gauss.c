@@ -73,7 +73,7 @@ void flex_gauss_start(flex_gauss *gauss) {
   memset(gauss->v_rest, 0, size);
   record->step = 0.0;
   record->history_step = 0.0;
-  record->scale = fmax(*gauss->floor, flex_error_norm(&gauss->stages, gauss->y, gauss->v));
+  record->scale = fmax(*gauss->floor, flex_motion_norm(&gauss->stages, gauss->y, gauss->v));
   flex_accuracy_clear(&record->accuracy);
   flex_stages_clear(&gauss->stages);
 }
@@ -176,7 +176,7 @@ static flex_outcome finish(flex_gauss *gauss, double t, double h, double *margin
   if (outcome == FLEX_DONE) outcome = check_margin(gauss, gauss->end_u, margin);
   memcpy(gauss->end_a, gauss->a, size);
   record->history_step = h;
-  record->scale = fmax(record->scale, flex_error_norm(&gauss->stages, gauss->y, gauss->v));
+  record->scale = fmax(record->scale, flex_motion_norm(&gauss->stages, gauss->y, gauss->v));
   record->steps++;
   return outcome;
 }

@@ -31,6 +31,9 @@ typedef struct {
   const char *guid;
 
   int n;            /* unknown coordinates; 0 is valid (a rigid model) */
+  int n_locked;     /* the first unknowns are actuated: given at the start, held there while the others find their static
+                       equilibrium; each belongs to the input of the same index, a generalised force that enters the
+                       residual with the factor -1 and holds the equilibrium unless it is set */
   int n_inputs;     /* m */
   int n_parameters; /* FMI parameters p */
   int n_derived;    /* derived parameters d */
@@ -46,6 +49,7 @@ typedef struct {
 
   flex_function derive;         /* (p) -> d */
   flex_function initial_inputs; /* (p) -> u: inputs at the start pose, for inputs that nobody has set */
+  flex_function initial_coordinates; /* (p) -> y at the start, undeformed */
   flex_function residual;       /* (y, v, a, u, d) -> r [n] */
   flex_function mass_matrix;    /* (y, u, d) -> M [n x n], symmetric, positive definite */
   flex_function outputs;        /* (y, v, a, u, d) -> o [n_outputs] */
@@ -60,7 +64,8 @@ typedef struct {
   flex_function singularity; /* (y, u, d) -> one number, at least minimum_margin at admissible poses, NaN where the
                                 mechanism cannot be assembled */
   flex_function error_scale; /* (d) -> [kappa (n), mu (n), floor]: error norm = sqrt(sum kappa_i dy_i^2 + mu_i dv_i^2),
-                                relative to its own running maximum over the motion, at least floor */
+                                relative to the running maximum of the motion's own norm, at least floor; positions of
+                                locked unknowns have an arbitrary origin and don't count in that maximum */
 } flex_model;
 
 /* the one model of this binary, defined by the generated file */

@@ -152,38 +152,72 @@ static flex_outcome need_start_inputs(flex_plant *plant) {
   return all_finite(plant->u, plant->inputs.count) ? FLEX_DONE : FLEX_NOT_FINITE;
 }
 
+// the undeformed pose at rest, which must be admissible
+static flex_outcome start_undeformed(flex_plant *plant, double *margin) {
+  flex_gauss *gauss = &plant->gauss;
+  const double *const p[] = {plant->p};
+  size_t size = (size_t)plant->model->n * sizeof(double);
+  memset(gauss->v, 0, size);
+  memset(gauss->a, 0, size);
+  if (flex_call(&plant->equations, &plant->model->initial_coordinates, 1, p, gauss->y)) return FLEX_NOT_FINITE;
+  if (!all_finite(gauss->y, plant->model->n)) return FLEX_NOT_FINITE;
+  flex_outcome outcome = need_start_inputs(plant);
+  if (outcome != FLEX_DONE) return outcome;
+  if (flex_margin(&plant->equations, gauss->y, plant->u, margin)) return FLEX_NOT_FINITE;
+  return *margin >= plant->model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR;
+}
+
+// forces that nobody has set hold the locked unknowns against the static loads
+static flex_outcome hold_locked(flex_plant *plant, const double *y) {
+  flex_statics *statics = &plant->statics;
+  if (flex_statics_forces(statics, &plant->equations, plant->u, y)) return FLEX_NOT_FINITE;
+  for (int i = 0; i < plant->model->n_locked; i++)
+    if (!plant->inputs.given[i]) flex_inputs_default(&plant->inputs, i, plant->u[i] + statics->residual[i]);
+  flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->u);
+  return all_finite(plant->u, plant->inputs.count) ? FLEX_DONE : FLEX_NOT_FINITE;
+}
+
+static int needs_holding(const flex_plant *plant) {
+  for (int i = 0; i < plant->model->n_locked; i++)
+    if (!plant->inputs.given[i]) return 1;
+  return 0;
+}
+
+// deflection under the static loads, where the motion starts from it or somebody must hold it
+static flex_outcome start_static(flex_plant *plant, double *value) {
+  flex_gauss *gauss = &plant->gauss;
+  int holds = needs_holding(plant);
+  if (!plant->record->starts_static && !holds) return FLEX_DONE;
+  size_t size = (size_t)plant->model->n * sizeof(double);
+  double *y = gauss->full_y;
+  memcpy(y, gauss->y, size);
+  flex_outcome outcome =
+      flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *gauss->floor, plant->u, y, value);
+  if (outcome == FLEX_DONE && holds) outcome = hold_locked(plant, y);
+  if (outcome == FLEX_DONE && plant->record->starts_static) memcpy(gauss->y, y, size);
+  return outcome;
+}
+
 // state at the start of the motion
 static flex_failure need_start(flex_plant *plant) {
   flex_plant_record *record = plant->record;
-  const flex_model *model = plant->model;
-  flex_gauss *gauss = &plant->gauss;
   double value = 0.0;
   flex_outcome outcome = need_derived(plant);
   if (outcome != FLEX_DONE || record->is_moving || (record->have & FLEX_HAVE_START))
     return outcome_now(plant, outcome, value);
-
-  // at rest in the undeformed pose, which must be admissible
-  size_t size = (size_t)model->n * sizeof(double);
-  memset(gauss->y, 0, size);
-  memset(gauss->v, 0, size);
-  memset(gauss->a, 0, size);
-  outcome = need_start_inputs(plant);
-  if (outcome == FLEX_DONE && flex_margin(&plant->equations, gauss->y, plant->u, &value)) outcome = FLEX_NOT_FINITE;
-  if (outcome == FLEX_DONE && !(value >= model->minimum_margin)) outcome = FLEX_TOO_SINGULAR;
-
-  // deflected by the static loads
-  if (outcome == FLEX_DONE && record->starts_static)
-    outcome =
-        flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *gauss->floor, plant->u, gauss->y, &value);
+  outcome = start_undeformed(plant, &value);
+  if (outcome == FLEX_DONE) outcome = start_static(plant, &value);
   if (outcome != FLEX_DONE) return outcome_now(plant, outcome, value);
   choose_stages(plant);
-  flex_gauss_start(gauss);
+  flex_gauss_start(&plant->gauss);
   record->have = (record->have | FLEX_HAVE_START) & ~POINT;
   return outcome_now(plant, FLEX_DONE, 0.0);
 }
 
 flex_failure flex_plant_need_inputs(flex_plant *plant) {
-  flex_outcome outcome = plant->record->is_moving ? FLEX_DONE : need_start_inputs(plant);
+  flex_outcome outcome = FLEX_DONE;
+  if (!plant->record->is_moving)
+    outcome = plant->model->n_locked > 0 ? need_start(plant).outcome : need_start_inputs(plant);
   flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->shown_u);
   return outcome_now(plant, outcome, 0.0);
 }

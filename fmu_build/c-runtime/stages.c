@@ -49,6 +49,13 @@ void flex_stages_clear(flex_stages *stages) {
   record->unchecked_steps = UNCHECKED_STEPS;
 }
 
+double flex_motion_norm(const flex_stages *stages, const double *y, const double *v) {
+  double sum = 0.0;
+  for (int i = 0; i < stages->n; i++) sum += stages->rate_weight[i] * v[i] * v[i];
+  for (int i = stages->equations->model->n_locked; i < stages->n; i++) sum += stages->position_weight[i] * y[i] * y[i];
+  return sqrt(sum);
+}
+
 double flex_error_norm(const flex_stages *stages, const double *dy, const double *dv) {
   double sum = 0.0;
   for (int i = 0; i < stages->n; i++)

@@ -58,6 +58,9 @@ void flex_stages_clear(flex_stages *stages);
 flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const double *y, const double *v, const double *a0,
                                double scale, double target);
 
+/* size of a motion in the error norm, without the positions of locked unknowns */
+double flex_motion_norm(const flex_stages *stages, const double *y, const double *v);
+
 /* sqrt(sum of position_weight dy^2 + rate_weight dv^2) */
 double flex_error_norm(const flex_stages *stages, const double *dy, const double *dv);
 

@@ -35,28 +35,34 @@ static double norm(int n, const double *weight, const double *x) {
   return sqrt(sum);
 }
 
-// stiffness dr/dy by differences, factorised
-static int factor_stiffness(flex_statics *statics, flex_equations *equations, const double *weight, double scale,
-                            const double *u, double *y) {
-  int n = equations->model->n, refused = 0;
-  for (int i = 0; i < n; i++) {
-    double kept = y[i], size = weight[i] > 0.0 ? scale / sqrt(weight[i]) : 1.0;
-    double *column = statics->stiffness + i * n;
-    y[i] = kept + DIFFERENCE * fmax(size, fabs(kept));
-    double step = y[i] - kept;
-    refused |= flex_residual(equations, y, statics->zero, statics->zero, u, column);
-    y[i] = kept;
-    for (int k = 0; k < n; k++) column[k] = (column[k] - statics->residual[k]) / step;
-  }
-  return refused || flex_lu_factor(n, statics->stiffness, statics->pivots);
+int flex_statics_forces(flex_statics *statics, flex_equations *equations, const double *u, const double *y) {
+  return flex_residual(equations, y, statics->zero, statics->zero, u, statics->residual);
 }
 
-// correction of the present matrix for the residual at a point
+// stiffness dr/dy of the free unknowns by differences, factorised
+static int factor_stiffness(flex_statics *statics, flex_equations *equations, const double *weight, double scale,
+                            const double *u, double *y) {
+  int n = equations->model->n, locked = equations->model->n_locked, free = n - locked, refused = 0;
+  const double *before = statics->residual;
+  for (int i = 0; i < free; i++) {
+    double *moved = y + locked + i, kept = *moved, share = weight[locked + i];
+    *moved = kept + DIFFERENCE * fmax(share > 0.0 ? scale / sqrt(share) : 1.0, fabs(kept));
+    double step = *moved - kept;
+    refused |= flex_residual(equations, y, statics->zero, statics->zero, u, statics->simplified);
+    *moved = kept;
+    for (int k = 0; k < free; k++)
+      statics->stiffness[i * free + k] = (statics->simplified[locked + k] - before[locked + k]) / step;
+  }
+  return refused || flex_lu_factor(free, statics->stiffness, statics->pivots);
+}
+
+// correction of the present matrix for the residual at a point; locked unknowns stay
 static int correct(flex_statics *statics, flex_equations *equations, const double *u, const double *y, double *correction) {
-  int n = equations->model->n;
-  int refused = flex_residual(equations, y, statics->zero, statics->zero, u, statics->residual);
-  memcpy(correction, statics->residual, (size_t)n * sizeof *correction);
-  flex_lu_solve(n, statics->stiffness, statics->pivots, correction);
+  int n = equations->model->n, locked = equations->model->n_locked;
+  int refused = flex_statics_forces(statics, equations, u, y);
+  memset(correction, 0, (size_t)locked * sizeof *correction);
+  memcpy(correction + locked, statics->residual + locked, (size_t)(n - locked) * sizeof *correction);
+  flex_lu_solve(n - locked, statics->stiffness, statics->pivots, correction + locked);
   return refused;
 }
 
@@ -74,16 +80,17 @@ static double damped_step(flex_statics *statics, flex_equations *equations, cons
 
 flex_outcome flex_statics_solve(flex_statics *statics, flex_equations *equations, const double *weight, double floor,
                                 const double *u, double *y, double *last_correction) {
-  int n = equations->model->n;
-  if (n == 0) return FLEX_DONE;
-  if (flex_residual(equations, y, statics->zero, statics->zero, u, statics->residual)) return FLEX_NOT_FINITE;
+  int n = equations->model->n, locked = equations->model->n_locked;
+  if (n == locked) return FLEX_DONE;
+  if (flex_statics_forces(statics, equations, u, y)) return FLEX_NOT_FINITE;
 
   for (int k = 0; k < MAX_ITERATIONS; k++) {
     // newton correction with a fresh matrix
-    double scale = fmax(floor, norm(n, weight, y));
+    double scale = fmax(floor, norm(n - locked, weight + locked, y + locked));
     if (factor_stiffness(statics, equations, weight, scale, u, y)) return FLEX_NOT_FINITE;
-    memcpy(statics->correction, statics->residual, (size_t)n * sizeof *y);
-    flex_lu_solve(n, statics->stiffness, statics->pivots, statics->correction);
+    memset(statics->correction, 0, (size_t)locked * sizeof *y);
+    memcpy(statics->correction + locked, statics->residual + locked, (size_t)(n - locked) * sizeof *y);
+    flex_lu_solve(n - locked, statics->stiffness, statics->pivots, statics->correction + locked);
     double size = norm(n, weight, statics->correction);
     *last_correction = size;
     if (!isfinite(size)) return FLEX_NOT_FINITE;

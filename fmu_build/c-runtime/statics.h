@@ -1,4 +1,4 @@
-/* Static equilibrium: r(y, 0, 0, u) = 0 by damped Newton iterations.
+/* Static equilibrium: r(y, 0, 0, u) = 0 by damped Newton iterations, for the unknowns that aren't locked.
  *
  * The damping is the natural monotonicity test (Deuflhard: Newton Methods for Nonlinear Problems, section 3.3): the
  * correction that the old matrix gives at the new point must be smaller than the one that led there. */
@@ -19,5 +19,8 @@ void flex_statics_take(flex_statics *statics, int n, flex_arena *arena);
  * floor: size of a negligible deflection in that norm. The last correction's norm is reported. */
 flex_outcome flex_statics_solve(flex_statics *statics, flex_equations *equations, const double *weight, double floor,
                                 const double *u, double *y, double *last_correction);
+
+/* forces r(y, 0, 0, u) on all unknowns at a point, in statics->residual */
+int flex_statics_forces(flex_statics *statics, flex_equations *equations, const double *u, const double *y);
 
 #endif

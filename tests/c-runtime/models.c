@@ -16,6 +16,26 @@ static int no_inputs(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
+static int origin(double *y, int n) {
+  for (int i = 0; i < n; i++) y[i] = 0.0;
+  return 0;
+}
+
+static int origin_1(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  return origin(res[0], 1);
+}
+
+static int origin_2(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  return origin(res[0], 2);
+}
+
+static int origin_3(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  return origin(res[0], 3);
+}
+
 static int zero_input(in arg, out res, int *iw, double *w, int mem) {
   (void)arg, (void)iw, (void)w, (void)mem;
   res[0][0] = 0.0;
@@ -168,6 +188,7 @@ const flex_model oscillators = {.name = "oscillators",
                                 .margin_name = "margin",
                                 .derive = FUNCTION(oscillators_derive),
                                 .initial_inputs = FUNCTION(oscillators_inputs),
+                                .initial_coordinates = FUNCTION(origin_3),
                                 .residual = FUNCTION(oscillators_residual),
                                 .mass_matrix = FUNCTION(oscillators_mass),
                                 .outputs = FUNCTION(oscillators_outputs),
@@ -236,6 +257,7 @@ const flex_model pendulum = {.name = "pendulum",
                              .margin_name = "margin",
                              .derive = FUNCTION(nothing_to_derive),
                              .initial_inputs = FUNCTION(zero_input),
+                             .initial_coordinates = FUNCTION(origin_1),
                              .residual = FUNCTION(pendulum_residual),
                              .mass_matrix = FUNCTION(unit_mass_1),
                              .outputs = FUNCTION(pendulum_energy),
@@ -287,6 +309,7 @@ const flex_model orbit = {.name = "orbit",
                           .margin_name = "margin",
                           .derive = FUNCTION(nothing_to_derive),
                           .initial_inputs = FUNCTION(no_inputs),
+                          .initial_coordinates = FUNCTION(origin_2),
                           .residual = FUNCTION(orbit_residual),
                           .mass_matrix = FUNCTION(orbit_mass),
                           .outputs = FUNCTION(orbit_invariants),
@@ -331,6 +354,7 @@ const flex_model double_pendulum = {.name = "double_pendulum",
                                     .margin_name = "margin",
                                     .derive = FUNCTION(nothing_to_derive),
                                     .initial_inputs = FUNCTION(no_inputs),
+                                    .initial_coordinates = FUNCTION(origin_2),
                                     .residual = FUNCTION(double_pendulum_residual),
                                     .mass_matrix = FUNCTION(double_pendulum_mass),
                                     .outputs = FUNCTION(double_pendulum_energy),
@@ -389,6 +413,7 @@ const flex_model rigid = {.name = "rigid",
                           .margin_name = "distance to the wall",
                           .derive = FUNCTION(nothing_to_derive),
                           .initial_inputs = FUNCTION(zero_input),
+                          .initial_coordinates = FUNCTION(no_inputs),
                           .residual = FUNCTION(no_inputs),
                           .mass_matrix = FUNCTION(no_inputs),
                           .outputs = FUNCTION(rigid_outputs),
@@ -474,6 +499,7 @@ static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS
    .margin_name = "distance between the elbows (m)",   \
    .derive = FUNCTION(fragile_derive),                 \
    .initial_inputs = FUNCTION(zero_input),             \
+   .initial_coordinates = FUNCTION(origin_1),          \
    .residual = FUNCTION(fragile_residual),             \
    .mass_matrix = FUNCTION(unit_mass_1),               \
    .outputs = FUNCTION(first_coordinate),              \

@@ -64,6 +64,7 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
     results = {
         "derive": ([p], p[:4]),
         "initial_inputs": ([p], p[4]),
+        "initial_coordinates": ([p], casadi.SX.zeros(2)),
         "residual": ([y, v, a, u, d], residual),
         "mass_matrix": ([y, u, d], d[0] * casadi.SX.eye(2)),
         "outputs": ([y, v, a, u, d], outputs),
@@ -118,6 +119,7 @@ def lever(name: str = "lever") -> SymbolicModel:
     results = {
         "derive": ([p], p),
         "initial_inputs": ([p], casadi.SX(0)),
+        "initial_coordinates": ([p], none),
         "residual": ([*empty[:3], u, d], none),
         "mass_matrix": ([empty[0], u, d], casadi.SX(0, 0)),
         "outputs": ([*empty[:3], u, d], d * u),
