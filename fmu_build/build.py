@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.archive import fmu_facts, pack, write_atomically
-from flexfmu.fmu_build.cache import cached_fmu, package_fingerprint, read_intact
+from flexfmu.fmu_build.cache import cached_fmu, digest, digest_path, package_fingerprint, read_intact
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.experiment import DefaultExperiment
@@ -113,6 +113,7 @@ def _store(path: Path, content: bytes, is_needed: bool) -> None:
     """Put a built FMU into the cache; a cache that cannot be written is no obstacle where the FMU goes elsewhere."""
     try:
         write_atomically(path, content)
+        write_atomically(digest_path(path), digest(content))
     except ArchiveError as error:
         if is_needed:
             raise ArchiveError(f"{error}, name it in the variable FLEXFMU_CACHE, or give an output file") from error

@@ -5,10 +5,8 @@ This module must stay cheap to import; a cached build has to be decided in a ten
 
 from __future__ import annotations
 
-import io
+import hashlib
 import os
-import zipfile
-import zlib
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -21,7 +19,6 @@ FOLDER_VARIABLE = "FLEXFMU_CACHE"
 
 _PACKAGES = ("flexfmu.fmu_build", "flexfmu.model")
 _SOURCE_SUFFIXES = {".py", ".c", ".h", ".j2", ".txt"}
-_DAMAGED = (OSError, zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError)
 
 
 def cache_folder() -> Path:
@@ -41,14 +38,23 @@ def package_fingerprint() -> str:
     return content_hash(part for path in files for part in (path.name.encode(), path.read_bytes()))
 
 
+def digest_path(path: Path) -> Path:
+    """Where the digest of a cached FMU is kept: beside it."""
+    return path.with_suffix(".sha256")
+
+
+def digest(content: bytes) -> bytes:
+    """SHA-256 of an FMU, in hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest().encode()
+
+
 def read_intact(path: Path) -> bytes | None:
-    """Content of a cached FMU; None where it is missing or damaged, so that it gets built again."""
+    """Content of a cached FMU; None where it is missing or not what was stored, so that it gets built again."""
     try:
-        content = path.read_bytes()
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            return content if archive.testzip() is None else None
-    except _DAMAGED:
+        content, stored = path.read_bytes(), digest_path(path).read_bytes()
+    except OSError:
         return None
+    return content if digest(content) == stored else None
 
 
 def _source_files(package: str) -> list[Path]:
