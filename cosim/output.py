@@ -1,4 +1,4 @@
-"""The folder that a command writes into: checked before the work starts, every file there whole or not at all."""
+"""Files and folders of results: checked before the work starts, every file there whole or not at all."""
 
 from __future__ import annotations
 
@@ -35,21 +35,26 @@ class OutputFolder:
             raise _cannot_write(self.path, error) from error
 
     def write(self, name: str, text: str) -> Path:
-        """Write a file beside its target, then rename it.
+        """Write a file of the folder; see `write_whole`."""
+        return write_whole(self.path / name, text)
 
-        Raises:
-            ResultsError: the file can't be written, with the system's reason.
-        """
-        target = self.path / name
-        temporary = target.with_name(f".{name}.{os.getpid()}")
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            temporary.write_text(text, encoding="utf-8")
-            return temporary.replace(target)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-            raise _cannot_write(target, error) from error
+
+def write_whole(path: Path, text: str) -> Path:
+    """Write a file beside its target, then rename it: a reader never sees half of it. Makes the folder if need be.
+
+    Raises:
+        ResultsError: the file can't be written, with the system's reason.
+    """
+    temporary = path.parent / f".{path.name}.{os.getpid()}"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+        return temporary.replace(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def _cannot_write(path: Path, error: OSError) -> ResultsError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.errors import ResultsError
+from flexfmu.cosim.output import write_whole
 
 RealArray = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ class Recording:
         names = [_file_name(name) for name in ("time", *self.columns)]
         table = np.column_stack([self.time, *(column.values for column in self.columns.values())])
         lines = [",".join(f'"{name}"' for name in names), *(",".join(map(repr, row)) for row in table.tolist())]
-        return _write_whole(Path(path), "\n".join(lines) + "\n")
+        return write_whole(Path(path), "\n".join(lines) + "\n")
 
     @classmethod
     def read_csv(cls, path: str | os.PathLike[str]) -> Recording:
@@ -111,27 +111,3 @@ def _file_name(name: str) -> str:
     if any(character in name for character in ';"\n'):
         raise ResultsError(f"the signal name {name!r} has a semicolon, quote or line break; rename it")
     return name.replace(",", ";")
-
-
-def _write_whole(path: Path, text: str) -> Path:
-    """Write beside the target, then rename: a reader never sees half a file."""
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
-            temporary = Path(file.name)
-            file.write(text)
-        temporary.chmod(0o666 & ~_umask())
-        return temporary.replace(path)
-    except OSError as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        reason = error.strerror or error
-        raise ResultsError(f"can't write {path}: {reason}; choose another folder or free some space") from error
-
-
-def _umask() -> int:
-    """The process's file mode mask, which can only be read by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
