@@ -146,5 +146,5 @@ class _Run:
         slave = error.slave if isinstance(error, SlaveError) else self.schedule.active
         reason = error.reason if isinstance(error, SlaveError) else f"{type(error).__name__}: {error}"
         reached = getattr(error, "time", None)
-        time = self._times[self.steps] if reached is None else reached
-        return f"{slave} failed at {time:.9g} s: {' '.join(reason.split())}"
+        when = f" at {self._times[self.steps] if reached is None else reached:.9g} s"
+        return f"{slave} failed{'' if when in reason else when}: {' '.join(reason.split())}"
