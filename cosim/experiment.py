@@ -119,7 +119,7 @@ def run_scene(
 
     Raises:
         TrajectoryError: the motion is not feasible.
-        InputError: the FMU can't be loaded or lacks a variable; a parameter doesn't exist.
+        InputError: the FMU can't be loaded or lacks a variable; a parameter doesn't exist or is out of range.
         BuildError: the FMU can't be built (no compiler, for example).
     """
     planning = perf_counter()

@@ -35,7 +35,7 @@ class FmuSlave:
 
     Raises:
         FmuFileError: the FMU is missing or broken, of another kind, or has no binary for this platform.
-        InputError: a parameter doesn't exist or its value doesn't suit its type.
+        InputError: a parameter doesn't exist or its value doesn't suit its type or range.
     """
 
     def __init__(

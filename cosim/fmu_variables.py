@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -59,9 +60,8 @@ def read_variables(description: Any) -> FmuVariables:
 
 def _variable(variable: Any) -> SlaveVariable:
     """The variable as the master sees it."""
-    unit = variable.unit or (variable.declaredType.unit if variable.declaredType else None) or ""
     start = None if variable.start is None else _number(variable.start)
-    return SlaveVariable(variable.name, cast(Causality, variable.causality), unit, start)
+    return SlaveVariable(variable.name, cast(Causality, variable.causality), _unit(variable), start)
 
 
 def _number(text: str) -> float:
@@ -92,7 +92,7 @@ def settings(description: Any, parameters: Mapping[str, Value]) -> Sequence[Sett
     """Look up parameters by name and translate the items of enumerations.
 
     Raises:
-        InputError: there is no such parameter, or the value doesn't suit its type.
+        InputError: there is no such parameter, or the value doesn't suit its type or range.
     """
     known = {v.name: v for v in description.modelVariables if v.causality in ("parameter", "input")}
     result = []
@@ -100,8 +100,36 @@ def settings(description: Any, parameters: Mapping[str, Value]) -> Sequence[Sett
         if name not in known:
             hint = get_close_matches(name, known, n=1)
             raise InputError(f"the FMU has no parameter {name!r}" + (f"; did you mean {hint[0]!r}?" if hint else ""))
-        result.append(Setting(name, _handle(known[name]), _translate(known[name], value)))
+        result.append(Setting(name, _handle(known[name]), _in_range(known[name], _translate(known[name], value))))
     return result
+
+
+def _in_range(variable: Any, value: Value) -> Value:
+    """The value, if the variable's type and range allow it."""
+    if variable.type not in ("Real", "Integer") or isinstance(value, str):
+        return value
+    low, high = (_bound(variable, bound) for bound in ("min", "max"))
+    if (low is None or value >= low) and (high is None or value <= high) and math.isfinite(value):
+        return value
+    unit = _unit(variable)
+    unit = "" if unit in ("", "1") else f" {unit}"
+    limits = [f"at least {low:g}{unit}"] if low is not None else []
+    limits += [f"at most {high:g}{unit}"] if high is not None else []
+    raise InputError(f"{variable.name} must be {' and '.join(limits) or 'a finite number'}, got {value}{unit}")
+
+
+def _bound(variable: Any, name: str) -> float | None:
+    """A limit of the variable, or of its type where it has none itself."""
+    for holder in (variable, variable.declaredType):
+        text = getattr(holder, name, None)
+        if text is not None:
+            return float(text)
+    return None
+
+
+def _unit(variable: Any) -> str:
+    """Unit of the variable or of its type; empty when unknown."""
+    return variable.unit or (variable.declaredType.unit if variable.declaredType else None) or ""
 
 
 def _translate(variable: Any, value: Value) -> Value:

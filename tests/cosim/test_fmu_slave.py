@@ -116,6 +116,17 @@ def test_wrong_parameters(foreign_fmu: Path, parameters: dict[str, float | str],
         FmuSlave(foreign_fmu, parameters=parameters)
 
 
+def test_ranges_are_those_of_the_description(foreign_fmu: Path, tmp_path: Path) -> None:
+    """A range may be one-sided and may stand in the variable's type; the limits themselves are inside."""
+    half = rewritten(foreign_fmu, tmp_path / "half.fmu", '<Real start="1"/>', '<Real declaredType="Length" start="1"/>')
+    ranged = rewritten(half, tmp_path / "ranged.fmu", '<Real unit="m"/>', '<Real unit="m" min="0.5"/>')
+    assert FmuSlave(ranged, parameters={"rate": 0.5}).name == "fmu"
+    with pytest.raises(InputError, match=r"rate must be at least 0\.5 m, got 0\.4 m$"):
+        FmuSlave(ranged, parameters={"rate": 0.4})
+    with pytest.raises(InputError, match=r"rate must be a finite number, got inf$"):
+        FmuSlave(foreign_fmu, parameters={"rate": float("inf")})
+
+
 def test_missing_and_broken_files(foreign_fmu: Path, tmp_path: Path) -> None:
     """Each broken FMU gets one line that says what is wrong with it."""
     text = tmp_path / "text.fmu"
