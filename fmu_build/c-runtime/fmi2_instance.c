@@ -48,15 +48,15 @@ fmi2Status flex_log(const flex_instance *instance, fmi2Status status, flex_log_c
 }
 
 fmi2Status flex_log_refusal(const flex_instance *instance) {
-  return flex_log(instance, fmi2Error, LOG_ERROR, "%s", instance->plant->message);
+  return flex_log(instance, fmi2Error, LOG_ERROR, "%s", instance->backend->message);
 }
 
 flex_phase flex_phase_of(const flex_instance *instance) {
-  return (flex_phase)instance->plant->record->phase;
+  return (flex_phase)instance->session.phase;
 }
 
 void flex_enter_phase(flex_instance *instance, flex_phase phase) {
-  instance->plant->record->phase = (int)phase;
+  instance->session.phase = (int)phase;
 }
 
 flex_instance *flex_checked(fmi2Component component, flex_call_id call) {

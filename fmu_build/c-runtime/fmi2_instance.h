@@ -1,18 +1,28 @@
-/* An FMI instance: a plant, the importer's callbacks and what is logged. */
+/* An FMI instance: what it wraps, the importer's callbacks and what is logged. */
 #ifndef FLEXFMU_FMI2_INSTANCE_H
 #define FLEXFMU_FMI2_INSTANCE_H
 
+#include "backend.h"
 #include "fmi2Functions.h"
 #include "fmi2_states.h"
-#include "variables.h"
+#include "memory.h"
+#include "refusal.h"
 
 /* log categories, as the model description lists them */
 typedef enum { LOG_ERROR, LOG_WARNING, LOG_DISCARD, LOG_FATAL, LOG_STATISTICS, N_LOG_CATEGORIES } flex_log_category;
 
 extern const char *const flex_log_categories[N_LOG_CATEGORIES];
 
+/* the part of an instance's state that only this layer knows; saved and restored with the rest */
 typedef struct {
-  flex_plant *plant;
+  double stop_time;
+  int has_stop_time;
+  int phase;
+} flex_session;
+
+typedef struct {
+  flex_backend *backend;
+  flex_session session;
   fmi2CallbackFunctions callbacks;
   const char *name;
   int logged[N_LOG_CATEGORIES]; /* 1 = the category is shown */
@@ -22,7 +32,7 @@ typedef struct {
 /* hands a sentence to the importer's logger, if its category is shown; returns the status */
 fmi2Status flex_log(const flex_instance *instance, fmi2Status status, flex_log_category category, const char *format, ...);
 
-/* the same with the plant's own message, as an error */
+/* the same with the backend's own message, as an error */
 fmi2Status flex_log_refusal(const flex_instance *instance);
 
 /* the instance behind a component if the call is legal in its state, else NULL after logging why not */

@@ -4,9 +4,6 @@
 
 #include "fmi2_instance.h"
 
-/* smallest relative tolerance: below it the rounding errors of the equations decide */
-#define LEAST_TOLERANCE 1e-13
-
 const char *fmi2GetTypesPlatform(void) {
   return fmi2TypesPlatform;
 }
@@ -15,24 +12,24 @@ const char *fmi2GetVersion(void) {
   return fmi2Version;
 }
 
-// instance, name and plant in one block of memory
-static flex_instance *create(const flex_model *model, const char *name, const fmi2CallbackFunctions *callbacks) {
+// instance, name and backend in one block of memory
+static flex_instance *create(const char *name, const fmi2CallbackFunctions *callbacks) {
   flex_arena measure = {NULL, 0};
   size_t name_size = strlen(name) + 1;
   flex_take(&measure, sizeof(flex_instance));
   flex_take(&measure, name_size);
-  char *block = flex_allocate(callbacks, measure.used + flex_plant_size(model));
+  char *block = flex_allocate(callbacks, measure.used + flex_backend_size());
   if (!block) return NULL;
 
   // an importer's allocateMemory need not clear
-  memset(block, 0, measure.used + flex_plant_size(model));
+  memset(block, 0, measure.used + flex_backend_size());
   flex_arena arena = {block, 0};
   flex_instance *instance = flex_take(&arena, sizeof *instance);
   char *kept_name = flex_take(&arena, name_size);
   memcpy(kept_name, name, name_size);
   instance->name = kept_name;
   instance->callbacks = *callbacks;
-  instance->plant = flex_plant_create(model, block + arena.used);
+  instance->backend = flex_backend_create(block + arena.used);
   flex_enter_phase(instance, INSTANTIATED);
   return instance;
 }
@@ -42,7 +39,7 @@ static const char *obstacle(fmi2String name, fmi2Type type, fmi2String guid, con
   if (!functions) return "fmi2Instantiate needs callback functions, got none";
   if (!name || !*name) return "fmi2Instantiate needs an instance name, got an empty one";
   if (type != fmi2CoSimulation) return "this FMU supports co-simulation only, not model exchange";
-  if (!guid || strcmp(guid, flex_the_model.guid) != 0)
+  if (!guid || strcmp(guid, flex_backend_guid()) != 0)
     return "the GUID differs from that of the binary; modelDescription.xml and binary do not belong together";
   return NULL;
 }
@@ -52,7 +49,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
   (void)fmuResourceLocation;
   (void)visible;
   const char *why_not = obstacle(instanceName, fmuType, fmuGUID, functions);
-  flex_instance *instance = why_not ? NULL : create(&flex_the_model, instanceName, functions);
+  flex_instance *instance = why_not ? NULL : create(instanceName, functions);
   if (!why_not && !instance) why_not = "out of memory";
   if (why_not) {
     if (functions && functions->logger)
@@ -96,7 +93,6 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
                                fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
   flex_instance *instance = flex_checked(c, call_fmi2SetupExperiment);
   if (!instance) return fmi2Error;
-  flex_plant_record *record = instance->plant->record;
 
   if (toleranceDefined && !(tolerance > 0.0 && tolerance < 1.0))
     return flex_log(instance, fmi2Error, LOG_ERROR, "the relative tolerance must be between 0 and 1, got %g", tolerance);
@@ -106,15 +102,14 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
     return flex_log(instance, fmi2Error, LOG_ERROR, "the stop time must be after the start time %g s, got %g s", startTime,
                     stopTime);
 
-  flex_plant_set_start_time(instance->plant, startTime);
-  record->has_stop_time = stopTimeDefined != 0;
-  record->stop_time = stopTimeDefined ? stopTime : 0.0;
+  flex_backend_set_start_time(instance->backend, startTime);
+  instance->session.has_stop_time = stopTimeDefined != 0;
+  instance->session.stop_time = stopTimeDefined ? stopTime : 0.0;
   if (!toleranceDefined) return fmi2OK;
-  record->tolerance = tolerance;
-  if (tolerance >= LEAST_TOLERANCE) return fmi2OK;
-  record->tolerance = LEAST_TOLERANCE;
+  double used = flex_backend_set_tolerance(instance->backend, tolerance);
+  if (used == tolerance) return fmi2OK;
   return flex_log(instance, fmi2Warning, LOG_WARNING, "the relative tolerance %g is beyond double precision, %g is used",
-                  tolerance, LEAST_TOLERANCE);
+                  tolerance, used);
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
@@ -127,11 +122,7 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
   flex_instance *instance = flex_checked(c, call_fmi2ExitInitializationMode);
   if (!instance) return fmi2Error;
-  flex_failure failure = flex_plant_begin(instance->plant);
-  if (failure.outcome != FLEX_DONE) {
-    flex_explain(instance->plant, "initialisation", &failure);
-    return flex_log_refusal(instance);
-  }
+  if (flex_backend_begin(instance->backend)) return flex_log_refusal(instance);
   flex_enter_phase(instance, STEP_COMPLETE);
   return fmi2OK;
 }
@@ -139,11 +130,9 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
 fmi2Status fmi2Terminate(fmi2Component c) {
   flex_instance *instance = flex_checked(c, call_fmi2Terminate);
   if (!instance) return fmi2Error;
-  const flex_plant_record *record = instance->plant->record;
-  flex_log(instance, fmi2OK, LOG_STATISTICS,
-           "%lld steps, %lld rejected, %lld evaluations of the equations, %lld Newton iterations, %lld factorisations",
-           record->gauss.steps, record->gauss.rejections, record->stages.evaluations, record->stages.iterations,
-           record->stages.matrix.factorisations);
+  char text[FLEX_MESSAGE_SIZE];
+  flex_backend_summarise(instance->backend, text, sizeof text);
+  flex_log(instance, fmi2OK, LOG_STATISTICS, "%s", text);
   flex_enter_phase(instance, TERMINATED);
   return fmi2OK;
 }
@@ -151,7 +140,8 @@ fmi2Status fmi2Terminate(fmi2Component c) {
 fmi2Status fmi2Reset(fmi2Component c) {
   flex_instance *instance = flex_checked(c, call_fmi2Reset);
   if (!instance) return fmi2Error;
-  flex_plant_reset(instance->plant);
+  flex_backend_reset(instance->backend);
+  memset(&instance->session, 0, sizeof instance->session);
   instance->last_step = fmi2OK;
   flex_enter_phase(instance, INSTANTIATED);
   return fmi2OK;

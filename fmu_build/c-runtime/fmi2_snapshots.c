@@ -1,13 +1,13 @@
-/* Saved states: the numeric state of the plant as it lies in memory, behind a header that says whose it is. */
+/* Saved states: the numeric state as it lies in memory, behind a header that says whose it is. */
 #include <string.h>
 
 #include "fmi2_instance.h"
 
 typedef struct {
   unsigned long long signature; /* of model and layout */
-  unsigned long long size;      /* bytes that follow */
-  unsigned long long checksum;  /* of these bytes, once they are serialized */
-  unsigned long long unused;    /* keeps what follows aligned for any type */
+  unsigned long long size;      /* of the numeric state, which follows this header */
+  unsigned long long checksum;  /* of session and numeric state, once they are serialized */
+  flex_session session;
 } flex_snapshot;
 
 // FNV-1a hash (Fowler, Noll, Vo)
@@ -18,12 +18,17 @@ static unsigned long long hash_of(const void *bytes, size_t size) {
   return hash;
 }
 
-static unsigned long long signature_of(const flex_plant *plant) {
-  return hash_of(plant->model->guid, strlen(plant->model->guid)) ^ plant->state_size;
+static unsigned long long checksum_of(const void *snapshot, size_t size) {
+  size_t begin = offsetof(flex_snapshot, session);
+  return hash_of((const char *)snapshot + begin, size - begin);
 }
 
-static size_t snapshot_size(const flex_plant *plant) {
-  return sizeof(flex_snapshot) + plant->state_size;
+static unsigned long long signature_of(const flex_backend *backend) {
+  return hash_of(flex_backend_guid(), strlen(flex_backend_guid())) ^ backend->state_size;
+}
+
+static size_t snapshot_size(const flex_backend *backend) {
+  return sizeof(flex_snapshot) + backend->state_size;
 }
 
 static void *content(flex_snapshot *snapshot) {
@@ -32,8 +37,8 @@ static void *content(flex_snapshot *snapshot) {
 
 // a snapshot that another model or another version has made would be nonsense here
 static int fits(const flex_instance *instance, const flex_snapshot *snapshot) {
-  const flex_plant *plant = instance->plant;
-  if (snapshot && snapshot->signature == signature_of(plant) && snapshot->size == plant->state_size) return 1;
+  const flex_backend *backend = instance->backend;
+  if (snapshot && snapshot->signature == signature_of(backend) && snapshot->size == backend->state_size) return 1;
   flex_log(instance, fmi2Error, LOG_ERROR, "the FMU state does not belong to this FMU, it cannot be used");
   return 0;
 }
@@ -44,14 +49,15 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
   if (!FMUstate) return flex_log(instance, fmi2Error, LOG_ERROR, "fmi2GetFMUstate needs a place for the state, got none");
 
   // an existing one is overwritten
-  flex_plant *plant = instance->plant;
+  flex_backend *backend = instance->backend;
   if (*FMUstate && !fits(instance, *FMUstate)) return fmi2Error;
-  flex_snapshot *snapshot = *FMUstate ? *FMUstate : flex_allocate(&instance->callbacks, snapshot_size(plant));
+  flex_snapshot *snapshot = *FMUstate ? *FMUstate : flex_allocate(&instance->callbacks, snapshot_size(backend));
   if (!snapshot) return flex_log(instance, fmi2Error, LOG_ERROR, "out of memory for an FMU state");
-  snapshot->signature = signature_of(plant);
-  snapshot->size = plant->state_size;
-  snapshot->checksum = snapshot->unused = 0;
-  memcpy(content(snapshot), plant->record, plant->state_size);
+  snapshot->signature = signature_of(backend);
+  snapshot->size = backend->state_size;
+  snapshot->checksum = 0;
+  snapshot->session = instance->session;
+  memcpy(content(snapshot), backend->state, backend->state_size);
   *FMUstate = snapshot;
   return fmi2OK;
 }
@@ -59,8 +65,9 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
   flex_instance *instance = flex_checked(c, call_fmi2SetFMUstate);
   if (!instance || !fits(instance, FMUstate)) return fmi2Error;
-  memcpy(instance->plant->record, content(FMUstate), instance->plant->state_size);
-  flex_plant_restored(instance->plant);
+  instance->session = ((const flex_snapshot *)FMUstate)->session;
+  memcpy(instance->backend->state, content(FMUstate), instance->backend->state_size);
+  flex_backend_restored(instance->backend);
   return fmi2OK;
 }
 
@@ -76,19 +83,19 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
   flex_instance *instance = flex_checked(c, call_fmi2SerializedFMUstateSize);
   if (!instance || !fits(instance, FMUstate)) return fmi2Error;
-  *size = snapshot_size(instance->plant);
+  *size = snapshot_size(instance->backend);
   return fmi2OK;
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[], size_t size) {
   flex_instance *instance = flex_checked(c, call_fmi2SerializeFMUstate);
   if (!instance || !fits(instance, FMUstate)) return fmi2Error;
-  size_t needed = snapshot_size(instance->plant);
+  size_t needed = snapshot_size(instance->backend);
   if (size < needed)
     return flex_log(instance, fmi2Error, LOG_ERROR, "a serialized FMU state needs %lu bytes, got room for %lu",
                     (unsigned long)needed, (unsigned long)size);
   flex_snapshot header = *(flex_snapshot *)FMUstate;
-  header.checksum = hash_of(content(FMUstate), instance->plant->state_size);
+  header.checksum = checksum_of(FMUstate, needed);
   memcpy(serializedState, FMUstate, needed);
   memcpy(serializedState, &header, sizeof header);
   return fmi2OK;
@@ -99,14 +106,15 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
   if (!instance) return fmi2Error;
 
   // check the header before anything is allocated
-  flex_snapshot header = {0, 0, 0, 0};
-  size_t needed = snapshot_size(instance->plant);
+  flex_snapshot header;
+  memset(&header, 0, sizeof header);
+  size_t needed = snapshot_size(instance->backend);
   if (size >= sizeof header) memcpy(&header, serializedState, sizeof header);
   if (!fits(instance, &header)) return fmi2Error;
   if (size < needed)
     return flex_log(instance, fmi2Error, LOG_ERROR, "a serialized FMU state has %lu bytes, got %lu", (unsigned long)needed,
                     (unsigned long)size);
-  if (hash_of(serializedState + sizeof header, instance->plant->state_size) != header.checksum)
+  if (checksum_of(serializedState, needed) != header.checksum)
     return flex_log(instance, fmi2Error, LOG_ERROR, "the serialized FMU state has been changed, its checksum is wrong");
   flex_snapshot *snapshot = flex_allocate(&instance->callbacks, needed);
   if (!snapshot) return flex_log(instance, fmi2Error, LOG_ERROR, "out of memory for an FMU state");

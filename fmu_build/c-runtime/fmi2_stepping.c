@@ -1,37 +1,30 @@
 /* Communication steps and their status. */
-#include <float.h>
 #include <math.h>
 
+#include "clock.h"
 #include "fmi2_instance.h"
-
-/* how far the importer's time may be from ours: a part of the step, and roundings of a time that was summed up */
-#define TIME_SHARE 1e-6
-#define TIME_ROUNDINGS 8.0
-
-static double time_slack(double time, double step) {
-  return TIME_SHARE * step + TIME_ROUNDINGS * DBL_EPSILON * fabs(time);
-}
 
 // whether a communication step can be made at all
 static int is_possible(const flex_instance *instance, double point, double step) {
-  const flex_plant_record *record = instance->plant->record;
+  const flex_session *session = &instance->session;
+  double present = *instance->backend->time;
   if (!isfinite(point) || !isfinite(step) || !(step > 0.0)) {
     flex_log(instance, fmi2Error, LOG_ERROR, "the communication step size must be positive and finite, got %g s at %.9g s",
              step, point);
     return 0;
   }
-  if (fabs(point - record->time) > time_slack(record->time, step)) {
+  if (fabs(point - present) > flex_time_slack(present, step)) {
     flex_log(instance, fmi2Error, LOG_ERROR, "the communication point must be the present time %.17g s, got %.17g s",
-             record->time, point);
+             present, point);
     return 0;
   }
   if (!(point + step > point)) {
     flex_log(instance, fmi2Error, LOG_ERROR, "a communication step of %g s is lost by rounding at %.17g s", step, point);
     return 0;
   }
-  if (record->has_stop_time && point + step > record->stop_time + time_slack(record->stop_time, step)) {
+  if (session->has_stop_time && point + step > session->stop_time + flex_time_slack(session->stop_time, step)) {
     flex_log(instance, fmi2Error, LOG_ERROR, "a step of %g s from %.17g s goes beyond the stop time %.17g s", step, point,
-             record->stop_time);
+             session->stop_time);
     return 0;
   }
   return 1;
@@ -44,14 +37,12 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
   if (!instance || !is_possible(instance, currentCommunicationPoint, communicationStepSize)) return fmi2Error;
 
   double end = currentCommunicationPoint + communicationStepSize;
-  flex_failure failure = flex_plant_advance(instance->plant, currentCommunicationPoint, end);
-  if (failure.outcome == FLEX_DONE) {
+  if (!flex_backend_advance(instance->backend, currentCommunicationPoint, end)) {
     flex_enter_phase(instance, STEP_COMPLETE);
     return instance->last_step = fmi2OK;
   }
-  flex_explain(instance->plant, "integration", &failure);
   flex_enter_phase(instance, STEP_FAILED);
-  return instance->last_step = flex_log(instance, fmi2Discard, LOG_DISCARD, "%s", instance->plant->message);
+  return instance->last_step = flex_log(instance, fmi2Discard, LOG_DISCARD, "%s", instance->backend->message);
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) {
@@ -76,7 +67,7 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *
   flex_instance *instance = flex_checked(c, call_fmi2GetRealStatus);
   if (!instance) return fmi2Error;
   if (s != fmi2LastSuccessfulTime) return no_such_status(instance, "fmi2GetRealStatus", (int)s);
-  *value = instance->plant->record->time;
+  *value = *instance->backend->time;
   return fmi2OK;
 }
 

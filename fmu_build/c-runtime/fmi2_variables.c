@@ -6,12 +6,11 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
   if (!instance) return fmi2Error;
 
   // before initialisation nothing is computed
-  const flex_model *model = instance->plant->model;
-  unsigned n_settable = (unsigned)(model->n_inputs + model->n_parameters);
+  unsigned n_settable = instance->backend->n_settable;
   for (size_t i = 0; i < nvr; i++) {
     if (flex_phase_of(instance) == INSTANTIATED && vr[i] >= n_settable)
       return flex_log(instance, fmi2Error, LOG_ERROR, "outputs cannot be read before fmi2EnterInitializationMode");
-    if (flex_get_real(instance->plant, vr[i], &value[i])) return flex_log_refusal(instance);
+    if (flex_backend_get_real(instance->backend, vr[i], &value[i])) return flex_log_refusal(instance);
   }
   return fmi2OK;
 }
@@ -20,7 +19,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
   flex_instance *instance = flex_checked(c, call_fmi2SetReal);
   if (!instance) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
-    if (flex_set_real(instance->plant, vr[i], value[i])) return flex_log_refusal(instance);
+    if (flex_backend_set_real(instance->backend, vr[i], value[i])) return flex_log_refusal(instance);
   return fmi2OK;
 }
 
@@ -28,7 +27,7 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
   flex_instance *instance = flex_checked(c, call_fmi2GetInteger);
   if (!instance) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
-    if (flex_get_integer(instance->plant, vr[i], &value[i])) return flex_log_refusal(instance);
+    if (flex_backend_get_integer(instance->backend, vr[i], &value[i])) return flex_log_refusal(instance);
   return fmi2OK;
 }
 
@@ -36,7 +35,7 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
   flex_instance *instance = flex_checked(c, call_fmi2SetInteger);
   if (!instance) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
-    if (flex_set_integer(instance->plant, vr[i], value[i])) return flex_log_refusal(instance);
+    if (flex_backend_set_integer(instance->backend, vr[i], value[i])) return flex_log_refusal(instance);
   return fmi2OK;
 }
 
@@ -72,7 +71,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
   flex_instance *instance = flex_checked(c, call_fmi2SetRealInputDerivatives);
   if (!instance) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
-    if (flex_set_input_derivative(instance->plant, vr[i], order[i], value[i])) return flex_log_refusal(instance);
+    if (flex_backend_set_input_derivative(instance->backend, vr[i], order[i], value[i])) return flex_log_refusal(instance);
   return fmi2OK;
 }
 
@@ -81,7 +80,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
   flex_instance *instance = flex_checked(c, call_fmi2GetRealOutputDerivatives);
   if (!instance) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
-    if (flex_get_output_derivative(instance->plant, vr[i], order[i], &value[i])) return flex_log_refusal(instance);
+    if (flex_backend_get_output_derivative(instance->backend, vr[i], order[i], &value[i])) return flex_log_refusal(instance);
   return fmi2OK;
 }
 

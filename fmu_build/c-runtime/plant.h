@@ -8,6 +8,7 @@
 #include "inputs.h"
 #include "model.h"
 #include "outcome.h"
+#include "refusal.h"
 #include "statics.h"
 
 /* what has been computed for the present values of everything that it depends on */
@@ -22,18 +23,14 @@ enum {
 
 /* the scalars of the numeric state */
 typedef struct {
-  double time, stop_time, tolerance;
-  int has_stop_time;
+  double time, tolerance;
   int starts_static; /* 1 = static equilibrium, 0 = undeformed */
   int is_moving;     /* 1 = initialisation is over */
   int have;          /* FLEX_HAVE_.. */
   int inputs_changed;
-  int phase; /* belongs to the interface around the plant */
   flex_gauss_record gauss;
   flex_stages_record stages;
 } flex_plant_record;
-
-#define FLEX_MESSAGE_SIZE 512
 
 typedef struct {
   const flex_model *model;

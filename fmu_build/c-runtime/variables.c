@@ -1,18 +1,8 @@
 #include "variables.h"
 
 #include <limits.h>
-#include <math.h>
-#include <stdarg.h>
-#include <stdio.h>
 
-// the sentence that says why, and the result that says that there is one
-static int refuse(flex_plant *plant, const char *format, ...) {
-  va_list arguments;
-  va_start(arguments, format);
-  vsnprintf(plant->message, sizeof plant->message, format, arguments);
-  va_end(arguments);
-  return 1;
-}
+#define refuse(plant, ...) flex_refuse((plant)->message, __VA_ARGS__)
 
 void flex_explain(flex_plant *plant, const char *what, const flex_failure *failure) {
   const flex_model *model = plant->model;
@@ -59,10 +49,7 @@ static int failed(flex_plant *plant, const char *what, flex_failure failure) {
 
 static int is_known(flex_plant *plant, unsigned index) {
   const flex_model *model = plant->model;
-  unsigned count = (unsigned)(model->n_inputs + model->n_parameters + model->n_outputs);
-  if (index < count) return 1;
-  refuse(plant, "value reference %u of a real variable is unknown; there are %u", index, count);
-  return 0;
+  return !flex_refuse_reference(plant->message, index, model->n_inputs + model->n_parameters + model->n_outputs);
 }
 
 int flex_get_real(flex_plant *plant, unsigned index, double *value) {
@@ -81,22 +68,11 @@ int flex_get_real(flex_plant *plant, unsigned index, double *value) {
   return 0;
 }
 
-// finite and within the limits of the variable
-static int is_admissible(flex_plant *plant, const flex_variable *variable, double value) {
-  if (value >= variable->minimum && value <= variable->maximum && isfinite(value)) return 1;
-  if (!isfinite(value))
-    refuse(plant, "%s must be a finite number in %s, got %g", variable->name, variable->unit, value);
-  else
-    refuse(plant, "%s must be in %.6g .. %.6g %s, got %.6g", variable->name, variable->minimum, variable->maximum,
-           variable->unit, value);
-  return 0;
-}
-
 static int set_parameter(flex_plant *plant, int index, double value) {
   const flex_variable *variable = &plant->model->parameter_variables[index];
   if (plant->record->is_moving && !variable->tunable)
     return refuse(plant, "parameter %s is fixed once the motion has begun; reset the instance to change it", variable->name);
-  if (!is_admissible(plant, variable, value)) return 1;
+  if (flex_refuse_value(plant->message, variable, value)) return 1;
   if (plant->p[index] == value) return 0;
   plant->p[index] = value;
   flex_plant_parameters_changed(plant);
@@ -109,7 +85,7 @@ int flex_set_real(flex_plant *plant, unsigned index, double value) {
   if (!is_known(plant, index)) return 1;
   if (index >= m + p) return refuse(plant, "%s is an output, it cannot be set", model->output_variables[index - m - p].name);
   if (index >= m) return set_parameter(plant, (int)(index - m), value);
-  if (!is_admissible(plant, &model->input_variables[index], value)) return 1;
+  if (flex_refuse_value(plant->message, &model->input_variables[index], value)) return 1;
   flex_inputs_set(&plant->inputs, (int)index, plant->record->time, value);
   flex_plant_inputs_changed(plant);
   return 0;
@@ -151,9 +127,7 @@ int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, doub
   if (index >= (unsigned)model->n_inputs)
     return refuse(plant, "value reference %u is no input, its derivatives cannot be set", index);
   const char *name = model->input_variables[index].name;
-  if (order < 1 || order > model->max_input_order)
-    return refuse(plant, "derivatives of %s must be of order 1 to %d, got order %d", name, model->max_input_order, order);
-  if (!isfinite(value)) return refuse(plant, "derivative %d of %s must be a finite number, got %g", order, name, value);
+  if (flex_refuse_derivative(plant->message, name, order, model->max_input_order, value)) return 1;
   flex_inputs_set_derivative(&plant->inputs, (int)index, plant->record->time, order, value);
   flex_plant_inputs_changed(plant);
   return 0;

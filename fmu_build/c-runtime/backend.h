@@ -1,0 +1,53 @@
+/* What the FMI layer asks of the thing inside the FMU: a plant, a discrete-time block or a trajectory.
+ *
+ * Each of these has a file <kind>_backend.c with all functions below; a binary links exactly one such file. Functions that
+ * can be refused return 0, or 1 with a sentence in `message`. */
+#ifndef FLEXFMU_BACKEND_H
+#define FLEXFMU_BACKEND_H
+
+#include <stddef.h>
+
+/* what every kind begins with; only the kind itself writes here */
+typedef struct {
+  void *state; /* numeric state without pointers, so that saving and restoring it is a copy */
+  size_t state_size;
+  const double *time;  /* present time [s], within the state */
+  const char *message; /* why the last call was refused */
+  unsigned n_settable; /* real variables below this value reference are inputs and parameters */
+} flex_backend;
+
+/* identity of the model description that belongs to this binary */
+const char *flex_backend_guid(void);
+
+/* bytes of memory that an instance needs, zeroed by the caller before flex_backend_create */
+size_t flex_backend_size(void);
+flex_backend *flex_backend_create(void *memory);
+
+/* back to the start values of everything */
+void flex_backend_reset(flex_backend *backend);
+
+/* to be called after the numeric state was overwritten with a saved one */
+void flex_backend_restored(flex_backend *backend);
+
+/* before the motion: when it starts, and how accurate it shall be; returns the relative tolerance that is in use */
+void flex_backend_set_start_time(flex_backend *backend, double time);
+double flex_backend_set_tolerance(flex_backend *backend, double tolerance);
+
+/* ends initialisation */
+int flex_backend_begin(flex_backend *backend);
+
+/* from t0 to t1; where it is refused, the backend is left at the time that it has reached */
+int flex_backend_advance(flex_backend *backend, double t0, double t1);
+
+/* variables by value reference, with checks; where one is refused, nothing has changed */
+int flex_backend_get_real(flex_backend *backend, unsigned index, double *value);
+int flex_backend_set_real(flex_backend *backend, unsigned index, double value);
+int flex_backend_get_integer(flex_backend *backend, unsigned index, int *value);
+int flex_backend_set_integer(flex_backend *backend, unsigned index, int value);
+int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int order, double value);
+int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, int order, double *value);
+
+/* the work done since initialisation, a sentence for the log */
+void flex_backend_summarise(const flex_backend *backend, char *text, size_t size);
+
+#endif

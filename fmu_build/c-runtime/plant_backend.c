@@ -1,0 +1,102 @@
+/* A plant behind the FMI layer. */
+#include <stdio.h>
+
+#include "backend.h"
+#include "variables.h"
+
+/* smallest relative tolerance: below it the rounding errors of the equations decide */
+#define LEAST_TOLERANCE 1e-13
+
+typedef struct {
+  flex_backend base;
+  flex_plant *plant;
+} plant_backend;
+
+static flex_plant *plant_of(const flex_backend *backend) {
+  return ((const plant_backend *)backend)->plant;
+}
+
+const char *flex_backend_guid(void) {
+  return flex_the_model.guid;
+}
+
+size_t flex_backend_size(void) {
+  flex_arena arena = {NULL, 0};
+  flex_take(&arena, sizeof(plant_backend));
+  return arena.used + flex_plant_size(&flex_the_model);
+}
+
+flex_backend *flex_backend_create(void *memory) {
+  flex_arena arena = {memory, 0};
+  plant_backend *whole = flex_take(&arena, sizeof *whole);
+  flex_plant *plant = flex_plant_create(&flex_the_model, arena.block + arena.used);
+  whole->plant = plant;
+  whole->base.state = plant->record;
+  whole->base.state_size = plant->state_size;
+  whole->base.time = &plant->record->time;
+  whole->base.message = plant->message;
+  whole->base.n_settable = (unsigned)(flex_the_model.n_inputs + flex_the_model.n_parameters);
+  return &whole->base;
+}
+
+void flex_backend_reset(flex_backend *backend) {
+  flex_plant_reset(plant_of(backend));
+}
+
+void flex_backend_restored(flex_backend *backend) {
+  flex_plant_restored(plant_of(backend));
+}
+
+void flex_backend_set_start_time(flex_backend *backend, double time) {
+  flex_plant_set_start_time(plant_of(backend), time);
+}
+
+double flex_backend_set_tolerance(flex_backend *backend, double tolerance) {
+  return plant_of(backend)->record->tolerance = tolerance < LEAST_TOLERANCE ? LEAST_TOLERANCE : tolerance;
+}
+
+static int explained(flex_backend *backend, const char *what, flex_failure failure) {
+  if (failure.outcome == FLEX_DONE) return 0;
+  flex_explain(plant_of(backend), what, &failure);
+  return 1;
+}
+
+int flex_backend_begin(flex_backend *backend) {
+  return explained(backend, "initialisation", flex_plant_begin(plant_of(backend)));
+}
+
+int flex_backend_advance(flex_backend *backend, double t0, double t1) {
+  return explained(backend, "integration", flex_plant_advance(plant_of(backend), t0, t1));
+}
+
+int flex_backend_get_real(flex_backend *backend, unsigned index, double *value) {
+  return flex_get_real(plant_of(backend), index, value);
+}
+
+int flex_backend_set_real(flex_backend *backend, unsigned index, double value) {
+  return flex_set_real(plant_of(backend), index, value);
+}
+
+int flex_backend_get_integer(flex_backend *backend, unsigned index, int *value) {
+  return flex_get_integer(plant_of(backend), index, value);
+}
+
+int flex_backend_set_integer(flex_backend *backend, unsigned index, int value) {
+  return flex_set_integer(plant_of(backend), index, value);
+}
+
+int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int order, double value) {
+  return flex_set_input_derivative(plant_of(backend), index, order, value);
+}
+
+int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, int order, double *value) {
+  return flex_get_output_derivative(plant_of(backend), index, order, value);
+}
+
+void flex_backend_summarise(const flex_backend *backend, char *text, size_t size) {
+  const flex_plant_record *record = plant_of(backend)->record;
+  snprintf(text, size,
+           "%lld steps, %lld rejected, %lld evaluations of the equations, %lld Newton iterations, %lld factorisations",
+           record->gauss.steps, record->gauss.rejections, record->stages.evaluations, record->stages.iterations,
+           record->stages.matrix.factorisations);
+}
