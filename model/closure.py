@@ -28,6 +28,23 @@ class IndependentMotion:
     a_e: casadi.SX
 
 
+@dataclass(frozen=True)
+class ProjectedForces:
+    """Forces that a motion needs, and those that pass through the joints on the way.
+
+    Attributes:
+        motors: on the motor angles (2, 1) [N m].
+        elastic: on the elastic coordinates (n, 1) [N, N m].
+        elbows: that the proximal on the distal link exerts at the elbow, of both legs, each (2, 1) [N].
+        pulls: that the leg exerts on the end effector, of both legs, each (2, 1) [N].
+    """
+
+    motors: casadi.SX
+    elastic: casadi.SX
+    elbows: tuple[casadi.SX, casadi.SX]
+    pulls: tuple[casadi.SX, casadi.SX]
+
+
 def _normal(direction: casadi.SX) -> casadi.SX:
     return casadi.vertcat(-direction[1], direction[0])
 
@@ -46,6 +63,7 @@ class TipMap:
             self._gains[link.name, part.family.direction] = casadi.sparsify(gain)
             start = stop
         self._none = casadi.DM(n, 1)
+        self.twist = robot.twist_selection
 
     def gain(self, link: str, direction: Direction) -> casadi.DM:
         """phi(1) of the link's family within q_e, shape (n, 1)."""
@@ -71,8 +89,9 @@ class Closure:
     ) -> None:
         self._tips, self._motion, self._side = TipMap(robot), motion, side
         proximal, distal = lengths
+        self.q_a = motion.q_a + self._twist(motion.q_e)
         self._bases = [robot.links[f"link{leg}1"].base for leg in LEGS]
-        self.e_a = [casadi.vertcat(casadi.cos(motion.q_a[i]), casadi.sin(motion.q_a[i])) for i in range(2)]
+        self.e_a = [casadi.vertcat(casadi.cos(self.q_a[i]), casadi.sin(self.q_a[i])) for i in range(2)]
         self.reach = [proximal + self._tip(i, 1, "axial", motion.q_e) for i in range(2)]
         self.sag = [self._tip(i, 1, "bending", motion.q_e) for i in range(2)]
         self.length = [distal + self._tip(i, 2, "axial", motion.q_e) for i in range(2)]
@@ -87,6 +106,10 @@ class Closure:
 
     def _tip(self, leg: int, link: int, direction: Direction, coordinates: casadi.SX) -> casadi.SX:
         return self._tips.displacement(f"link{leg + 1}{link}", direction, coordinates)
+
+    def _twist(self, coordinates: casadi.SX) -> casadi.SX:
+        """Link minus motor angles (2, 1), or their rates, for q_e or its rate."""
+        return self._tips.twist.T @ coordinates if coordinates.numel() else casadi.SX(2, 1)
 
     def _intersect(self) -> casadi.SX:
         """End effector X from two circles about the elbows."""
@@ -112,7 +135,8 @@ class Closure:
 
     def _move(self) -> None:
         m = self._motion
-        self.w_a = [m.v_a[i] for i in range(2)]
+        w_a = m.v_a + self._twist(m.v_e)
+        self.w_a = [w_a[i] for i in range(2)]
         reach = [self._tip(i, 1, "axial", m.v_e) for i in range(2)]
         sag = [self._tip(i, 1, "bending", m.v_e) for i in range(2)]
         self.length_rate = [self._tip(i, 2, "axial", m.v_e) for i in range(2)]
@@ -130,11 +154,14 @@ class Closure:
 
     def _accelerate(self) -> None:
         m, w, wp = self._motion, self.w_a, self.w_p
+        self.wd_a = m.a_a + self._twist(m.a_e)
         reach = [self._tip(i, 1, "axial", m.a_e) for i in range(2)]
         sag = [self._tip(i, 1, "bending", m.a_e) for i in range(2)]
         length = [self._tip(i, 2, "axial", m.a_e) for i in range(2)]
-        along = [reach[i] - m.a_a[i] * self.sag[i] - w[i] * (self._sag_rate[i] + self._across[i]) for i in range(2)]
-        across = [sag[i] + m.a_a[i] * self.reach[i] + w[i] * (self._reach_rate[i] + self._along[i]) for i in range(2)]
+        along = [reach[i] - self.wd_a[i] * self.sag[i] - w[i] * (self._sag_rate[i] + self._across[i]) for i in range(2)]
+        across = [
+            sag[i] + self.wd_a[i] * self.reach[i] + w[i] * (self._reach_rate[i] + self._along[i]) for i in range(2)
+        ]
         self.elbow_acceleration = [along[i] * self.e_a[i] + across[i] * _normal(self.e_a[i]) for i in range(2)]
         self.acceleration = self._solve(
             [
@@ -159,26 +186,30 @@ class Closure:
             points=(self.elbows[0], self.elbows[1]),
             position=self.position,
             elastic=m.q_e,
-            rates=casadi.vertcat(m.v_a, *self.w_p, *self.elbow_velocity, self.velocity, m.v_e),
-            accelerations=casadi.vertcat(m.a_a, *self.wd_p, *self.elbow_acceleration, self.acceleration, m.a_e),
+            rates=casadi.vertcat(*self.w_a, *self.w_p, *self.elbow_velocity, self.velocity, m.v_e),
+            accelerations=casadi.vertcat(self.wd_a, *self.wd_p, *self.elbow_acceleration, self.acceleration, m.a_e),
         )
 
-    def project(self, force: casadi.SX) -> tuple[casadi.SX, casadi.SX]:
-        """Redundant generalised forces (10 + n, 1) → forces on the motor angles (2, 1) and elastic coordinates (n, 1).
+    def project(self, force: casadi.SX) -> ProjectedForces:
+        """Redundant generalised forces (10 + n, 1) projected onto the independent coordinates.
 
         This is the transposed velocity map; virtual power is preserved.
         """
         turning_a, turning_p = force[0:2], force[2:4]
-        at_elbow, at_tip, elastic = [force[4:6], force[6:8]], force[8:10], force[10:]
+        required, at_tip, elastic = [force[4:6], force[6:8]], force[8:10], force[10:]
         levers = [turning_p[i] * _normal(self.e_p[i]) / self.length[i] for i in range(2)]
         axial = self._solve_transposed(at_tip + levers[0] + levers[1])
-        motors = []
+        pulls = [axial[i] * self.e_p[i] - levers[i] for i in range(2)]
+        elbows = [required[i] + pulls[i] for i in range(2)]
+        joints = []
         for i in range(2):
-            at_elbow[i] = at_elbow[i] - levers[i] + axial[i] * self.e_p[i]
-            along = casadi.dot(self.e_a[i], at_elbow[i])
-            across = casadi.dot(_normal(self.e_a[i]), at_elbow[i])
-            motors.append(turning_a[i] + across * self.reach[i] - along * self.sag[i])
+            along = casadi.dot(self.e_a[i], elbows[i])
+            across = casadi.dot(_normal(self.e_a[i]), elbows[i])
+            joints.append(turning_a[i] + across * self.reach[i] - along * self.sag[i])
             if elastic.numel():
                 for link, direction, component in ((1, "axial", along), (1, "bending", across), (2, "axial", axial[i])):
                     elastic += self._tips.gain(f"link{i + 1}{link}", direction) * component  # type: ignore[arg-type]
-        return casadi.vertcat(*motors), elastic
+        motors = casadi.vertcat(*joints)
+        if elastic.numel():
+            elastic += self._tips.twist @ motors
+        return ProjectedForces(motors, elastic, (elbows[0], elbows[1]), (pulls[0], pulls[1]))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi
@@ -36,14 +36,14 @@ class Output:
     Attributes:
         name, unit, description: as FMI shows it.
         coordinates: the elastic coordinates (K, 1) of one link.
-        gain: shape (K, 1).
+        gain: shape (K, 1), of numbers or derived values.
     """
 
     name: str
     unit: str
     description: str
     coordinates: casadi.SX
-    gain: casadi.DM
+    gain: casadi.SX
 
 
 class Effect(ABC):  # noqa: B024 - every hook has a neutral default
@@ -52,6 +52,10 @@ class Effect(ABC):  # noqa: B024 - every hook has a neutral default
     def families(self) -> tuple[Family, ...]:
         """Elastic families that the effect adds to the links."""
         return ()
+
+    def twists_joints(self) -> bool:
+        """Whether the effect makes the joints' transmissions elastic."""
+        return False
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
         """T [J]."""
@@ -84,10 +88,11 @@ class Effect(ABC):  # noqa: B024 - every hook has a neutral default
 
 @dataclass(frozen=True)
 class LinkProperties:
-    """Mass [kg], length [m], area [m²] and second moment of area [m⁴] of a link group, as derived symbols."""
+    """Mass [kg], length, outer diameter [m], area [m²] and second moment of area [m⁴] of a link group, in symbols."""
 
     mass: casadi.SX
     length: casadi.SX
+    outer_diameter: casadi.SX
     area: casadi.SX
     second_moment: casadi.SX
     youngs_modulus: casadi.SX
@@ -187,6 +192,7 @@ class ElasticFamily(Effect):
             prefix = f"{group}_{direction}_{name}"
             return _symmetric(modes, lambda i, j: registry.derived(f"{prefix}_{i}_{j}", factor * gram[i, j]), gram)
 
+        self._registry, self._properties = registry, properties
         self._family = Family(
             group,
             direction,
@@ -203,13 +209,31 @@ class ElasticFamily(Effect):
         return sum((0.5 * _form(self._family.stiffness, part.q, part.q) for part in parts), casadi.SX(0))
 
     def outputs(self, robot: Robot) -> Sequence[Output]:
-        moving_tip = any(shape.tip for shape in self._family.shapes)
+        mine = [(link.name, part.q) for link, part in robot.elastic if part.family is self._family]
+        return (*self._tip_outputs(mine), *self._strain_outputs(mine))
+
+    def _tip_outputs(self, mine: Sequence[tuple[str, casadi.SX]]) -> Iterator[Output]:
         name, text = _TIP_NAMES[self._family.direction]
-        return tuple(
-            Output(f"{link.name}.{name}", "m", f"{text} of {link.name}", part.q, self._family.tips)
-            for link, part in robot.elastic
-            if part.family is self._family and moving_tip
+        if any(shape.tip for shape in self._family.shapes):
+            for link, q in mine:
+                yield Output(f"{link}.{name}", "m", f"{text} of {link}", q, casadi.SX(self._family.tips))
+
+    def _strain_outputs(self, mine: Sequence[tuple[str, casadi.SX]]) -> Iterator[Output]:
+        """Bending strain at the clamped end, where a strain gauge would sit: D/2 times the curvature."""
+        if (self._family.group, self._family.direction) != ("proximal", "bending"):
+            return
+        lever = self._properties.outer_diameter / (2 * self._properties.length**2)
+        root = np.zeros(1)
+        gain = _column(
+            [
+                self._registry.derived(f"root_strain_{k}", lever * float(shape.strain(root)[0]))
+                for k, shape in enumerate(self._family.shapes)
+            ]
         )
+        for link, q in mine:
+            yield Output(
+                f"{link}.root_strain", "1", f"bending strain at the root of {link}, on its outer side,", q, gain
+            )
 
     def title(self) -> str:
         return f"{self._family.group} {'bending' if self._family.direction == 'bending' else 'elongation'}"
@@ -344,6 +368,7 @@ def link_properties(registry: ParameterRegistry, group: LinkGroup, parameters: d
     return LinkProperties(
         mass=registry.derived(f"{group}_mass", parameters["material.density"] * area * length),
         length=registry.derived(f"{group}_length", length),
+        outer_diameter=outer,
         area=area,
         second_moment=math.pi / 64 * (outer**4 - inner**4),
         youngs_modulus=parameters["material.youngs_modulus"],

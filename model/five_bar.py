@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import casadi
 
 from flexfmu.model import scene as keys
-from flexfmu.model.closure import Closure, IndependentMotion
+from flexfmu.model.closure import Closure, IndependentMotion, ProjectedForces
+from flexfmu.model.drive_effects import CoulombFriction, ElasticTransmission, MotorInertia, ViscousFriction
 from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
 from flexfmu.model.effects import (
     Effect,
@@ -48,8 +49,8 @@ class FiveBar:
         dynamics: equations of motion in redundant coordinates.
         motion: symbols of the independent motion.
         closure: the assembled motion as expressions of the independent one.
-        motor_forces: torques that the independent motion needs [N m], (2, 1).
-        elastic_forces: forces on q_e that it needs [N], (n, 1); zero in a free motion.
+        redundant_force: generalised forces that the motion needs in redundant coordinates, (10 + n, 1).
+        forces: the same, projected: motor torques, forces on q_e (zero in a free motion), joint reactions.
         outputs: watched scalars of the effects.
         sentences: effect → sentence, for documentation.
     """
@@ -59,8 +60,8 @@ class FiveBar:
     dynamics: RedundantDynamics
     motion: IndependentMotion
     closure: Closure
-    motor_forces: casadi.SX
-    elastic_forces: casadi.SX
+    redundant_force: casadi.SX
+    forces: ProjectedForces
     outputs: tuple[Output, ...]
     sentences: Mapping[str, str]
 
@@ -74,22 +75,23 @@ def assemble(scene: Scene) -> FiveBar:
     }
     effects = chosen_effects(scene, registry, properties)
     families = [family for effect in effects for family in effect.families()]
-    robot = make_robot(families, registry.derived("base_half_distance", parameters["base_half_distance"]))
+    twists = any(effect.twists_joints() for effect in effects)
+    robot = make_robot(families, registry.derived("base_half_distance", parameters["base_half_distance"]), twists)
+    outputs = tuple(output for effect in effects for output in effect.outputs(robot))
     dynamics = derive_dynamics(robot, effects, registry)
     motion = _independent_motion(robot)
     side = 1 if scene.mechanism.assembly_mode == "left" else -1
     closure = Closure(robot, motion, (properties["proximal"].length, properties["distal"].length), side)
     force = dynamics.force(*closure.redundant().arguments(), registry.d)
-    motors, elastic = closure.project(force)
     return FiveBar(
         robot=robot,
         registry=registry,
         dynamics=dynamics,
         motion=motion,
         closure=closure,
-        motor_forces=motors,
-        elastic_forces=elastic,
-        outputs=tuple(output for effect in effects for output in effect.outputs(robot)),
+        redundant_force=force,
+        forces=closure.project(force),
+        outputs=outputs,
         sentences={effect.title(): effect.sentence() for effect in effects},
     )
 
@@ -112,7 +114,21 @@ def chosen_effects(
         effects.append(ModalDamping(registry, damping.ratio))
     if isinstance(damping, keys.StiffnessDamping) and damping.time:
         effects.append(StiffnessDamping(registry, damping.time))
+    effects.extend(_drive_effects(scene.effects, registry))
     return effects
+
+
+def _drive_effects(chosen: keys.Effects, registry: ParameterRegistry) -> Iterator[Effect]:
+    """The effects of the drives that a scene asks for."""
+    friction, transmission = chosen.joint_friction, chosen.transmission
+    if chosen.motor_inertia:
+        yield MotorInertia(registry, chosen.motor_inertia)
+    if friction.viscous:
+        yield ViscousFriction(registry, friction.viscous)
+    if friction.coulomb:
+        yield CoulombFriction(registry, friction.coulomb, friction.velocity)
+    if transmission is not None:
+        yield ElasticTransmission(registry, transmission.stiffness, transmission.damping)
 
 
 def _independent_motion(robot: Robot) -> IndependentMotion:

@@ -138,13 +138,14 @@ def _constraints(five_bar: FiveBar, q: casadi.SX, d: casadi.DM) -> casadi.SX:
     """f(q) of eq. (18): both distal tips are the end effector, both distal bases are the proximal tips."""
     q_a, q_e, q_p = _split(q, five_bar.robot.q_e.numel())
     tips = TipMap(five_bar.robot)
+    links = q_a + tips.twist.T @ q_e if q_e.numel() else q_a
     end = q_p[6:8]
     at_end, at_elbow = [], []
     for leg in (1, 2):
         base, angle = q_p[3 * leg - 3 : 3 * leg - 1], q_p[3 * leg - 1]
         at_end.append(end - _tip(five_bar, tips, f"link{leg}2", base, angle, q_e))
         fixed = five_bar.robot.links[f"link{leg}1"].base
-        at_elbow.append(base - _tip(five_bar, tips, f"link{leg}1", fixed, q_a[leg - 1], q_e))
+        at_elbow.append(base - _tip(five_bar, tips, f"link{leg}1", fixed, links[leg - 1], q_e))
     return casadi.substitute(casadi.vertcat(*at_end, *at_elbow), five_bar.registry.d, d)
 
 
@@ -160,17 +161,20 @@ def _tip(five_bar: FiveBar, tips: TipMap, link: str, base: casadi.SX, angle: cas
 def _force(five_bar: FiveBar, q: casadi.SX, v: casadi.SX, a: casadi.SX, d: casadi.DM) -> casadi.SX:
     """Generalised forces that a motion in all coordinates needs, in the order of q."""
     n = five_bar.robot.q_e.numel()
+    twist = five_bar.robot.twist_selection
     q_a, q_e, q_p = _split(q, n)
-    directions = [casadi.vertcat(casadi.cos(t), casadi.sin(t)) for t in (q_a[0], q_a[1], q_p[2], q_p[5])]
+    links = q_a + twist.T @ q_e if n else q_a
+    directions = [casadi.vertcat(casadi.cos(t), casadi.sin(t)) for t in (links[0], links[1], q_p[2], q_p[5])]
     x = casadi.vertcat(*directions, q_p[0:2], q_p[3:5], q_p[6:8], q_e)
 
     def redundant(w: casadi.SX) -> casadi.SX:
         w_a, w_e, w_p = _split(w, n)
-        return casadi.vertcat(w_a, w_p[2], w_p[5], w_p[0:2], w_p[3:5], w_p[6:8], w_e)
+        return casadi.vertcat(w_a + twist.T @ w_e if n else w_a, w_p[2], w_p[5], w_p[0:2], w_p[3:5], w_p[6:8], w_e)
 
     force = five_bar.dynamics.force(x, redundant(v), redundant(a), d)
     passive = casadi.vertcat(force[4:6], force[2], force[6:8], force[3], force[8:10])
-    return casadi.vertcat(force[0:2], force[10:], passive)
+    elastic = force[10:] + twist @ force[0:2] if n else force[10:]
+    return casadi.vertcat(force[0:2], elastic, passive)
 
 
 def _assembled(five_bar: FiveBar, d: casadi.DM) -> casadi.Function:

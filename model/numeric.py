@@ -48,7 +48,7 @@ def numeric_model(scene: Scene) -> NumericModel:
         filled = [casadi.densify(casadi.cse(casadi.substitute(r, five_bar.registry.d, values))) for r in results]
         return casadi.Function(name, arguments, filled)
 
-    force, zeros = five_bar.elastic_forces, casadi.SX.zeros(m.q_e.numel())
+    force, zeros = five_bar.forces.elastic, casadi.SX.zeros(m.q_e.numel())
     at_rest = casadi.substitute(force, casadi.vertcat(m.v_e, m.a_e), casadi.vertcat(zeros, zeros))
     state = closure.redundant()
     energy = five_bar.dynamics.energy(state.arguments()[0], state.rates, five_bar.registry.d)
@@ -60,7 +60,7 @@ def numeric_model(scene: Scene) -> NumericModel:
         motion=function(
             "motion",
             [m.q_e, m.v_e, m.a_e, u],
-            [closure.position, closure.velocity, closure.acceleration, five_bar.motor_forces],
+            [closure.position, closure.velocity, closure.acceleration, five_bar.forces.motors],
         ),
         energy=function("energy", [m.q_e, m.v_e, u], [energy]),
     )

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from flexfmu.model.errors import SceneError
 from flexfmu.model.motion_driven import motion_driven_plant
 from flexfmu.model.scene import Scene
 from flexfmu.model.symbolic import SymbolicModel
+from flexfmu.model.torque_driven import torque_driven_plant
 
 
 def build_model(scene: Scene) -> SymbolicModel:
-    """The plant of a scene as equations and variables.
-
-    Raises:
-        SceneError: the scene asks for a plant that doesn't exist.
-    """
-    if scene.cosimulation.drive == "torque":
-        raise SceneError(f"`cosimulation.drive` = 'torque' is not available yet: use 'motion' (scene {scene.name})")
-    return motion_driven_plant(scene)
+    """The plant that a scene drives as equations and variables."""
+    return torque_driven_plant(scene) if scene.cosimulation.drive == "torque" else motion_driven_plant(scene)

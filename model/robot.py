@@ -95,12 +95,37 @@ class Link:
 class Robot:
     """All symbols of the redundant formulation.
 
-    The rates are ordered [w11, w21, w12, w22, P1' (2), P2' (2), X' (2), q_e' (n)]: actuated, passive, elastic.
+    The rates are ordered [w11, w21, w12, w22, P1' (2), P2' (2), X' (2), q_e' (n)]: proximal, passive, elastic. With
+    elastic transmissions the last two elastic coordinates are the twists of the joints [rad], link minus motor angle.
+
+    Attributes:
+        links: by name, in the order of q_e.
+        position, velocity: of the end effector, (2, 1) [m, m/s].
+        twist, twist_rate: (2, 1) [rad, rad/s], or empty where the transmissions are rigid.
     """
 
     links: Mapping[str, Link]
     position: casadi.SX
     velocity: casadi.SX
+    twist: casadi.SX
+    twist_rate: casadi.SX
+
+    @property
+    def motor_rates(self) -> tuple[casadi.SX, casadi.SX]:
+        """Turning rates of the motors [rad/s]."""
+        rates = [self.links[f"link{leg}1"].turning_rate for leg in LEGS]
+        if self.twist.numel():
+            rates = [rate - self.twist_rate[i] for i, rate in enumerate(rates)]
+        return rates[0], rates[1]
+
+    @property
+    def twist_selection(self) -> casadi.DM:
+        """Matrix (n, 2) with twist = selection' q_e; empty of entries where the transmissions are rigid."""
+        n = self.q_e.numel()
+        selection = casadi.DM(n, 2)
+        for i in range(self.twist.numel()):
+            selection[n - 2 + i, i] = 1.0
+        return selection
 
     @property
     def elastic(self) -> tuple[tuple[Link, ElasticSymbols], ...]:
@@ -110,28 +135,37 @@ class Robot:
     @property
     def q_e(self) -> casadi.SX:
         """Elastic coordinates, shape (n, 1)."""
-        return casadi.vertcat(casadi.SX(0, 1), *(part.q for _, part in self.elastic))
+        return casadi.vertcat(casadi.SX(0, 1), *(part.q for _, part in self.elastic), self.twist)
 
     @property
     def v_e(self) -> casadi.SX:
         """Elastic rates, shape (n, 1)."""
-        return casadi.vertcat(casadi.SX(0, 1), *(part.v for _, part in self.elastic))
+        return casadi.vertcat(casadi.SX(0, 1), *(part.v for _, part in self.elastic), self.twist_rate)
 
     @property
     def elastic_names(self) -> tuple[str, ...]:
         """Names of the elastic coordinates, like ``link11.bending[1]``."""
-        return tuple(
+        modes = tuple(
             f"{link.name}.{part.family.direction}[{k + 1}]"
             for link, part in self.elastic
             for k in range(len(part.family.shapes))
         )
+        return modes + tuple(f"joint{leg}.twist" for leg in LEGS[: self.twist.numel()])
+
+    @property
+    def elastic_units(self) -> tuple[str, ...]:
+        """Units of the elastic coordinates."""
+        twists = self.twist.numel()
+        return ("m",) * (self.q_e.numel() - twists) + ("rad",) * twists
 
 
-def make_robot(families: Sequence[Family], base_half_distance: casadi.SX) -> Robot:
-    """Symbols of a robot whose links carry the given families."""
+def make_robot(families: Sequence[Family], base_half_distance: casadi.SX, elastic_joints: bool = False) -> Robot:
+    """Symbols of a robot whose links carry the given families, and whose transmissions twist if the joints are elastic."""
+    twists = 2 if elastic_joints else 0
     bases = {1: casadi.vertcat(-base_half_distance, 0.0), 2: casadi.vertcat(base_half_distance, 0.0)}
     links = {name: _make_link(name, group, leg, bases[leg], families) for name, group, leg in LINK_ORDER}
-    return Robot(links, casadi.SX.sym("X", 2), casadi.SX.sym("Xd", 2))
+    twist, twist_rate = casadi.SX.sym("twist", twists), casadi.SX.sym("twist_rate", twists)
+    return Robot(links, casadi.SX.sym("X", 2), casadi.SX.sym("Xd", 2), twist, twist_rate)
 
 
 def _make_link(name: str, group: LinkGroup, leg: int, base: casadi.SX, families: Sequence[Family]) -> Link:

@@ -99,6 +99,21 @@ class StiffnessDamping(Section):
 Damping = Annotated[NoDamping | ModalDamping | StiffnessDamping, Field(discriminator="kind")]
 
 
+class JointFriction(Section):
+    """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor that turns with w."""
+
+    viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
+    coulomb: Annotated[float, quantity("N.m", ge=0.0)] = 0.0
+    velocity: Annotated[float, quantity("rad/s", gt=0.0)] = 0.01
+
+
+class Transmission(Section):
+    """Elastic transmission between each motor and its proximal link."""
+
+    stiffness: Annotated[float, quantity("N.m/rad", gt=0.0)]
+    damping: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
+
+
 class Effects(Section):
     """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code."""
 
@@ -109,6 +124,10 @@ class Effects(Section):
     distal_bending: ModeCount = 0
     distal_axial: ModeCount = 0
     damping: Damping = NoDamping()
+    motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0
+    joint_friction: JointFriction = JointFriction()
+    transmission: Transmission | None = None
+    reactions: bool = False
 
 
 class Blend(Section):

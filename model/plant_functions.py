@@ -1,0 +1,189 @@
+"""What both plants have in common: outputs of the assembled robot, direct feedthrough, and the functions of the contract."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi
+
+from flexfmu.model.assembly import WORKING_MODES
+from flexfmu.model.closure import ProjectedForces
+from flexfmu.model.five_bar import FiveBar
+from flexfmu.model.scene import Scene
+from flexfmu.model.symbolic import Variable
+from flexfmu.model.time_derivatives import Motion, along_motion
+
+MINIMUM_SINE = 0.01
+"""Smallest |sine| of the angle between the distal links that is simulated: half of what planning accepts, and still two
+digits above where the elastic mass matrix loses its condition (3e5 at 0.026, 8e6 at 0.005)."""
+
+MARGIN_NAME = "sine of the angle between the distal links (type-2 singularity)"
+
+OutputRow = tuple[Variable, casadi.SX]
+
+
+@dataclass(frozen=True)
+class PlantEquations:
+    """A plant before it is made into functions.
+
+    Attributes:
+        motion: unknowns y, their rates and accelerations, and inputs u.
+        residual: r(y, v, a, u), (n, 1).
+        outputs: variables with their expressions.
+        initial_inputs: u that nobody has set, as an expression of the parameters.
+        initial_coordinates: y at the start, undeformed, as an expression of the parameters.
+        error_scale: [kappa (n), mu (n), floor], as an expression of the derived values.
+    """
+
+    motion: Motion
+    residual: casadi.SX
+    outputs: Sequence[OutputRow]
+    initial_inputs: casadi.SX
+    initial_coordinates: casadi.SX
+    error_scale: casadi.SX
+
+
+def make_functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[str, casadi.Function]:
+    """The functions of `flexfmu.model.symbolic.FUNCTION_SIGNATURES`; `side` is the assembly mode's sign."""
+    motion, residual = equations.motion, equations.residual
+    y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
+    outputs = casadi.vertcat(*(casadi.SX(expression) for _, expression in equations.outputs))
+    results = {
+        "derive": ([p], five_bar.registry.resolved()),
+        "initial_inputs": ([p], equations.initial_inputs),
+        "initial_coordinates": ([p], equations.initial_coordinates),
+        "residual": ([y, v, a, u, d], residual),
+        "mass_matrix": ([y, u, d], casadi.jacobian(residual, a)),
+        "outputs": ([y, v, a, u, d], outputs),
+        "residual_rate": along_motion(motion, residual, d, order=1),
+        "residual_rate2": along_motion(motion, residual, d, order=2),
+        "outputs_rate": along_motion(motion, outputs, d, order=1),
+        "outputs_rate2": along_motion(motion, outputs, d, order=2),
+        "singularity": ([y, u, d], side * five_bar.closure.sine),
+        "error_scale": ([d], equations.error_scale),
+    }
+    return {
+        name: casadi.Function(name, arguments, [casadi.densify(casadi.cse(casadi.densify(result)))])
+        for name, (arguments, result) in results.items()
+    }
+
+
+def assembly_sign(scene: Scene) -> int:
+    """+1 for the assembly mode left, -1 for right."""
+    return 1 if scene.mechanism.assembly_mode == "left" else -1
+
+
+def start_parameters(five_bar: FiveBar, scene: Scene) -> casadi.SX:
+    """Parameters start.x, start.y: the pose in which the plant starts."""
+    return casadi.vertcat(
+        *(
+            five_bar.registry.parameter(
+                Variable(
+                    f"start.{axis}", "m", f"Start pose, {axis} of the rigid end effector", "parameter", value, -1e3, 1e3
+                )
+            )
+            for axis, value in zip("xy", scene.trajectory.start, strict=True)
+        )
+    )
+
+
+def start_angles(five_bar: FiveBar, start: casadi.SX, scene: Scene) -> casadi.SX:
+    """Motor angles (2, 1) at the start pose by rigid inverse kinematics in the scene's working mode."""
+    p = {v.name: s for v, s in zip(five_bar.registry.variables, casadi.vertsplit(five_bar.registry.p), strict=True)}
+    a, proximal, distal = p["base_half_distance"], p["proximal.length"], p["distal.length"]
+    angles = []
+    for base, sign in zip((-a, a), WORKING_MODES[scene.mechanism.working_mode], strict=True):
+        dx, dy = start[0] - base, start[1]
+        square = dx**2 + dy**2
+        cosine = (proximal**2 + square - distal**2) / (2 * proximal * casadi.sqrt(square))
+        angles.append(casadi.atan2(dy, dx) + sign * casadi.acos(cosine))
+    return casadi.vertcat(*angles)
+
+
+def output(name: str, unit: str, description: str, of: str | None = None) -> Variable:
+    """An output variable; `of` names the output whose time derivative it is."""
+    return Variable(name, unit, description, "output", derivative_of=of)
+
+
+def robot_outputs(five_bar: FiveBar) -> list[OutputRow]:
+    """End effector, the effects' scalars, and the elastic coordinates with their derivatives."""
+    closure, motion = five_bar.closure, five_bar.motion
+    rows: list[OutputRow] = []
+    for kind, unit, vector in (
+        ("position", "m", closure.position),
+        ("velocity", "m/s", closure.velocity),
+        ("acceleration", "m/s2", closure.acceleration),
+    ):
+        rows += _components(f"end_effector.{kind}", unit, f"End effector, {{}} of the {kind}", vector)
+    rows += [
+        (output(o.name, o.unit, o.description[0].upper() + o.description[1:]), casadi.dot(o.gain, o.coordinates))
+        for o in five_bar.outputs
+    ]
+    names = five_bar.robot.elastic_names, five_bar.robot.elastic_units
+    for k, (name, unit) in enumerate(zip(*names, strict=True)):
+        rate, acceleration = f"der({name})", f"der({name},2)"
+        text = "Modal coordinate of the paper's shape" if unit == "m" else "Twist of the transmission, link minus motor"
+        rows.append((output(name, unit, text), motion.q_e[k]))
+        rows.append((output(rate, f"{unit}/s", f"Rate of {name}", of=name), motion.v_e[k]))
+        rows.append((output(acceleration, f"{unit}/s2", f"Acceleration of {name}", of=rate), motion.a_e[k]))
+    return rows
+
+
+def reaction_outputs(forces: ProjectedForces) -> list[OutputRow]:
+    """Joint reaction forces of both legs."""
+    rows: list[OutputRow] = []
+    for leg in (1, 2):
+        elbow, pull = forces.elbows[leg - 1], forces.pulls[leg - 1]
+        rows += _components(
+            f"elbow{leg}.reaction", "N", f"Force of link {leg}1 on link {leg}2 at the elbow, {{}}", elbow
+        )
+        rows += _components(f"leg{leg}.reaction", "N", f"Force of leg {leg} on the end effector, {{}}", pull)
+    return rows
+
+
+def _components(name: str, unit: str, text: str, vector: casadi.SX) -> list[OutputRow]:
+    parts = zip("xy", casadi.vertsplit(vector), strict=True)
+    return [(output(f"{name}.{axis}", unit, text.format(axis)), component) for axis, component in parts]
+
+
+def feedthrough(
+    outputs: Sequence[OutputRow], motion: Motion, inputs: Sequence[Variable]
+) -> Mapping[str, tuple[str, ...]]:
+    """Inputs that each output depends on algebraically; accelerations follow from all inputs."""
+    names = [variable.name for variable in inputs]
+    table = {}
+    for variable, expression in outputs:
+        everything = bool(motion.a.numel()) and casadi.depends_on(expression, motion.a)
+        depends = casadi.depends_on(expression, motion.u)
+        direct = casadi.which_depends(expression, motion.u, 1, False) if depends else [False] * len(names)
+        table[variable.name] = tuple(name for name, used in zip(names, direct, strict=True) if used or everything)
+    return table
+
+
+def elastic_scale(five_bar: FiveBar) -> tuple[list[casadi.SX], list[casadi.SX]]:
+    """Modal stiffnesses and masses of the elastic coordinates, (n, 1) in pieces, for the error norm."""
+    families = [part.family for _, part in five_bar.robot.elastic]
+    kappa = [casadi.diag(family.stiffness) for family in families]
+    mu = [casadi.diag(family.mass) for family in families]
+    if five_bar.robot.twist.numel():
+        find = five_bar.registry.find_derived
+        kappa.append(casadi.repmat(find("transmission_stiffness"), 2, 1))
+        mu.append(casadi.repmat(find("proximal_m_l2_3"), 2, 1))
+    return kappa, mu
+
+
+def moving_mass(five_bar: FiveBar) -> casadi.SX:
+    """Mass of links and payload [kg]."""
+    find = five_bar.registry.find_derived
+    return 2 * (find("proximal_mass") + find("distal_mass")) + find("payload_mass")
+
+
+def compliance(five_bar: FiveBar) -> casadi.SX:
+    """Sum of the tips' static compliances [m/N]; zero for a rigid robot."""
+    families = [part.family for _, part in five_bar.robot.elastic]
+    total = sum((casadi.sum1(f.tips**2 / casadi.diag(f.stiffness)) for f in families), casadi.SX(0))
+    if five_bar.robot.twist.numel():
+        find = five_bar.registry.find_derived
+        total += find("proximal_length") ** 2 / find("transmission_stiffness")
+    return total

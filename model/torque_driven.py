@@ -1,0 +1,129 @@
+"""The torque-driven plant (direct elastodynamic model): what controllers act on.
+
+Inputs are the motor torques and a force at the end effector; the unknowns are the motor angles and the elastic
+coordinates.
+"""
+
+from __future__ import annotations
+
+import casadi
+
+from flexfmu.model.assembly import motor_angles
+from flexfmu.model.five_bar import FiveBar, assemble
+from flexfmu.model.plant_functions import (
+    MARGIN_NAME,
+    MINIMUM_SINE,
+    OutputRow,
+    PlantEquations,
+    assembly_sign,
+    elastic_scale,
+    feedthrough,
+    make_functions,
+    output,
+    reaction_outputs,
+    robot_outputs,
+    start_angles,
+    start_parameters,
+)
+from flexfmu.model.scene import Scene
+from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.symbolic import SymbolicModel, Variable
+from flexfmu.model.time_derivatives import Motion
+
+RIGID_BANDWIDTH = 100.0
+"""Rate [rad/s] that weighs a motor angle against its rate in the error norm of a robot without elasticity."""
+
+REFERENCE_RATE = 0.1
+"""Motor rate [rad/s] whose kinetic energy is the floor of the error norm: smaller motions aren't resolved relative to
+themselves."""
+
+
+def torque_driven_plant(scene: Scene) -> SymbolicModel:
+    """The plant of a scene as equations and variables."""
+    five_bar = assemble(scene)
+    start = start_parameters(five_bar, scene)
+    m = five_bar.motion
+    torque, force = casadi.SX.sym("tau", 2), casadi.SX.sym("f", 2)
+    motion = Motion(
+        casadi.vertcat(m.q_a, m.q_e),
+        casadi.vertcat(m.v_a, m.v_e),
+        casadi.vertcat(m.a_a, m.a_e),
+        casadi.vertcat(torque, force),
+    )
+    loaded = casadi.SX(five_bar.redundant_force)
+    loaded[8:10] -= force
+    forces = five_bar.closure.project(loaded)
+    inputs = _inputs(scene)
+    outputs = _joint_outputs(five_bar) + robot_outputs(five_bar)
+    if scene.effects.reactions:
+        outputs += reaction_outputs(forces)
+    equations = PlantEquations(
+        motion=motion,
+        residual=casadi.vertcat(forces.motors - torque, forces.elastic),
+        outputs=outputs,
+        initial_inputs=casadi.SX.zeros(4),
+        initial_coordinates=casadi.vertcat(start_angles(five_bar, start, scene), casadi.SX.zeros(m.q_e.numel())),
+        error_scale=_error_scale(five_bar),
+    )
+    return SymbolicModel(
+        name=scene.name,
+        description="Flexible five-bar robot, torque-driven: motor torques in, joint and end-effector motion out",
+        unknowns=("joint1.position", "joint2.position", *five_bar.robot.elastic_names),
+        inputs=inputs,
+        parameters=five_bar.registry.variables,
+        outputs=tuple(variable for variable, _ in outputs),
+        functions=make_functions(five_bar, equations, assembly_sign(scene)),
+        feedthrough=feedthrough(outputs, motion, inputs),
+        static_start=scene.cosimulation.initial == "static",
+        margin_name=MARGIN_NAME,
+        minimum_margin=MINIMUM_SINE,
+        locked=2,
+        effects=five_bar.sentences,
+    )
+
+
+def _inputs(scene: Scene) -> tuple[Variable, ...]:
+    """Torques, which hold the start pose unless they are set, and the force at the end effector."""
+    holding = static_equilibrium(scene, motor_angles(scene.mechanism, scene.trajectory.start)).torque
+    torques = [
+        Variable(
+            f"joint{i + 1}.torque",
+            "N.m",
+            f"Torque of motor {i + 1}, counter-clockwise",
+            "input",
+            start=float(holding[i]),
+        )
+        for i in range(2)
+    ]
+    forces = [
+        Variable(f"force.{axis}", "N", f"External force at the end effector, {axis}", "input", start=0.0)
+        for axis in "xy"
+    ]
+    return (*torques, *forces)
+
+
+def _joint_outputs(five_bar: FiveBar) -> list[OutputRow]:
+    motion = five_bar.motion
+    rows: list[OutputRow] = []
+    for i in range(2):
+        position, velocity, acceleration = (f"joint{i + 1}.{kind}" for kind in ("position", "velocity", "acceleration"))
+        rows.append((output(position, "rad", f"Angle of motor {i + 1}"), motion.q_a[i]))
+        rows.append((output(velocity, "rad/s", f"Rate of motor {i + 1}", of=position), motion.v_a[i]))
+        rows.append((output(acceleration, "rad/s2", f"Acceleration of motor {i + 1}", of=velocity), motion.a_a[i]))
+    return rows
+
+
+def _error_scale(five_bar: FiveBar) -> casadi.SX:
+    """[kappa (2 + n), mu (2 + n), floor]: energy norm; a motor angle counts like the elbow's displacement that it makes."""
+    kappa, mu = elastic_scale(five_bar)
+    find = five_bar.registry.find_derived
+    length = find("proximal_length")
+    inertia = find("proximal_m_l2_3") + (find("distal_mass") + 0.5 * find("payload_mass")) * length**2
+    bending = [part.family for _, part in five_bar.robot.elastic if part.family.direction == "bending"]
+    stiffness = (
+        bending[0].stiffness[0, 0] * (length / bending[0].shapes[0].tip) ** 2
+        if bending and bending[0].shapes[0].tip
+        else RIGID_BANDWIDTH**2 * inertia
+    )
+    floor = REFERENCE_RATE * casadi.sqrt(inertia)
+    return casadi.vertcat(stiffness, stiffness, *kappa, inertia, inertia, *mu, floor)
