@@ -10,10 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from flexfmu.fmu_build.sources import c_files, runtime_sources
+
 RUNTIME = Path(__file__).parents[1] / "fmu_build" / "c-runtime"
 TESTS = Path(__file__).parent / "c-runtime"
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fvisibility=hidden", "-ffp-contract=off", "-fPIC")
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SOURCES = [RUNTIME / name for name in c_files(runtime_sources("plant"))]
 NAMES = re.findall(r"\bX\((\w+)\)", (TESTS / "tests.h").read_text().split("#define X(")[0])
 COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 
@@ -41,7 +44,7 @@ def compile_all(folder: Path, sources: list[Path], flags: tuple[str, ...]) -> li
 
 def build(folder: Path, flags: tuple[str, ...]) -> Path:
     """The test program."""
-    objects = compile_all(folder, sorted([*RUNTIME.glob("*.c"), *TESTS.glob("*.c")]), flags)
+    objects = compile_all(folder, [*SOURCES, *sorted(TESTS.glob("*.c"))], flags)
     program = folder / "tests"
     run(COMPILER, *flags, *objects, "-lm", "-o", program)
     return program
@@ -88,9 +91,8 @@ def test_has_no_writable_globals(tmp_path: Path) -> None:
 @pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
 def test_exports_the_fmi_functions_only(tmp_path: Path) -> None:
     """Two FMUs in one process would otherwise call into each other."""
-    sources = [*RUNTIME.glob("*.c"), TESTS / "models.c"]
     library = tmp_path / "library.so"
-    run(COMPILER, "-shared", *compile_all(tmp_path, sorted(sources), ("-O2",)), "-lm", "-o", library)
+    run(COMPILER, "-shared", *compile_all(tmp_path, [*SOURCES, TESTS / "models.c"], ("-O2",)), "-lm", "-o", library)
     exported = {line.split()[-1] for line in run("nm", "-D", "--defined-only", library).splitlines()}
     functions = {name for name in exported if name.startswith("fmi2")}
     assert exported - functions - {"_init", "_fini", "_edata", "_end", "__bss_start"} == set()

@@ -11,6 +11,11 @@
 #define WORN_CONTRACTION 0.3
 #define HOPELESS_CONTRACTION 0.9
 
+/* most that is expected of a contraction that was not measured; it makes a second iteration necessary anyway.
+ * most that is believed of one that ended in rounding errors */
+#define MOST_EXPECTED 0.4
+#define MOST_ROUNDED 0.1
+
 /* steps after which a second iteration measures the contraction, even if one was enough */
 #define UNCHECKED_STEPS 8
 
@@ -43,6 +48,7 @@ void flex_stages_clear(flex_stages *stages) {
   flex_stages_record *record = stages->record;
   flex_newton_clear(&stages->matrix);
   record->contraction = 0.0;
+  record->age = 0.0;
   record->excess_iterations = 0.0;
   record->usual_iterations = 0.0;
   record->fresh_steps = 0;
@@ -105,13 +111,26 @@ static double stage_norm(const flex_stages *stages, const double *x) {
   return sqrt(sum);
 }
 
+// what a correction leaves, for its own size: the contraction that was measured, grown in proportion with the matrix's age
+static double expected_contraction(const flex_stages_record *record, double h) {
+  if (record->contraction == 0.0) return 0.0;
+  return fmin(record->contraction * (record->age + h) / record->contraction_age, MOST_EXPECTED);
+}
+
+static void note_contraction(flex_stages_record *record, double h, double contraction) {
+  record->contraction = contraction;
+  record->contraction_age = record->age + h;
+  record->unchecked_steps = 0;
+}
+
 // newton iterations with the present matrix
 static flex_outcome iterate(flex_stages *stages, double h, const double *y, const double *v, double scale, double target) {
   flex_stages_record *record = stages->record;
   int count = stages->tableau->stages * stages->n;
   int least = record->unchecked_steps >= UNCHECKED_STEPS ? 2 : 1;
   double floor = ROUNDING * DBL_EPSILON * (scale + stage_norm(stages, stages->acceleration));
-  double previous = 0.0, contraction = record->contraction;
+  double enough = fmax(target, floor / ROUNDING);
+  double previous = 0.0, contraction = expected_contraction(record, h);
 
   for (int k = 1; k <= MAX_ITERATIONS; k++) {
     // one correction and its size
@@ -125,14 +144,13 @@ static flex_outcome iterate(flex_stages *stages, double h, const double *y, cons
       record->misprediction = correction;
     } else {
       contraction = correction / previous;
-      record->unchecked_steps = 0;
+      note_contraction(record, h, correction <= floor ? fmin(floor / previous, MOST_ROUNDED) : contraction);
     }
 
     // rounding errors don't contract; otherwise the contraction that was seen says what is left
     if (correction <= floor || (contraction >= 0.5 && correction <= STAGNATION * floor)) return FLEX_DONE;
     if (contraction >= HOPELESS_CONTRACTION) return FLEX_NO_CONVERGENCE;
-    record->contraction = contraction;
-    if (k >= least && contraction / (1.0 - contraction) * correction <= target) return FLEX_DONE;
+    if (k >= least && contraction / (1.0 - contraction) * correction <= enough) return FLEX_DONE;
     previous = correction;
   }
   return FLEX_NO_CONVERGENCE;
@@ -153,6 +171,7 @@ static int refresh(flex_stages *stages, double t, double h, const double *y, con
   flex_inputs_evaluate(stages->inputs, t, 0.5 * h, stages->u);
   record->excess_iterations = 0.0;
   record->contraction = 0.0;
+  record->age = 0.0;
   record->fresh_steps = 0;
   record->unchecked_steps = UNCHECKED_STEPS;
   return flex_newton_refresh(&stages->matrix, stages->equations, y, v, a, stages->u, stages->position_weight,
@@ -160,10 +179,11 @@ static int refresh(flex_stages *stages, double t, double h, const double *y, con
 }
 
 // iterations beyond the best step since the refresh count as excess, but for the one that measures the contraction
-static void note_iterations(flex_stages_record *record, int taken, int measured) {
+static void note_iterations(flex_stages_record *record, double h, int taken, int measured) {
   double useful = taken - (measured && taken == 2);
   if (record->fresh_steps == 0 || useful < record->usual_iterations) record->usual_iterations = useful;
   record->excess_iterations += useful - record->usual_iterations;
+  record->age += h;
   record->fresh_steps++;
   record->unchecked_steps++;
 }
@@ -185,7 +205,7 @@ flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const do
     long long before = record->iterations;
     flex_outcome outcome = iterate(stages, h, y, v, scale, target);
     if (outcome == FLEX_DONE) {
-      note_iterations(record, (int)(record->iterations - before), measures);
+      note_iterations(record, h, (int)(record->iterations - before), measures);
       return outcome;
     }
 

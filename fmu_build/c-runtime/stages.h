@@ -19,6 +19,8 @@
 typedef struct {
   flex_newton_record matrix;
   double contraction;       /* of the last step that took more than one iteration */
+  double contraction_age;   /* age of the matrix at that step [s] */
+  double age;               /* time integrated since the last refresh [s] */
   double misprediction;     /* size of the first correction of the last step, in the error norm */
   double excess_iterations; /* beyond what a fresh matrix needs, since the last refresh */
   double usual_iterations;  /* what a fresh matrix needs */

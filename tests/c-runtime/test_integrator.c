@@ -284,7 +284,8 @@ void test_energy_stays_over_many_steps(void) {
     }
 }
 
-// nonlinear motion keeps its energy to the accuracy of the method, without drift
+// nonlinear motion keeps its energy to the accuracy of the method, without drift; a mass matrix that changes makes a kept
+// iteration matrix worse from step to step, which must not go unnoticed
 void test_energy_stays_in_nonlinear_motion(void) {
   const double y1[1] = {2.5}, v1[1] = {0.0}, y2[2] = {1.0, -0.5}, v2[2] = {0.3, 0.8};
   flex_plant *single = make_plant(&pendulum, 1e-10), *twofold = make_plant(&double_pendulum, 1e-10);
@@ -293,8 +294,8 @@ void test_energy_stays_in_nonlinear_motion(void) {
   double single_start = output(single, 0), twofold_start = output(twofold, 0);
   advance(single, 0.0, 0.02, 100000);
   advance(twofold, 0.0, 0.01, 20000);
-  CHECK_CLOSE(output(single, 0), single_start, 1e-9);
-  CHECK_CLOSE(output(twofold, 0), twofold_start, 1e-8);
+  CHECK_CLOSE(output(single, 0), single_start, 1e-11);
+  CHECK_CLOSE(output(twofold, 0), twofold_start, 1e-11);
   free_plant(single);
   free_plant(twofold);
 }
