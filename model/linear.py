@@ -1,0 +1,117 @@
+"""Small motions of the torque-driven plant about an equilibrium, as a state-space system for python-control."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.model.assembly import motor_angles
+from flexfmu.model.scene import Scene
+from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.symbolic import SymbolicModel
+from flexfmu.model.torque_driven import torque_driven_plant
+
+if TYPE_CHECKING:
+    import control
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """An equilibrium of the torque-driven plant.
+
+    Attributes:
+        coordinates: y = [q_a, q_e] (2 + n,).
+        inputs: u = [torques, forces] (4,), with no force at the end effector.
+    """
+
+    coordinates: Array
+    inputs: Array
+
+
+def operating_point(scene: Scene, position: tuple[float, float]) -> OperatingPoint:
+    """The equilibrium with the motors where the rigid end effector would be at `position` [m].
+
+    Raises:
+        ValueError: the position is out of reach.
+        EquilibriumError: there is no equilibrium.
+    """
+    joints = motor_angles(scene.mechanism, position)
+    state = static_equilibrium(scene, joints)
+    return OperatingPoint(np.concatenate([joints, state.elastic]), np.concatenate([state.torque, np.zeros(2)]))
+
+
+def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str] | None = None) -> control.StateSpace:
+    """The torque-driven plant about its equilibrium at `position` [m], in deviations from it.
+
+    States are the coordinates and their rates, inputs `joint1_torque`, `joint2_torque`, `force_x`, `force_y`; labels and
+    units are those of the FMU's variables, with underscores for dots.
+
+    Args:
+        scene: the robot; its drive doesn't matter.
+        position: of the rigid end effector [m].
+        outputs: names of the outputs; all of the FMU's by default.
+
+    Raises:
+        ImportError: python-control isn't installed.
+        ValueError: an output is unknown, or the position is out of reach.
+        EquilibriumError: there is no equilibrium.
+    """
+    import control
+
+    plant, point = torque_driven_plant(scene), operating_point(scene, position)
+    rows = _rows(plant, outputs)
+    a, b, c, d = _matrices(plant, point)
+    rates = [f"der({name})" for name in plant.unknowns]
+    return control.ss(
+        a,
+        b,
+        c[rows],
+        d[rows],
+        states=[signal_label(name) for name in (*plant.unknowns, *rates)],
+        inputs=[signal_label(variable.name) for variable in plant.inputs],
+        outputs=[signal_label(plant.outputs[row].name) for row in rows],
+        name=signal_label(plant.name),
+    )
+
+
+def signal_label(name: str) -> str:
+    """A variable's name as python-control takes it, which knows no dots: ``joint1.torque`` → ``joint1_torque``."""
+    return name.replace(".", "_")
+
+
+def _rows(plant: SymbolicModel, outputs: Sequence[str] | None) -> list[int]:
+    names = [variable.name for variable in plant.outputs]
+    if outputs is None:
+        return list(range(len(names)))
+    unknown = [name for name in outputs if name not in names]
+    if unknown:
+        raise ValueError(f"the plant has no output `{unknown[0]}`; its outputs: {', '.join(names)}")
+    return [names.index(name) for name in outputs]
+
+
+def _matrices(plant: SymbolicModel, point: OperatingPoint) -> tuple[Array, Array, Array, Array]:
+    """A, B, C, D in the states [y, v] from M, K, C and the input matrix at the equilibrium."""
+    n, m = len(plant.unknowns), len(plant.inputs)
+    y, v, a, u = (casadi.SX.sym(name, size) for name, size in (("y", n), ("v", n), ("a", n), ("u", m)))
+    derived = plant.functions["derive"]([variable.start for variable in plant.parameters])
+    rest = (point.coordinates, np.zeros(n), np.zeros(n), point.inputs)
+
+    def jacobians(name: str) -> list[Array]:
+        expression = plant.functions[name](y, v, a, u, derived)
+        slopes = casadi.Function(name, [y, v, a, u], [casadi.jacobian(expression, x) for x in (y, v, a, u)])
+        return [np.asarray(slope.full()) for slope in slopes(*rest)]
+
+    stiffness, damping, mass, load = jacobians("residual")
+    response = -np.linalg.solve(mass, np.hstack([stiffness, damping, load]))
+    by_state, by_input = response[:, : 2 * n], response[:, 2 * n :]
+    c_y, c_v, c_a, c_u = jacobians("outputs")
+    state_matrix = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), by_state])
+    input_matrix = np.vstack([np.zeros((n, m)), by_input])
+    return state_matrix, input_matrix, np.hstack([c_y, c_v]) + c_a @ by_state, c_u + c_a @ by_input

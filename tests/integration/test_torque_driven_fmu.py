@@ -1,0 +1,174 @@
+"""The torque-driven FMU: against the motion-driven one, against SciPy on the same equations, and against its own energy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi2 import FMU2Slave
+from scipy.integrate import solve_ivp
+
+from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.results import Recording
+from flexfmu.fmu_build.build import build_fmu
+from flexfmu.model.plants import build_model
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.symbolic import SymbolicModel
+
+TORQUES = ("joint1.torque", "joint2.torque")
+
+
+class Plant:
+    """The torque-driven FMU of a scene through plain fmpy."""
+
+    def __init__(self, scene: Scene, folder: Path, tolerance: float) -> None:
+        path = build_fmu(lambda: build_model(scene), output=folder / "plant.fmu").path
+        description = fmpy.read_model_description(str(path))
+        self.references = {variable.name: variable.valueReference for variable in description.modelVariables}
+        self.slave = FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=fmpy.extract(str(path), str(folder / "unpacked")),
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName="plant",
+        )
+        self.slave.instantiate()
+        self.slave.setupExperiment(tolerance=tolerance, startTime=0.0)
+        self.slave.enterInitializationMode()
+
+    def set(self, names: tuple[str, ...], values: np.ndarray) -> None:
+        self.slave.setReal([self.references[name] for name in names], [float(value) for value in values])
+
+    def get(self, names: tuple[str, ...]) -> np.ndarray:
+        return np.array(self.slave.getReal([self.references[name] for name in names]))
+
+    def set_derivatives(self, names: tuple[str, ...], derivatives: np.ndarray) -> None:
+        for order, values in enumerate(derivatives, start=1):
+            self.slave.setRealInputDerivatives(
+                [self.references[name] for name in names], [order] * len(names), [float(value) for value in values]
+            )
+
+    def close(self) -> None:
+        self.slave.terminate()
+        self.slave.freeInstance()
+
+
+def torque_scene(changes: dict[str, object] | None = None) -> Scene:
+    return load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", **(changes or {})})
+
+
+def quintic(left: np.ndarray, right: np.ndarray, h: float) -> np.ndarray:
+    """Derivatives 1..5 at the left end of the quintics through value and two derivatives (3, m) at both ends."""
+    derivatives = np.zeros((6, left.shape[1]))
+    derivatives[:3] = left
+    taylor = np.array([[1, 1, 1], [3, 4, 5], [6, 12, 20]], dtype=float)
+    known = np.array([left[0] + h * left[1] + h**2 / 2 * left[2], h * left[1] + h**2 * left[2], h**2 * left[2]])
+    ends = np.array([right[0], h * right[1], h**2 * right[2]])
+    coefficients = np.linalg.solve(taylor, ends - known)
+    derivatives[3:] = coefficients * np.array([6.0, 24.0, 120.0])[:, None] / h ** np.arange(3, 6)[:, None]
+    return derivatives[1:]
+
+
+def torque_jets(recording: Recording) -> np.ndarray:
+    """Torques with two derivatives at every row, shape (N, 3, 2)."""
+    columns = [recording.columns[name] for name in TORQUES]
+    return np.stack([np.stack([c.values, c.first, c.second], axis=1) for c in columns], axis=2)
+
+
+def replay(scene: Scene, recording: Recording, folder: Path, tolerance: float) -> float:
+    """Largest deviation of the motor angles [rad] when the recorded torques drive the torque-driven plant."""
+    plant = Plant(scene, folder, tolerance)
+    jets, time = torque_jets(recording), recording.time
+    plant.set(TORQUES, jets[0, 0])
+    plant.slave.exitInitializationMode()
+    joints = ("joint1.position", "joint2.position")
+    references = np.stack([recording.columns[f"joint{i}.reference.position"].values for i in (1, 2)], axis=1)
+    worst = 0.0
+    for k in np.flatnonzero(np.diff(time) > 0.0):
+        plant.set(TORQUES, jets[k, 0])
+        plant.set_derivatives(TORQUES, quintic(jets[k], jets[k + 1], time[k + 1] - time[k]))
+        plant.slave.doStep(time[k], time[k + 1] - time[k])
+        worst = max(worst, float(np.abs(plant.get(joints) - references[k + 1]).max()))
+    plant.close()
+    return worst
+
+
+@pytest.mark.slow
+def test_recorded_torques_reproduce_the_motion_and_converge(tmp_path: Path) -> None:
+    """What the motion-driven plant puts out drives the torque-driven one along the same motion, the nearer the tighter the
+    tolerance and the finer the steps: inverse and direct elastodynamic model belong together."""
+    scene = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
+    errors = []
+    for number, (tolerance, step) in enumerate(((1e-6, 4e-4), (1e-8, 2e-4), (1e-10, 1e-4))):
+        recording = run_scene(scene, tolerance=tolerance, communication_step=step).recording
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        errors.append(replay(torque_scene(), recording, folder, tolerance))
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 1e-8
+
+
+@pytest.fixture
+def free_fall(tmp_path: Path) -> Iterator[tuple[Plant, SymbolicModel]]:
+    """The undamped robot, let go from its undeformed start pose."""
+    scene = torque_scene({"effects.damping": {"kind": "none"}, "cosimulation.initial": "undeformed"})
+    plant = Plant(scene, tmp_path, tolerance=1e-12)
+    plant.set(TORQUES, np.zeros(2))
+    plant.slave.exitInitializationMode()
+    yield plant, build_model(scene)
+    plant.close()
+
+
+def test_unforced_and_undamped_it_keeps_its_energy(free_fall: tuple[Plant, SymbolicModel]) -> None:
+    """Falling under gravity turns potential into kinetic energy without a loss of 1e-9 of what was turned."""
+    from flexfmu.model.numeric import numeric_model
+
+    plant, model = free_fall
+    numeric = numeric_model(torque_scene({"effects.damping": {"kind": "none"}, "cosimulation.initial": "undeformed"}))
+    names = model.unknowns
+    rates = ("joint1.velocity", "joint2.velocity", *(f"der({name})" for name in names[2:]))
+
+    def energies() -> np.ndarray:
+        y, v = plant.get(names), plant.get(rates)
+        u = np.concatenate([y[:2], v[:2], np.zeros(2)])
+        return np.asarray(numeric.energy(y[2:], v[2:], u).full()).ravel()
+
+    start, turned, drift = float(energies().sum()), 0.0, 0.0
+    for step in range(1500):
+        plant.slave.doStep(step * 1e-4, 1e-4)
+        kinetic, potential = energies()
+        turned, drift = max(turned, kinetic), max(drift, abs(kinetic + potential - start))
+    assert turned > 1.0
+    assert drift <= 1e-9 * turned
+
+
+def test_a_torque_step_gives_the_response_that_scipy_gives(tmp_path: Path) -> None:
+    """The C integrator and SciPy's DOP853 on the CasADi functions agree to 1e-10 of the response."""
+    scene = torque_scene()
+    model = build_model(scene)
+    n, functions = model.degrees_of_freedom, model.functions
+    derived = functions["derive"]([variable.start for variable in model.parameters])
+    plant = Plant(scene, tmp_path, tolerance=1e-12)
+    plant.slave.exitInitializationMode()
+    rates = ("joint1.velocity", "joint2.velocity", *(f"der({name})" for name in model.unknowns[2:]))
+    start = np.concatenate([plant.get(model.unknowns), plant.get(rates)])
+    u = np.array([variable.start for variable in model.inputs]) + [5.0, 0.0, 0.0, 0.0]
+
+    def rate(_: float, x: np.ndarray) -> np.ndarray:
+        bias = functions["residual"](x[:n], x[n:], np.zeros(n), u, derived).full().ravel()
+        return np.concatenate([x[n:], -np.linalg.solve(functions["mass_matrix"](x[:n], u, derived).full(), bias)])
+
+    stop = 0.01
+    solution = solve_ivp(rate, (0.0, stop), start, method="DOP853", rtol=1e-12, atol=1e-16)
+    plant.set(TORQUES, u[:2])
+    for step in range(10):
+        plant.slave.doStep(step * 1e-3, 1e-3)
+    end = np.concatenate([plant.get(model.unknowns), plant.get(rates)])
+    plant.close()
+    response = np.abs(solution.y - start[:, None]).max(axis=1)
+    difference = np.abs(end - solution.y[:, -1])
+    assert difference[:n].max() <= 1e-10 * response[:n].max()
+    assert difference[n:].max() <= 1e-10 * response[n:].max()

@@ -1,0 +1,197 @@
+"""The direct model: against the inverse one, the closed forms of its drive effects, and its own linearisation."""
+
+from __future__ import annotations
+
+import casadi
+import numpy as np
+import pytest
+
+from flexfmu.model.assembly import motor_angles
+from flexfmu.model.linear import linearize, operating_point
+from flexfmu.model.modes import natural_frequencies
+from flexfmu.model.multipliers import constrained_model, motion_driven_accelerations
+from flexfmu.model.plants import build_model
+from flexfmu.model.rigid_dynamics import inverse_dynamics
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.symbolic import SymbolicModel
+
+POSE = (-0.1, 0.3)
+
+
+def torque_scene(changes: dict[str, object] | None = None) -> Scene:
+    return load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", **(changes or {})})
+
+
+def derived(plant: SymbolicModel) -> casadi.DM:
+    return plant.functions["derive"]([variable.start for variable in plant.parameters])
+
+
+def acceleration(plant: SymbolicModel, y: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    bias = plant.functions["residual"](y, v, 0 * y, u, derived(plant)).full().ravel()
+    return -np.linalg.solve(plant.functions["mass_matrix"](y, u, derived(plant)).full(), bias)
+
+
+def outputs(plant: SymbolicModel, y: np.ndarray, v: np.ndarray, u: np.ndarray) -> dict[str, float]:
+    values = plant.functions["outputs"](y, v, acceleration(plant, y, v, u), u, derived(plant)).full().ravel()
+    return {variable.name: float(value) for variable, value in zip(plant.outputs, values, strict=True)}
+
+
+DRIVES = {
+    "links only": {},
+    "motor inertia and friction": {
+        "effects.motor_inertia": 0.05,
+        "effects.joint_friction": {"viscous": 0.3, "coulomb": 2.0, "velocity": 0.1},
+    },
+    "elastic transmissions": {
+        "effects.motor_inertia": 0.05,
+        "effects.transmission": {"stiffness": 2e4, "damping": 3.0},
+    },
+    "reactions asked for": {"effects.reactions": True},
+}
+
+
+@pytest.mark.parametrize("changes", DRIVES.values(), ids=DRIVES.keys())
+def test_direct_and_inverse_model_are_inverses_of_each_other(changes: dict[str, object]) -> None:
+    """The torques of the motion-driven plant give its accelerations back in the torque-driven one."""
+    direct = build_model(torque_scene(changes))
+    inverse = build_model(load_scene("barnard2012-6kg").replace(changes))
+    n, rng = inverse.degrees_of_freedom, np.random.default_rng(11)
+    for _ in range(5):
+        q_a = np.array(motor_angles(torque_scene().mechanism, POSE))
+        v_a, a_a, q_e, v_e = (
+            rng.normal(size=2) * 3,
+            rng.normal(size=2) * 30,
+            rng.normal(size=n) * 1e-4,
+            rng.normal(size=n) * 1e-2,
+        )
+        u = np.concatenate([q_a, v_a, a_a])
+        a_e = acceleration(inverse, q_e, v_e, u)
+        torque = inverse.functions["outputs"](q_e, v_e, a_e, u, derived(inverse)).full().ravel()[:2]
+        found = acceleration(
+            direct, np.concatenate([q_a, q_e]), np.concatenate([v_a, v_e]), np.concatenate([torque, np.zeros(2)])
+        )
+        expected = np.concatenate([a_a, a_e])
+        np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("changes", DRIVES.values(), ids=DRIVES.keys())
+def test_the_formulation_with_multipliers_agrees_with_drive_effects_too(changes: dict[str, object]) -> None:
+    """Transmissions, friction and motor inertia enter both formulations alike."""
+    scene = load_scene("barnard2012-6kg").replace(changes)
+    plant, constrained = build_model(scene), constrained_model(scene)
+    n, rng = plant.degrees_of_freedom, np.random.default_rng(12)
+    q_a = np.array(motor_angles(scene.mechanism, POSE))
+    v_a, a_a, q_e, v_e = (
+        rng.normal(size=2) * 3,
+        rng.normal(size=2) * 30,
+        rng.normal(size=n) * 1e-4,
+        rng.normal(size=n) * 1e-2,
+    )
+    u = np.concatenate([q_a, v_a, a_a])
+    a_e = acceleration(plant, q_e, v_e, u)
+    torque = plant.functions["outputs"](q_e, v_e, a_e, u, derived(plant)).full().ravel()[:2]
+    q, v = (np.asarray(part.full()).ravel() for part in constrained.assembled(q_a, q_e, v_a, v_e))
+    full = motion_driven_accelerations(constrained, q, v, a_a)
+    np.testing.assert_allclose(full.accelerations[2 : 2 + n], a_e, atol=1e-9 * np.abs(a_e).max())
+    # the torques are differences of forces that belong to the largest accelerations
+    np.testing.assert_allclose(full.torque, torque, rtol=1e-9, atol=1e-13 * np.abs(full.accelerations).max())
+
+
+def test_reactions_are_the_multipliers_of_the_constraints() -> None:
+    """The joint reactions that the projection passes on are those of the other formulation, eq. (17)."""
+    scene = load_scene("barnard2012-6kg").replace({"effects.reactions": True})
+    plant, constrained = build_model(scene), constrained_model(scene)
+    n, rng = plant.degrees_of_freedom, np.random.default_rng(13)
+    q_a = np.array(motor_angles(scene.mechanism, POSE))
+    v_a, a_a, q_e, v_e = (
+        rng.normal(size=2) * 3,
+        rng.normal(size=2) * 30,
+        rng.normal(size=n) * 1e-4,
+        rng.normal(size=n) * 1e-2,
+    )
+    values = outputs(plant, q_e, v_e, np.concatenate([q_a, v_a, a_a]))
+    q, v = (np.asarray(part.full()).ravel() for part in constrained.assembled(q_a, q_e, v_a, v_e))
+    multipliers = motion_driven_accelerations(constrained, q, v, a_a).reactions
+    names = ["leg1.reaction", "leg2.reaction", "elbow1.reaction", "elbow2.reaction"]
+    reactions = [values[f"{name}.{axis}"] for name in names for axis in "xy"]
+    np.testing.assert_allclose(reactions, -multipliers, atol=1e-9 * np.abs(multipliers).max())
+
+
+def test_payload_accelerates_as_the_legs_pull_and_the_force_pushes() -> None:
+    """Newton's law at the end effector: the legs' reactions, gravity and the external force move the payload."""
+    plant = build_model(torque_scene({"effects.reactions": True}))
+    point = operating_point(torque_scene(), POSE)
+    force = np.array([30.0, -20.0])
+    values = outputs(plant, point.coordinates, 0 * point.coordinates, point.inputs + [0, 0, *force])
+    for axis, gravity, push in (("x", 0.0, force[0]), ("y", -9.81, force[1])):
+        pulls = values[f"leg1.reaction.{axis}"] + values[f"leg2.reaction.{axis}"]
+        assert 6.0 * (values[f"end_effector.acceleration.{axis}"] - gravity) == pytest.approx(pulls + push, abs=1e-9)
+
+
+def test_motor_inertia_alone_takes_its_torque() -> None:
+    """A motor of inertia J at acceleration a needs J a more, whatever the links do."""
+    base, heavy = (
+        inverse_dynamics(load_scene("barnard2012-6kg").replace({"effects.motor_inertia": inertia}))
+        for inertia in (0.0, 0.2)
+    )
+    q, v, a = motor_angles(torque_scene().mechanism, POSE), [1.0, -2.0], [30.0, 40.0]
+    np.testing.assert_allclose((heavy(q, v, a) - base(q, v, a)).full().ravel(), 0.2 * np.array(a), rtol=1e-12)
+
+
+def test_friction_follows_its_law() -> None:
+    """Viscous torque is linear; the smooth Coulomb torque is c w / sqrt(w² + v²), at most c."""
+    friction = {"viscous": 0.5, "coulomb": 3.0, "velocity": 0.2}
+    base, rough = (
+        inverse_dynamics(load_scene("barnard2012-6kg").replace({"effects.joint_friction": law}))
+        for law in ({}, friction)
+    )
+    q, a = motor_angles(torque_scene().mechanism, POSE), [0.0, 0.0]
+    for w in (-5.0, -0.1, 0.0, 0.01, 2.0):
+        lost = (rough(q, [w, 0.0], a) - base(q, [w, 0.0], a)).full().ravel()
+        assert lost[0] == pytest.approx(0.5 * w + 3.0 * w / np.hypot(w, 0.2), abs=1e-12)
+        assert lost[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_transmission_twists_under_load_and_vibrates_as_two_masses() -> None:
+    """Statically the twist is torque / stiffness; a stiff spring's frequency is sqrt(k (1/J + 1/L)) of motor and robot."""
+    rigid_links = {"effects.proximal_bending": 0, "effects.distal_axial": 0}
+    scene = torque_scene({**rigid_links, "effects.motor_inertia": 0.05, "effects.transmission": {"stiffness": 1e5}})
+    point = operating_point(scene, POSE)
+    np.testing.assert_allclose(point.coordinates[2:], -point.inputs[:2] / 1e5, rtol=1e-3)
+    # both inertias by the mass matrix of the rigid robot; gravity's stiffness is far below the springs'
+    robot = build_model(torque_scene(rigid_links))
+    links = robot.functions["mass_matrix"](point.coordinates[:2], point.inputs, derived(robot)).full()
+    squares = np.linalg.eigvals(1e5 * (np.eye(2) / 0.05 + np.linalg.inv(links)))
+    poles = linearize(scene, POSE).poles()
+    found = np.unique(np.round(np.sort(np.abs(poles.imag)), 3))[-2:]
+    np.testing.assert_allclose(found, np.sort(np.sqrt(squares)), rtol=2e-3)
+
+
+def test_locked_motors_give_the_natural_frequencies() -> None:
+    """Very heavy motors don't move: the linearised plant then has the frequencies of locked motors."""
+    scene = torque_scene({"effects.motor_inertia": 1e8, "effects.damping": {"kind": "none"}})
+    poles = linearize(scene, POSE).poles()
+    found = np.sort(np.abs(poles.imag)) / (2 * np.pi)
+    expected = natural_frequencies(scene, motor_angles(scene.mechanism, POSE))
+    np.testing.assert_allclose(found[-2 * len(expected) :: 2], expected, rtol=1e-6)
+
+
+def test_linearisation_predicts_small_responses() -> None:
+    """The state-space system is the derivative of the plant: accelerations under small deviations agree."""
+    scene = torque_scene()
+    plant, point, system = build_model(scene), operating_point(scene, POSE), linearize(scene, POSE)
+    n, rng = plant.degrees_of_freedom, np.random.default_rng(14)
+    y, v, u = rng.normal(size=n) * 1e-7, rng.normal(size=n) * 1e-6, rng.normal(size=4) * 1e-3
+    y[2:] *= 1e-3
+    exact = acceleration(plant, point.coordinates + y, v, point.inputs + u)
+    linear = system.A @ np.concatenate([y, v]) + system.B @ u
+    np.testing.assert_allclose(linear[n:], exact, rtol=1e-3, atol=1e-6 * np.abs(exact).max())
+    assert system.input_labels[:2] == ["joint1_torque", "joint2_torque"]
+    assert "end_effector_position_x" in system.output_labels
+
+
+def test_unknown_outputs_are_named() -> None:
+    """A misspelt output of the linearisation is an error that lists what there is."""
+    with pytest.raises(ValueError, match=r"no output `joint9\.position`; its outputs: joint1\.position"):
+        linearize(torque_scene(), POSE, outputs=["joint9.position"])
