@@ -100,7 +100,7 @@ def _matrices(plant: SymbolicModel, point: OperatingPoint) -> tuple[Array, Array
     """A, B, C, D in the states [y, v] from M, K, C and the input matrix at the equilibrium."""
     n, m = len(plant.unknowns), len(plant.inputs)
     y, v, a, u = (casadi.SX.sym(name, size) for name, size in (("y", n), ("v", n), ("a", n), ("u", m)))
-    derived = plant.functions["derive"]([variable.start for variable in plant.parameters])
+    derived = plant.functions["derive"]([variable.start or 0.0 for variable in plant.parameters])
     rest = (point.coordinates, np.zeros(n), np.zeros(n), point.inputs)
 
     def jacobians(name: str) -> list[Array]:

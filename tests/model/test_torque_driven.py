@@ -123,7 +123,7 @@ def test_payload_accelerates_as_the_legs_pull_and_the_force_pushes() -> None:
     plant = build_model(torque_scene({"effects.reactions": True}))
     point = operating_point(torque_scene(), POSE)
     force = np.array([30.0, -20.0])
-    values = outputs(plant, point.coordinates, 0 * point.coordinates, point.inputs + [0, 0, *force])
+    values = outputs(plant, point.coordinates, 0 * point.coordinates, point.inputs + np.array([0, 0, *force]))
     for axis, gravity, push in (("x", 0.0, force[0]), ("y", -9.81, force[1])):
         pulls = values[f"leg1.reaction.{axis}"] + values[f"leg2.reaction.{axis}"]
         assert 6.0 * (values[f"end_effector.acceleration.{axis}"] - gravity) == pytest.approx(pulls + push, abs=1e-9)
