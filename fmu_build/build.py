@@ -78,13 +78,39 @@ def build_fmu(
         BuildError: in one line what is wrong and what to do: a model that contradicts its contract, an unknown platform,
             no compiler, a compiler's error, or a file that cannot be written.
     """
-    started = perf_counter()
-    targets = find_platforms(platforms)
     experiment = DefaultExperiment(stop_time, step, tolerance)
 
     def make_sources() -> Sources:
         return _generate(model, experiment, progress)
 
+    return build_from_sources(
+        make_sources, experiment, key=key, output=output, platforms=platforms, cache=cache, progress=progress
+    )
+
+
+def build_from_sources(
+    make_sources: Callable[[], Sources],
+    experiment: DefaultExperiment,
+    *,
+    key: str | None = None,
+    output: Path | None = None,
+    platforms: Iterable[str] | None = None,
+    cache: bool = True,
+    progress: Progress = lambda message: None,
+) -> BuiltFmu:
+    """Compile and pack sources of any kind, unless an equal FMU is in the cache.
+
+    Args:
+        make_sources: makes them; called only if the FMU has to be built, or if there is no key.
+        experiment: default experiment.
+        key: all that determines the sources, as text; None for the sources themselves.
+        output, platforms, cache, progress: as for `build_fmu`.
+
+    Raises:
+        BuildError: as for `build_fmu`.
+    """
+    started = perf_counter()
+    targets = find_platforms(platforms)
     if key is None:
         sources = make_sources()
         key, make_sources = sources.guid, lambda: sources

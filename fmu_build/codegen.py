@@ -56,8 +56,8 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
     """
     sizes = _sizes(model)
     prepared = {name: _prepare(name, _function(model, name), sizes) for name in FUNCTION_SIGNATURES}
-    facts = tuple(_facts(name, function) for name, function in prepared.items())
-    files = {function_file(name): _c_code(function) for name, function in prepared.items()}
+    facts = tuple(function_facts(name, function) for name, function in prepared.items())
+    files = {function_file(name): c_code(function) for name, function in prepared.items()}
     return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts)}, facts
 
 
@@ -115,13 +115,15 @@ def _check_shape(what: str, sparsity: casadi.Sparsity, expected: tuple[int, int]
         raise ModelError(f"{what} must be dense {expected[0]} x {expected[1]}, got {kind} {shape[0]} x {shape[1]}")
 
 
-def _c_code(function: casadi.Function) -> str:
+def c_code(function: casadi.Function) -> str:
+    """The C file of a function, which names everything of its own after it."""
     generator = casadi.CodeGenerator(f"{function.name()}_", _CODE_OPTIONS)
     generator.add(function)
     return str(generator.dump())
 
 
-def _facts(name: str, function: casadi.Function) -> GeneratedFunction:
+def function_facts(name: str, function: casadi.Function) -> GeneratedFunction:
+    """What the caller of the generated function has to know; ``name`` is its field in the model's table."""
     return GeneratedFunction(
         field=name,
         symbol=function.name(),

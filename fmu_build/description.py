@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER, identifier
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.interface import INITIAL_STATES, build_interface
+from flexfmu.fmu_build.interface import INITIAL_TYPE, EnumerationType, Interface, build_interface
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.units import unit_definitions
 
@@ -22,38 +24,87 @@ LOG_CATEGORIES = {
     "logStatusDiscard": "Steps that could not be made; a smaller one may work",
     "logStatusError": "Errors: the instance cannot go on",
     "logStatusFatal": "Errors that make every instance unusable",
-    "statistics": "Work done by the integrator",
+    "statistics": "Work done since initialisation",
 }
 """Categories of the log messages: name → what they tell."""
 
 
-def model_description(
-    model: SymbolicModel, guid: str, experiment: DefaultExperiment, source_files: tuple[str, ...]
-) -> str:
-    """The text of modelDescription.xml; without a date, so that equal models have equal descriptions.
+@dataclass(frozen=True)
+class Description:
+    """What a model description says, whatever the FMU contains.
 
-    Args:
-        model: what the FMU contains.
-        guid: identity of its content; also compiled into the binary.
-        experiment: proposed times and tolerance.
-        source_files: C files below ``sources/`` from which the binary can be built again.
+    Attributes:
+        name: model name.
+        text: one or two sentences for people.
+        interface: variables and structure.
+        types: enumeration types of the variables.
+        max_input_order: highest order of an input's derivative that may be set; 0 for none.
+        max_output_order: highest order of an output's derivative that can be read; 0 for none.
+        has_tolerance: whether the default experiment's tolerance means anything here.
+        annotations: what FMI has no place for, for tools that look: element → attributes.
+    """
+
+    name: str
+    text: str
+    interface: Interface
+    types: tuple[EnumerationType, ...] = ()
+    max_input_order: int = 0
+    max_output_order: int = 0
+    has_tolerance: bool = False
+    annotations: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+
+def plant_description(model: SymbolicModel) -> Description:
+    """What the model description of a plant says.
 
     Raises:
         ModelError: the model's variables contradict each other.
     """
-    interface = build_interface(model)
+    return Description(
+        name=model.name,
+        text=f"{model.description.rstrip('.')}. Inputs may carry derivatives up to order {MAX_INPUT_ORDER} "
+        f"(fmi2SetRealInputDerivatives); output derivatives of orders 1 to {MAX_OUTPUT_DERIVATIVE_ORDER} are exact.",
+        interface=build_interface(model),
+        types=(INITIAL_TYPE,),
+        max_input_order=MAX_INPUT_ORDER,
+        max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
+        has_tolerance=True,
+    )
+
+
+def description_xml(
+    description: Description, guid: str, experiment: DefaultExperiment, source_files: tuple[str, ...]
+) -> str:
+    """The text of modelDescription.xml; without a date, so that equal FMUs have equal descriptions.
+
+    Args:
+        description: what the FMU contains.
+        guid: identity of its content; also compiled into the binary.
+        experiment: proposed times and tolerance.
+        source_files: C files below ``sources/`` from which the binary can be built again.
+    """
+    variables = description.interface.variables
     return render(
         "modelDescription.xml.j2",
-        model=model,
-        model_identifier=identifier(model.name),
+        name=description.name,
+        description=description.text,
+        model_identifier=identifier(description.name),
         guid=guid,
         generation_tool=f"flexfmu {version('flexfmu')}",
         experiment=experiment,
+        tolerance=experiment.tolerance if description.has_tolerance else None,
         source_files=source_files,
-        units=unit_definitions(variable.unit for variable in interface.variables if variable.unit is not None),
-        initial_states=INITIAL_STATES,
+        units=unit_definitions(variable.unit for variable in variables if variable.unit is not None),
+        types=description.types,
         log_categories=LOG_CATEGORIES,
-        max_input_order=MAX_INPUT_ORDER,
-        max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
-        interface=interface,
+        max_input_order=description.max_input_order,
+        max_output_order=description.max_output_order,
+        annotations=_annotations(description),
+        interface=description.interface,
     )
+
+
+def _annotations(description: Description) -> dict[str, Mapping[str, str]]:
+    """Annotations of every kind of FMU and its own ones."""
+    derivatives = {"InputDerivatives": {"maxOrder": str(description.max_input_order)}}
+    return (derivatives if description.max_input_order else {}) | dict(description.annotations)

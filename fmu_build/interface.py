@@ -33,6 +33,24 @@ Kind = Literal["Real", "Integer", "Enumeration"]
 
 
 @dataclass(frozen=True)
+class EnumerationType:
+    """A type of the model description.
+
+    Attributes:
+        name: its name.
+        description: what its variables choose.
+        items: name → (value, meaning).
+    """
+
+    name: str
+    description: str
+    items: Mapping[str, tuple[int, str]]
+
+
+INITIAL_TYPE = EnumerationType("Initial", "Elastic state at the start", INITIAL_STATES)
+
+
+@dataclass(frozen=True)
 class FmiVariable:
     """A scalar variable of the model description; attributes are spelt as in the FMI 2.0 standard.
 
@@ -41,6 +59,7 @@ class FmiVariable:
         value_reference: handle for the FMI functions, counted per type from 0.
         kind: FMI type.
         start: start value, None where the standard forbids one.
+        declared_type: name of the enumeration type.
         unit, display_unit: None for numbers without a unit.
         derivative: index of the variable whose time derivative this one is.
     """
@@ -54,6 +73,7 @@ class FmiVariable:
     variability: str
     initial: str | None = None
     start: float | int | None = None
+    declared_type: str | None = None
     unit: str | None = None
     display_unit: str | None = None
     minimum: float | None = None
@@ -75,7 +95,7 @@ class Interface:
     """All variables of an FMU and the structure between them.
 
     Attributes:
-        variables: in the order of the model description: inputs, parameters, outputs, ``initial``, statistics.
+        variables: in the order of the model description: inputs, parameters, outputs, then those of other types.
         outputs: every output, with the inputs and states that it depends on.
         derivatives: the state derivatives among them.
         initial_unknowns: what initialisation calculates, with the inputs and parameters that it depends on.
@@ -94,9 +114,9 @@ def build_interface(model: SymbolicModel) -> Interface:
         ModelError: a name is given twice or unknown, or a start value is missing or out of range.
     """
     scalars = (*model.inputs, *model.parameters, *model.outputs)
-    _check_names([*(variable.name for variable in scalars), INITIAL, *STATISTICS])
+    check_names([*(variable.name for variable in scalars), INITIAL, *STATISTICS])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
-    reals = tuple(_real_variable(variable, index_of) for variable in scalars)
+    reals = tuple(real_variable(variable, index_of) for variable in scalars)
     integers = _integer_variables(first_index=len(reals) + 1, static_start=model.static_start)
     variables = reals + integers
 
@@ -134,13 +154,30 @@ def _feedthrough(model: SymbolicModel, index_of: Mapping[str, int]) -> dict[int,
     }
 
 
-def _check_names(names: Iterable[str]) -> None:
+def check_names(names: Iterable[str]) -> None:
+    """Refuse a name that is given twice.
+
+    Raises:
+        ModelError: there is one.
+    """
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise ModelError(f"variable '{twice[0]}' is there more than once; names must be unique")
 
 
-def _real_variable(variable: Variable, index_of: Mapping[str, int]) -> FmiVariable:
+def real_variable(
+    variable: Variable, index_of: Mapping[str, int], output_variability: str = "continuous"
+) -> FmiVariable:
+    """The description of a real variable; value references count from 0 in the order of the indices.
+
+    Args:
+        variable: the variable.
+        index_of: name → index of all real variables.
+        output_variability: of outputs.
+
+    Raises:
+        ModelError: a start value is missing or out of range, or the variable is the derivative of none that is there.
+    """
     is_output = variable.causality == "output"
     if not is_output:
         _check_start(variable)
@@ -156,7 +193,7 @@ def _real_variable(variable: Variable, index_of: Mapping[str, int]) -> FmiVariab
         name=variable.name,
         description=variable.description,
         causality=variable.causality,
-        variability=_variability(variable),
+        variability=output_variability if is_output else _variability(variable),
         initial={"input": None, "parameter": "exact", "output": "calculated"}[variable.causality],
         start=None if is_output else variable.start,
         unit=None if variable.unit == DIMENSIONLESS else variable.unit,
@@ -195,6 +232,7 @@ def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariabl
         variability="fixed",
         initial="exact",
         start=INITIAL_STATES["static" if static_start else "undeformed"][0],
+        declared_type=INITIAL_TYPE.name,
     )
     counters = tuple(
         FmiVariable(

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, generate_description, generate_functions, identifier
-from flexfmu.fmu_build.description import model_description
+from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.documentation import documentation
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.hashing import content_hash
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
+
+
+Kind = Literal["plant", "block", "trajectory"]
+"""What an FMU contains; the same FMI layer serves all of them."""
+
+_COMMON = ("backend.", "clock.", "fmi2", "memory.", "model.", "refusal.")
+"""How the names of the runtime's files begin that every kind needs."""
+
+_OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",)}
+"""How the names of further files begin that these kinds need; the plant needs all but the files named after the others."""
 
 
 @dataclass(frozen=True)
@@ -56,24 +66,52 @@ def generate_sources(model: SymbolicModel, experiment: DefaultExperiment) -> Sou
         ModelError: the model contradicts its contract.
     """
     functions, facts = generate_functions(model)
-    runtime = runtime_sources()
-    names = c_files((DESCRIPTION_FILE, *functions, *runtime))
 
-    def with_guid(guid: str) -> tuple[str, dict[str, str]]:
-        code = functions | {DESCRIPTION_FILE: generate_description(model, facts, guid, experiment.tolerance)}
-        return model_description(model, guid, experiment, names), code
+    def code(guid: str) -> dict[str, str]:
+        return functions | {DESCRIPTION_FILE: generate_description(model, facts, guid, experiment.tolerance)}
 
-    blank_description, blank_code = with_guid("")
-    guid = _guid((blank_description, *_flatten(blank_code), *_flatten(runtime)))
-    description, code = with_guid(guid)
-    return Sources(identifier(model.name), guid, description, code, runtime, documentation(model, experiment))
+    return assemble_sources("plant", plant_description(model), experiment, code, documentation(model, experiment))
 
 
-def runtime_sources() -> dict[str, str]:
-    """C files and headers of the runtime, name → text."""
+def assemble_sources(
+    kind: Kind,
+    description: Description,
+    experiment: DefaultExperiment,
+    code: Callable[[str], dict[str, str]],
+    pages: dict[str, str],
+) -> Sources:
+    """All parts of an FMU together.
+
+    Args:
+        kind: which runtime it needs.
+        description: what the model description says.
+        experiment: default experiment.
+        code: the generated C files for a GUID, name → text.
+        pages: documentation, path below the FMU's root → text.
+    """
+    runtime = runtime_sources(kind)
+    blank = code("")
+    names = c_files((*blank, *runtime))
+    blank_text = description_xml(description, "", experiment, names)
+    guid = _guid((blank_text, *_flatten(blank), *_flatten(runtime)))
+    text = description_xml(description, guid, experiment, names)
+    return Sources(identifier(description.name), guid, text, code(guid), runtime, pages)
+
+
+def runtime_sources(kind: Kind = "plant") -> dict[str, str]:
+    """C files and headers of the runtime for an FMU of that kind, name → text."""
     folder = files("flexfmu.fmu_build") / "c-runtime"
-    entries = sorted((entry for entry in folder.iterdir() if entry.name.endswith((".c", ".h"))), key=lambda e: e.name)
+    entries = sorted((entry for entry in folder.iterdir() if _belongs(entry.name, kind)), key=lambda e: e.name)
     return {entry.name: entry.read_text(encoding="utf-8") for entry in entries}
+
+
+def _belongs(name: str, kind: Kind) -> bool:
+    """Whether a file is a part of the runtime for that kind; its name tells."""
+    if not name.endswith((".c", ".h")):
+        return False
+    if kind == "plant":
+        return not name.startswith(tuple(_OWN))
+    return name.startswith((*_COMMON, *_OWN[kind]))
 
 
 def c_files(names: Iterable[str]) -> tuple[str, ...]:

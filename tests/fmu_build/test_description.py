@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from fmpy.model_description import read_model_description
 
-from flexfmu.fmu_build.description import model_description
+from flexfmu.fmu_build.description import description_xml, plant_description
 from flexfmu.fmu_build.errors import BuildError, ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import STATISTICS, build_interface
@@ -24,7 +24,7 @@ def read(tmp_path: Path) -> Callable[[SymbolicModel], Any]:
     """Write the description of a model and read it back with all of fmpy's checks."""
 
     def write_and_read(model: SymbolicModel) -> Any:
-        text = model_description(model, "{guid}", DefaultExperiment(0.68, 2e-4, 1e-7), ("one.c", "two.c"))
+        text = description_xml(plant_description(model), "{guid}", DefaultExperiment(0.68, 2e-4, 1e-7), ("one.c", "two.c"))
         (tmp_path / "modelDescription.xml").write_text(text, encoding="utf-8")
         return read_model_description(
             str(tmp_path), validate=True, validate_variable_names=True, validate_model_structure=True

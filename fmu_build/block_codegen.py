@@ -1,0 +1,98 @@
+"""A discrete-time block → C: one function by CasADi for output and update, the constant tables by a template."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+import casadi
+
+from flexfmu.fmu_build.codegen import (
+    HEADER_FILE,
+    MAX_INPUT_ORDER,
+    GeneratedFunction,
+    c_code,
+    function_facts,
+    function_file,
+)
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.templating import render
+from flexfmu.model.block import SymbolicBlock
+
+SAMPLE_FILE = function_file("sample")
+_TEMPLATE = "block_description.c.j2"
+
+_ARGUMENTS = ("x", "u", "p")
+
+
+def sample_function(block: SymbolicBlock) -> casadi.Function:
+    """Output and update in one function (x, u, p) → (y, next x), all dense, so that they share what they have in common.
+
+    Scalar operations are shared, matrix operations are kept: a table of thousands of states stays one copy in C.
+
+    Raises:
+        ModelError: a function of the block has a wrong shape.
+    """
+    sizes = len(block.states), len(block.inputs), len(block.parameters)
+    _check_function(block, "output", block.output, sizes, len(block.outputs))
+    _check_function(block, "update", block.update, sizes, len(block.states))
+    functions = (block.output, block.update)
+    is_scalar = all(function.is_a("SXFunction") for function in functions)
+    symbol: Any = casadi.SX if is_scalar else casadi.MX
+    arguments = [symbol.sym(name, size) for name, size in zip(_ARGUMENTS, sizes, strict=True)]
+    results = [casadi.densify(function.call(arguments)[0]) for function in functions]
+    if is_scalar:
+        results = casadi.cse(results)
+    return casadi.Function("model_sample", arguments, results, list(_ARGUMENTS), ["y", "next_x"])
+
+
+def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunction]:
+    """C files of the block's function (name → text, header included) and the facts for the constant tables.
+
+    Raises:
+        ModelError: the block contradicts its contract, or CasADi has no C for one of its operations.
+    """
+    check_block(block)
+    function = sample_function(block)
+    facts = function_facts("sample", function)
+    try:
+        code = c_code(function)
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise ModelError(f"block '{block.name}' cannot be exported: CasADi has no C for it ({reason})") from error
+    return {SAMPLE_FILE: code, HEADER_FILE: render(HEADER_FILE + ".j2", functions=(facts,))}, facts
+
+
+def generate_block_description(block: SymbolicBlock, sample: GeneratedFunction, guid: str) -> str:
+    """The C file that defines ``flex_the_block``."""
+    return render(_TEMPLATE, block=block, sample=sample, guid=guid, max_input_order=MAX_INPUT_ORDER)
+
+
+def check_block(block: SymbolicBlock) -> None:
+    """Check sample time, offset and start states.
+
+    Raises:
+        ModelError: the sample time isn't positive, the offset is negative, or a start state isn't finite.
+    """
+    name = block.name
+    if not (isfinite(block.sample_time) and block.sample_time > 0.0):
+        raise ModelError(
+            f"the sample time of block '{name}' must be positive, got {block.sample_time} s; 1e-3 is 1 kHz"
+        )
+    if not (isfinite(block.offset) and block.offset >= 0.0):
+        raise ModelError(f"the offset of block '{name}' must be zero or positive, got {block.offset} s")
+    for index, state in enumerate(block.states):
+        if not isfinite(state):
+            raise ModelError(f"start value {index} of the states of block '{name}' must be finite, got {state}")
+
+
+def _check_function(
+    block: SymbolicBlock, name: str, function: casadi.Function, sizes: tuple[int, ...], result: int
+) -> None:
+    got = tuple(function.numel_in(i) for i in range(function.n_in()))
+    results = tuple(function.numel_out(i) for i in range(function.n_out()))
+    if got != sizes or results != (result,):
+        raise ModelError(
+            f"function '{name}' of block '{block.name}' must take (x, u, p) of sizes {sizes} and give {result} values, "
+            f"it takes {got} and gives {results}"
+        )

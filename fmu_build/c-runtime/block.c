@@ -1,0 +1,147 @@
+#include "block.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "clock.h"
+
+// pieces of an instance in memory; the numeric state first
+static void take(flex_block *block, const flex_block_model *model, flex_arena *arena) {
+  const flex_function *sample = &model->sample;
+  size_t n = (size_t)model->n_states;
+
+  // numeric state
+  size_t begin = arena->used;
+  block->record = flex_take(arena, sizeof *block->record);
+  block->p = flex_take_doubles(arena, (size_t)model->n_parameters);
+  block->x = flex_take_doubles(arena, n);
+  block->next_x = flex_take_doubles(arena, n);
+  block->y = flex_take_doubles(arena, (size_t)model->n_outputs);
+  flex_inputs_take(&block->inputs, model->n_inputs, model->max_input_order, arena);
+  block->state_size = arena->used - begin;
+
+  // scratch
+  block->u = flex_take_doubles(arena, (size_t)model->n_inputs);
+  block->w = flex_take_doubles(arena, (size_t)sample->n_w);
+  block->iw = flex_take_ints(arena, (size_t)sample->n_iw);
+  block->arg = flex_take(arena, (size_t)sample->n_arg * sizeof *block->arg);
+  block->res = flex_take(arena, (size_t)sample->n_res * sizeof *block->res);
+}
+
+size_t flex_block_size(const flex_block_model *model) {
+  flex_block block;
+  flex_arena arena = {NULL, 0};
+  flex_take(&arena, sizeof block);
+  take(&block, model, &arena);
+  return arena.used;
+}
+
+flex_block *flex_block_create(const flex_block_model *model, void *memory) {
+  flex_arena arena = {memory, 0};
+  flex_block *block = flex_take(&arena, sizeof *block);
+  take(block, model, &arena);
+  block->model = model;
+  flex_block_reset(block);
+  return block;
+}
+
+void flex_block_reset(flex_block *block) {
+  const flex_block_model *model = block->model;
+  memset(block->record, 0, block->state_size);
+  for (int i = 0; i < model->n_parameters; i++) block->p[i] = model->parameter_variables[i].start;
+  for (int i = 0; i < model->n_states; i++) block->x[i] = model->start_states[i];
+  for (int i = 0; i < model->n_inputs; i++) flex_inputs_set(&block->inputs, i, 0.0, model->input_variables[i].start);
+  block->message[0] = '\0';
+}
+
+void flex_block_set_start_time(flex_block *block, double time) {
+  block->record->time = block->record->start_time = time;
+  for (int i = 0; i < block->inputs.count; i++) block->inputs.base[i] = time;
+  flex_block_changed(block);
+}
+
+void flex_block_changed(flex_block *block) {
+  block->record->is_taken = 0;
+}
+
+// index of the first number that is not finite, or -1
+static int first_bad(const double *values, int count) {
+  for (int i = 0; i < count; i++)
+    if (!isfinite(values[i])) return i;
+  return -1;
+}
+
+// outputs and next states for the inputs at the present time
+static int take_sample(flex_block *block) {
+  const flex_block_model *model = block->model;
+  double time = block->record->time;
+  flex_inputs_evaluate(&block->inputs, time, 0.0, block->u);
+
+  // generated code may use what is behind arguments and results for itself
+  block->arg[0] = block->x, block->arg[1] = block->u, block->arg[2] = block->p;
+  block->res[0] = block->y, block->res[1] = block->next_x;
+  if (model->sample.call(block->arg, block->res, block->iw, block->w, 0))
+    return flex_refuse(block->message, "sampling at %.9g s: the equations cannot be evaluated; check inputs", time);
+
+  // no NaN travels on silently
+  int bad = first_bad(block->y, model->n_outputs);
+  if (bad >= 0)
+    return flex_refuse(block->message, "sampling at %.9g s: %s is %g; check inputs and parameters", time,
+                       model->output_variables[bad].name, block->y[bad]);
+  bad = first_bad(block->next_x, model->n_states);
+  if (bad >= 0)
+    return flex_refuse(block->message, "sampling at %.9g s: state %d becomes %g; check inputs and parameters", time, bad + 1,
+                       block->next_x[bad]);
+  block->record->is_taken = 1;
+  return 0;
+}
+
+int flex_block_need_outputs(flex_block *block) {
+  const flex_block_record *record = block->record;
+  int is_open = record->is_due || !record->is_moving;
+  return is_open && !record->is_taken ? take_sample(block) : 0;
+}
+
+// the sample that is due, for good
+static int complete_sample(flex_block *block) {
+  flex_block_record *record = block->record;
+  if (!record->is_taken && take_sample(block)) return 1;
+  memcpy(block->x, block->next_x, (size_t)block->model->n_states * sizeof *block->x);
+  record->next++;
+  record->is_due = record->is_taken = 0;
+  return 0;
+}
+
+static double next_instant(const flex_block *block) {
+  const flex_block_record *record = block->record;
+  return record->start_time + block->model->offset + (double)record->next * block->model->sample_time;
+}
+
+int flex_block_begin(flex_block *block) {
+  flex_block_record *record = block->record;
+  if (flex_block_need_outputs(block)) return 1;
+  record->is_moving = 1;
+  record->is_due = block->model->offset <= flex_time_slack(0.0, block->model->sample_time);
+  return 0;
+}
+
+int flex_block_advance(flex_block *block, double t0, double t1) {
+  flex_block_record *record = block->record;
+  double slack = flex_time_slack(t1, fmin(t1 - t0, block->model->sample_time));
+
+  // the importer's time may differ from ours by a rounding
+  for (int i = 0; i < block->inputs.count; i++)
+    if (block->inputs.base[i] == record->time) block->inputs.base[i] = t0;
+  record->time = t0;
+  if (record->is_due && complete_sample(block)) return 1;
+
+  // instants within the step
+  for (double instant = next_instant(block); instant < t1 - slack; instant = next_instant(block)) {
+    record->time = instant;
+    record->is_due = 1;
+    if (complete_sample(block)) return 1;
+  }
+  record->time = t1;
+  record->is_due = next_instant(block) <= t1 + slack;
+  return 0;
+}
