@@ -100,6 +100,7 @@ def run_scene(
     progress: Progress | None = None,
     parameters: Mapping[str, float] | None = None,
     initial: str | None = None,
+    motion: MotionPlan | None = None,
 ) -> Run:
     """Plan the scene's motion, build its FMU or take it from the cache, and co-simulate motion and dwell.
 
@@ -113,6 +114,7 @@ def run_scene(
         progress: called now and then with the simulated fraction, 0..1.
         parameters: FMU parameters that differ from the scene's, for example ``{"payload.mass": 0.1}``.
         initial: ``static`` or ``undeformed``; the scene's own when None.
+        motion: a motion to run instead of the scene's own, a shaped one for example, planned from the same scene.
 
     Returns:
         The run; when the FMU fails on the way, with all that was recorded until then and the outcome.
@@ -123,7 +125,7 @@ def run_scene(
         BuildError: the FMU can't be built (no compiler, for example).
     """
     planning = perf_counter()
-    motion = plan(scene)
+    motion = plan(scene) if motion is None else motion
     building = perf_counter()
     path = fmu_path if fmu_path is not None else build_scene(scene).path
     loading = perf_counter()

@@ -69,7 +69,7 @@ def modes_along_path(
 
 def _rigid_poses(plan: MotionPlan, fractions: Array) -> tuple[Array, Array]:
     """(N, 2) positions [m] and (N, 2) joint angles [rad], unwrapped, at fractions of the path's length."""
-    path = plan.task.path
+    path = plan.along_path.path
     x, y = path.jets(fractions * path.length, order=0)
     joints = np.stack([joint.value for joint in plan.kinematics.joints(x, y)], axis=-1)
     return np.stack([x.value, y.value], axis=-1), np.unwrap(joints, axis=0)

@@ -13,7 +13,7 @@ from flexfmu.trajectories.clothoid import ClothoidPair
 from flexfmu.trajectories.joint import JointTrajectory
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import BangBang, Profile, SeventhDegreePolynomial, Trapezoidal
-from flexfmu.trajectories.trajectory import TaskTrajectory
+from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 BLENDS: Mapping[str, Callable[[float, float], Blend]] = {
     "lame": LameBlend,
@@ -29,15 +29,17 @@ class MotionPlan:
 
     Attributes:
         scene: where it comes from.
-        task: end-effector trajectory of the rigid mechanism in x, y [m].
+        along_path: the scene's own motion along its path, before any shaping, in x, y [m].
         kinematics: the mechanism's rigid inverse kinematics.
+        task: end-effector trajectory of the rigid mechanism in x, y [m].
         joints: joint trajectory in q11, q21 [rad].
     """
 
     scene: Scene
-    task: TaskTrajectory
+    along_path: TaskTrajectory
     kinematics: RigidKinematics
-    joints: JointTrajectory
+    task: Trajectory
+    joints: Trajectory
 
     @property
     def duration(self) -> float:
@@ -61,7 +63,7 @@ def plan(scene: Scene) -> MotionPlan:
     path = PickAndPlacePath(section.start, section.lift, section.height, section.width, blend)
     task = TaskTrajectory(path, _profile(section.profile), section.duration)
     kinematics = RigidKinematics(scene.mechanism)
-    return MotionPlan(scene, task, kinematics, JointTrajectory(task, kinematics))
+    return MotionPlan(scene, task, kinematics, task, JointTrajectory(task, kinematics))
 
 
 def _profile(section: ProfileSection) -> Profile:

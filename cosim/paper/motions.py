@@ -31,12 +31,12 @@ def evaluators() -> Mapping[str, Evaluate]:
 
 def blend_length(curve: str) -> float:
     """Arc length of one blend [m]."""
-    return plan(trajectory_scene(_any_profile(), curve)).task.path.blend.curve.length
+    return plan(trajectory_scene(_any_profile(), curve)).along_path.path.blend.curve.length
 
 
 def path_length(curve: str) -> float:
     """Arc length of the whole path [m]."""
-    return plan(trajectory_scene(_any_profile(), curve)).task.path.length
+    return plan(trajectory_scene(_any_profile(), curve)).along_path.path.length
 
 
 def peak_task_acceleration(profile: str, curve: str) -> float:

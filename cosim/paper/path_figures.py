@@ -47,7 +47,7 @@ def motion_profiles() -> Drawing:
     drawing = draw(6.4, 6.6)
     panels = drawing.subplots(3, 1, sharex=True)
     for label, colour in PROFILE_COLOURS.items():
-        task = plan(trajectory_scene(label, "Lamé")).task
+        task = plan(trajectory_scene(label, "Lamé")).along_path
         time, derivatives = _profile(task.profile, task.duration)
         for panel, values in zip(panels, derivatives, strict=True):
             panel.plot(time, values, color=colour, label=label)

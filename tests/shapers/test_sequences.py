@@ -1,0 +1,359 @@
+"""Impulse sequences against closed forms: residual vibration, insensitivity, durations, and what they refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.shapers import (
+    SHAPERS,
+    UNSHAPED,
+    ImpulseSequence,
+    Oscillator,
+    design,
+    extra_insensitive,
+    specified_insensitivity,
+    unity_magnitude,
+    zero_vibration,
+)
+from flexfmu.trajectories.shapers.extra_insensitive import chebyshev_amplitudes
+
+FREQUENCY = 58.0
+ratios = st.floats(0.0, 0.2)
+frequencies = st.floats(0.5, 500.0)
+shapers = st.sampled_from(sorted(SHAPERS))
+settle = settings(derandomize=True, deadline=None, max_examples=60)
+
+
+def vibration(sequence: ImpulseSequence, mode: Oscillator, time: float) -> complex:
+    """Deflection and velocity/ω of an oscillator at a time after the last impulse, from the sum of its impulse responses."""
+    omega, ratio = mode.angular_frequency, mode.ratio
+    damped = omega * np.sqrt(1.0 - ratio**2)
+    x = v = 0.0
+    for delay, amplitude in zip(sequence.times, sequence.amplitudes, strict=True):
+        tau = time - delay
+        envelope = amplitude * np.exp(-ratio * omega * tau)
+        x += envelope * omega / damped * np.sin(damped * tau)
+        v += envelope * (np.cos(damped * tau) - ratio * omega / damped * np.sin(damped * tau))
+    return complex(x, v)
+
+
+@pytest.mark.parametrize(
+    ("name", "percent"),
+    [
+        ("zv", (15.6, 30.9, 45.4)),
+        ("zvd", (2.45, 9.55, 20.6)),
+        ("zvdd", (0.38, 2.95, 9.4)),
+        ("ei", (2.43, 5.03, 16.64)),
+    ],
+)
+def test_residual_at_frequency_errors(name: str, percent: tuple[float, float, float]) -> None:
+    """The figures that every text on input shaping prints for errors of 10, 20 and 30 % without damping."""
+    sequence = design(name, [Oscillator(FREQUENCY)])
+    for error, expected in zip((0.1, 0.2, 0.3), percent, strict=True):
+        residual = sequence.residual([FREQUENCY * (1.0 - error), FREQUENCY * (1.0 + error)])
+        np.testing.assert_allclose(100.0 * residual, expected, atol=0.05)
+
+
+@pytest.mark.parametrize("error", [-0.3, -0.07, 0.1, 0.25])
+def test_residual_is_the_closed_form(error: float) -> None:
+    """ZVD^n leaves |cos(π/2 (1 + error))|^(n+1), EI with V leaves |(1-V)/2 + (1+V)/2 cos(π (1 + error))|."""
+    mode, frequency = Oscillator(FREQUENCY), FREQUENCY * (1.0 + error)
+    for derivatives in range(6):
+        expected = abs(np.cos(0.5 * np.pi * (1.0 + error))) ** (derivatives + 1)
+        assert zero_vibration(mode, derivatives).residual(frequency)[0] == pytest.approx(expected, abs=1e-14)
+    for tolerance in (0.02, 0.05, 0.2):
+        expected = abs(0.5 * (1.0 - tolerance) + 0.5 * (1.0 + tolerance) * np.cos(np.pi * (1.0 + error)))
+        assert extra_insensitive(mode, tolerance).residual(frequency)[0] == pytest.approx(expected, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("name", "insensitivity"),
+    [("um-zv", 0.055), ("zv", 0.0637), ("zvd", 0.287), ("ei", 0.399), ("zvdd", 0.480), ("2-hump-ei", 0.7245)],
+)
+def test_insensitivity(name: str, insensitivity: float) -> None:
+    """Width of the range with at most 5 % residual, as the literature lists it."""
+    assert design(name, [Oscillator(FREQUENCY)]).insensitivity(FREQUENCY) == pytest.approx(insensitivity, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "periods"),
+    [
+        ("um-zv", 1 / 3),
+        ("zv", 0.5),
+        ("mzv", 0.75),
+        ("zvd", 1.0),
+        ("ei", 1.0),
+        ("zvdd", 1.5),
+        ("2-hump-ei", 1.5),
+        ("zvddd", 2.0),
+        ("3-hump-ei", 2.0),
+    ],
+)
+def test_durations(name: str, periods: float) -> None:
+    """What each shaper costs in time, in periods."""
+    assert design(name, [Oscillator(FREQUENCY)]).duration * FREQUENCY == pytest.approx(periods, abs=1e-12)
+
+
+def test_multi_hump_amplitudes_are_the_published_ones() -> None:
+    """The Chebyshev sequences are the closed forms of Singhose, Porter, Tuttle and Singer (1997)."""
+    v = 0.05
+    x = np.cbrt(v**2 * (np.sqrt(1.0 - v**2) + 1.0))
+    two = (3.0 * x**2 + 2.0 * x + 3.0 * v**2) / (16.0 * x)
+    np.testing.assert_allclose(chebyshev_amplitudes(4, v), [two, 0.5 - two, 0.5 - two, two], rtol=1e-12)
+    first, second = (1.0 + 3.0 * v + 2.0 * np.sqrt(2.0 * v**2 + 2.0 * v)) / 16.0, 0.25 * (1.0 - v)
+    middle = 1.0 - 2.0 * (first + second)
+    np.testing.assert_allclose(chebyshev_amplitudes(5, v), [first, second, middle, second, first], rtol=1e-12)
+
+
+@pytest.mark.parametrize("ratio", [0.02, 0.1, 0.2])
+def test_damped_two_hump_sequence_is_the_published_fit(ratio: float) -> None:
+    """The published polynomials in ζ for 5 % approximate the solution of the same equations."""
+    mode = Oscillator(1.0, ratio)
+    sequence = extra_insensitive(mode, 0.05, humps=2)
+    powers = ratio ** np.arange(4)
+    amplitudes = np.array([[0.16054, 0.76699, 2.26560, -1.22750], [0.33911, 0.45081, -2.58080, 1.73650]]) @ powers
+    times = np.array([[0.49890, 0.16270, -0.54262, 6.16180], [0.99748, 0.18382, -1.58270, 8.17120]]) @ powers
+    np.testing.assert_allclose(sequence.amplitudes[:2], amplitudes, atol=2e-3)
+    np.testing.assert_allclose(sequence.times[1:3], times, atol=4e-3)
+
+
+@pytest.mark.parametrize("ratio", [0.02, 0.1, 0.2])
+def test_damped_unity_magnitude_times_are_the_published_fit(ratio: float) -> None:
+    """The published polynomials in ζ approximate the exact times of UM-ZV."""
+    times = np.array([[0.16724, 0.27242, 0.20345, 0.0], [0.33323, 0.00533, 0.17914, 0.20125]]) @ ratio ** np.arange(4)
+    np.testing.assert_allclose(unity_magnitude(Oscillator(1.0, ratio)).times[1:], times, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["um-zv", "zv", "mzv", "zvd", "zvdd", "zvddd"])
+@pytest.mark.parametrize("ratio", [0.0, 0.03, 0.1357, 0.4])
+def test_a_damped_oscillator_stands_still(name: str, ratio: float) -> None:
+    """Superposed impulse responses of a damped oscillator vanish after the last impulse of a shaper made for it."""
+    mode = Oscillator(FREQUENCY, ratio)
+    sequence = design(name, [mode])
+    for later in (1e-9, 0.3, 2.2):
+        assert abs(vibration(sequence, mode, sequence.duration + later * mode.damped_period)) < 1e-12
+
+
+@settle
+@given(shapers, frequencies, ratios, st.floats(0.6, 1.5))
+def test_residual_is_that_of_superposed_impulse_responses(name: str, f: float, ratio: float, factor: float) -> None:
+    """The residual formula is the envelope of the simulated vibration: x and (x' + ζωx)/ω_d are its components."""
+    sequence, mode = design(name, [Oscillator(f, ratio)]), Oscillator(factor * f, ratio)
+    state = vibration(sequence, mode, sequence.duration)
+    damped = np.sqrt(1.0 - ratio**2)
+    envelope = np.hypot(state.real, (state.imag + ratio * state.real) / damped) * damped
+    assert sequence.residual(mode.frequency, ratio)[0] == pytest.approx(envelope, abs=1e-12)
+
+
+@pytest.mark.parametrize("humps", [1, 2, 3])
+@pytest.mark.parametrize("ratio", [0.0, 0.03, 0.1357, 0.2])
+@pytest.mark.parametrize("tolerance", [0.02, 0.05, 0.1])
+def test_humps_reach_the_tolerance(humps: int, ratio: float, tolerance: float) -> None:
+    """Over its insensitive range an EI shaper has so many humps, all as high as tolerated, and zeros beside them."""
+    mode = Oscillator(1.0, ratio)
+    sequence = extra_insensitive(mode, tolerance, humps)
+    width = min(sequence.insensitivity(1.0, tolerance, ratio), 3.0)  # damping may leave it without an upper end
+    low = next(f for f in np.linspace(1.0, 0.2, 4001) if sequence.residual(f, ratio)[0] > tolerance * (1.0 + 2e-6))
+    curve = sequence.residual(np.linspace(low, low + width, 20001), ratio)
+    inner = curve[1:-1]
+    tops = inner[(inner > curve[:-2]) & (inner >= curve[2:])]
+    assert np.count_nonzero(abs(tops - tolerance) < 1e-6 * tolerance) == humps
+    assert np.count_nonzero((inner < curve[:-2]) & (inner <= curve[2:]) & (inner < 1e-3)) == humps + 1
+
+
+@settle
+@given(shapers, frequencies, ratios)
+def test_amplitudes_add_up_to_one(name: str, frequency: float, ratio: float) -> None:
+    """A shaped motion ends where the motion ends, whatever the mode."""
+    sequence = design(name, [Oscillator(frequency, ratio)])
+    assert sum(sequence.amplitudes) == pytest.approx(1.0, abs=1e-14)
+    assert sequence.residual(0.0)[0] == pytest.approx(1.0, abs=1e-14)
+    assert sequence.times[0] == 0.0
+    assert np.all(np.diff(sequence.times) > 0.0)
+
+
+@settle
+@given(shapers, shapers, frequencies, st.floats(1.05, 6.0), ratios)
+def test_convolution_multiplies_residuals(first: str, second: str, f: float, factor: float, ratio: float) -> None:
+    """The residual of convolved sequences is the product: two modes are both cancelled."""
+    low, high = design(first, [Oscillator(f, ratio)]), design(second, [Oscillator(factor * f, ratio)])
+    both = low.convolve(high)
+    probe = f * np.array([0.3, 1.0, 1.4, factor])
+    np.testing.assert_allclose(
+        both.residual(probe, ratio), low.residual(probe, ratio) * high.residual(probe, ratio), atol=1e-12
+    )
+    assert both.duration == pytest.approx(low.duration + high.duration, rel=1e-12)
+
+
+def test_convolution_of_two_modes() -> None:
+    """ZV for 40 and 100 Hz: four impulses, no residual at either; ZV with itself is ZVD, coinciding impulses being one."""
+    both = design("zv", [Oscillator(40.0, 0.05), Oscillator(100.0, 0.05)])
+    assert len(both.times) == 4
+    np.testing.assert_allclose(both.residual([40.0, 100.0], 0.05), 0.0, atol=1e-14)
+    twice, zvd = design("zv", [Oscillator(40.0, 0.05)] * 2), design("zvd", [Oscillator(40.0, 0.05)])
+    np.testing.assert_allclose(twice.times, zvd.times, atol=1e-15)
+    np.testing.assert_allclose(twice.amplitudes, zvd.amplitudes, atol=1e-15)
+    assert both.convolve(UNSHAPED) == both
+
+
+@pytest.mark.parametrize(("name", "split"), [("zv", 0.0078), ("zvd", 0.0048)])
+def test_split_impulses_keep_the_residual_small(name: str, split: float) -> None:
+    """On a grid of 1 ms at 58 Hz impulses split over two samples leave under 1 %; rounded ones leave several times that."""
+    sequence = design(name, [Oscillator(58.0)])
+    on_grid = sequence.split(1e-3)
+    assert on_grid.residual(58.0)[0] == pytest.approx(split, abs=5e-5)
+    assert on_grid.residual(58.0)[0] < 0.01
+    np.testing.assert_allclose(np.array(on_grid.times) / 1e-3, np.round(np.array(on_grid.times) / 1e-3), atol=1e-9)
+    moved = ImpulseSequence(tuple(1e-3 * np.round(np.array(sequence.times) / 1e-3)), sequence.amplitudes)
+    assert moved.residual(58.0)[0] > 4.0 * on_grid.residual(58.0)[0]
+
+
+@settle
+@given(shapers, frequencies, ratios, st.floats(1e-4, 1e-2))
+def test_splitting_keeps_sum_and_mean_time(name: str, frequency: float, ratio: float, sample_time: float) -> None:
+    """Amplitudes still add up to 1, and the mean delay Σ A_i T_i stays: slow motions are delayed as much as before."""
+    sequence = design(name, [Oscillator(frequency, ratio)])
+    on_grid = sequence.split(sample_time)
+    assert sum(on_grid.amplitudes) == pytest.approx(1.0, abs=1e-12)
+    assert np.dot(on_grid.amplitudes, on_grid.times) == pytest.approx(
+        np.dot(sequence.amplitudes, sequence.times), rel=1e-9, abs=1e-9 * sample_time
+    )
+
+
+def test_impulses_on_the_grid_stay_whole() -> None:
+    """A multiple of the sample time isn't split, rounding of the quotient notwithstanding."""
+    assert len(zero_vibration(Oscillator(50.0)).split(1e-3).times) == 2
+    assert len(zero_vibration(Oscillator(1.0 / 0.6)).split(0.1).times) == 2
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.05, 0.1357])
+@pytest.mark.parametrize("width", [0.0, 0.05, 0.2, 0.39, 0.6, 0.72, 1.0])
+def test_specified_insensitivity_keeps_the_tolerance(width: float, ratio: float) -> None:
+    """Over the whole range the residual is tolerable, and no EI shaper that covers it is shorter."""
+    low, high = FREQUENCY * (1.0 - 0.5 * width), FREQUENCY * (1.0 + 0.5 * width)
+    sequence = specified_insensitivity(low, high, 0.05, ratio)
+    assert np.max(sequence.residual(np.linspace(low, high, 5001), ratio)) <= 0.05 * 1.001
+    assert min(sequence.amplitudes) >= 0.0
+    covering = [
+        shaper
+        for shaper in (design(name, [Oscillator(FREQUENCY, ratio)]) for name in ("zv", "ei", "2-hump-ei", "3-hump-ei"))
+        if np.max(shaper.residual(np.linspace(low, high, 1001), ratio)) <= 0.05 * (1.0 + 1e-6)
+    ]
+    assert sequence.duration <= min((shaper.duration for shaper in covering), default=np.inf) * (1.0 + 1e-6)
+
+
+def test_specified_insensitivity_is_ei_at_its_own_width() -> None:
+    """EI is the shortest sequence for the range that it covers (Vaughan, Yano and Singhose, 2008)."""
+    mode = Oscillator(FREQUENCY)
+    ei = extra_insensitive(mode)
+    half = 0.5 * ei.insensitivity(FREQUENCY) * FREQUENCY
+    found = specified_insensitivity(FREQUENCY - half, FREQUENCY + half)
+    np.testing.assert_allclose(found.times, ei.times, rtol=1e-3)
+    np.testing.assert_allclose(found.amplitudes, ei.amplitudes, atol=1e-3)
+
+
+def test_sensitivity_curve_has_its_zero_at_the_design_frequency() -> None:
+    """The curve is over the true frequency divided by the design frequency, and symmetric for ZV."""
+    ratios_, residuals = design("zv", [Oscillator(FREQUENCY)]).sensitivity_curve(FREQUENCY, points=201)
+    assert ratios_[np.argmin(residuals)] == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(residuals, residuals[::-1], atol=1e-13)
+
+
+def test_insensitivity_without_limits() -> None:
+    """No range where the design itself misses the level; one impulse has none at all."""
+    assert extra_insensitive(Oscillator(10.0), 0.1).insensitivity(10.0, 0.05) == 0.0
+    assert UNSHAPED.insensitivity(10.0) == 0.0
+
+
+@settle
+@given(st.floats(allow_nan=True, allow_infinity=True).filter(lambda f: not 0.0 < f < float("inf")))
+def test_bad_frequencies_are_refused(frequency: float) -> None:
+    """Zero, negative, infinite and undefined frequencies are named with their unit."""
+    with pytest.raises(TrajectoryError, match=r"natural frequency must be above zero.* Hz"):
+        Oscillator(frequency)
+
+
+@settle
+@given(st.floats(allow_nan=True, allow_infinity=True).filter(lambda z: not 0.0 <= z < 1.0))
+def test_bad_damping_ratios_are_refused(ratio: float) -> None:
+    """What doesn't vibrate, or gains energy, is no mode to shape against."""
+    with pytest.raises(TrajectoryError, match="damping ratio must be at least 0 and below 1"):
+        Oscillator(1.0, ratio)
+    with pytest.raises(TrajectoryError, match="damping ratio"):
+        UNSHAPED.residual(1.0, ratio)
+
+
+@settle
+@given(st.floats(allow_nan=True, allow_infinity=True).filter(lambda v: not 0.0 < v < 1.0))
+def test_bad_tolerances_are_refused(tolerance: float) -> None:
+    """A residual of nothing or of everything isn't tolerated."""
+    for attempt in (
+        lambda: extra_insensitive(Oscillator(1.0), tolerance),
+        lambda: specified_insensitivity(0.9, 1.1, tolerance),
+        lambda: UNSHAPED.insensitivity(1.0, tolerance),
+    ):
+        with pytest.raises(TrajectoryError, match="must be above 0 and below 1"):
+            attempt()
+
+
+@settle
+@given(st.floats(0.3, 0.999), shapers)
+def test_high_damping_gives_a_sequence_or_a_reason(ratio: float, name: str) -> None:
+    """Where a damped sequence doesn't exist the message says what to use instead; never is there a wrong sequence."""
+    sequence, reason = None, ""
+    try:
+        sequence = design(name, [Oscillator(2.0, ratio)])
+    except TrajectoryError as error:
+        reason = str(error)
+    assert ": use " in reason if sequence is None else sequence.residual(2.0, ratio)[0] < 0.05 * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("times", "amplitudes", "message"),
+    [
+        ((), (), "at least one; got 0 and 0"),
+        ((0.0, 0.1), (1.0,), "got 2 and 1"),
+        ((0.1, 0.2), (0.5, 0.5), "start at 0 and ascend, got 0.1, 0.2 s"),
+        ((0.0, 0.2, 0.2), (0.5, 0.25, 0.25), "start at 0 and ascend"),
+        ((0.0, 0.2), (0.5, 0.4), "add up to 0.9"),
+        ((0.0, float("nan")), (0.5, 0.5), "finite numbers"),
+        ((0.0, 0.1), (float("inf"), 0.5), "finite numbers"),
+    ],
+)
+def test_bad_sequences_are_refused(times: tuple[float, ...], amplitudes: tuple[float, ...], message: str) -> None:
+    """A sequence that moves the end point, or that has no order, can't be made."""
+    with pytest.raises(TrajectoryError, match=message):
+        ImpulseSequence(times, amplitudes)
+
+
+def test_other_bad_arguments() -> None:
+    """Counts, names, ranges and sample times are checked where they come in."""
+    mode = Oscillator(10.0)
+    with pytest.raises(TrajectoryError, match=r"0 to 20, got -1"):
+        zero_vibration(mode, -1)
+    with pytest.raises(TrajectoryError, match=r"humps must be 1 to 8, got 0"):
+        extra_insensitive(mode, humps=0)
+    with pytest.raises(TrajectoryError, match=r"at least the lowest, 12 Hz, got 10 Hz"):
+        specified_insensitivity(12.0, 10.0)
+    with pytest.raises(TrajectoryError, match="choose a narrower range"):
+        specified_insensitivity(1.0, 100.0)
+    with pytest.raises(TrajectoryError, match=r"sample time must be above zero.* s"):
+        zero_vibration(mode).split(0.0)
+    with pytest.raises(TrajectoryError, match=r"frequencies must be .* at index 1"):
+        zero_vibration(mode).residual([1.0, -1.0])
+    with pytest.raises(TrajectoryError, match="shaper must be one of"):
+        design("zzz", [mode])
+    with pytest.raises(TrajectoryError, match="at least one vibration mode"):
+        design("zv", [])
+
+
+def test_residual_takes_many_frequencies() -> None:
+    """An array of frequencies gives as many residuals as single ones."""
+    sequence, probe = design("ei", [Oscillator(10.0, 0.1)]), np.linspace(1.0, 30.0, 7)
+    single: Array = np.concatenate([sequence.residual(f, 0.1) for f in probe])
+    np.testing.assert_array_equal(sequence.residual(probe, 0.1), single)

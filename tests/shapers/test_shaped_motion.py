@@ -1,0 +1,180 @@
+"""Shaped motions: exact sums of shifted motions, on joint references and along the path."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.model.forward_kinematics import RigidForwardKinematics
+from flexfmu.model.scene_file import load_scene
+from flexfmu.trajectories import BangBang, JointTrajectory, TaskTrajectory, Trapezoidal
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.profiles import evaluate_profile
+from flexfmu.trajectories.shapers import (
+    SHAPERS,
+    EndEffectorTrajectory,
+    ImpulseSequence,
+    Oscillator,
+    ShapedTrajectory,
+    design,
+    path_deviation,
+    shape_along_path,
+)
+
+MODE = Oscillator(57.3, 0.08)
+PROFILES = [{"kind": "poly7"}, {"kind": "bang-bang"}, {"kind": "trapezoidal", "ramp": 0.25}]
+
+
+@pytest.fixture(scope="module", params=PROFILES, ids=lambda profile: profile["kind"])
+def motion(request: pytest.FixtureRequest) -> MotionPlan:
+    """The paper's motion with each profile."""
+    return plan(load_scene("barnard2012-6kg").replace({"trajectory.profile": request.param}))
+
+
+@pytest.mark.parametrize("name", sorted(SHAPERS))
+def test_shaped_joints_are_the_direct_sum(motion: MotionPlan, name: str) -> None:
+    """Value and six derivatives are Σ A_i q(t - T_i) to rounding, at any time and before and after the motion."""
+    sequence = design(name, [MODE])
+    shaped = ShapedTrajectory(motion.joints, sequence)
+    time = np.random.default_rng(3).uniform(-0.1, shaped.duration + 0.1, 200)
+    direct = sum(
+        amplitude * motion.joints.evaluate(time - delay, 6)
+        for delay, amplitude in zip(sequence.times, sequence.amplitudes, strict=True)
+    )
+    scale = np.max(np.abs(direct), axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(shaped.evaluate(time, 6) / scale, direct / scale, atol=1e-12)
+
+
+def test_shaped_motion_begins_and_ends_at_rest(motion: MotionPlan) -> None:
+    """Standstill at start and end point, to rounding in value and exactly in the derivatives, one-sided at both ends."""
+    shaped = ShapedTrajectory(motion.joints, design("zvd", [MODE]))
+    ends = shaped.evaluate([-1.0, 0.0], 3, "left"), shaped.evaluate([shaped.duration, 2.0], 3, "right")
+    targets = motion.joints.evaluate(0.0, 0)[0], motion.joints.evaluate(motion.duration, 0)[0]
+    for found, target in zip(ends, targets, strict=True):
+        np.testing.assert_allclose(found[0], np.repeat(target, 2, axis=0), rtol=0.0, atol=1e-14)
+        np.testing.assert_array_equal(found[1:], 0.0)
+
+
+def test_one_sided_limits_at_shifted_breakpoints(motion: MotionPlan) -> None:
+    """At every breakpoint both limits are those of the motion beside it; between breakpoints nothing jumps."""
+    shaped = ShapedTrajectory(motion.joints, design("ei", [MODE]))
+    points = np.array(shaped.breakpoints)
+    assert points[0] == 0.0
+    assert points[-1] == shaped.duration
+    near = 1e-9
+    left, right = shaped.evaluate(points, 2, "left"), shaped.evaluate(points, 2, "right")
+    rate = np.max(np.abs(shaped.evaluate(np.linspace(0.0, shaped.duration, 999), 3)[3]))
+    np.testing.assert_allclose(left[2], shaped.evaluate(points - near, 2)[2], atol=2.0 * near * rate + 1e-9)
+    np.testing.assert_allclose(right[2], shaped.evaluate(points + near, 2)[2], atol=2.0 * near * rate + 1e-9)
+
+
+def test_breakpoints_are_the_shifted_ones(motion: MotionPlan) -> None:
+    """Each impulse brings all breakpoints of the motion, shifted by its time; coinciding ones count once."""
+    sequence = design("zvdd", [MODE])
+    shaped = ShapedTrajectory(motion.joints, sequence)
+    for delay in sequence.times:
+        for point in motion.joints.breakpoints:
+            assert min(abs(point + delay - other) for other in shaped.breakpoints) < 1e-12
+    assert len(shaped.breakpoints) <= len(sequence.times) * len(motion.joints.breakpoints)
+    doubled = ShapedTrajectory(ShapedTrajectory(motion.joints, design("zv", [MODE])), design("zv", [MODE]))
+    assert len(doubled.breakpoints) == len(ShapedTrajectory(motion.joints, design("zvd", [MODE])).breakpoints)
+
+
+@pytest.mark.parametrize("name", ["zv", "mzv", "zvdd", "3-hump-ei"])
+def test_shaping_along_the_path_keeps_the_path(motion: MotionPlan, name: str) -> None:
+    """The end effector stays on the geometric path to rounding, and takes longer by the sequence's duration."""
+    sequence = design(name, [MODE])
+    shaped = shape_along_path(motion.along_path, sequence)
+    assert path_deviation(shaped, motion.along_path.path) < 1e-15
+    assert shaped.duration == motion.duration + sequence.duration
+    np.testing.assert_allclose(shaped.evaluate(shaped.duration, 0)[0, 0], motion.along_path.path.end, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["um-zv", "zv", "zvdd", "3-hump-ei"])
+def test_shaped_profile_is_the_sum_of_shifted_profiles(motion: MotionPlan, name: str) -> None:
+    """s(t) and its time derivatives are Σ A_i s(t - T_i)."""
+    sequence = design(name, [MODE])
+    profile, duration = motion.along_path.profile, motion.duration
+    shaped = shape_along_path(motion.along_path, sequence)
+    eta = np.random.default_rng(5).uniform(0.0, 1.0, 300)
+    found = evaluate_profile(shaped.profile, eta, 4).rescale(1.0 / shaped.duration).derivatives()
+    expected = np.zeros_like(found)
+    for delay, amplitude in zip(sequence.times, sequence.amplitudes, strict=True):
+        fraction = (eta * shaped.duration - delay) / duration
+        inside = (fraction > 0.0) & (fraction < 1.0)
+        jet = evaluate_profile(profile, fraction[inside], 4).rescale(1.0 / duration).derivatives()
+        expected[:, inside] += amplitude * jet
+        expected[0, fraction >= 1.0] += amplitude
+    scale = np.max(np.abs(expected), axis=1, keepdims=True) + (np.arange(5) > 4)[:, None] + 1e-300
+    scale = np.maximum(scale, duration ** -np.arange(5.0)[:, None])
+    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-11)
+
+
+def test_shaped_profile_has_all_breakpoints(motion: MotionPlan) -> None:
+    """Every instant at which one of the shifted profiles starts, ends or jumps is a breakpoint of the shaped motion."""
+    sequence = design("zvd", [MODE])
+    shaped = shape_along_path(motion.along_path, sequence)
+    for delay in sequence.times:
+        for fraction in (0.0, *motion.along_path.profile.jumps, 1.0):
+            assert min(abs(delay + fraction * motion.duration - point) for point in shaped.breakpoints) < 1e-12
+
+
+def test_joints_deviate_and_the_path_says_how_far(motion: MotionPlan) -> None:
+    """Shaped joints cut the corners by a fraction of the distance travelled in the shaper's duration; unshaped ones don't."""
+    kinematics = RigidForwardKinematics(motion.scene.mechanism)
+    path = motion.along_path.path
+    assert path_deviation(EndEffectorTrajectory(motion.joints, kinematics), path) < 1e-14
+    found = [
+        path_deviation(EndEffectorTrajectory(ShapedTrajectory(motion.joints, design(name, [MODE])), kinematics), path)
+        for name in ("zv", "zvd", "zvdd")
+    ]
+    assert 1e-4 < found[0] < found[1] < found[2] < 3e-3
+
+
+def test_deviation_is_the_distance_of_a_parallel_motion(motion: MotionPlan) -> None:
+    """A path moved upwards by 1 mm is 1 mm away at most, along the crossing."""
+    start, path = motion.along_path.path.start, motion.along_path.path
+    moved = type(path)((start[0], start[1] + 1e-3), path.lift, path.height, path.width, path.blend)
+    task = TaskTrajectory(moved, motion.along_path.profile, motion.duration)
+    assert path_deviation(task, path) == pytest.approx(1e-3, abs=1e-12)
+
+
+def test_forward_kinematics_inverts_the_inverse(motion: MotionPlan) -> None:
+    """The end effector of the planned joints moves as planned, derivatives included."""
+    kinematics = RigidForwardKinematics(motion.scene.mechanism)
+    time = np.linspace(-0.01, motion.duration + 0.01, 301)
+    expected = motion.task.evaluate(time, 4)
+    found = EndEffectorTrajectory(motion.joints, kinematics).evaluate(time, 4)
+    scale = np.max(np.abs(expected), axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-12)
+
+
+def test_a_motion_along_the_path_does_not_go_backwards(motion: MotionPlan) -> None:
+    """Negative impulses are fine while the speed stays positive, and refused with time and remedy where it doesn't."""
+    slow = Oscillator(0.5)
+    with pytest.raises(TrajectoryError, match=r"go backwards along its path at t = .* s.*shape the joint references"):
+        shape_along_path(motion.along_path, design("um-zv", [slow]))
+
+
+def test_shapers_longer_than_the_motion() -> None:
+    """With a gap between the impulses' motions the end effector waits on the way, at rest."""
+    nominal = plan(load_scene("barnard2012-6kg")).along_path
+    sequence = ImpulseSequence((0.0, 1.0), (0.5, 0.5))
+    shaped = shape_along_path(nominal, sequence)
+    waiting = shaped.evaluate([0.5, 0.7, 0.9], 3)
+    np.testing.assert_allclose(waiting[1:], 0.0, atol=1e-12)
+    np.testing.assert_allclose(waiting[0], np.repeat(waiting[0, :1], 3, axis=0), atol=1e-15)
+    np.testing.assert_allclose(
+        waiting[0, 0], nominal.evaluate(0.5 * nominal.duration, 0)[0, 0], atol=1e-12
+    )  # half of the path
+
+
+@pytest.mark.parametrize("profile", [BangBang(), Trapezoidal(0.125)])
+def test_shaped_tasks_make_joint_trajectories(profile: BangBang | Trapezoidal) -> None:
+    """The shaped motion along the path is a motion like any other: the inverse kinematics takes it, angles stay continuous."""
+    nominal = plan(load_scene("barnard2012-6kg"))
+    task = TaskTrajectory(nominal.along_path.path, profile, nominal.duration)
+    joints = JointTrajectory(shape_along_path(task, design("zvd", [MODE])), nominal.kinematics)
+    angles = joints.evaluate(np.linspace(0.0, joints.duration, 500), 0)[0]
+    assert np.max(np.abs(np.diff(angles, axis=0))) < 0.05

@@ -1,0 +1,31 @@
+"""Input shapers: impulse sequences against vibration, and motions convolved with them."""
+
+from flexfmu.trajectories.shapers.catalogue import SHAPERS, design
+from flexfmu.trajectories.shapers.deviation import path_deviation
+from flexfmu.trajectories.shapers.end_effector import EndEffectorTrajectory, ForwardKinematics
+from flexfmu.trajectories.shapers.extra_insensitive import extra_insensitive
+from flexfmu.trajectories.shapers.oscillator import Oscillator
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence
+from flexfmu.trajectories.shapers.shaped import ShapedTrajectory
+from flexfmu.trajectories.shapers.shaped_profile import ShapedProfile, shape_along_path
+from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
+from flexfmu.trajectories.shapers.zero_vibration import modified_zero_vibration, unity_magnitude, zero_vibration
+
+__all__ = [
+    "SHAPERS",
+    "UNSHAPED",
+    "EndEffectorTrajectory",
+    "ForwardKinematics",
+    "ImpulseSequence",
+    "Oscillator",
+    "ShapedProfile",
+    "ShapedTrajectory",
+    "design",
+    "extra_insensitive",
+    "modified_zero_vibration",
+    "path_deviation",
+    "shape_along_path",
+    "specified_insensitivity",
+    "unity_magnitude",
+    "zero_vibration",
+]

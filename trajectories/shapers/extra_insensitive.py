@@ -1,0 +1,147 @@
+"""Extra-insensitive shapers: EI, two-hump, three-hump and further, that leave a tolerable residual over a wide range.
+
+The residual of the undamped n-hump shaper is the Chebyshev polynomial of degree n + 1, as that of an antenna array by
+Dolph (1946): the widest range of frequencies for n + 2 impulses half a period apart and a given tolerance. One, two and
+three humps are those of the literature in closed form:
+
+- Singhose, Seering and Singer, "Residual Vibration Reduction Using Vector Diagrams to Generate Shaped Inputs",
+  J. Mech. Des. 116, 1994 (EI);
+- Singhose, Porter, Tuttle and Singer, "Vibration Reduction Using Multi-Hump Input Shapers", J. Dyn. Syst. Meas. Control
+  119, 1997, and Singhose, Crain and Seering, "Convolved and Simultaneous Two-Mode Input Shapers", IEE Proc. Control Theory
+  Appl. 144, 1997 (two and three humps).
+
+With damping the same conditions are solved by following the undamped solution: zero residual at n + 1 frequencies, and n
+humps between them that reach the tolerance exactly. The middle zero (n even) or the middle hump's top (n odd) is at the
+design frequency. For two humps the published polynomials in ζ for 5 % approximate this solution.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import root
+
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.shapers.oscillator import Oscillator, checked_fraction
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+
+MOST_HUMPS = 8
+"""Humps up to which the damped equations were tried; nine half periods are long enough."""
+
+CONTINUATION_STEP = 0.02
+"""Step of the damping ratio in which the solution is followed."""
+
+SOLVED = 1e-9
+"""Residual of the equations, relative to the tolerance, below which they count as solved."""
+
+
+def extra_insensitive(mode: Oscillator, tolerance: float = 0.05, humps: int = 1) -> ImpulseSequence:
+    """EI shaper with one or more humps.
+
+    Args:
+        mode: what to suppress.
+        tolerance: admissible residual V, 0 to 1 exclusive; the humps reach it.
+        humps: 1 for EI, 2 and 3 for two-hump and three-hump EI, at most 8.
+
+    Raises:
+        TrajectoryError: an argument is out of range, or the damping is too high for a sequence of this kind.
+    """
+    checked_fraction("tolerable residual", tolerance)
+    if not 1 <= humps <= MOST_HUMPS:
+        raise TrajectoryError(f"number of humps must be 1 to {MOST_HUMPS}, got {humps}")
+    conditions = _Conditions(humps, tolerance)
+    unknowns = conditions.undamped()
+    steps = math.ceil(mode.ratio / CONTINUATION_STEP)
+    for ratio in np.linspace(0.0, mode.ratio, steps + 1)[1:]:
+        unknowns = _followed(conditions, unknowns, float(ratio))
+    amplitudes, angles, _, _ = conditions.unpack(unknowns)
+    return ImpulseSequence(tuple(angles / mode.angular_frequency), tuple(amplitudes))
+
+
+def chebyshev_amplitudes(impulses: int, tolerance: float) -> Array:
+    """Amplitudes (N,) of N equidistant impulses whose residual V T_{N-1}(x0 cos(θ/2)) ripples between ±V.
+
+    T is the Chebyshev polynomial, x0 = cosh(acosh(1/V) / (N - 1)), θ the phase between two impulses; by the inverse
+    discrete Fourier transform, N points being enough for a polynomial of this degree.
+    """
+    degree = impulses - 1
+    phases = 2.0 * np.pi * np.arange(impulses) / impulses
+    response = tolerance * np.polynomial.chebyshev.Chebyshev.basis(degree)(
+        _chebyshev_edge(impulses, tolerance) * np.cos(0.5 * phases)
+    )
+    places = np.arange(impulses) - 0.5 * degree
+    return np.asarray(np.cos(np.outer(places, phases)) @ response / impulses)
+
+
+def _chebyshev_edge(impulses: int, tolerance: float) -> float:
+    """x0."""
+    return math.cosh(math.acosh(1.0 / tolerance) / (impulses - 1))
+
+
+def _followed(conditions: _Conditions, unknowns: Array, ratio: float) -> Array:
+    """The solution for a damping ratio, from that for a slightly smaller one."""
+    found = root(conditions.equations, unknowns, args=(ratio,), tol=1e-14)
+    _, angles, zeros, tops = conditions.unpack(found.x)
+    ascending = all(np.all(np.diff(values) > 0.0) for values in (angles, zeros, tops))
+    if np.max(np.abs(conditions.equations(found.x, ratio))) > SOLVED or not ascending:
+        raise TrajectoryError(
+            f"no EI shaper with {conditions.humps} hump(s) exists near a damping ratio of {ratio:.3g}: "
+            "use fewer humps, ZVD or ZV; the vibration decays quickly"
+        )
+    return np.asarray(found.x)
+
+
+@dataclass(frozen=True)
+class _Conditions:
+    """The conditions of an n-hump shaper, in angles ω0 t and frequencies ω/ω0.
+
+    The unknowns are the amplitudes but the first, the angles but the first, the frequencies of the zeros and of the
+    humps' tops but the one that is 1: 4 n + 2 numbers for as many equations.
+    """
+
+    humps: int
+    tolerance: float
+
+    @property
+    def impulses(self) -> int:
+        return self.humps + 2
+
+    def undamped(self) -> Array:
+        """The closed-form solution without damping."""
+        n, edge = self.humps + 1, _chebyshev_edge(self.impulses, self.tolerance)
+        zeros = 2.0 / np.pi * np.arccos(np.cos(np.pi * (2 * np.arange(n) + 1) / (2 * n)) / edge)
+        tops = 2.0 / np.pi * np.arccos(np.cos(np.pi * np.arange(1, n) / n) / edge)
+        amplitudes = chebyshev_amplitudes(self.impulses, self.tolerance)
+        fixed, free = (tops, zeros) if self.humps % 2 else (zeros, tops)
+        moving = np.delete(fixed, self.humps // 2)
+        frequencies = [free, moving] if self.humps % 2 else [moving, free]
+        return np.concatenate([amplitudes[1:], np.pi * np.arange(1, self.impulses), *frequencies])
+
+    def unpack(self, unknowns: Array) -> tuple[Array, Array, Array, Array]:
+        """Amplitudes and angles (n + 2,), frequencies of the zeros (n + 1,) and of the tops (n,)."""
+        n = self.humps + 1
+        amplitudes = np.concatenate([[1.0 - np.sum(unknowns[:n])], unknowns[:n]])
+        angles = np.concatenate([[0.0], unknowns[n : 2 * n]])
+        rest = unknowns[2 * n :]
+        if self.humps % 2:
+            return amplitudes, angles, rest[:n], np.insert(rest[n:], self.humps // 2, 1.0)
+        return amplitudes, angles, np.insert(rest[: n - 1], self.humps // 2, 1.0), rest[n - 1 :]
+
+    def equations(self, unknowns: Array, ratio: float) -> Array:
+        """No residual at the zeros; at the tops the tolerance, and no slope."""
+        amplitudes, angles, zeros, tops = self.unpack(unknowns)
+        exponents = complex(ratio, math.sqrt(1.0 - ratio**2)) * angles - ratio * angles[-1]
+        at_zeros = np.exp(np.outer(zeros, exponents)) @ amplitudes
+        waves = np.exp(np.outer(tops, exponents))
+        at_tops, slopes = waves @ amplitudes, waves @ (amplitudes * exponents)
+        return np.concatenate(
+            [
+                at_zeros.real,
+                at_zeros.imag,
+                np.abs(at_tops) / self.tolerance - 1.0,
+                (np.conj(at_tops) * slopes).real / (self.tolerance**2 * angles[-1]),
+            ]
+        )

@@ -1,0 +1,210 @@
+"""Impulse sequences: what an input shaper convolves a motion with, and the vibration that it leaves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+
+from flexfmu.trajectories.checks import positive
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.shapers.oscillator import checked_fraction, checked_ratio
+
+SUM_ROUNDING = 1e-9
+"""Deviation of the amplitudes' sum from 1 that counts as rounding of published figures."""
+
+SAME_IMPULSE = 1e-12
+"""Fraction of the duration within which two impulses of a convolution are one."""
+
+TOUCH = 1e-6
+"""Relative excess over a level that still counts as touching it: an EI shaper's hump meets its tolerance exactly."""
+
+FURTHEST = 100.0
+"""Multiple of the design frequency up to which the end of the insensitive range is looked for."""
+
+FINENESS = 200
+"""Samples within 1/duration, the narrowest feature of a sensitivity curve."""
+
+
+@dataclass(frozen=True)
+class ImpulseSequence:
+    """Impulses A_i at times T_i; the first at 0, the amplitudes' sum is 1, so that a motion keeps its end point.
+
+    Attributes:
+        times: T_i [s], ascending from 0.
+        amplitudes: A_i, negative ones allowed.
+
+    Raises:
+        TrajectoryError: the impulses aren't of that kind.
+    """
+
+    times: tuple[float, ...]
+    amplitudes: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        times, amplitudes = _numbers("times", self.times), _numbers("amplitudes", self.amplitudes)
+        if len(times) != len(amplitudes) or not times:
+            raise TrajectoryError(
+                f"an impulse sequence needs as many times as amplitudes, at least one; got {len(times)} and {len(amplitudes)}"
+            )
+        if times[0] != 0.0 or any(a >= b for a, b in pairwise(times)):
+            raise TrajectoryError(f"impulse times must start at 0 and ascend, got {_listed(times)} s")
+        total = math.fsum(amplitudes)
+        if not abs(total - 1.0) <= SUM_ROUNDING * max(1.0, math.fsum(map(abs, amplitudes))):
+            raise TrajectoryError(
+                f"impulse amplitudes must add up to 1, or the motion ends elsewhere; {_listed(amplitudes)} add up to {total:.9g}"
+            )
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "amplitudes", tuple(amplitude / total for amplitude in amplitudes))
+
+    @property
+    def duration(self) -> float:
+        """Time of the last impulse [s]: by this much a shaped motion is longer."""
+        return self.times[-1]
+
+    def residual(self, frequency: ArrayLike, ratio: float = 0.0) -> Array:
+        """Residual vibration after the last impulse as a fraction of that of one impulse at time 0.
+
+        V = exp(-ζ ω T_n) sqrt(C² + S²) with C = Σ A_i exp(ζ ω T_i) cos(ω sqrt(1-ζ²) T_i), S likewise with the sine
+        (Singer and Seering, "Preshaping Command Inputs to Reduce System Vibration", J. Dyn. Syst. Meas. Control 112,
+        1990, eq. 10).
+
+        Args:
+            frequency: natural frequencies [Hz], zero or positive, a number or shape (N,).
+            ratio: damping ratio ζ.
+
+        Returns:
+            V, shape (N,).
+        """
+        omega = 2.0 * np.pi * _frequencies(frequency)
+        pole = complex(checked_ratio(ratio), math.sqrt(1.0 - ratio**2))
+        exponents = np.outer(omega, pole * np.array(self.times) - ratio * self.duration)
+        return np.asarray(np.abs(np.exp(exponents) @ np.array(self.amplitudes)))
+
+    def sensitivity_curve(
+        self, frequency: float, ratio: float = 0.0, lowest: float = 0.5, highest: float = 1.5, points: int = 401
+    ) -> tuple[Array, Array]:
+        """Residual vibration over the true frequency divided by the design frequency.
+
+        Args:
+            frequency: design frequency [Hz].
+            ratio: damping ratio.
+            lowest, highest: range of the true frequency, divided by the design frequency.
+            points: number N of points.
+
+        Returns:
+            Frequency ratios and residuals, each of shape (N,).
+        """
+        ratios = np.linspace(lowest, highest, points)
+        return ratios, self.residual(positive("design frequency", frequency, "Hz") * ratios, ratio)
+
+    def insensitivity(self, frequency: float, level: float = 0.05, ratio: float = 0.0) -> float:
+        """Width of the frequency range around the design frequency in which the residual stays at or below a level.
+
+        It is divided by the design frequency (Singhose, Seering and Singer, "Residual Vibration Reduction Using Vector
+        Diagrams to Generate Shaped Inputs", J. Mech. Des. 116, 1994): 0.4 means ±20 %. Zero where the residual at the
+        design frequency itself is above the level; infinite where no upper end is found below 100 times the frequency.
+
+        Args:
+            frequency: design frequency [Hz].
+            level: admissible residual, 0 to 1 exclusive.
+            ratio: damping ratio.
+        """
+        positive("design frequency", frequency, "Hz")
+        limit = checked_fraction("level", level) * (1.0 + TOUCH)
+        if self.residual(frequency, ratio)[0] > limit or self.duration == 0.0:
+            return 0.0
+        low = self._crossing(frequency, 0.0, limit, ratio)
+        high = self._crossing(frequency, FURTHEST * frequency, limit, ratio)
+        return (high - low) / frequency
+
+    def _crossing(self, start: float, end: float, limit: float, ratio: float) -> float:
+        """The frequency [Hz] between ``start`` and ``end`` nearest to ``start`` from which the residual is above the limit."""
+        count = max(FINENESS, math.ceil(FINENESS * abs(end - start) * self.duration))
+        grid = np.linspace(start, end, count + 1)
+        above = np.flatnonzero(self.residual(grid, ratio) > limit)
+        if not above.size:
+            return math.inf if end > start else 0.0
+        return float(
+            brentq(
+                lambda frequency: float(self.residual(frequency, ratio)[0]) - limit, grid[above[0] - 1], grid[above[0]]
+            )
+        )
+
+    def convolve(self, other: ImpulseSequence) -> ImpulseSequence:
+        """The sequence that acts like this one followed by the other: it cancels the modes of both.
+
+        Coinciding impulses are added up.
+        """
+        pairs = sorted(
+            (t1 + t2, a1 * a2)
+            for t1, a1 in zip(self.times, self.amplitudes, strict=True)
+            for t2, a2 in zip(other.times, other.amplitudes, strict=True)
+        )
+        near = SAME_IMPULSE * (self.duration + other.duration)
+        times, amplitudes = [pairs[0][0]], [pairs[0][1]]
+        for time, amplitude in pairs[1:]:
+            if time - times[-1] <= near:
+                amplitudes[-1] += amplitude
+            else:
+                times.append(time)
+                amplitudes.append(amplitude)
+        return ImpulseSequence(tuple(times), tuple(amplitudes))
+
+    def split(self, sample_time: float) -> ImpulseSequence:
+        """The sequence for a sampled signal: each impulse is split over the two samples around its time.
+
+        The shares are linear in the distance (Murphy and Watanabe, "Digital Shaping Filters for Reducing Machine
+        Vibration", IEEE Trans. Robotics and Automation 8, 1992). An impulse moved to the nearest sample instead leaves
+        ten to twenty times the residual.
+
+        Args:
+            sample_time: [s].
+        """
+        positive("sample time", sample_time, "s")
+        shares: dict[int, float] = {}
+        for time, amplitude in zip(self.times, self.amplitudes, strict=True):
+            sample, later = sample_share(time, sample_time)
+            for index, share in ((sample, 1.0 - later), (sample + 1, later)):
+                if share:
+                    shares[index] = shares.get(index, 0.0) + share * amplitude
+        indices = sorted(shares)
+        return ImpulseSequence(tuple(i * sample_time for i in indices), tuple(shares[i] for i in indices))
+
+
+def sample_share(time: float, sample_time: float) -> tuple[int, float]:
+    """The sample at or before a time [s], and the share of an impulse there that belongs to the next sample, 0 to 1."""
+    position = time / sample_time
+    sample = math.floor(position + SAME_IMPULSE * max(position, 1.0))
+    return sample, max(position - sample, 0.0)
+
+
+def _numbers(name: str, values: tuple[float, ...]) -> tuple[float, ...]:
+    array = np.asarray(values, dtype=float)
+    if array.ndim != 1 or not np.all(np.isfinite(array)):
+        raise TrajectoryError(f"impulse {name} must be a sequence of finite numbers, got {values!r}")
+    return tuple(float(value) for value in array)
+
+
+def _listed(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{value:.6g}" for value in values)
+
+
+def _frequencies(value: ArrayLike) -> Array:
+    """Finite frequencies [Hz], zero or positive, shape (N,)."""
+    frequency = np.atleast_1d(np.asarray(value, dtype=float))
+    bad = np.flatnonzero(~(np.isfinite(frequency) & (frequency >= 0.0)))
+    if bad.size:
+        raise TrajectoryError(
+            f"frequencies must be zero or positive and finite, got {frequency[bad[0]]:g} Hz at index {bad[0]}"
+        )
+    return frequency
+
+
+UNSHAPED = ImpulseSequence((0.0,), (1.0,))
+"""One impulse: the motion as it is."""

@@ -1,0 +1,146 @@
+"""Specified-insensitivity shapers: the shortest sequence whose residual stays tolerable over a given frequency range.
+
+Found by optimisation over a sampled range (Singhose, Seering and Singer, "Input Shaping for Vibration Reduction with
+Specified Insensitivity to Modeling Errors", Japan-USA Symposium on Flexible Automation, 1996; Vaughan, Yano and Singhose,
+"Comparison of Robust Input Shapers", J. Sound and Vibration 315, 2008).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import Bounds, minimize
+
+from flexfmu.trajectories.checks import positive
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.shapers.extra_insensitive import chebyshev_amplitudes
+from flexfmu.trajectories.shapers.oscillator import checked_fraction, checked_ratio
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+
+MOST_IMPULSES = 10
+"""Impulses that are tried; enough for a range from half to twice a frequency at 5 %."""
+
+SAMPLES_PER_IMPULSE = 40
+"""Frequencies for each impulse at which the residual is limited while optimising; a hump spans about one impulse's share."""
+
+DENSITY = 10
+"""How many times more frequencies are looked at when the result is judged."""
+
+EXCESS = 1e-3
+"""Excess of the residual over the tolerance, relative to it, that is accepted between the sampled frequencies."""
+
+SMALLEST_GAP = 0.05
+"""Smallest distance of two impulses, in periods of the middle frequency."""
+
+
+def specified_insensitivity(
+    lowest: float, highest: float, tolerance: float = 0.05, ratio: float = 0.0
+) -> ImpulseSequence:
+    """The shortest sequence of positive impulses whose residual is at most a tolerance over a frequency range.
+
+    Args:
+        lowest, highest: the range of the natural frequency [Hz].
+        tolerance: admissible residual, 0 to 1 exclusive.
+        ratio: damping ratio of all these oscillators.
+
+    Raises:
+        TrajectoryError: an argument is out of range, or ten impulses don't suffice.
+    """
+    positive("lowest frequency", lowest, "Hz")
+    if not (math.isfinite(highest) and highest >= lowest):
+        raise TrajectoryError(f"highest frequency must be at least the lowest, {lowest:g} Hz, got {highest:g} Hz")
+    checked_fraction("tolerable residual", tolerance)
+    checked_ratio(ratio)
+    middle = 0.5 * (lowest + highest)
+    for impulses in range(2, MOST_IMPULSES + 1):
+        problem = _Problem(impulses, lowest / middle, highest / middle, tolerance, ratio)
+        amplitudes, periods = problem.solve()
+        if problem.worst(amplitudes, periods) <= tolerance * (1.0 + EXCESS):
+            return _sequence(amplitudes, periods / middle)
+    raise TrajectoryError(
+        f"no sequence of {MOST_IMPULSES} impulses keeps the residual at {tolerance:g} from {lowest:g} to {highest:g} Hz "
+        f"with a damping ratio of {ratio:g}: choose a narrower range or a larger tolerance"
+    )
+
+
+def _sequence(amplitudes: Array, times: Array) -> ImpulseSequence:
+    return ImpulseSequence(tuple(times), tuple(amplitudes / np.sum(amplitudes)))
+
+
+def _last_time(x: Array) -> float:
+    return float(x[-1])
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Minimise the last impulse's time; times in periods of the middle frequency, frequencies divided by it."""
+
+    impulses: int
+    lowest: float
+    highest: float
+    tolerance: float
+    ratio: float
+
+    def solve(self) -> tuple[Array, Array]:
+        """Amplitudes and times, each (N,); the tolerance may be missed where so few impulses can't keep it."""
+        n = self.impulses
+        goal = np.zeros(2 * n - 1)
+        goal[-1] = 1.0
+        total = np.concatenate([np.ones(n), np.zeros(n - 1)])
+        order = np.hstack([np.zeros((n - 1, n)), np.eye(n - 1) - np.eye(n - 1, k=-1)])
+        arguments: dict[str, Any] = {
+            "method": "SLSQP",
+            "jac": lambda x: goal,
+            "bounds": Bounds(np.zeros(2 * n - 1), np.r_[np.ones(n), np.full(n - 1, np.inf)]),
+            "constraints": [
+                {"type": "ineq", "fun": self._margins, "jac": self._margin_slopes},
+                {"type": "ineq", "fun": lambda x: order @ x - SMALLEST_GAP, "jac": lambda x: order},
+                {"type": "eq", "fun": lambda x: x @ total - 1.0, "jac": lambda x: total},
+            ],
+            "options": {"maxiter": 500, "ftol": 1e-12},
+        }
+        found = minimize(_last_time, self._start(), **arguments)
+        return self._unpack(np.asarray(found.x))
+
+    def worst(self, amplitudes: Array, times: Array) -> float:
+        """Largest residual over the range."""
+        frequencies = np.linspace(self.lowest, self.highest, DENSITY * SAMPLES_PER_IMPULSE * self.impulses)
+        return float(np.sqrt(np.max(self._squares(amplitudes, times, frequencies)[0])))
+
+    def _start(self) -> Array:
+        """The Chebyshev sequence for this number of impulses, half a period apart."""
+        times = 0.5 * np.arange(self.impulses)
+        amplitudes = chebyshev_amplitudes(self.impulses, self.tolerance) * np.exp(-2.0 * np.pi * self.ratio * times)
+        return np.concatenate([amplitudes / np.sum(amplitudes), times[1:]])
+
+    def _unpack(self, x: Array) -> tuple[Array, Array]:
+        return x[: self.impulses], np.concatenate([[0.0], x[self.impulses :]])
+
+    @property
+    def _samples(self) -> Array:
+        return np.linspace(self.lowest, self.highest, SAMPLES_PER_IMPULSE * self.impulses)
+
+    def _margins(self, x: Array) -> Array:
+        """1 - (residual / tolerance)² at the samples."""
+        return np.asarray(1.0 - self._squares(*self._unpack(x), self._samples)[0] / self.tolerance**2)
+
+    def _margin_slopes(self, x: Array) -> Array:
+        """Derivatives of the margins by the unknowns."""
+        _, by_amplitudes, by_times = self._squares(*self._unpack(x), self._samples)
+        return np.asarray(-np.hstack([by_amplitudes, by_times[:, 1:]]) / self.tolerance**2)
+
+    def _squares(self, amplitudes: Array, times: Array, frequencies: Array) -> tuple[Array, Array, Array]:
+        """Squared residuals (M,) and their derivatives by amplitudes and times, (M, N) each."""
+        omega = 2.0 * np.pi * frequencies
+        pole = complex(self.ratio, math.sqrt(1.0 - self.ratio**2))
+        waves = np.exp(np.outer(omega, pole * times - self.ratio * times[-1]))
+        response = waves @ amplitudes
+        squares = np.abs(response) ** 2
+        by_amplitudes = 2.0 * (np.conj(response)[:, None] * waves).real
+        by_times = 2.0 * (np.conj(response)[:, None] * waves * (pole * omega)[:, None] * amplitudes).real
+        by_times[:, -1] -= 2.0 * self.ratio * omega * squares
+        return squares, by_amplitudes, by_times
