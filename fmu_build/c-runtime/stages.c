@@ -11,9 +11,10 @@
 #define WORN_CONTRACTION 0.3
 #define HOPELESS_CONTRACTION 0.9
 
-/* most that is expected of a contraction that was not measured; it makes a second iteration necessary anyway.
- * most that is believed of one that ended in rounding errors */
+/* most that is expected of a contraction that was not measured: a second iteration becomes necessary and measures it */
 #define MOST_EXPECTED 0.4
+
+/* most that is believed of a contraction that ended in rounding errors */
 #define MOST_ROUNDED 0.1
 
 /* steps after which a second iteration measures the contraction, even if one was enough */
@@ -140,15 +141,14 @@ static flex_outcome iterate(flex_stages *stages, double h, const double *y, cons
     double correction = stage_norm(stages, stages->residual);
     record->iterations++;
     if (!isfinite(correction)) return FLEX_NOT_FINITE;
-    if (k == 1) {
-      record->misprediction = correction;
-    } else {
-      contraction = correction / previous;
-      note_contraction(record, h, correction <= floor ? fmin(floor / previous, MOST_ROUNDED) : contraction);
-    }
+    if (k == 1) record->misprediction = correction;
+    if (k > 1) contraction = correction / previous;
 
     // rounding errors don't contract; otherwise the contraction that was seen says what is left
-    if (correction <= floor || (contraction >= 0.5 && correction <= STAGNATION * floor)) return FLEX_DONE;
+    int is_rounding = correction <= floor || (contraction >= 0.5 && correction <= STAGNATION * floor);
+    if (k > 1)
+      note_contraction(record, h, is_rounding ? fmin(fmax(correction, floor) / previous, MOST_ROUNDED) : contraction);
+    if (is_rounding) return FLEX_DONE;
     if (contraction >= HOPELESS_CONTRACTION) return FLEX_NO_CONVERGENCE;
     if (k >= least && contraction / (1.0 - contraction) * correction <= enough) return FLEX_DONE;
     previous = correction;
