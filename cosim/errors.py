@@ -23,6 +23,14 @@ class AlgebraicLoopError(WiringError):
     """Outputs and inputs depend on each other without any state between them."""
 
 
+class LoopError(CosimError):
+    """A loop of signals could not be solved by iteration."""
+
+
+class StepSizeError(CosimError):
+    """Not even the smallest communication step keeps the error of the coupling that was asked for."""
+
+
 class ResultsError(CosimError):
     """Results can't be written or read."""
 

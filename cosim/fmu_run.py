@@ -27,6 +27,7 @@ class FmuRun:
         self.do_step: Callable[[float, float, int], int] = partial(instance.fmi["fmi2DoStep"], instance.component)
         self.no_rollback = 1
         self._states: list[c_void_p] = []
+        self._spare: list[c_void_p] = []
 
     def step_error(self, status: int, time: float, step: float) -> SlaveError:
         """What a failed step has to say, with the last time that the FMU reached."""
@@ -41,13 +42,22 @@ class FmuRun:
         return error
 
     def save(self) -> object:
-        """The complete state."""
-        state = c_void_p()
+        """The complete state, in the memory of a released one where there is any."""
+        state = self._spare.pop() if self._spare else c_void_p()
         call = partial(self.instance.fmi["fmi2GetFMUstate"], self.instance.component, byref(state))
-        self.instance.check("saving the state", call)
-        self._states.append(state)
+        try:
+            self.instance.check("saving the state", call)
+        finally:
+            # whatever it points to now must be freed at the end
+            if state.value is not None and not any(each is state for each in self._states):
+                self._states.append(state)
         self.no_rollback = 0
         return state
+
+    def release(self, state: object) -> None:
+        """Keep the memory of a saved state for the next one."""
+        if isinstance(state, c_void_p) and not any(each is state for each in self._spare):
+            self._spare.append(state)
 
     def restore(self, state: object) -> None:
         """Go back to a saved state."""

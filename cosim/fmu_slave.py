@@ -31,6 +31,7 @@ class FmuSlave:
 
     Attributes:
         statistics: Integer variables ``statistics.*`` at the end of the last run, without the prefix.
+        can_save: whether the FMU can save and restore its state.
         messages: what the FMU logged in the last run, warnings and worse.
 
     Raises:
@@ -55,6 +56,7 @@ class FmuSlave:
         self.max_output_order = highest_output_derivative(self._fmu)
         highest = highest_input_derivative(self._fmu)
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
+        self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
         self._fmi = load_calls(self._fmu)
         self._presets: dict[int, float] = {}
         self._run: FmuRun | None = None
@@ -134,7 +136,7 @@ class FmuSlave:
         return run.instance.checked("reading output derivatives", call)
 
     def save(self) -> object:
-        """The FMU's complete state; valid until `terminate`.
+        """The FMU's complete state; valid until it is released, or until `terminate`.
 
         Raises:
             SlaveError: the FMU can't save its state.
@@ -144,6 +146,11 @@ class FmuSlave:
     def restore(self, state: object) -> None:
         """Go back to a saved state."""
         self._running().restore(state)
+
+    def release(self, state: object) -> None:
+        """Keep the memory of a saved state for the next one."""
+        if self._run is not None:
+            self._run.release(state)
 
     def terminate(self) -> None:
         """Read the statistics, then terminate and free the instance; nothing to do without one."""

@@ -2,52 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from enum import Enum
-
-from flexfmu.cosim.errors import NotFiniteError, SlaveError
-from flexfmu.cosim.grid import TimeGrid, sample_instants, time_grid
-from flexfmu.cosim.recorder import Recorder
+from flexfmu.cosim.algorithms import Algorithm, GaussSeidel
+from flexfmu.cosim.coupling_error import CouplingError
+from flexfmu.cosim.delays import signal_delays
+from flexfmu.cosim.errors import LoopError, NotFiniteError, SlaveError, StepSizeError
+from flexfmu.cosim.grid import Clock, time_grid
+from flexfmu.cosim.links import Transport
+from flexfmu.cosim.outcome import Outcome, Simulation
 from flexfmu.cosim.results import Recording
+from flexfmu.cosim.run import Progress, Run
 from flexfmu.cosim.schedule import Schedule
-from flexfmu.cosim.slave import KnowsItsFuture, Sampled, Terminates
+from flexfmu.cosim.slave import HasBreakpoints, Sampled, Terminates, offset
+from flexfmu.cosim.stability import Instability, find_instability
+from flexfmu.cosim.state import check_can_save, revocable
+from flexfmu.cosim.step_control import StepDoubling
+from flexfmu.cosim.stepping_order import feedback_signals
 from flexfmu.cosim.system import System
 
-Progress = Callable[[float], None]
-"""Called now and then with the simulated fraction, 0..1."""
-
-PROGRESS_CALLS = 100
-"""How often progress is told in a run."""
-
-
-class Outcome(Enum):
-    """How a simulation ended; the value is a sentence for people."""
-
-    COMPLETED = "the simulation reached its stop time"
-    INITIALISATION_FAILED = "a slave could not be initialised; check its parameters and start values"
-    STEP_FAILED = "a slave failed within a communication step; the results end before it"
-    NOT_FINITE = "a slave's output became infinite or not a number; the results end before it"
-    INTERRUPTED = "the simulation was interrupted; the results end there"
-
-
-@dataclass(frozen=True)
-class Simulation:
-    """What a run gave.
-
-    Attributes:
-        recording: all outputs, named ``slave.variable``, up to where the run came.
-        outcome: how it ended.
-        message: what happened, in one line: which slave, when, and its own words.
-        error: the exception that ended the run; None when it completed.
-        steps: completed communication steps.
-    """
-
-    recording: Recording
-    outcome: Outcome
-    message: str
-    error: BaseException | None
-    steps: int
+__all__ = ["Outcome", "Progress", "Simulation", "simulate"]
 
 
 def simulate(
@@ -58,93 +30,111 @@ def simulate(
     start: float = 0.0,
     tolerance: float | None = None,
     progress: Progress | None = None,
+    algorithm: Algorithm | None = None,
+    step_control: StepDoubling | None = None,
 ) -> Simulation:
     """Co-simulate a system from ``start`` to ``stop`` [s].
 
     Communication points are start + n * step, every breakpoint and every sample instant, hit exactly. At one instant
-    outputs are exchanged in the order of direct feedthrough. Over a step an input follows the polynomial that its
-    source announced; else it interpolates between both ends of the step where the source has been advanced first, or
-    extrapolates (`System.delayed`). Its degree follows from the derivatives that source and target can handle.
+    outputs are exchanged in the order of direct feedthrough, and algebraic loops are solved if the system has a solver.
+    Over a step an input follows the polynomial that its source announced; else it interpolates between both ends of the
+    step or extrapolates from its beginning, as the algorithm has it. Its degree follows from the derivatives that
+    source and target can handle.
 
     Every run ends by terminating the slaves. A failing slave doesn't raise: the outcome tells, and the recording holds
     everything up to the last completed step.
 
+    Args:
+        system: slaves and connections.
+        stop, start: [s].
+        step: communication step [s]; with step control the first one.
+        tolerance: relative tolerance for the slaves' own integrators; None for their default.
+        progress: called now and then with the simulated fraction.
+        algorithm: how slaves are coupled over a step: `GaussSeidel` (when None), `Jacobi` or `Implicit`.
+        step_control: chooses the communication steps; None for a constant step.
+
     Raises:
-        InputError: the time grid makes no sense.
+        InputError: the time grid makes no sense, a sample time doesn't fit it, or a slave would have to be taken back to
+            an earlier state but can't.
     """
-    grid = time_grid(start, stop, step, _marks(system, start, stop))
-    run = _Run(system, grid, progress)
-    error: BaseException | None = None
+    chosen = GaussSeidel() if algorithm is None else algorithm
+    clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
+    marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
+    grid = time_grid(start, stop, step, marks, clocks, ticks=step_control is None)
+    schedule = Schedule(system, grid, chosen)
+    run = Run(schedule, grid, progress)
+    if step_control is not None:
+        check_can_save(revocable(system.slaves), "step control")
+        error = CouplingError(system, schedule.outputs, schedule.couplings, step_control, stop - start)
+        run.control_steps(step_control, error, step)
+    return _result(system, schedule, run, _completed(system, run, tolerance))
+
+
+def _completed(system: System, run: Run, tolerance: float | None) -> BaseException | None:
+    """Let it run and terminate the slaves; what went wrong, if anything."""
     try:
         run.go(tolerance)
     except (Exception, KeyboardInterrupt) as failure:
-        error = failure
+        return failure
     finally:
         for slave in system.slaves:
             if isinstance(slave, Terminates):
                 slave.terminate()
-    return Simulation(run.recorder.recording(), run.outcome(error), run.message(error), error, run.steps)
+    return None
 
 
-def _marks(system: System, start: float, stop: float) -> Iterator[float]:
-    """Instants at which signals may jump."""
-    for slave in system.slaves:
-        if isinstance(slave, KnowsItsFuture):
-            yield from slave.breakpoints
-        if isinstance(slave, Sampled):
-            yield from sample_instants(slave.sample_time, start, stop)
+def _result(system: System, schedule: Schedule, run: Run, error: BaseException | None) -> Simulation:
+    """What the run gave."""
+    recording, reached = run.recorder.recording(), run.reached
+    outcome = _outcome(error, run.initialized)
+    message = _message(error, outcome, schedule.activity.name, reached.time)
+    blown_up = None if outcome is Outcome.INTERRUPTED else _instability(system, schedule, recording)
+    if blown_up is not None:
+        outcome, message = Outcome.COUPLING_UNSTABLE, _blown_up(blown_up, message if error is not None else "")
+    delays = signal_delays(system, schedule.couplings, reached.largest_step)
+    return Simulation(recording, outcome, message, error, reached.steps, reached.rejected, delays)
 
 
-class _Run:
-    """A run on its way: what has been recorded, and how far it has come."""
+def _outcome(error: BaseException | None, initialized: bool) -> Outcome:
+    """How the run ended."""
+    if error is None:
+        return Outcome.COMPLETED
+    if isinstance(error, KeyboardInterrupt):
+        return Outcome.INTERRUPTED
+    kinds = {
+        LoopError: Outcome.LOOP_NOT_SOLVED,
+        StepSizeError: Outcome.STEP_TOO_SMALL,
+        NotFiniteError: Outcome.NOT_FINITE,
+    }
+    other = Outcome.STEP_FAILED if initialized else Outcome.INITIALISATION_FAILED
+    return next((kind for error_type, kind in kinds.items() if isinstance(error, error_type) and initialized), other)
 
-    def __init__(self, system: System, grid: TimeGrid, progress: Progress | None) -> None:
-        self.schedule = Schedule(system, grid)
-        self.recorder = Recorder(self.schedule.outputs, grid.times.size + int(grid.marked.sum()))
-        self.steps = 0
-        self._times: list[float] = grid.times.tolist()
-        self._marked: list[bool] = grid.marked.tolist()
-        self._initialized = False
-        self._progress = progress
 
-    def go(self, tolerance: float | None) -> None:
-        """Initialise, then step from communication point to communication point."""
-        self.schedule.initialize(tolerance)
-        self._initialized = True
-        self._exchange_and_record(0)
-        count = len(self._times) - 1
-        every = max(1, count // PROGRESS_CALLS)
-        for n in range(count):
-            self.schedule.advance(self._times[n], self._times[n + 1])
-            self.steps += 1
-            self._exchange_and_record(n + 1)
-            if self._progress is not None and (self.steps % every == 0 or self.steps == count):
-                self._progress(self.steps / count)
+def _message(error: BaseException | None, outcome: Outcome, active: str, reached: float) -> str:
+    """What happened, in one line."""
+    if error is None or isinstance(error, KeyboardInterrupt):
+        return outcome.value
+    if isinstance(error, LoopError | StepSizeError):
+        return " ".join(str(error).split())
+    slave = error.slave if isinstance(error, SlaveError) else active
+    reason = error.reason if isinstance(error, SlaveError) else f"{type(error).__name__}: {error}"
+    known: float | None = getattr(error, "time", None)
+    return f"{slave} failed at {reached if known is None else known:.9g} s: {' '.join(reason.split())}"
 
-    def _exchange_and_record(self, point: int) -> None:
-        """Record the instant: once where signals are continuous, on both sides where they may jump."""
-        time, jump = self._times[point], self._marked[point]
-        if jump:
-            self.recorder.append(time)
-        self.schedule.exchange(point, time, jump or point == 0)
-        self.recorder.append(time)
 
-    def outcome(self, error: BaseException | None) -> Outcome:
-        """How the run ended."""
-        if error is None:
-            return Outcome.COMPLETED
-        if isinstance(error, KeyboardInterrupt):
-            return Outcome.INTERRUPTED
-        if not self._initialized:
-            return Outcome.INITIALISATION_FAILED
-        return Outcome.NOT_FINITE if isinstance(error, NotFiniteError) else Outcome.STEP_FAILED
+def _instability(system: System, schedule: Schedule, recording: Recording) -> Instability | None:
+    """What blew up among the signals that slaves feed each other, where some of them are extrapolated."""
+    feedback = feedback_signals(system)
+    if all(schedule.couplings[each.source, each.target].transport is not Transport.EXTRAPOLATED for each in feedback):
+        return None
+    names = dict.fromkeys(system.source_name(each) for each in feedback)
+    return find_instability(recording.time, ((name, recording[name].values) for name in names))
 
-    def message(self, error: BaseException | None) -> str:
-        """What happened, in one line."""
-        if error is None or isinstance(error, KeyboardInterrupt):
-            return self.outcome(error).value
-        slave = error.slave if isinstance(error, SlaveError) else self.schedule.active
-        reason = error.reason if isinstance(error, SlaveError) else f"{type(error).__name__}: {error}"
-        reached = getattr(error, "time", None)
-        when = f" at {self._times[self.steps] if reached is None else reached:.9g} s"
-        return f"{slave} failed{'' if when in reason else when}: {' '.join(reason.split())}"
+
+def _blown_up(found: Instability, ending: str) -> str:
+    """What happened, in one line."""
+    return (
+        f"{found.signal} grows {found.growth:.3g}-fold from step to step since {found.since:.9g} s: the coupling is unstable "
+        f"(or the step far too coarse for the system); take a smaller communication step, Implicit() coupling, or slaves "
+        f"with input and output derivatives{'; in the end ' + ending if ending else ''}"
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,7 +79,7 @@ class InputPort:
         self.slave = slave
         self.links = tuple(links)
         self.fed = np.zeros((1 + max((link.degree for link in links), default=0), indices.size))
-        self.interpolating = tuple(link for link in links if link.ends is not None)
+        self.interpolating = tuple(link for link in links if link.interpolates)
         self._begins: list[RealArray] = []
         self._indices = indices
         self._send = nothing
@@ -89,12 +89,12 @@ class InputPort:
         if self.links:
             self._send = bind_set(self.slave, self._indices, self.fed)
 
-    def preset(self) -> None:
-        """Set values before the slave is initialised."""
-        if self.links:
-            for link in self.links:
+    def preset(self, ready: Collection[OutputPort]) -> None:
+        """Set values before the slave is initialised, those whose sources are ready; the others keep their starts."""
+        for link in self.links:
+            if link.source in ready:
                 link.extrapolate(self.fed)
-            self.slave.set(self._indices, self.fed[0])
+                self.slave.set(self._indices[link.slots], self.fed[0, link.slots])
 
     def exchange(self) -> None:
         """Set the inputs from the outputs at the current instant."""

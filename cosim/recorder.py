@@ -34,6 +34,15 @@ class Recorder:
         self._time[self._count] = time
         self._count += 1
 
+    @property
+    def count(self) -> int:
+        """How many instants have been recorded."""
+        return self._count
+
+    def rewind(self, count: int) -> None:
+        """Forget all instants but the first ``count``, of a step that was rejected."""
+        self._count = count
+
     def recording(self) -> Recording:
         """Everything recorded so far, named ``slave.variable``."""
         columns = {

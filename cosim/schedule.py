@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from flexfmu.cosim.grid import TimeGrid, is_sample_instant
-from flexfmu.cosim.links import loop_order, stale_after_step, wire
-from flexfmu.cosim.ports import InputPort, OutputPort
-from flexfmu.cosim.slave import KnowsItsFuture, Sampled, Slave
-from flexfmu.cosim.system import System
+import numpy as np
 
+from flexfmu.cosim.activity import Activity
+from flexfmu.cosim.algorithms import Algorithm
+from flexfmu.cosim.grid import TimeGrid
+from flexfmu.cosim.instant_loop import InstantLoop
+from flexfmu.cosim.links import couplings, loop_order, stale_after_step, wire
+from flexfmu.cosim.loop_signals import LoopSignals
+from flexfmu.cosim.ports import OutputPort
+from flexfmu.cosim.slave import Indices, KnowsItsFuture, RealArray
+from flexfmu.cosim.state import StateKeeper, revocable
+from flexfmu.cosim.stepping import Stepping
+from flexfmu.cosim.system import AlgebraicLoop, System
+from flexfmu.cosim.visit import Visit, plan_visits
 
-@dataclass(frozen=True)
-class Visit:
-    """One slave's turn in an exchange.
-
-    Attributes:
-        slave, inputs, outputs: the slave with its ports.
-        stale: whether its outputs must be read anew even where nothing jumps.
-        due: for a sampled slave whether it samples at each communication point; empty for others, and on all but its
-            last visit.
-    """
-
-    slave: Slave
-    inputs: InputPort
-    outputs: OutputPort
-    stale: bool
-    due: tuple[bool, ...] = ()
+OFF_GRID = -1
+"""Stands for the index of a communication point that step control has put between those of the grid."""
 
 
 class Schedule:
@@ -34,93 +29,133 @@ class Schedule:
 
     Attributes:
         outputs: output ports, in the order of `System.slaves`; their signals are those of the current instant.
-        active: name of the slave that is, or was last, at work.
+        couplings: (source, target) → how its signals get there.
+        activity: which slave is, or was last, at work.
+        advance: steps all slaves from one communication point to the next [s] and reads them.
     """
 
-    def __init__(self, system: System, grid: TimeGrid) -> None:
-        inputs, self.outputs = wire(system)
-        self.active = ""
+    def __init__(self, system: System, grid: TimeGrid, algorithm: Algorithm) -> None:
+        self.couplings = couplings(system, algorithm)
+        self._inputs, self.outputs = wire(system, self.couplings)
+        self.activity = Activity()
+        self._system = system
         self._grid = grid
-        self._first_visits = [
-            (system.slaves[i], inputs[i], self.outputs[i]) for i in dict.fromkeys(system.exchange_order)
+        stale = stale_after_step(system, self.couplings)
+        visits = plan_visits(system, self._inputs, self.outputs, grid, stale)
+        self._turns = self._with_loops(visits)
+        self._updating = [visit for visit in visits if visit.update is not None]
+        self._futures = [
+            (slave, port)
+            for slave, port in zip(system.slaves, self.outputs, strict=True)
+            if isinstance(slave, KnowsItsFuture)
         ]
-        self._futures = [(each, port) for each, _, port in self._first_visits if isinstance(each, KnowsItsFuture)]
-        self._visits = _visits(system, inputs, self.outputs, grid)
-        stepped = [i for i in system.step_order if not isinstance(system.slaves[i], Sampled)]
-        self._steps = [(system.slaves[i], inputs[i], bool(inputs[i].interpolating), self.outputs[i]) for i in stepped]
-        self._rounds = loop_order(system)
-        self._interpolating = [inputs[i] for i in stepped if inputs[i].interpolating]
+        self._rounds = loop_order(system, self.couplings)
+        ports = self._inputs, self.outputs
+        self.advance = Stepping(system, algorithm, ports, self.couplings, self.activity).advance
 
     def initialize(self, tolerance: float | None) -> None:
         """Initialise the slaves, each with the outputs of those before it, and read them."""
         start, stop = float(self._grid.times[0]), float(self._grid.times[-1])
-        for slave, inputs, outputs in self._first_visits:
-            self.active = slave.name
+        ready: list[OutputPort] = []
+        for i in dict.fromkeys([*self._system.visits, *range(len(self._system.slaves))]):
+            slave, inputs, outputs = self._system.slaves[i], self._inputs[i], self.outputs[i]
+            self.activity.name = slave.name
             if isinstance(slave, KnowsItsFuture):
                 slave.prepare(self._grid.times)
-            inputs.preset()
+            inputs.preset(ready)
             slave.initialize(start, stop, tolerance)
             inputs.bind()
             outputs.bind()
             outputs.read(start)
+            ready.append(outputs)
 
     def exchange(self, point: int, time: float, jump: bool) -> None:
         """Pass on the outputs at a communication point; afterwards all is ready for the step that begins there.
 
         Args:
-            point: index of the communication point.
+            point: index of the communication point, or `OFF_GRID`.
             time: its time [s].
             jump: whether signals may jump, as they may at the start: all outputs are read anew.
         """
         for future, port in self._futures:
-            self.active = future.name
+            self.activity.name = future.name
             future.announce(time)
             port.read_announced()
-        for visit in self._visits:
-            self.active = visit.slave.name
-            visit.inputs.exchange()
-            if visit.due and visit.due[point] and isinstance(visit.slave, Sampled):
-                visit.slave.sample(time)
-            if jump or visit.stale:
-                visit.outputs.read(time)
+        self._pass_on(point, time, jump)
         if jump:
-            self._settle(time)
+            # the k-th derivative of an output depends on derivatives of the inputs up to the k-th: round closed loops
+            # one more is right after each round
+            for _ in range(self._rounds):
+                self._pass_on(OFF_GRID, time, True)
+            for visit in self._updating:
+                if visit.due[point] and visit.update is not None:
+                    self.activity.name = visit.slave.name
+                    visit.update(time)
 
-    def _settle(self, time: float) -> None:
-        """Let the derivatives go round closed loops until they belong to the same instant.
+    def _pass_on(self, point: int, time: float, jump: bool) -> None:
+        """Everybody's turn."""
+        for turn in self._turns:
+            if isinstance(turn, InstantLoop):
+                turn.solve(point, time)
+                continue
+            self.activity.name = turn.slave.name
+            turn.inputs.exchange()
+            if turn.sample is not None and turn.due[point]:
+                turn.sample(time)
+            if jump or turn.stale:
+                turn.outputs.read(time)
 
-        The k-th derivative of an output depends on derivatives of the inputs up to the k-th, so that one more is right
-        after each round.
-        """
-        for _ in range(self._rounds):
-            for visit in self._visits:
-                self.active = visit.slave.name
-                visit.inputs.exchange()
-                visit.outputs.read(time)
+    def refresh(self, time: float) -> None:
+        """Pass on the outputs without sampling, so that those with direct feedthrough are up to date."""
+        self._pass_on(OFF_GRID, time, False)
 
-    def advance(self, begin: float, end: float) -> None:
-        """Step all slaves from one communication point to the next and read them."""
-        step = end - begin
-        for inputs in self._interpolating:
-            inputs.remember()
-        for slave, inputs, interpolating, outputs in self._steps:
-            self.active = slave.name
-            if interpolating:
-                inputs.interpolate(step)
-            slave.step(begin, step)
-            outputs.read(end)
+    def begin(self, times: RealArray) -> None:
+        """Choose the coming communication points, from the current or an earlier one on, and begin the first step."""
+        for future, _ in self._futures:
+            self.activity.name = future.name
+            future.prepare(times)
+        self.exchange(OFF_GRID, float(times[0]), False)
+
+    def save(self) -> Snapshot:
+        """Where all is now, to come back to."""
+        return Snapshot(StateKeeper(revocable(self._system.slaves)), [port.signals.copy() for port in self.outputs])
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back; follow it by `begin`."""
+        snapshot.states.restore()
+        for port, signals in zip(self.outputs, snapshot.signals, strict=True):
+            port.signals[:] = signals
+
+    def _with_loops(self, visits: Sequence[Visit]) -> list[Visit | InstantLoop]:
+        """The turns in the order of `System.exchange_order`, without idle ones."""
+        turns: list[Visit | InstantLoop] = []
+        rest = iter(visits)
+        for each in self._system.exchange_order:
+            if isinstance(each, AlgebraicLoop):
+                members = [next(rest) for _ in each.slaves]
+                turns.append(InstantLoop(each, members, self._unknowns(each), self.activity))
+                continue
+            visit = next(rest)
+            if visit.inputs.links or visit.due:
+                turns.append(visit)
+        return turns
+
+    def _unknowns(self, loop: AlgebraicLoop) -> LoopSignals:
+        """The signals that a loop assumes, with as many derivatives as go round it."""
+        signals: dict[OutputPort, tuple[Indices, int]] = {}
+        for slave in dict.fromkeys(slave for slave, _ in loop.unknowns):
+            indices = [index for each, index in loop.unknowns if each == slave]
+            orders = [
+                self.couplings[slave, target].order for target in loop.slaves if (slave, target) in self.couplings
+            ]
+            columns = np.searchsorted(self.outputs[slave].indices, indices)
+            signals[self.outputs[slave]] = columns, 1 + max(orders)
+        return LoopSignals(signals)
 
 
-def _visits(system: System, inputs: list[InputPort], outputs: list[OutputPort], grid: TimeGrid) -> list[Visit]:
-    """The turns of all slaves that have connected inputs or sample instants."""
-    stale = stale_after_step(system)
-    last = {slave: rank for rank, slave in enumerate(system.exchange_order)}
-    visits = []
-    for rank, i in enumerate(system.exchange_order):
-        slave = system.slaves[i]
-        due: tuple[bool, ...] = ()
-        if isinstance(slave, Sampled) and rank == last[i]:
-            due = tuple(is_sample_instant(grid, slave.sample_time).tolist())
-        if inputs[i].links or due:
-            visits.append(Visit(slave, inputs[i], outputs[i], i in stale, due))
-    return visits
+@dataclass(frozen=True)
+class Snapshot:
+    """States of all slaves that can be stepped back, and the signals (orders + 1, n) of all outputs."""
+
+    states: StateKeeper
+    signals: Sequence[RealArray]

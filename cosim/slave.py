@@ -84,16 +84,21 @@ class GivesOutputDerivatives(Protocol):
 
 
 @runtime_checkable
-class KnowsItsFuture(Protocol):
+class HasBreakpoints(Protocol):
+    """Something jumps at instants that are known beforehand; the master lands on them exactly."""
+
+    @property
+    def breakpoints(self) -> Sequence[float]:
+        """Instants [s], ascending, at which the outputs or their derivatives jump."""
+
+
+@runtime_checkable
+class KnowsItsFuture(HasBreakpoints, Protocol):
     """Independent of its inputs: before a step it announces its outputs over that step as a polynomial.
 
     After `announce`, `get` and `get_derivatives` describe that polynomial at the beginning of the step (right limits);
     after `step` they give the left limits at its end.
     """
-
-    @property
-    def breakpoints(self) -> Sequence[float]:
-        """Instants [s], ascending, at which the outputs or their derivatives jump."""
 
     @property
     def announced_order(self) -> int:
@@ -104,7 +109,11 @@ class KnowsItsFuture(Protocol):
         """Whether the announced polynomial ends in the outputs' left limits at the end of the step."""
 
     def prepare(self, times: RealArray) -> None:
-        """Take note of all communication points (N,) of the coming run [s]."""
+        """Take note of the coming communication points (N,) [s] and go to the first of them, left limits.
+
+        Before a run these are all of its points, as far as they are known. A master that chooses its steps on the way
+        calls it again before every step; the first point may then be earlier than the current time.
+        """
 
     def announce(self, time: float) -> None:
         """Change over to the step that begins at ``time``, one of the communication points."""
@@ -112,14 +121,40 @@ class KnowsItsFuture(Protocol):
 
 @runtime_checkable
 class Sampled(Protocol):
-    """Runs at its own instants start + k * sample_time and holds its outputs in between; it is never stepped."""
+    """Runs at its own instants start + offset + k * sample_time and holds its outputs in between; it is never stepped.
+
+    The offset is zero but for slaves that are `HasOffset`.
+    """
 
     @property
     def sample_time(self) -> float:
         """Sample time [s]."""
 
     def sample(self, time: float) -> None:
-        """Calculate new outputs from the inputs just set."""
+        """Calculate new outputs from the inputs just set, and move on to the next instant."""
+
+
+@runtime_checkable
+class HasOffset(Protocol):
+    """Samples for the first time some time after the start; until then its outputs are as it was initialised."""
+
+    @property
+    def offset(self) -> float:
+        """First sample instant after the start [s], zero or positive."""
+
+
+@runtime_checkable
+class SamplesInTwoPhases(Sampled, Protocol):
+    """Can tell its outputs before all inputs are known, as a discrete system y = C x + D u with zeros in D can.
+
+    At a sample instant the master calls `output` once or more, then `update` once; `sample` does both.
+    """
+
+    def output(self, time: float) -> None:
+        """Calculate outputs from the state and the inputs set so far; the state stays."""
+
+    def update(self, time: float) -> None:
+        """Calculate the next state from the inputs just set; the outputs stay."""
 
 
 @runtime_checkable
@@ -136,10 +171,27 @@ class SavesState(Protocol):
     """Can go back to an earlier state."""
 
     def save(self) -> object:
-        """The complete state at the current time."""
+        """The complete state at the current time, inputs included."""
 
     def restore(self, state: object) -> None:
         """Go back to a state that `save` gave; may be repeated."""
+
+
+@runtime_checkable
+class MaySaveState(SavesState, Protocol):
+    """Has `save` and `restore`, but can't always: an FMU only if its model description says so."""
+
+    @property
+    def can_save(self) -> bool:
+        """Whether states can be saved."""
+
+
+@runtime_checkable
+class ReleasesStates(SavesState, Protocol):
+    """Has saved states that take memory of their own."""
+
+    def release(self, state: object) -> None:
+        """Free a saved state, or keep its memory for the next one; it won't be restored again."""
 
 
 @runtime_checkable
@@ -172,6 +224,16 @@ def input_order(slave: Slave) -> int:
 def output_order(slave: Slave) -> int:
     """Highest output derivative that the slave gives."""
     return slave.max_output_order if isinstance(slave, GivesOutputDerivatives) else 0
+
+
+def offset(slave: Slave) -> float:
+    """First sample instant after the start [s]."""
+    return slave.offset if isinstance(slave, HasOffset) else 0.0
+
+
+def can_save(slave: Slave) -> bool:
+    """Whether the slave can go back to an earlier state."""
+    return isinstance(slave, SavesState) and (not isinstance(slave, MaySaveState) or slave.can_save)
 
 
 def feedthrough(slave: Slave) -> dict[str, tuple[str, ...]]:

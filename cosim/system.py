@@ -2,23 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from graphlib import CycleError, TopologicalSorter
+from itertools import chain
 
+from flexfmu.cosim.dependencies import (
+    Connection,
+    Graph,
+    Variable,
+    contracted,
+    cycle,
+    declared,
+    dependencies,
+    find_loops,
+    in_one_call,
+    restricted,
+    source_of,
+    target_of,
+    tear,
+    visiting_order,
+)
 from flexfmu.cosim.errors import AlgebraicLoopError, WiringError
-from flexfmu.cosim.slave import Causality, Slave, feedthrough
+from flexfmu.cosim.iteration import LoopSolver
+from flexfmu.cosim.slave import Causality, Slave, can_save, feedthrough
 
 
 @dataclass(frozen=True)
-class Connection:
-    """An output that feeds an input; indices of slaves in `System.slaves` and of variables in `Slave.variables`."""
+class AlgebraicLoop:
+    """Outputs that depend on each other at the same instant.
 
-    source: int
-    output: int
-    target: int
-    input: int
+    Attributes:
+        name: the signals on the way round.
+        slaves: slaves in the order in which they are visited on a round, each as often as needed.
+        unknowns: outputs (slave, index of the variable) that are assumed at the beginning of a round.
+        solver: how the loop is solved.
+    """
+
+    name: str
+    slaves: tuple[int, ...]
+    unknowns: tuple[tuple[int, int], ...]
+    solver: LoopSolver
 
 
 @dataclass(frozen=True)
@@ -29,40 +53,55 @@ class System:
         slaves: the slaves as given.
         connections: the connections as given, resolved.
         exchange_order: slaves in the order in which inputs are set and outputs read at one instant, so that every
-            output is up to date when it is passed on; a slave may appear more than once.
+            output is up to date when it is passed on; a slave may appear more than once. Loops are solved in their turn.
         step_order: slaves in the order in which they are advanced over a step, sources before targets where possible.
         delayed: connections whose target is advanced before its source: over a step their input is extrapolated from
-            the beginning of the step.
+            the beginning of the step, unless the step is iterated.
     """
 
     slaves: tuple[Slave, ...]
     connections: tuple[Connection, ...]
-    exchange_order: tuple[int, ...]
+    exchange_order: tuple[int | AlgebraicLoop, ...]
     step_order: tuple[int, ...]
     delayed: tuple[Connection, ...]
 
+    @property
+    def visits(self) -> tuple[int, ...]:
+        """Slaves in the order in which they are visited at one instant, on the way round loops too."""
+        visits: list[int] = []
+        for each in self.exchange_order:
+            visits += each.slaves if isinstance(each, AlgebraicLoop) else [each]
+        return tuple(visits)
+
+    def source_name(self, connection: Connection) -> str:
+        """The output that the connection starts from, as ``plant.y``."""
+        return _full_name(self.slaves, source_of(self.slaves, connection))
+
     def describe(self, connection: Connection) -> str:
         """The connection as ``plant.y -> controller.u``."""
-        source, target = self.slaves[connection.source], self.slaves[connection.target]
-        output, receiver = source.variables[connection.output], target.variables[connection.input]
-        return f"{source.name}.{output.name} -> {target.name}.{receiver.name}"
+        return f"{self.source_name(connection)} -> {_full_name(self.slaves, target_of(self.slaves, connection))}"
 
 
-def connect(slaves: Sequence[Slave], connections: Iterable[tuple[str, str]]) -> System:
+def connect(
+    slaves: Sequence[Slave], connections: Iterable[tuple[str, str]], *, loops: LoopSolver | None = None
+) -> System:
     """Wire slaves together.
 
     Args:
         slaves: slaves with different names.
         connections: pairs (``slave.output``, ``slave.input``).
+        loops: how to solve algebraic loops, at every instant; None to refuse them.
 
     Raises:
-        WiringError: a name is unknown or used twice, units differ, a direction is wrong, an input is connected twice.
-        AlgebraicLoopError: outputs depend on each other at the same instant; the message names the loop.
+        WiringError: a name is unknown or used twice, units differ, a direction is wrong, an input is connected twice,
+            or a sampled slave would have to be repeated to solve a loop but can't.
+        AlgebraicLoopError: outputs depend on each other at the same instant, and there is no solver; the message names
+            the loop.
     """
     _check_names(slaves)
     resolved = tuple(_resolve(slaves, source, target) for source, target in connections)
     _check_single_sources(slaves, resolved)
-    exchange_order = _exchange_order(slaves, resolved)
+    exchange_order = _exchange_order(slaves, resolved, loops)
     step_order = _step_order(slaves, resolved)
     position = {slave: rank for rank, slave in enumerate(step_order)}
     delayed = tuple(each for each in resolved if position[each.source] >= position[each.target])
@@ -119,43 +158,70 @@ def _check_single_sources(slaves: Sequence[Slave], connections: Sequence[Connect
         seen.add((each.target, each.input))
 
 
-def _exchange_order(slaves: Sequence[Slave], connections: Sequence[Connection]) -> tuple[int, ...]:
-    """Slaves by direct feedthrough between their variables; neighbours of one slave are one visit."""
-    sorter = TopologicalSorter(_dependencies(slaves, connections))
-    try:
-        sorter.prepare()
-    except CycleError as error:
-        raise _loop(slaves, error.args[1]) from None
-    order: list[int] = []
-    ready = list(sorter.get_ready())
-    while ready:
-        if not order or all(slave != order[-1] for slave, _ in ready):
-            order.append(min(slave for slave, _ in ready))
-        visited = [node for node in ready if node[0] == order[-1]]
-        sorter.done(*visited)
-        ready = [node for node in ready if node not in visited] + list(sorter.get_ready())
-    return tuple(order)
+def _exchange_order(
+    slaves: Sequence[Slave], connections: Sequence[Connection], solver: LoopSolver | None
+) -> tuple[int | AlgebraicLoop, ...]:
+    """Slaves by direct feedthrough between their variables, and loops between them."""
+    graph = dependencies(slaves, connections)
+    rings = find_loops(graph)
+    if rings and solver is None:
+        raise _refusal(slaves, cycle(declared(slaves, connections)))
+    found = [_loop(slaves, connections, restricted(graph, ring), solver) for ring in rings if solver is not None]
+    owner = {node: node[0] for node in {*graph, *chain.from_iterable(graph.values())}}
+    owner |= {node: len(slaves) + i for i, ring in enumerate(rings) for node in ring}
+    order = visiting_order(contracted(graph, rings), owner)
+    visits = [found[i - len(slaves)] if i >= len(slaves) else i for i in order]
+    return (*visits, *_late_visits(slaves, connections, order))
 
 
-def _dependencies(
-    slaves: Sequence[Slave], connections: Sequence[Connection]
-) -> Mapping[tuple[int, str], Sequence[tuple[int, str]]]:
-    """(slave, variable) → what it depends on at the same instant."""
-    graph: dict[tuple[int, str], list[tuple[int, str]]] = {}
-    for i, slave in enumerate(slaves):
-        for output, inputs in feedthrough(slave).items():
-            graph[i, output] = [(i, name) for name in inputs]
-    for each in connections:
-        target = each.target, slaves[each.target].variables[each.input].name
-        graph.setdefault(target, []).append((each.source, slaves[each.source].variables[each.output].name))
-    return graph
+def _late_visits(slaves: Sequence[Slave], connections: Sequence[Connection], order: Sequence[int]) -> list[int]:
+    """Further visits to slaves whose inputs come from one that samples, in one call, only after their turn.
+
+    Such a slave closes a loop of sampled slaves; those among them see it one sample later.
+    """
+    last = {slave: rank for rank, slave in enumerate(order)}
+    late = {
+        each.target
+        for each in connections
+        if in_one_call(slaves[each.source])
+        and not in_one_call(slaves[each.target])
+        and last.get(each.target, -1) < last.get(each.source, -1)
+    }
+    return sorted(late)
 
 
-def _loop(slaves: Sequence[Slave], cycle: Sequence[tuple[int, str]]) -> AlgebraicLoopError:
+def _loop(
+    slaves: Sequence[Slave], connections: Sequence[Connection], graph: Graph, solver: LoopSolver
+) -> AlgebraicLoop:
+    """The loop of the variables in the graph, torn and sorted."""
+    name = _chain(slaves, cycle(restricted(declared(slaves, connections), graph.keys())))
+    for i in sorted({slave for slave, _ in graph}):
+        if in_one_call(slaves[i]) and not can_save(slaves[i]):
+            remedy = "let it save and restore its state, or sample in two phases (output, update)"
+            raise WiringError(f"{slaves[i].name} can't be repeated to solve the algebraic loop {name}; {remedy}")
+    torn = tear(graph, {source_of(slaves, each) for each in connections})
+    order = visiting_order(restricted(graph, graph.keys(), torn), {node: node[0] for node in graph})
+    index = [{variable.name: k for k, variable in enumerate(slave.variables)} for slave in slaves]
+    return AlgebraicLoop(name, order, tuple((slave, index[slave][variable]) for slave, variable in torn), solver)
+
+
+def _full_name(slaves: Sequence[Slave], variable: Variable) -> str:
+    """``slave.variable``."""
+    return f"{slaves[variable[0]].name}.{variable[1]}"
+
+
+def _chain(slaves: Sequence[Slave], variables: Sequence[Variable]) -> str:
+    """Signals on their way."""
+    return " -> ".join(_full_name(slaves, each) for each in variables)
+
+
+def _refusal(slaves: Sequence[Slave], ring: Sequence[Variable]) -> AlgebraicLoopError:
     """The error that names the loop in the direction of the signals."""
-    names = " -> ".join(f"{slaves[slave].name}.{name}" for slave, name in cycle)
-    remedy = "put a slave with a state or a sample time into it, or declare what has no direct feedthrough"
-    return AlgebraicLoopError(f"algebraic loop: {names}; {remedy}")
+    remedy = (
+        "put a slave with a state or a sample time into it, declare what has no direct feedthrough, "
+        "or solve it by iteration: connect(.., loops=Anderson())"
+    )
+    return AlgebraicLoopError(f"algebraic loop: {_chain(slaves, ring)}; {remedy}")
 
 
 def _step_order(slaves: Sequence[Slave], connections: Sequence[Connection]) -> tuple[int, ...]:

@@ -71,7 +71,7 @@ class TrajectorySlave:
         return {variable.name: () for variable in self.variables}
 
     def prepare(self, times: RealArray) -> None:
-        """Calculate the polynomials of all steps."""
+        """Calculate the polynomials of all steps, and begin with the left limits at the first point."""
         first, last = self._landings(times)
         self._times = times
         self._polynomials = self._references(
@@ -82,11 +82,11 @@ class TrajectorySlave:
         self._ends[jumps] = self._references(first[jumps], END_ORDER, "left")
         if self.ends_exactly:
             self._polynomials = self._hermite_polynomials(self._polynomials[:, : END_ORDER + 1])
+        self._begin()
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Begin with the left limits at the start."""
-        self._next = 0
-        self._now = self._ends[0]
+        self._begin()
 
     def announce(self, time: float) -> None:
         """Change over to the polynomial of the step that begins at ``time``."""
@@ -110,6 +110,11 @@ class TrajectorySlave:
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         """Derivatives of the current references."""
         self._now[1 : derivatives.shape[0] + 1].take(indices, 1, derivatives, "clip")
+
+    def _begin(self) -> None:
+        """Go to the left limits at the first communication point."""
+        self._next = 0
+        self._now = self._ends[0]
 
     def _landings(self, times: RealArray) -> tuple[RealArray, RealArray]:
         """Times at which left and right limits are taken: where breakpoints share a communication point, left of the

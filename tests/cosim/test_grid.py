@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.grid import COINCIDENT, is_sample_instant, time_grid
+from flexfmu.cosim.grid import COINCIDENT, Clock, time_grid
 
 
 def test_no_drift_after_many_steps() -> None:
@@ -57,8 +57,9 @@ def test_near_coincident_marks_are_one_point() -> None:
 
 def test_sample_instants_are_points() -> None:
     """Sample instants that are ticks but for rounding are recognised as such."""
-    grid = time_grid(0.0, 1.0, 0.1, [0.3 * n for n in range(4)])
-    assert np.flatnonzero(is_sample_instant(grid, 0.3)).tolist() == [0, 3, 6, 9]
+    grid = time_grid(0.0, 1.0, 0.1, clocks=[Clock("controller", 0.3)])
+    assert np.flatnonzero(grid.due[0]).tolist() == [0, 3, 6, 9]
+    assert grid.times.tolist() == [*(0.1 * np.arange(10)), 1.0]
 
 
 @pytest.mark.parametrize(
