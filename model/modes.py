@@ -1,7 +1,11 @@
-"""Natural frequencies of the flexible robot with locked motors, about its static equilibrium."""
+"""Natural frequencies and damping of the flexible robot with locked motors, about its static equilibrium."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
@@ -13,6 +17,23 @@ from flexfmu.model.statics import static_equilibrium
 
 Array = NDArray[np.float64]
 
+OSCILLATING = 1e-9
+"""Imaginary part of an eigenvalue, relative to its magnitude, above which it belongs to a vibration."""
+
+
+@dataclass(frozen=True, eq=False)
+class DampedModes:
+    """The vibrations of the assembled robot, ascending by frequency; overdamped motions are left out.
+
+    Attributes:
+        frequencies: |λ| / 2π of the eigenvalues λ [Hz], shape (m,): the undamped natural frequency where the damping is
+            proportional.
+        ratios: damping ratios -Re λ / |λ|, shape (m,).
+    """
+
+    frequencies: Array
+    ratios: Array
+
 
 def natural_frequencies(scene: Scene, joints: tuple[float, float] | Array) -> Array:
     """Undamped natural frequencies [Hz], ascending, shape (n,), with the motors locked at (q11, q21) [rad].
@@ -20,16 +41,55 @@ def natural_frequencies(scene: Scene, joints: tuple[float, float] | Array) -> Ar
     Raises:
         EquilibriumError: there is no static equilibrium at the pose, or it is unstable (buckled).
     """
-    model, u = numeric_model(scene), standstill(joints)
-    if model.n == 0:
+    if numeric_model(scene).n == 0:
         return np.empty(0)
+    mass, _, stiffness = _matrices(scene, joints)
+    return np.asarray(np.sqrt(_stable(eigh(stiffness, mass, eigvals_only=True), joints)) / (2 * np.pi), dtype=float)
+
+
+def damped_modes(scene: Scene, joints: tuple[float, float] | Array) -> DampedModes:
+    """Frequencies and damping ratios with the motors locked at (q11, q21) [rad]: eigenvalues of M x'' + C x' + K x = 0.
+
+    Raises:
+        EquilibriumError: there is no static equilibrium at the pose, or it is unstable (buckled).
+    """
+    n = numeric_model(scene).n
+    if n == 0:
+        return DampedModes(np.empty(0), np.empty(0))
+    mass, damping, stiffness = _matrices(scene, joints)
+    _stable(eigh(stiffness, mass, eigvals_only=True), joints)
+    acceleration = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
+    values = np.linalg.eigvals(np.vstack([np.eye(n, 2 * n, n), acceleration])).astype(complex)
+    values = values[values.imag > OSCILLATING * np.abs(values)]
+    values = values[np.argsort(np.abs(values))]
+    size = np.abs(values)
+    # an undamped mode's real part is rounding of either sign
+    return DampedModes(size / (2 * np.pi), np.maximum(-values.real / size, 0.0))
+
+
+def _matrices(scene: Scene, joints: tuple[float, float] | Array) -> tuple[Array, Array, Array]:
+    """Mass, damping and stiffness of small motions about the static equilibrium, (n, n) each."""
+    model, u = numeric_model(scene), standstill(joints)
     elastic = static_equilibrium(scene, joints).elastic
-    stiffness = model.static_stiffness(elastic, u).full()
-    mass = model.mass_matrix(elastic, u).full()
-    squares = eigh(0.5 * (stiffness + stiffness.T), 0.5 * (mass + mass.T), eigvals_only=True)
+    stiffness, mass = model.static_stiffness(elastic, u).full(), model.mass_matrix(elastic, u).full()
+    return 0.5 * (mass + mass.T), _damping_matrix(scene)(elastic, u).full(), 0.5 * (stiffness + stiffness.T)
+
+
+@lru_cache(maxsize=32)
+def _damping_matrix(scene: Scene) -> casadi.Function:
+    """(q_e, u) → Jacobian of the elastic forces by the elastic rates at rest (n, n) [N.s/m]."""
+    model = numeric_model(scene)
+    q, v, u = casadi.SX.sym("q", model.n), casadi.SX.sym("v", model.n), casadi.SX.sym("u", 6)
+    force = model.elastic_forces(q, v, casadi.SX.zeros(model.n), u)
+    at_rest = casadi.substitute(casadi.jacobian(force, v), v, casadi.SX.zeros(model.n))
+    return casadi.Function("damping_matrix", [q, u], [casadi.densify(casadi.cse(at_rest))])
+
+
+def _stable(squares: Array, joints: tuple[float, float] | Array) -> Array:
+    """Squares of angular frequencies, ascending, none of them negative."""
     if squares[0] < 0.0:
         raise EquilibriumError(
-            f"the static equilibrium with the motors at q11 = {u[0]:.6g} rad, q21 = {u[1]:.6g} rad is unstable "
+            f"the static equilibrium with the motors at q11 = {joints[0]:.6g} rad, q21 = {joints[1]:.6g} rad is unstable "
             f"(lowest eigenvalue {squares[0]:.4g} 1/s2): the load buckles the robot near this pose"
         )
-    return np.asarray(np.sqrt(squares) / (2 * np.pi), dtype=float)
+    return squares
