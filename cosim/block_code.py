@@ -1,0 +1,68 @@
+"""A block's equations as one function that is fast to call: in CasADi's virtual machine, or compiled from C."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import casadi
+
+from flexfmu.fmu_build.archive import write_atomically
+from flexfmu.fmu_build.block_codegen import sample_function
+from flexfmu.fmu_build.cache import cache_folder
+from flexfmu.fmu_build.compilation import compile_library
+from flexfmu.fmu_build.hashing import content_hash
+from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.sources import Sources
+from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, find_compiler
+from flexfmu.model.block import SymbolicBlock
+
+COMPILED_FROM = 300
+"""Blocks of at least this many operations are compiled unless told otherwise.
+
+The virtual machine takes about 5 ns for an operation, compiled C about 1 ns; below, calling costs more than calculating."""
+
+EXPORTED_FLAGS = (*GENERATED_FLAGS, "-DGCC_HASCLASSVISIBILITY")
+"""The flags of an FMU's generated code, for the same roundings; the macro makes CasADi mark what others may call."""
+
+
+def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi.Function:
+    """Output and update of a block in one function (x, u, p) → (y, next x), all dense.
+
+    Args:
+        block: the block.
+        compiled: True to compile it, False for the virtual machine; None compiles where it pays, see `COMPILED_FROM`.
+
+    Raises:
+        ModelError: a function of the block has a wrong shape.
+        MissingCompilerError, CompileError: it is to be compiled and can't be.
+    """
+    function = sample_function(block)
+    if compiled is None:
+        compiled = function.n_instructions() >= COMPILED_FROM
+    return compile_function(function) if compiled else function
+
+
+def compile_function(function: casadi.Function) -> casadi.Function:
+    """The same function, evaluated in compiled C; compiled once for each text of the code.
+
+    Raises:
+        MissingCompilerError: there is no C compiler.
+        CompileError: the compiler refuses.
+        ArchiveError: the cache's folder can't be written.
+    """
+    generator = casadi.CodeGenerator(f"{function.name()}.c")
+    generator.add(function)
+    return casadi.external(function.name(), str(_library(function.name(), str(generator.dump()))))
+
+
+@lru_cache(maxsize=64)
+def _library(name: str, code: str) -> Path:
+    """The shared library of a generated C file, kept in the cache under the hash of its content."""
+    sources = Sources(name, "", "", {f"{name}.c": code}, {}, {})
+    platform = native_platform()
+    content = compile_library(sources, find_compiler(platform), generated_flags=EXPORTED_FLAGS)
+    path = cache_folder() / "blocks" / f"{content_hash([content])}{platform.suffix}"
+    if not (path.is_file() and path.read_bytes() == content):
+        write_atomically(path, content)
+    return path

@@ -1,0 +1,119 @@
+"""A discrete-time linear system with named signals: what state-space controllers and observers are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flexfmu.cosim.controllers.equations import check_sampling
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.slave import RealArray
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Name and unit of an input or output; ``1`` for no unit."""
+
+    name: str
+    unit: str = "1"
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k.
+
+    Attributes:
+        A, B, C, D: matrices (n, n), (n, inputs), (outputs, n), (outputs, inputs); anything that NumPy takes.
+        sample_time: [s].
+        inputs, outputs: signals in the order of u and y.
+
+    Raises:
+        InputError: shapes don't fit, a number isn't finite, two signals share a name, the sample time isn't positive.
+    """
+
+    A: RealArray
+    B: RealArray
+    C: RealArray
+    D: RealArray
+    sample_time: float
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+
+    def __post_init__(self) -> None:
+        check_sampling(self.sample_time, 0.0, "linear system")
+        states = np.asarray(self.A, dtype=float).shape[0] if np.ndim(self.A) else 0
+        shapes = {
+            "A": (states, states),
+            "B": (states, len(self.inputs)),
+            "C": (len(self.outputs), states),
+            "D": (len(self.outputs), len(self.inputs)),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, matrix(getattr(self, name), shape, name))
+        names = [signal.name for signal in (*self.inputs, *self.outputs)]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"linear system: two signals are named {name!r}; give each its own name")
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return int(self.A.shape[0])
+
+
+def linear_system(
+    A: Any,
+    B: Any,
+    C: Any,
+    D: Any = None,
+    *,
+    sample_time: float,
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
+) -> LinearSystem:
+    """A linear system of matrices alone; signals are named ``u[0]``, .. and ``y[0]``, .. unless told otherwise.
+
+    Args:
+        A, B, C: two-dimensional.
+        D: zero when left out.
+        sample_time: [s].
+        inputs, outputs: names.
+
+    Raises:
+        InputError: as for `LinearSystem`.
+    """
+    width, height = np.atleast_2d(B).shape[1], np.atleast_2d(C).shape[0]
+    return LinearSystem(
+        np.atleast_2d(A),
+        np.atleast_2d(B),
+        np.atleast_2d(C),
+        np.zeros((height, width)) if D is None else np.atleast_2d(D),
+        sample_time,
+        tuple(Signal(name) for name in inputs or [f"u[{i}]" for i in range(width)]),
+        tuple(Signal(name) for name in outputs or [f"y[{i}]" for i in range(height)]),
+    )
+
+
+def matrix(values: Any, shape: tuple[int, int], name: str) -> RealArray:
+    """A read-only matrix of real, finite numbers.
+
+    Raises:
+        InputError: the shape is wrong, or a number isn't real and finite; the message names it.
+    """
+    array = np.array(values)
+    if array.shape != shape:
+        raise InputError(
+            f"{name} must be {shape[0]} x {shape[1]}, got {' x '.join(map(str, array.shape)) or 'a number'}"
+        )
+    if not np.issubdtype(array.dtype, np.number) or np.iscomplexobj(array):
+        raise InputError(f"{name} must hold real numbers, got {array.dtype}")
+    wrong = np.argwhere(~np.isfinite(array))
+    if wrong.size:
+        i, j = wrong[0]
+        raise InputError(f"{name}[{i}, {j}] must be finite, got {array[i, j]}")
+    result = array.astype(float)
+    result.flags.writeable = False
+    return result

@@ -1,0 +1,256 @@
+"""The slave of a discrete-time block: what it holds, keeps, refuses, and what a sample costs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from timeit import repeat
+
+import casadi
+import numpy as np
+import pytest
+
+from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.controllers.equations import Vector, block
+from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.slave import (
+    BindsBuffers,
+    DeclaresFeedthrough,
+    Indices,
+    RealArray,
+    Sampled,
+    SavesState,
+    SlaveVariable,
+)
+from flexfmu.cosim.system import connect
+from flexfmu.fmu_build.errors import BuildError
+from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import Variable
+
+GAIN = Variable("gain", "1", "Gain", "parameter", 2.0, minimum=0.0, maximum=10.0)
+
+
+def running_sum(sample_time: float = 0.1, offset: float = 0.0) -> SymbolicBlock:
+    """sum_k+1 = sum_k + gain u; y = [sum, sum + u]."""
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        return casadi.vertcat(x, x + u), x + p * u
+
+    return block(
+        "sum",
+        "Running sum",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=[Variable("u", "N.m", "Input", "input", 1.0)],
+        outputs=[Variable("past", "N.m", "Sum so far", "output"), Variable("now", "N.m", "Sum with u", "output")],
+        parameters=[GAIN],
+        states=[3.0],
+    )
+
+
+def outputs(slave: BlockSlave) -> list[float]:
+    """Current outputs."""
+    indices = np.array([i for i, each in enumerate(slave.variables) if each.causality == "output"])
+    values = np.empty(indices.size)
+    slave.get(indices, values)
+    return list(values)
+
+
+class Clock:
+    """y = t."""
+
+    name = "clock"
+    variables = (SlaveVariable("y", "output"),)
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.time = start_time
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = self.time
+
+    def step(self, time: float, step: float) -> None:
+        self.time = time + step
+
+
+def test_protocols() -> None:
+    """The master offers everything to a block that it offers to sampled slaves."""
+    slave = BlockSlave(running_sum())
+    for protocol in (Sampled, SavesState, DeclaresFeedthrough, BindsBuffers):
+        assert isinstance(slave, protocol)
+
+
+def test_feedthrough_is_read_off_the_equations() -> None:
+    """The master opens loops at outputs that don't depend on the input at once, so the declaration must be exact."""
+    assert BlockSlave(running_sum()).feedthrough == {"past": (), "now": ("u",)}
+
+
+def test_variables() -> None:
+    """A block shows its inputs, parameters and outputs with units and start values; `1` fits every unit."""
+    assert BlockSlave(running_sum()).variables == (
+        SlaveVariable("u", "input", "N.m", 1.0),
+        SlaveVariable("gain", "parameter", "", 2.0),
+        SlaveVariable("past", "output", "N.m"),
+        SlaveVariable("now", "output", "N.m"),
+    )
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_samples(compiled: bool) -> None:
+    """Initialisation shows the start state without moving on; every sample moves on once, in two phases too."""
+    slave = BlockSlave(running_sum(), compiled=compiled)
+    slave.initialize(0.0, 1.0, None)
+    assert outputs(slave) == [3.0, 4.0]
+    slave.sample(0.0)
+    assert outputs(slave) == [3.0, 4.0]
+    slave.sample(0.1)
+    assert outputs(slave) == [5.0, 6.0]
+    slave.output(0.2)
+    slave.output(0.2)
+    assert outputs(slave) == [7.0, 8.0]
+    slave.set(np.array([0]), np.array([2.0]))
+    slave.update(0.2)
+    assert outputs(slave) == [7.0, 8.0]
+    slave.sample(0.3)
+    assert outputs(slave) == [11.0, 13.0]
+
+
+def test_compiled_code_gives_the_same_bits() -> None:
+    """Whether a block runs in CasADi's virtual machine or in C must not be seen in the results."""
+    model = pd([50.0, 60.0], [3.0, 4.0], sample_time=1e-3)
+    slaves = [BlockSlave(model, compiled=compiled) for compiled in (False, True)]
+    rng = np.random.default_rng(1)
+    inputs = np.arange(len(model.inputs))
+    for _ in range(50):
+        values = rng.normal(size=inputs.size)
+        for slave in slaves:
+            slave.set(inputs, values)
+            slave.sample(0.0)
+        assert outputs(slaves[0]) == outputs(slaves[1])
+
+
+def test_save_and_restore() -> None:
+    """Going back restores inputs, parameters, outputs and states, as often as wanted."""
+    slave = BlockSlave(running_sum())
+    slave.initialize(0.0, 1.0, None)
+    slave.sample(0.0)
+    state = slave.save()
+    futures = []
+    for _ in range(2):
+        slave.restore(state)
+        assert outputs(slave) == [3.0, 4.0]
+        for value in (1.0, 2.0, 5.0):
+            slave.sample(0.0)
+            slave.set(np.array([0, 1]), np.array([value, value]))
+        futures.append(outputs(slave))
+    assert futures[0] == futures[1]
+    with pytest.raises(InputError, match="not saved by this slave"):
+        slave.restore(np.zeros(2))
+
+
+def test_initialisation_begins_anew() -> None:
+    """A second run with the same slave gives what the first one gave, with the parameters that have been set."""
+    slave = BlockSlave(running_sum())
+    runs = []
+    slave.set(np.array([1]), np.array([4.0]))
+    for _ in range(2):
+        slave.initialize(0.0, 1.0, None)
+        slave.sample(0.0)
+        slave.sample(0.1)
+        runs.append(outputs(slave))
+    assert runs == [[7.0, 8.0]] * 2
+
+
+@pytest.mark.parametrize(("indices", "expected"), [([2, 3], [3.0, 4.0]), ([3, 0], [4.0, 1.0]), ([1], [2.0])])
+def test_bound_reading(indices: list[int], expected: list[float]) -> None:
+    """A bound transfer reads what `get` reads, whether its variables are neighbours or not."""
+    slave = BlockSlave(running_sum())
+    slave.initialize(0.0, 1.0, None)
+    values = np.empty(len(indices))
+    slave.bind_get(np.array(indices), values)()
+    assert list(values) == expected
+
+
+def test_bound_writing() -> None:
+    """A bound transfer sets the inputs it was bound to, neighbours or not, and no parameters."""
+    slave = BlockSlave(pd(1.0, 1.0, sample_time=1e-3))
+    count = len(slave.block.inputs)
+    read, got = np.arange(count), np.empty(count)
+    for indices in (np.arange(2, 5), np.array([7, 1, 4])):
+        values = np.random.default_rng(3).normal(size=3)
+        slave.bind_set(indices, values)()
+        slave.get(read, got)
+        np.testing.assert_array_equal(got[indices], values)
+    with pytest.raises(InputError, match="only inputs can be connected"):
+        slave.bind_set(np.array([count]), np.empty(1))
+
+
+@pytest.mark.parametrize(("indices", "value", "message"), [
+    (2, 1.0, "sum.past is an output"),
+    (1, -0.5, r"gain must be at least 0.0 1, got -0.5"),
+    (1, 11.0, r"gain must be at most 10.0 1, got 11.0"),
+    (1, np.nan, r"gain must be a finite number in 1, got nan"),
+])  # fmt: skip
+def test_refused_values(indices: int, value: float, message: str) -> None:
+    """Outputs can't be set, and parameters keep to their range."""
+    with pytest.raises(InputError, match=message):
+        BlockSlave(running_sum()).set(np.array([indices]), np.array([value]))
+
+
+@pytest.mark.parametrize("offset", [0.0])
+def test_sample_and_hold(offset: float) -> None:
+    """Between its instants offset + k * sample_time the outputs are held; before the first they are as initialised."""
+    slave = BlockSlave(running_sum(sample_time=0.2, offset=offset))
+    result = simulate(connect([Clock(), slave], [("clock.y", "sum.u")]), stop=1.0, step=0.05)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    time, now = result.recording.time, result.recording["sum.now"].values
+    past = result.recording["sum.past"].values
+    instants = offset + 0.2 * np.arange(5)
+    sums = 3.0 + 2.0 * np.concatenate([[0.0], np.cumsum(instants)])
+    for k, instant in enumerate(instants):
+        held = (time > instant + 1e-9) & (time < instant + 0.2 - 1e-9)
+        np.testing.assert_allclose(past[held], sums[k], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(now[held], sums[k] + instant, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(now[time < offset - 1e-9], 3.0)
+
+
+def test_not_a_number_stops_the_run() -> None:
+    """A controller whose result is not a number stops the run with its name, time and output."""
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        return casadi.sqrt(0.45 - u), x
+
+    variables = [Variable("u", "1", "Input", "input", 0.0)], [Variable("y", "1", "Output", "output")]
+    slave = BlockSlave(block("root", "Root", equations, sample_time=0.1, inputs=variables[0], outputs=variables[1]))
+    result = simulate(connect([Clock(), slave], [("clock.y", "root.u")]), stop=1.0, step=0.1)
+    assert result.outcome is Outcome.NOT_FINITE
+    assert result.message.startswith("root failed at 0.5 s: y became nan")
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"sample_time": 0.0}, r"sample time of block 'sum' must be positive, got 0.0 s"),
+    ({"sample_time": -1e-3}, r"sample time of block 'sum' must be positive, got -0.001 s"),
+    ({"sample_time": np.nan}, r"sample time of block 'sum' must be positive, got nan s"),
+    ({"offset": -0.1}, r"offset of block 'sum' must be zero or positive, got -0.1 s"),
+    ({"states": (np.inf,)}, r"start value 0 of the states of block 'sum' must be finite, got inf"),
+    ({"states": (1.0, 2.0)}, r"'output' of block 'sum' must take \(x, u, p\) of sizes \(2, 1, 1\) and give 2 values"),
+    ({"inputs": (Variable("now", "1", "Twice", "input", 0.0),)}, r"two variables are named 'now'"),
+    ({"parameters": (replace(GAIN, start=-1.0),)}, r"gain must be at least 0.0 1, got -1.0"),
+    ({"parameters": (replace(GAIN, start=None),)}, r"gain must be a finite number in 1, got None"),
+])  # fmt: skip
+def test_blocks_that_contradict_themselves(change: dict[str, object], message: str) -> None:
+    """A wrong block is refused with its name, the value and what would be right, before anything runs."""
+    with pytest.raises((InputError, BuildError), match=message):
+        BlockSlave(replace(running_sum(), **change))
+
+
+def test_cost_of_a_sample() -> None:
+    """At 4 kHz a controller must cost less than the plant: a sample with its transfers stays below 5 microseconds."""
+    slave = BlockSlave(pd(50.0, 3.0, sample_time=1e-3))
+    slave.initialize(0.0, 1.0, None)
+    count = 2000
+    seconds = min(repeat(lambda: slave.sample(0.0), number=count, repeat=20)) / count
+    assert seconds < 5e-6
