@@ -5,13 +5,13 @@ They are imported when their command runs: CasADi, SciPy and Matplotlib are too 
 
 from __future__ import annotations
 
-from importlib.metadata import version
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flexfmu.cosim.cli_errors import one_line_errors
+from flexfmu.cosim.cli_errors import FAILURE, one_line_errors, show_error
 
 app = typer.Typer(
     name="flexfmu",
@@ -37,11 +37,20 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JS
 
 def main() -> None:
     """Entry point of the command ``flexfmu``."""
-    app()
+    try:
+        app()
+    except OSError as error:  # a help text that can't be written; the commands catch their own
+        from flexfmu.cosim.cli_console import abandon_stdout
+
+        abandon_stdout()
+        show_error(f"can't write to standard output: {error.strerror or error}")
+        sys.exit(FAILURE)
 
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version
+
         from flexfmu.cosim.cli_console import print_text
 
         with one_line_errors():
@@ -129,7 +138,9 @@ def modes(
 
 @app.command()
 def validate(
-    fmu: Annotated[Path, typer.Argument(metavar="FILE.fmu", help="The FMU to check.", show_default=False)],
+    fmu: Annotated[
+        Path, typer.Argument(metavar="FILE.fmu", help="The FMU to check.", show_default=False, readable=False)
+    ],
     json: JsonOption = False,
 ) -> None:
     """Check an FMU: its model description and archive, then a simulation with its default experiment."""

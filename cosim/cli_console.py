@@ -6,6 +6,8 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from io import StringIO
+from typing import TextIO
 
 import typer
 from rich.console import Console, RenderableType
@@ -23,37 +25,46 @@ def print_text(text: str) -> None:
     """Write to standard output at once. A reader that has gone away ends the command without a word.
 
     Raises:
-        ResultsError: standard output can't be written, a full disk for example.
+        ResultsError: standard output is closed or can't be written, a full disk for example.
     """
+    stdout = _stdout()
     try:
-        sys.stdout.write(_writable(text))
-        sys.stdout.flush()
+        stdout.write(text.encode(stdout.encoding or "utf-8", "replace").decode(stdout.encoding or "utf-8"))
+        stdout.flush()
     except BrokenPipeError:
-        _abandon_stdout()
+        abandon_stdout()
         raise typer.Exit(1) from None
     except OSError as error:
-        _abandon_stdout()
+        abandon_stdout()
         raise ResultsError(f"can't write to standard output: {error.strerror or error}") from error
 
 
 def print_rich(*parts: RenderableType) -> None:
-    """Write tables and styled text to standard output, in colours where it is a terminal."""
-    console = stdout_console()
-    with console.capture() as capture:
+    """Write tables and styled text to standard output; see `rich_output`."""
+    with rich_output() as console:
         for part in parts:
             console.print(part)
-    print_text(capture.get())
 
 
-def stdout_console() -> Console:
-    """A console on standard output, as wide as the terminal."""
-    return Console(highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
+@contextmanager
+def rich_output() -> Iterator[Console]:
+    """A console whose text goes to standard output in the end: as wide as the terminal, and in colours where there is one.
+
+    Raises:
+        ResultsError: standard output is closed or can't be written.
+    """
+    is_terminal, text = _stdout().isatty(), StringIO()
+    yield Console(
+        file=text, force_terminal=is_terminal or None, width=None if is_terminal else PIPED_WIDTH, highlight=False
+    )
+    print_text(text.getvalue())
 
 
 @contextmanager
 def progress() -> Iterator[Step]:
     """A progress bar on standard error; nothing when that is piped."""
-    if not sys.stderr.isatty():
+    stderr: TextIO | None = sys.stderr
+    if stderr is None or not stderr.isatty():
         yield lambda text, fraction: None
         return
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -66,13 +77,19 @@ def progress() -> Iterator[Step]:
         )
 
 
-def _writable(text: str) -> str:
-    """The text with characters that standard output can't encode replaced."""
-    encoding = sys.stdout.encoding or "utf-8"
-    return text.encode(encoding, "replace").decode(encoding)
+def _stdout() -> TextIO:
+    """Standard output.
+
+    Raises:
+        ResultsError: the command was started without one.
+    """
+    stdout: TextIO | None = sys.stdout
+    if stdout is None:
+        raise ResultsError("can't write to standard output: it is closed")
+    return stdout
 
 
-def _abandon_stdout() -> None:
+def abandon_stdout() -> None:
     """Point standard output to nowhere, or Python complains once more when it flushes at exit."""
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TextIO
 
 import typer
 
@@ -36,8 +37,10 @@ def one_line_errors() -> Iterator[None]:
 
 
 def show_error(message: str) -> None:
-    """One line on standard error."""
-    print(f"flexfmu: {' '.join(message.split())}", file=sys.stderr)
+    """One line on standard error, if there is one."""
+    stderr: TextIO | None = sys.stderr
+    if stderr is not None:
+        print(f"flexfmu: {' '.join(message.split())}", file=stderr)
 
 
 def _exit_status(error: Exception) -> int | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from flexfmu.cosim.cli_console import print_text, progress, stdout_console
+from flexfmu.cosim.cli_console import print_text, progress, rich_output
 
 
 def paper_command(out: Path | None, as_json: bool) -> int:
@@ -18,8 +18,7 @@ def paper_command(out: Path | None, as_json: bool) -> int:
     if as_json:
         print_text(report.to_json())
         return 0
-    console = stdout_console()
-    with console.capture() as capture:
+    with rich_output() as console:
         print_report(report, console)
-    print_text(f"{capture.get()}Report, tables and figures are in {folder}\n")
+    print_text(f"Report, tables and figures are in {folder}\n")
     return 0

@@ -78,19 +78,26 @@ def test_closed_reader_before_the_output_comes() -> None:
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
-def test_full_device_as_standard_output() -> None:
-    """A full disk behind standard output is an error in one line."""
+@pytest.mark.parametrize(
+    "arguments", ["modes barnard2012-6kg --poses 3", "modes barnard2012-6kg --json", "--help", "--version"]
+)
+def test_full_device_as_standard_output(arguments: str) -> None:
+    """A full disk behind standard output is an error in one line, for tables, JSON and help alike."""
     with FULL.open("w") as full:
         outcome = subprocess.run(
-            [*FLEXFMU, "modes", SCENE, "--poses", "3"],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=120,
-            check=False,
+            [*FLEXFMU, *arguments.split()], stdout=full, stderr=subprocess.PIPE, text=True, timeout=120, check=False
         )
     assert (outcome.returncode, outcome.stderr.count("\n")) == (1, 1)
-    assert "No space left on device" in outcome.stderr
+    assert "can't write to standard output: No space left on device" in outcome.stderr
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the shell closes streams as POSIX does")
+def test_closed_streams() -> None:
+    """Started without standard output, the command says so in one line; without standard error it is silent there."""
+    modes = f"{shlex.join(FLEXFMU)} modes"
+    command = f"{modes} {SCENE} --poses 3 >&-; echo $?; {modes} nowhere 2>&-; echo $?"
+    outcome = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=120, check=False)
+    assert (outcome.stdout, outcome.stderr) == ("1\n2\n", "flexfmu: can't write to standard output: it is closed\n")
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="this system has no /proc")
