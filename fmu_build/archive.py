@@ -38,9 +38,9 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises:
         ArchiveError: the folder is missing and cannot be made, read-only or full, or ``path`` is a folder.
     """
-    if path.is_dir():
-        raise ArchiveError(f"cannot write {path}: it is a folder; give the name of a file")
     try:
+        if path.is_dir():
+            raise ArchiveError(f"cannot write {path}: it is a folder; give the name of a file")
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:

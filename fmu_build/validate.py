@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -35,10 +36,16 @@ def validate_fmu(path: Path) -> list[Finding]:
 
 def _read(path: Path) -> dict[str, bytes]:
     """Content of the archive, path inside → bytes; every entry is read, so its checksum is checked."""
-    if not path.is_file():
-        raise ArchiveError(f"no FMU at {path}; build one with: flexfmu build SCENE -o {path.name}")
     try:
-        with zipfile.ZipFile(path) as archive:
+        content = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
+        raise ArchiveError(
+            f"no FMU at {path}; build one with: flexfmu build SCENE -o {path.name or 'NAME.fmu'}"
+        ) from error
+    except OSError as error:
+        raise ArchiveError(f"cannot read the FMU {path}: {error.strerror}; check its permissions") from error
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
             files = {entry.filename: archive.read(entry) for entry in archive.infolist() if not entry.is_dir()}
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError) as error:
         raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
