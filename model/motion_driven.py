@@ -66,6 +66,7 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
         static_start=scene.cosimulation.initial == "static",
         margin_name=MARGIN_NAME,
         minimum_margin=MINIMUM_SINE,
+        rate_inputs=4,
         effects=five_bar.sentences,
     )
 

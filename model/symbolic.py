@@ -81,6 +81,7 @@ class SymbolicModel:
         locked: number of leading unknowns that are actuated: they start at `initial_coordinates`, are held there while
             the others find their static equilibrium, and each belongs to the input of the same index, a generalised
             force that holds the equilibrium unless somebody sets it.
+        rate_inputs: number of trailing inputs that are rates: zero at rest, so the static equilibrium doesn't see them.
         effects: what the model contains, for documentation: effect → sentence.
     """
 
@@ -96,6 +97,7 @@ class SymbolicModel:
     margin_name: str
     minimum_margin: float
     locked: int = 0
+    rate_inputs: int = 0
     effects: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -35,6 +35,7 @@ typedef struct {
                        equilibrium; each belongs to the input of the same index, a generalised force that enters the
                        residual with the factor -1 and holds the equilibrium unless it is set */
   int n_inputs;     /* m */
+  int n_rate_inputs; /* the last inputs are rates, zero at rest: the static equilibrium doesn't see them */
   int n_parameters; /* FMI parameters p */
   int n_derived;    /* derived parameters d */
   int n_outputs;

@@ -167,12 +167,20 @@ static flex_outcome start_undeformed(flex_plant *plant, double *margin) {
   return *margin >= plant->model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR;
 }
 
+// the inputs of the robot at rest
+static const double *inputs_at_rest(flex_plant *plant) {
+  int count = plant->inputs.count, rates = plant->model->n_rate_inputs;
+  memcpy(plant->u2, plant->u, (size_t)count * sizeof(double));
+  for (int i = count - rates; i < count; i++) plant->u2[i] = 0.0;
+  return plant->u2;
+}
+
 // forces that nobody has set hold the locked unknowns against the static loads
-static flex_outcome hold_locked(flex_plant *plant, const double *y) {
+static flex_outcome hold_locked(flex_plant *plant, const double *u, const double *y) {
   flex_statics *statics = &plant->statics;
-  if (flex_statics_forces(statics, &plant->equations, plant->u, y)) return FLEX_NOT_FINITE;
+  if (flex_statics_forces(statics, &plant->equations, u, y)) return FLEX_NOT_FINITE;
   for (int i = 0; i < plant->model->n_locked; i++)
-    if (!plant->inputs.given[i]) flex_inputs_default(&plant->inputs, i, plant->u[i] + statics->residual[i]);
+    if (!plant->inputs.given[i]) flex_inputs_default(&plant->inputs, i, u[i] + statics->residual[i]);
   flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->u);
   return all_finite(plant->u, plant->inputs.count) ? FLEX_DONE : FLEX_NOT_FINITE;
 }
@@ -189,11 +197,12 @@ static flex_outcome start_static(flex_plant *plant, double *value) {
   int holds = needs_holding(plant);
   if (!plant->record->starts_static && !holds) return FLEX_DONE;
   size_t size = (size_t)plant->model->n * sizeof(double);
+  const double *u = inputs_at_rest(plant);
   double *y = gauss->full_y;
   memcpy(y, gauss->y, size);
   flex_outcome outcome =
-      flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *gauss->floor, plant->u, y, value);
-  if (outcome == FLEX_DONE && holds) outcome = hold_locked(plant, y);
+      flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *gauss->floor, u, y, value);
+  if (outcome == FLEX_DONE && holds) outcome = hold_locked(plant, u, y);
   if (outcome == FLEX_DONE && plant->record->starts_static) memcpy(gauss->y, y, size);
   return outcome;
 }
