@@ -121,7 +121,8 @@ def run_scene(
 
     Raises:
         TrajectoryError: the motion is not feasible.
-        InputError: the FMU can't be loaded or lacks a variable; a parameter doesn't exist or is out of range.
+        InputError: the scene is driven by torques, which nobody sets here; the FMU can't be loaded or lacks a variable;
+            a parameter doesn't exist or is out of range.
         BuildError: the FMU can't be built (no compiler, for example).
     """
     planning = perf_counter()
@@ -151,6 +152,15 @@ def run_scene(
         health=Health(plant.statistics, plant.messages),
         timing=Timing(building - planning, loading - building, simulating - loading, done - simulating),
     )
+
+
+def _check_drive(scene: Scene) -> None:
+    """The planned motion is all that drives a scene."""
+    if scene.cosimulation.drive != "motion":
+        raise InputError(
+            f"`cosimulation.drive` = {scene.cosimulation.drive!r}: a scene is run by its motion alone; use 'motion', or "
+            f"build the FMU and set its torques from a script (scene {scene.name})"
+        )
 
 
 def _parameters(scene: Scene, path: Path, initial: str | None, changes: Mapping[str, float]) -> dict[str, Value]:
