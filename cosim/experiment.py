@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
+from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.fmu_file import open_fmu
 from flexfmu.cosim.fmu_slave import FmuSlave
 from flexfmu.cosim.fmu_variables import Value, parameter_names
