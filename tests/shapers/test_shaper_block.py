@@ -1,0 +1,93 @@
+"""The shaper for sampled signals: the same numbers as the closed form with split impulses."""
+
+from __future__ import annotations
+
+import casadi
+import numpy as np
+import pytest
+
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.cosim.shaper_block import JOINT_REFERENCES, ShapedSignal, shaper_block
+from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.scene_file import load_scene
+from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory, design
+
+MODE = Oscillator(58.0, 0.02)
+
+
+@pytest.fixture(scope="module")
+def motion() -> MotionPlan:
+    """The paper's motion with jumps of the acceleration."""
+    return plan(load_scene("barnard2012-6kg").replace({"trajectory.profile": {"kind": "bang-bang"}}))
+
+
+def respond(block: SymbolicBlock, inputs: np.ndarray) -> np.ndarray:
+    """Outputs (N, outputs) for samples of the inputs (N, inputs)."""
+    state, outputs = casadi.DM(block.states), []
+    for u in inputs:
+        outputs.append(np.asarray(block.output(state, u, []).full()).ravel())
+        state = block.update(state, u, [])
+    return np.array(outputs)
+
+
+@pytest.mark.parametrize("sample_time", [1e-3, 2.5e-4, 0.73e-3])
+@pytest.mark.parametrize("name", ["um-zv", "zv", "zvdd", "3-hump-ei"])
+def test_sampled_shaper_is_the_closed_form(motion: MotionPlan, name: str, sample_time: float) -> None:
+    """Position, velocity and acceleration of both joints are Σ w_i q(t_k - i h) to 1e-12, from rest to rest."""
+    sequence = design(name, [MODE])
+    time = sample_time * np.arange(int((motion.duration + sequence.duration) / sample_time) + 10)
+    inputs = motion.joints.evaluate(time, 2).swapaxes(0, 1).reshape(len(time), 6)
+    found = respond(shaper_block(sequence, sample_time), inputs)
+    expected = ShapedTrajectory(motion.joints, sequence.split(sample_time)).evaluate(time, 2)
+    scale = np.max(np.abs(expected), axis=(1, 2))
+    for order in range(3):
+        # the shaped trajectory is exact at breakpoints, where rounding decides on which side of a jump a sample lies
+        clear = np.min(np.abs(time[:, None] - _jumps(motion, sequence, sample_time)), axis=1) > 1e-9
+        rows = clear if order == 2 else slice(None)
+        difference = found[rows, 2 * order : 2 * order + 2] - expected[order][rows]
+        np.testing.assert_allclose(difference / scale[order], 0.0, atol=1e-12)
+
+
+def _jumps(motion: MotionPlan, sequence: ImpulseSequence, sample_time: float) -> np.ndarray:
+    points = [[delay + point for point in motion.joints.breakpoints] for delay in sequence.split(sample_time).times]
+    return np.ravel(points)
+
+
+def test_standstill_stays(motion: MotionPlan) -> None:
+    """A machine that rests anywhere is left there from the first sample on: nothing starts from zero."""
+    block = shaper_block(design("zvd", [MODE]), 1e-3)
+    pose = np.array([1.97, -0.1, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(respond(block, np.tile(pose, (60, 1))), np.tile(pose, (60, 1)), rtol=1e-15)
+
+
+def test_a_step_becomes_the_staircase_of_the_impulses() -> None:
+    """A unit step in a signal that was zero before leaves the sums of the split amplitudes."""
+    sequence = ImpulseSequence((0.0, 2.25e-3), (0.4, 0.6))
+    block = shaper_block(sequence, 1e-3, [ShapedSignal("signal", "1", "zero")])
+    np.testing.assert_allclose(respond(block, np.ones((6, 1)))[:, 0], [0.4, 0.4, 0.85, 1.0, 1.0, 1.0], atol=1e-15)
+
+
+def test_variables_and_feedthrough() -> None:
+    """Outputs are named after the inputs and depend directly on their own input alone."""
+    block = shaper_block(design("ei", [MODE]), 1e-3, offset=5e-4, name="zv1")
+    assert [variable.name for variable in block.inputs] == [signal.name for signal in JOINT_REFERENCES]
+    assert [variable.unit for variable in block.outputs] == [signal.unit for signal in JOINT_REFERENCES]
+    assert block.feedthrough == {f"shaped.{signal.name}": (signal.name,) for signal in JOINT_REFERENCES}
+    assert (block.sample_time, block.offset, block.name) == (1e-3, 5e-4, "zv1")
+
+
+def test_no_shaping_passes_signals_through() -> None:
+    """One impulse needs no delay line; a single held signal keeps its own origin."""
+    block = shaper_block(UNSHAPED, 1e-3, [ShapedSignal("angle", "rad", "held")])
+    np.testing.assert_array_equal(respond(block, np.array([[2.0], [3.0], [-1.0]]))[:, 0], [2.0, 3.0, -1.0])
+
+
+def test_bad_sample_times_are_refused() -> None:
+    """A sample time of nothing, or one that needs an endless line, is named with what would do."""
+    with pytest.raises(InputError, match="sample time must be positive, got 0"):
+        shaper_block(UNSHAPED, 0.0)
+    with pytest.raises(InputError, match=r"sample time of 1e-07 s makes a line of .* choose a larger sample time"):
+        shaper_block(design("zv", [MODE]), 1e-7)
+    with pytest.raises(InputError, match="at least one signal"):
+        shaper_block(UNSHAPED, 1e-3, [])
