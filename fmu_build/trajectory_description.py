@@ -1,0 +1,133 @@
+"""What the FMU of a trajectory says of itself: references with their derivatives, breakpoints, accuracy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from flexfmu.fmu_build.description import Description
+from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.interface import EnumerationType, FmiVariable, Interface, Unknown, check_names, real_variable
+from flexfmu.fmu_build.templating import render
+from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, TrajectoryTable
+from flexfmu.model.symbolic import Variable
+
+LIMIT = "limit"
+LIMIT_TYPE = EnumerationType(
+    "Limit",
+    "What is shown at a breakpoint",
+    {
+        "left": (1, "left limits: the end of the piece that was run through"),
+        "right": (2, "right limits: the next piece"),
+    },
+)
+
+_PER_TIME = ("", "/s", "/s2")
+
+
+@dataclass(frozen=True)
+class TableMotion:
+    """A trajectory as its FMU contains it.
+
+    Attributes:
+        name: model name.
+        axes: names of the components.
+        unit: unit of the positions.
+        breakpoints: times at which derivatives may jump [s].
+        table: its knots.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    unit: str
+    breakpoints: tuple[float, ...]
+    table: TrajectoryTable
+
+    @property
+    def description(self) -> str:
+        """One sentence."""
+        return f"Position, velocity and acceleration of {', '.join(self.axes)} over {self.breakpoints[-1]!r} s."
+
+    @property
+    def outputs(self) -> tuple[Variable, ...]:
+        """Positions of all axes, velocities, accelerations."""
+        return tuple(
+            Variable(
+                name=f"{axis}.reference.{kind}",
+                unit=self.unit + per_time,
+                description=f"{kind.capitalize()} of {axis}",
+                causality="output",
+                derivative_of=f"{axis}.reference.{KINDS[order - 1]}" if order else None,
+            )
+            for order, (kind, per_time) in enumerate(zip(KINDS, _PER_TIME, strict=True))
+            for axis in self.axes
+        )
+
+
+def trajectory_description(motion: TableMotion) -> Description:
+    """What the model description says.
+
+    Raises:
+        ModelError: an axis is named twice, or the unit is unknown.
+    """
+    points = " ".join(map(repr, motion.breakpoints))
+    return Description(
+        name=motion.name,
+        text=f"{motion.description} Output derivatives of orders 1 to {END_ORDER}; at breakpoints the limit that the "
+        "parameter 'limit' chooses.",
+        interface=trajectory_interface(motion),
+        types=(LIMIT_TYPE,),
+        max_output_order=END_ORDER,
+        annotations={"Breakpoints": {"times": points}},
+    )
+
+
+def trajectory_interface(motion: TableMotion) -> Interface:
+    """Number the outputs and the choice of the limit.
+
+    Raises:
+        ModelError: a name is given twice.
+    """
+    names = [output.name for output in motion.outputs]
+    check_names([*names, LIMIT])
+    index_of = {name: index for index, name in enumerate(names, start=1)}
+    reals = tuple(real_variable(output, index_of) for output in motion.outputs)
+    limit = FmiVariable(
+        index=len(reals) + 1,
+        value_reference=0,
+        kind="Enumeration",
+        name=LIMIT,
+        description=LIMIT_TYPE.description,
+        causality="parameter",
+        variability="tunable",
+        initial="exact",
+        start=1,
+        declared_type=LIMIT_TYPE.name,
+    )
+    outputs = tuple(Unknown(variable.index, ()) for variable in reals)
+    return Interface(
+        variables=(*reals, limit),
+        outputs=outputs,
+        derivatives=tuple(each for each, real in zip(outputs, reals, strict=True) if real.derivative is not None),
+        initial_unknowns=tuple(Unknown(variable.index, (limit.index,)) for variable in reals),
+    )
+
+
+def trajectory_documentation(motion: TableMotion, experiment: DefaultExperiment) -> dict[str, str]:
+    """Files of the folder ``documentation/``: path below the FMU's root → text."""
+    page = render(
+        "trajectory.html.j2",
+        model=motion,
+        experiment=experiment,
+        table=motion.table,
+        breakpoints=motion.breakpoints,
+        duration=motion.breakpoints[-1],
+        errors=_by_kind(motion.table.errors),
+        max_order=END_ORDER,
+        variables=trajectory_interface(motion).variables,
+    )
+    return {"documentation/index.html": page, "documentation/licenses/license.txt": render("license.txt")}
+
+
+def _by_kind(errors: Sequence[float]) -> dict[str, float]:
+    return dict(zip(KINDS, errors, strict=True))
