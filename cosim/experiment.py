@@ -126,6 +126,7 @@ def run_scene(
             a parameter doesn't exist or is out of range.
         BuildError: the FMU can't be built (no compiler, for example).
     """
+    _check_drive(scene)
     planning = perf_counter()
     motion = plan(scene) if motion is None else motion
     building = perf_counter()
