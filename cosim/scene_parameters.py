@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.model.scene import Link, ModalDamping, Scene, StiffnessDamping
+from flexfmu.model.scene import Effects, Link, ModalDamping, Scene, StiffnessDamping
 
 
 def scene_parameters(scene: Scene) -> dict[str, float]:
     """All parameters that an FMU of any effects may have, named as in the FMU, in SI units.
 
-    What the scene leaves out is zero.
+    What the scene leaves out is zero; the stiffness of a transmission that isn't elastic has no value.
     """
     mechanism, damping = scene.mechanism, scene.effects.damping
     return {
@@ -25,27 +25,46 @@ def scene_parameters(scene: Scene) -> dict[str, float]:
         "gravity.y": scene.effects.gravity[1],
         "damping.ratio": damping.ratio if isinstance(damping, ModalDamping) else 0.0,
         "damping.time": damping.time if isinstance(damping, StiffnessDamping) else 0.0,
+        **_drives(scene.effects),
         "start.x": scene.trajectory.start[0],
         "start.y": scene.trajectory.start[1],
     }
 
 
-EFFECTS = ("payload.mass", "gravity.x", "gravity.y", "damping.ratio", "damping.time")
+EFFECTS = (
+    "payload.mass",
+    "gravity.x",
+    "gravity.y",
+    "damping.ratio",
+    "damping.time",
+    "motor_inertia",
+    "joint_friction.viscous",
+    "joint_friction.coulomb",
+    "transmission.stiffness",
+    "transmission.damping",
+)
 """Parameters without which an FMU lacks the effect itself; zero switches it off."""
+
+STIFFNESS = "transmission.stiffness"
+"""The one effect that no number switches off."""
 
 
 def parameters_for(scene: Scene, available: Collection[str]) -> dict[str, float]:
     """The scene's values of those parameters that an FMU has.
 
     Raises:
-        InputError: the scene has an effect that the FMU lacks.
+        InputError: the scene has an effect that the FMU lacks, or rigid transmissions where the FMU's are elastic.
     """
     values = scene_parameters(scene)
     for name in EFFECTS:
-        if values[name] != 0.0 and name not in available:
+        if values.get(name, 0.0) != 0.0 and name not in available:
             raise InputError(
                 f"the FMU lacks {name}, which is {values[name]} in scene {scene.name}; build it from this scene"
             )
+    if STIFFNESS in available and STIFFNESS not in values:
+        raise InputError(
+            f"the FMU has elastic transmissions, scene {scene.name} has rigid ones; build the FMU from this scene"
+        )
     return {name: value for name, value in values.items() if name in available}
 
 
@@ -53,3 +72,17 @@ def _link(name: str, link: Link) -> dict[str, float]:
     """Parameters of a kind of link."""
     sizes = {"length": link.length, "diameter": link.diameter, "inner_diameter": link.inner_diameter}
     return {f"{name}.{key}": value for key, value in sizes.items()}
+
+
+def _drives(effects: Effects) -> Mapping[str, float]:
+    """Parameters of motors, friction and transmissions."""
+    friction, transmission = effects.joint_friction, effects.transmission
+    found = {
+        "motor_inertia": effects.motor_inertia,
+        "joint_friction.viscous": friction.viscous,
+        "joint_friction.coulomb": friction.coulomb,
+        "joint_friction.velocity": friction.velocity,
+    }
+    if transmission is not None:
+        found |= {STIFFNESS: transmission.stiffness, "transmission.damping": transmission.damping}
+    return found

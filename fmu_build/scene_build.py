@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 _PATH_KEYS = {"lift", "height", "width", "blend", "profile", "duration", "dwell"}
 _RUN_KEYS = {"step", "tolerance", "settling_band"}
-_WITHOUT_INFLUENCE: Any = {"trajectory": _PATH_KEYS, "cosimulation": _RUN_KEYS}
+_LOOP = dict.fromkeys(("controller", "shaper", "imperfection"), True)
+_WITHOUT_INFLUENCE: Any = {"trajectory": _PATH_KEYS, "cosimulation": _RUN_KEYS, **_LOOP}
 """Keys of the scene that the model never sees; whatever is not listed here counts."""
 
 

@@ -5,35 +5,19 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
+
+from flexfmu.model.scene_sections import ControllerSection, ImperfectionSection, ShaperSection
+from flexfmu.model.section import Seconds, SecondsOrZero, Section, as_tuple, quantity
 
 MAXIMUM_MODES = 40
 """Largest number of modes of one family; far above what the 1e-10 orthogonality of the shapes has been tested for."""
 
-
-def _as_tuple(value: Any) -> Any:
-    """TOML arrays are lists; vectors are tuples."""
-    return tuple(value) if isinstance(value, list) else value
-
-
-def quantity(unit: str, **bounds: Any) -> Any:
-    """A field whose unit goes into error messages and documentation."""
-    return Field(json_schema_extra={"unit": unit}, **bounds)
-
-
 Length = Annotated[float, quantity("m", gt=0.0)]
 LengthOrZero = Annotated[float, quantity("m", ge=0.0)]
-Seconds = Annotated[float, quantity("s", gt=0.0)]
-SecondsOrZero = Annotated[float, quantity("s", ge=0.0)]
-Point = Annotated[tuple[float, float], BeforeValidator(_as_tuple), quantity("m")]
-Direction = Annotated[tuple[float, float], BeforeValidator(_as_tuple), quantity("1")]
+Point = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
+Direction = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("1")]
 ModeCount = Annotated[int, quantity("modes", ge=0, le=MAXIMUM_MODES)]
-
-
-class Section(BaseModel):
-    """A frozen section of the scene file: unknown keys, wrong types, NaN and infinity are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class Link(Section):
@@ -117,7 +101,7 @@ class Transmission(Section):
 class Effects(Section):
     """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code."""
 
-    gravity: Annotated[tuple[float, float], BeforeValidator(_as_tuple), quantity("m/s2")]
+    gravity: Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m/s2")]
     basis: Literal["assumed-modes"]
     proximal_bending: ModeCount = 0
     proximal_axial: ModeCount = 0
@@ -203,6 +187,9 @@ class Scene(Section):
     effects: Effects
     trajectory: TrajectorySection
     cosimulation: Cosimulation
+    controller: Annotated[tuple[ControllerSection, ...], BeforeValidator(as_tuple)] = ()
+    shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_tuple)] = ()
+    imperfection: Annotated[tuple[ImperfectionSection, ...], BeforeValidator(as_tuple)] = ()
 
     @model_validator(mode="after")
     def _modes_agree_with_start_pose(self) -> Self:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
@@ -88,11 +89,13 @@ def _sentence(error: ErrorDetails) -> str:
         return _unknown_key(keys, model)
     if kind == "value_error":
         return f"{f'in `{key}`: ' if key else ''}{context['error']}"
+    if kind == "tuple_type" and isinstance(error["input"], dict):
+        return f"`{key}` is a list of tables: write [[{key}]] instead of [{key}]"
     if kind in _BOUNDS:
         return f"`{key}` must be {_BOUNDS[kind].format(**context)}{unit_text}, got {error['input']!r}{unit_text}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         return (
-            f"`{key}.kind` must be one of {context.get('expected_tags') or _tags(keys)}, got {error['input'].get('kind')!r}"
+            f"`{key}.kind` must be one of {context.get('expected_tags') or _tags(error['loc'])}, got {error['input'].get('kind')!r}"
             if isinstance(error["input"], dict)
             else f"`{key}` must be a table with a `kind`, got {error['input']!r}"
         )
@@ -107,8 +110,15 @@ _BOUNDS = {
 }
 
 
-def _tags(keys: list[str]) -> str:
-    return "'none', 'modal', 'stiffness'" if keys[-1] == "damping" else "the known kinds"
+def _tags(location: tuple[Any, ...]) -> str:
+    """All kinds of the section at one of pydantic's locations."""
+    annotation: Any = Scene
+    for part in location:
+        holder = next(_sections(annotation), None)
+        if isinstance(part, str) and holder is not None and part in holder.model_fields:
+            annotation = holder.model_fields[part].annotation
+    kinds = [kind for model in _sections(annotation) for kind in get_args(model.model_fields["kind"].annotation)]
+    return ", ".join(map(repr, kinds))
 
 
 def _plain(message: str) -> str:
@@ -119,35 +129,41 @@ def _plain(message: str) -> str:
 def _locate(location: tuple[Any, ...]) -> tuple[list[str], type[BaseModel] | None, str]:
     """Keys of the scene file, the section that holds the last one, and the unit, for one of pydantic's locations."""
     keys: list[str] = []
-    model: type[BaseModel] | None = Scene
-    holder, unit = model, ""
+    variants: list[type[BaseModel]] = [Scene]
+    holder: type[BaseModel] | None = Scene
+    unit = ""
     for part in location:
-        fields = model.model_fields if model is not None else {}
-        if isinstance(part, str) and part in fields:
-            keys.append(part)
-            holder, field = model, fields[part]
-            extra = field.json_schema_extra
-            unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-            model = next((t for t in (field.annotation, *get_args(field.annotation)) if _is_section(t)), None)
-            variants = [t for t in get_args(field.annotation) if _is_section(t)]
-            tagged = {v.model_fields["kind"].annotation: v for v in variants} if len(variants) > 1 else {}
-        elif isinstance(part, str) and model is not None and keys and (variant := _variant(tagged, part)) is not None:
-            model = holder = variant
-        elif isinstance(part, int):
-            keys[-1] += f"[{part}]"
-        else:
+        model = variants[0] if len(variants) == 1 else None
+        field = model.model_fields.get(part) if model is not None and isinstance(part, str) else None
+        if field is not None:
             keys.append(str(part))
             holder = model
+            extra = field.json_schema_extra
+            unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+            variants = list(_sections(field.annotation))
+        elif isinstance(part, int):
+            keys[-1] += f"[{part}]"
+        elif (chosen := _variant(variants, part)) is not None:
+            variants, holder = [chosen], chosen
+        else:
+            keys.append(str(part))
+            holder, variants = model, []
     return keys, holder, unit
 
 
-def _is_section(candidate: Any) -> bool:
-    return isinstance(candidate, type) and issubclass(candidate, BaseModel)
+def _sections(annotation: Any) -> Iterator[type[BaseModel]]:
+    """All kinds of sections that a field may hold, one or many of them."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _sections(part)
 
 
-def _variant(tagged: dict[Any, type[BaseModel]], tag: str) -> type[BaseModel] | None:
-    """The member of a tagged union whose `kind` is `tag`."""
-    return next((model for literal, model in tagged.items() if tag in get_args(literal)), None)
+def _variant(variants: list[type[BaseModel]], tag: Any) -> type[BaseModel] | None:
+    """The one of several sections whose `kind` may be `tag`."""
+    if len(variants) < 2:
+        return None
+    return next((model for model in variants if tag in get_args(model.model_fields["kind"].annotation)), None)
 
 
 def _unknown_key(keys: list[str], model: type[BaseModel] | None) -> str:
