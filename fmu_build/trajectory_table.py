@@ -136,7 +136,7 @@ def _refuse_short(trajectory: Trajectory, begins: Array, ends: Array) -> None:
     shortest = int(np.argmin(ends - begins))
     if not ends[shortest] - begins[shortest] > SHORTEST * trajectory.duration:
         raise ModelError(
-            f"no table reproduces the trajectory at {begins[shortest]:.9g} s; it has to be smooth to the sixth derivative "
+            f"no table reproduces the trajectory at {ends[shortest]:.6g} s; it has to be smooth to the sixth derivative "
             "between its breakpoints, so name the breakpoint that is missing there"
         )
 

@@ -1,0 +1,200 @@
+"""A trajectory's FMU gives the trajectory: everywhere, on both sides of its breakpoints, with its derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from export_support.instance import Instance, RefusedError, opened
+from export_support.trajectories import Swing, lame, robot
+
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
+from flexfmu.fmu_build.trajectory_table import END_ORDER, tabulate
+from flexfmu.trajectories.blends import PolarPolynomial
+from flexfmu.trajectories.clothoid import ClothoidPair
+from flexfmu.trajectories.profiles import BangBang, SeventhDegreePolynomial, Trapezoidal
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+from flexfmu.trajectories.shapers.shaped import ShapedTrajectory
+
+PROMISE = 1e-12
+"""Difference to the Python trajectory, relative to the largest value of the same kind."""
+
+LEFT, RIGHT = 1, 2
+
+ROBOT = {
+    "lame-poly7": lambda: lame(SeventhDegreePolynomial()),
+    "lame-bang-bang": lambda: lame(BangBang()),
+    "clothoid-trapezoidal": lambda: robot(ClothoidPair, Trapezoidal(0.2)),
+    "polar-bang-bang": lambda: robot(PolarPolynomial, BangBang()),
+    "shaped": lambda: ShapedTrajectory(lame(BangBang()), ImpulseSequence((0.0, 0.0123, 0.03), (0.5, 0.3, 0.2))),
+}
+
+
+@pytest.fixture
+def export(tmp_path: Path) -> Iterator[Callable[..., Any]]:
+    """Function that exports a trajectory and gives a function that makes instances of it."""
+    with ExitStack() as stack:
+
+        def make(trajectory: Any, **options: Any) -> Any:
+            return stack.enter_context(opened(build_trajectory_fmu(trajectory, **options).path, tmp_path))
+
+        yield make
+
+
+def choose(instance: Instance, limit: int) -> None:
+    """Choose the limit that is shown at breakpoints."""
+    instance.call("setInteger", [0], [limit])
+
+
+def follow(instance: Instance, times: Any, start: float = 0.0) -> dict[int, Any]:
+    """Left and right limits of the outputs at the times, each (N, 3, axes)."""
+    instance.start(time=start)
+    rows: dict[int, list[Any]] = {LEFT: [], RIGHT: []}
+    for time in times:
+        instance.step(time - instance.time, until=time)
+        for limit, found in rows.items():
+            choose(instance, limit)
+            found.append(np.reshape(instance.get_outputs(), (3, -1)))
+    return {limit: np.array(found) for limit, found in rows.items()}
+
+
+@pytest.mark.parametrize("name", ROBOT)
+def test_table_reproduces_the_trajectory(export: Callable[..., Any], name: str) -> None:
+    """A plant that is fed by the FMU must move as one that is fed by the Python trajectory."""
+    trajectory = ROBOT[name]()
+    times = np.union1d(
+        np.random.default_rng(2).uniform(0.0, 1.1 * trajectory.duration, 1000), trajectory.breakpoints[1:]
+    )
+    found = follow(export(trajectory)(), times)
+    for limit, side in ((LEFT, "left"), (RIGHT, "right")):
+        exact = trajectory.evaluate(times, 2, side).swapaxes(0, 1)
+        largest = abs(exact).max(axis=(0, 2))[:, None]
+        assert (abs(found[limit] - exact) / largest).max() < PROMISE
+
+
+@pytest.mark.parametrize("name", ["lame-bang-bang", "shaped"])
+def test_limits_at_breakpoints_are_exact(export: Callable[..., Any], name: str) -> None:
+    """At a breakpoint there are knots, and the polynomials begin and end in them: no rounding, no neighbouring piece."""
+    trajectory = ROBOT[name]()
+    points = np.array(trajectory.breakpoints[1:])
+    found = follow(export(trajectory)(), points)
+    for limit, side in ((LEFT, "left"), (RIGHT, "right")):
+        np.testing.assert_array_equal(found[limit], trajectory.evaluate(points, 2, side).swapaxes(0, 1))
+    assert (found[LEFT] != found[RIGHT])[:, 2].any(), "the acceleration jumps"
+
+
+def test_both_limits_at_the_start(export: Callable[..., Any]) -> None:
+    """The motion begins with a jump: standstill is the left limit, and the default."""
+    swing = Swing()
+    instance = export(swing, axes=["axis"], unit="m")().start()
+    assert instance.get_outputs() == [0.0, 0.0, 0.0]
+    choose(instance, RIGHT)
+    assert instance.get_outputs() == swing.evaluate(0.0).ravel().tolist()
+    assert instance.get_outputs()[1] == 9.0
+    assert instance.get_derivatives(1) == pytest.approx(swing.evaluate(0.0, 3).ravel()[1:], rel=1e-14)
+
+
+def test_breakpoint_is_met_in_spite_of_rounding(export: Callable[..., Any]) -> None:
+    """Importers reach 0.4 s by adding up 0.1 s; the left limit must not come from behind the kink."""
+    swing = Swing(kink=0.4)
+    instance = export(swing, axes=["axis"], unit="m")().start()
+    for nearly in (0.1, 0.2, 0.1 + 0.2, 0.4 * (1 + 1e-15)):
+        instance.step(nearly - instance.time, until=nearly)
+    for limit, side in ((LEFT, "left"), (RIGHT, "right")):
+        choose(instance, limit)
+        assert instance.get_outputs() == swing.evaluate(0.4, 2, side).ravel().tolist()
+
+
+def test_derivatives_of_the_outputs(export: Callable[..., Any]) -> None:
+    """Orders 1 to 4, so that a master streams polynomials: those of the position are velocity and acceleration
+    themselves, the highest is the sixth derivative of the motion."""
+    swing = Swing()
+    instance = export(swing, axes=["axis"], unit="m")().start()
+    for time in np.linspace(0.013, 0.98, 77):
+        instance.step(time - instance.time, until=time)
+        exact = swing.evaluate(time, 6)[:, 0, 0]
+        _, velocity, acceleration = instance.get_outputs()
+        for order in range(1, END_ORDER + 1):
+            found = instance.get_derivatives(order)
+            np.testing.assert_allclose(found, exact[order : order + 3], atol=2e-7 * 9.0 ** (order + 2), rtol=0.0)
+            if order == 1:
+                assert found[:2] == [velocity, acceleration]
+            if order == 2:
+                assert found[0] == acceleration
+
+
+def test_standstill_outside_the_motion(export: Callable[..., Any]) -> None:
+    """Before the motion it waits at the start, after it at the end, with all derivatives zero."""
+    swing = Swing()
+    instance = export(swing, axes=["axis"], unit="m")()
+    times = [-0.4, -1e-3, 0.0, 1e-3, 1.0, 1.001, 50.0]
+    found = follow(instance, times, start=-0.5)
+    for limit, side in ((LEFT, "left"), (RIGHT, "right")):
+        np.testing.assert_allclose(found[limit][..., 0], swing.evaluate(times, 2, side)[..., 0].T, rtol=0.0, atol=1e-12)
+    assert instance.get_derivatives(1) == [0.0, 0.0, 0.0]
+
+
+def test_state_is_saved_and_reset(export: Callable[..., Any]) -> None:
+    """Time and limit are all there is; they go back and elsewhere like any state."""
+    make = export(Swing(), axes=["axis"], unit="m")
+    one, two = make("one").start(), make("two").start()
+    one.step(0.4)
+    choose(one, RIGHT)
+    before = one.get_outputs()
+    state = one.call("getFMUstate")
+    data = one.call("serializeFMUstate", state)
+    choose(one, LEFT)
+    one.step(0.3)
+    one.call("setFMUstate", state)
+    two.call("setFMUstate", two.call("deSerializeFMUstate", data))
+    assert one.get_outputs() == two.get_outputs() == before
+    assert one.call("getInteger", [0]) == [RIGHT]
+    one.call("freeFMUstate", state)
+    one.call("reset")
+    one.start()
+    assert one.call("getInteger", [0]) == [LEFT]
+    assert one.get_outputs() == [0.0, 0.0, 0.0]
+
+
+def test_bad_calls_are_refused_with_a_sentence(export: Callable[..., Any]) -> None:
+    """What was wrong, and what would be right."""
+    instance = export(Swing(), axes=["axis"], unit="m")().start()
+    for call, sentence in {
+        lambda: instance.set("axis.reference.velocity", 1.0): "axis.reference.velocity is an output, it cannot be set",
+        lambda: instance.call("getReal", [3]): "value reference 3 of a real variable is unknown; there are 3",
+        lambda: instance.call("setReal", [7], [1.0]): "value reference 7 of a real variable is unknown; there are 3",
+        lambda: choose(instance, 3): "limit must be 1 [(]left[)] or 2 [(]right[)], got 3",
+        lambda: instance.call("getInteger", [1]): "value reference 1 of an integer variable is unknown; there are 1",
+        lambda: instance.get_derivatives(5): "derivatives of axis.reference.position are of order 1 to 4, got order 5",
+        lambda: instance.set_derivatives("axis.reference.position", [1.0]): "value reference 0 is no input",
+        lambda: instance.call("doStep", 0.1, 0.1): "communication point must be the present time",
+    }.items():
+        with pytest.raises(RefusedError, match=sentence):
+            call()
+
+
+def test_missing_breakpoint_is_noticed() -> None:
+    """Polynomials across a kink would never be good; say where it is."""
+    with pytest.raises(ModelError, match=r"no table reproduces the trajectory at 0[.]4"):
+        tabulate(Swing(names_kink=False))  # type: ignore[arg-type]
+
+
+def test_axes_must_suit(export: Callable[..., Any]) -> None:
+    """One name for each component, each another, with a unit that is known."""
+    with pytest.raises(ModelError, match="has 1 components, got the axes joint1, joint2"):
+        export(Swing())
+    with pytest.raises(ModelError, match="unit 'furlong"):
+        export(Swing(), axes=["axis"], unit="furlong")
+    with pytest.raises(ModelError, match="more than once"):
+        export(lame(BangBang()), axes=["a", "a"])
+
+
+def test_tables_stay_small() -> None:
+    """Knots lie where they are needed: the paper's motions take about a hundred."""
+    for make in ROBOT.values():
+        assert len(tabulate(make()).times) < 200
