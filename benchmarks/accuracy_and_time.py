@@ -1,0 +1,109 @@
+"""What accuracy costs: the paper's motion of 0.43 s with a dwell of 0.25 s, at several tolerances and communication steps.
+
+Position and torque: largest difference over the whole run to a run with a tolerance of 1e-12, relative to the peak position
+error (what elasticity does, not the size of the path) and to the peak torque. Any metric: largest relative difference of all
+metrics to those of the finest run, interpolation between the communication points included.
+Times are wall times of the co-simulation, master and recording included, the best of several runs.
+
+    python benchmarks/accuracy_and_time.py [--repeat 7] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from flexfmu.cosim.experiment import Run, run_scene
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.model.scene_file import load_scene
+
+SCENE = load_scene("barnard2012-6kg")
+TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9)
+STEPS = (2e-4, 1e-3, 5e-3)
+REFERENCE_TOLERANCE = 1e-12
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table; times in seconds, errors relative."""
+
+    communication_step: float
+    tolerance: float
+    integrator_steps: int
+    evaluations: int
+    time: float
+    real_time_factor: float
+    position_error: float
+    torque_error: float
+    metric_error: float
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description="What accuracy costs in time.")
+    parser.add_argument("--repeat", type=int, default=7, help="runs of which the fastest counts")
+    parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
+    options = parser.parse_args()
+    finest = metrics_of(simulate(min(STEPS), REFERENCE_TOLERANCE))
+    rows = [row for step in STEPS for row in measure_step(step, options.repeat, finest)]
+    if options.json:
+        print(json.dumps([asdict(row) for row in rows], indent=2))
+        return
+    print("   step   tolerance   time    x real time   steps   evaluations   position   torque   any metric")
+    for row in rows:
+        print(
+            f"{1e3 * row.communication_step:5.1f} ms   {row.tolerance:7.0e} {1e3 * row.time:6.1f} ms"
+            f" {row.real_time_factor:9.1f} {row.integrator_steps:11d} {row.evaluations:11d}"
+            f"      {row.position_error:8.1e} {row.torque_error:8.1e} {row.metric_error:9.1e}"
+        )
+
+
+def measure_step(step: float, repeat: int, finest: Mapping[str, float]) -> list[Row]:
+    """All tolerances at one communication step [s]."""
+    exact = simulate(step, REFERENCE_TOLERANCE)
+    return [measure_tolerance(step, tolerance, repeat, exact, finest) for tolerance in TOLERANCES]
+
+
+def measure_tolerance(step: float, tolerance: float, repeat: int, exact: Run, finest: Mapping[str, float]) -> Row:
+    """One line of the table."""
+    runs = [simulate(step, tolerance) for _ in range(repeat)]
+    run, time = runs[0], min(run.timing.simulate for run in runs)
+    position = max(largest_difference(run, exact, f"end_effector.position.{axis}") for axis in "xy")
+    torque = max(largest_difference(run, exact, f"joint{joint}.torque") for joint in (1, 2))
+    changes = [abs(value / finest[name] - 1.0) for name, value in metrics_of(run).items()]
+    return Row(
+        communication_step=step,
+        tolerance=tolerance,
+        integrator_steps=run.health.statistics["steps"],
+        evaluations=run.health.statistics["evaluations"],
+        time=time,
+        real_time_factor=run.plan.stop_time / time,
+        position_error=position / finest["peak_position_error"],
+        torque_error=torque / finest["peak_torque_1"],
+        metric_error=max(changes),
+    )
+
+
+def simulate(step: float, tolerance: float) -> Run:
+    """One run with the FMU from the cache."""
+    return run_scene(SCENE, communication_step=step, tolerance=tolerance, fmu_path=FMU)
+
+
+def metrics_of(run: Run) -> dict[str, float]:
+    """The metrics that have a value."""
+    return {name: each.value for name, each in measure_run(run).items() if each.value is not None}
+
+
+def largest_difference(run: Run, exact: Run, signal: str) -> float:
+    """Largest difference of a signal at all communication points."""
+    return float(np.max(np.abs(run.recording[signal].values - exact.recording[signal].values)))
+
+
+if __name__ == "__main__":
+    FMU = build_scene(SCENE).path
+    main()
