@@ -94,8 +94,8 @@ def _move_on(queue: Vector, correction: Vector, shift: int, forgetting: float) -
     learner = (cycle - shift) % cycle
     learned = (1.0 - forgetting) * queue[learner] + correction
     if learner == 0:
-        return casadi.vertcat(queue[1:], learned)
-    return casadi.vertcat(queue[1:learner], learned, queue[learner + 1 :], queue[0])
+        return casadi.vertcat(queue[1:, 0], learned)
+    return casadi.vertcat(queue[1:learner, 0], learned, queue[learner + 1 :, 0], queue[0])
 
 
 def _per(unit: str, divisor: str) -> str:

@@ -44,7 +44,7 @@ class LinearSystem:
 
     def __post_init__(self) -> None:
         check_sampling(self.sample_time, 0.0, "linear system")
-        states = np.asarray(self.A, dtype=float).shape[0] if np.ndim(self.A) else 0
+        states = np.shape(self.A)[0] if np.ndim(self.A) else 0
         shapes = {
             "A": (states, states),
             "B": (states, len(self.inputs)),

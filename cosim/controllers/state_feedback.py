@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import casadi
 import numpy as np
 
 from flexfmu.cosim.controllers.equations import Vector, block
@@ -99,7 +98,7 @@ def state_feedback(
     bounds = _bounds(limits, m, name)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        deviation, target = u[:outputs] - y_0, u[outputs:] - casadi.DM(r.base)
+        deviation, target = u[:outputs, 0] - y_0, u[outputs:, 0] - np.reshape(r.base, (-1, 1))
         wanted = u_0 + times(r.Nu, target) - times(feedback, x - times(r.Nx, target))
         applied = saturate(wanted, *bounds) if bounds else wanted
         effect = applied - u_0

@@ -17,9 +17,10 @@ from flexfmu.cosim.master import Outcome, simulate
 from flexfmu.cosim.slave import (
     BindsBuffers,
     DeclaresFeedthrough,
+    HasOffset,
     Indices,
     RealArray,
-    Sampled,
+    SamplesInTwoPhases,
     SavesState,
     SlaveVariable,
 )
@@ -79,7 +80,7 @@ class Clock:
 def test_protocols() -> None:
     """The master offers everything to a block that it offers to sampled slaves."""
     slave = BlockSlave(running_sum())
-    for protocol in (Sampled, SavesState, DeclaresFeedthrough, BindsBuffers):
+    for protocol in (SamplesInTwoPhases, HasOffset, SavesState, DeclaresFeedthrough, BindsBuffers):
         assert isinstance(slave, protocol)
 
 
@@ -200,7 +201,7 @@ def test_refused_values(indices: int, value: float, message: str) -> None:
         BlockSlave(running_sum()).set(np.array([indices]), np.array([value]))
 
 
-@pytest.mark.parametrize("offset", [0.0])
+@pytest.mark.parametrize("offset", [0.0, 0.1])
 def test_sample_and_hold(offset: float) -> None:
     """Between its instants offset + k * sample_time the outputs are held; before the first they are as initialised."""
     slave = BlockSlave(running_sum(sample_time=0.2, offset=offset))

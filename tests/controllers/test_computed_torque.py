@@ -1,0 +1,200 @@
+"""Computed torque: the rigid robot becomes two independent unit masses, whatever its pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from flexfmu.cosim.block_code import block_function
+from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
+from flexfmu.cosim.controllers.limits import symmetric
+from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.planning import plan
+from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.rigid_dynamics import inverse_dynamics
+from flexfmu.model.scene_file import load_scene
+
+Array = NDArray[np.float64]
+Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
+
+H = 2.5e-4
+K_P, K_D = np.array([900.0, 1600.0]), np.array([60.0, 72.0])
+ORDER = ("reference.position", "reference.velocity", "reference.acceleration", "position", "velocity")
+
+
+@cache
+def rigid() -> casadi.Function:
+    """Inverse dynamics of the paper's robot with 6 kg, rigid links."""
+    return inverse_dynamics(load_scene("barnard2012-6kg"))
+
+
+@cache
+def pose() -> Array:
+    """Motor angles at the start of the motion."""
+    return np.asarray(plan(load_scene("barnard2012-6kg")).joints.evaluate(np.array([0.0]))[0, 0])
+
+
+def forward(q: Array, v: Array, torque: Array) -> Array:
+    """Accelerations of the rigid robot: its inverse dynamics are affine in them."""
+    bias = np.asarray(rigid()(q, v, np.zeros(2)))[:, 0]
+    mass = np.column_stack([np.asarray(rigid()(q, v, unit))[:, 0] - bias for unit in np.eye(2)])
+    return np.linalg.solve(mass, torque - bias)
+
+
+def named(values: Mapping[str, Array]) -> dict[str, Array]:
+    """Kind → (N, 2) as joint variable → (N,)."""
+    return {f"joint{i + 1}.{kind}": value[:, i] for kind, value in values.items() for i in range(2)}
+
+
+def random_motion(count: int) -> dict[str, Array]:
+    """References and measurements about the start pose, (count, 2) each."""
+    rng = np.random.default_rng(3)
+    scale = {"position": 0.1, "velocity": 5.0, "acceleration": 100.0}
+    return {
+        kind: (pose() if kind.endswith("position") else 0.0)
+        + scale[kind.rpartition(".")[2]] * rng.uniform(-1.0, 1.0, (count, 2))
+        for kind in ORDER
+    }
+
+
+def test_linearises_the_rigid_plant_exactly(respond: Respond) -> None:
+    """The rigid robot's acceleration is the reference's plus K_d e' + K_p e, to rounding, in any pose and motion."""
+    motion = random_motion(30)
+    torque = respond(computed_torque(rigid(), K_P, K_D, sample_time=H), named(motion))
+    found = np.array(
+        [
+            forward(motion["position"][k], motion["velocity"][k], np.array([each[k] for each in torque.values()]))
+            for k in range(30)
+        ]
+    )
+    wanted = (
+        motion["reference.acceleration"]
+        + K_D * (motion["reference.velocity"] - motion["velocity"])
+        + K_P * (motion["reference.position"] - motion["position"])
+    )
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-10 * abs(wanted).max())
+
+
+def test_torque_on_the_path_is_the_inverse_dynamics(respond: Respond) -> None:
+    """Without error the controller gives the rigid torques of the motion, as the mere feedforward does."""
+    motion = plan(load_scene("barnard2012-6kg")).joints.evaluate(np.linspace(0.01, 0.42, 30))
+    references = {f"reference.{kind}": motion[i] for i, kind in enumerate(("position", "velocity", "acceleration"))}
+    measured = {"position": motion[0], "velocity": motion[1]}
+    wanted = np.array([np.asarray(rigid()(*motion[:, k]))[:, 0] for k in range(30)])
+    block = computed_torque(rigid(), K_P, K_D, sample_time=H)
+    found = np.array(list(respond(block, named(references | measured)).values())).T
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * abs(wanted).max())
+    ahead = respond(inverse_dynamics_feedforward(rigid(), sample_time=H), named(references))
+    np.testing.assert_allclose(np.array(list(ahead.values())).T, wanted, rtol=0, atol=1e-12 * abs(wanted).max())
+
+
+def test_error_decays_as_designed() -> None:
+    """Sampled fast on the rigid robot, an initial error follows e'' + K_d e' + K_p e = 0 up to the hold's delay."""
+    errors = {}
+    for h in (2e-4, 1e-4):
+        slave = BlockSlave(computed_torque(rigid(), K_P, K_D, sample_time=h))
+        slave.initialize(0.0, 1.0, None)
+        start = pose()
+        q, v, torque = start + np.array([0.02, -0.01]), np.zeros(2), np.empty(2)
+        outputs = np.array([i for i, each in enumerate(slave.variables) if each.causality == "output"])
+        slave.set(np.array([0, 1]), start)
+        for k in range(round(0.05 / h)):
+            slave.set(np.arange(6, 10), np.concatenate([q, v]))
+            slave.sample(k * h)
+            slave.get(outputs, torque)
+            q, v = runge_kutta(q, v, torque, h)
+        system = np.zeros((2, 2, 2))
+        system[:, 0, 1], system[:, 1, 0], system[:, 1, 1] = 1.0, -K_P, -K_D
+        from scipy.linalg import expm
+
+        wanted = np.array([(expm(0.05 * system[i]) @ [e, 0.0])[0] for i, e in enumerate((0.02, -0.01))])
+        errors[h] = abs(q - start - wanted).max()
+    assert errors[1e-4] < 2e-4
+    assert errors[2e-4] / errors[1e-4] == pytest.approx(2.0, rel=0.1)
+
+
+def runge_kutta(q: Array, v: Array, torque: Array, h: float) -> tuple[Array, Array]:
+    """One classical Runge-Kutta step of the rigid robot under a held torque."""
+    slopes = [(v, forward(q, v, torque))]
+    for part in (0.5, 0.5, 1.0):
+        dq, dv = slopes[-1]
+        slopes.append((v + part * h * dv, forward(q + part * h * dq, v + part * h * dv, torque)))
+    weights = (1.0, 2.0, 2.0, 1.0)
+    return (
+        q + h / 6.0 * sum(w * dq for w, (dq, _) in zip(weights, slopes, strict=True)),
+        v + h / 6.0 * sum(w * dv for w, (_, dv) in zip(weights, slopes, strict=True)),
+    )
+
+
+def test_evaluated_in_compiled_code() -> None:
+    """The inverse dynamics of the robot run as C unless one asks for CasADi's virtual machine, with the same bits."""
+    block = computed_torque(rigid(), K_P, K_D, sample_time=H)
+    assert block_function(block).class_name() == "External"
+    assert block_function(block, compiled=False).is_a("SXFunction")
+    motion = named(random_motion(20))
+    slaves = [BlockSlave(block, compiled=compiled) for compiled in (True, False)]
+    names = [variable.name for variable in slaves[0].variables]
+    inputs = np.array([names.index(name) for name in motion])
+    outputs = np.array([names.index(f"joint{i}.torque") for i in (1, 2)])
+    found = np.empty((2, 2))
+    for k in range(20):
+        for row, slave in enumerate(slaves):
+            slave.set(inputs, np.array([each[k] for each in motion.values()]))
+            slave.sample(0.0)
+            slave.get(outputs, found[row])
+        np.testing.assert_allclose(found[0], found[1], rtol=1e-13)
+
+
+def test_cost_of_a_sample() -> None:
+    """A sample of the computed torque, inverse dynamics included, stays below 5 microseconds."""
+    from timeit import repeat
+
+    slave = BlockSlave(computed_torque(rigid(), K_P, K_D, sample_time=H))
+    slave.set(np.arange(10), np.concatenate([pose(), np.zeros(4), pose(), np.zeros(2)]))
+    slave.initialize(0.0, 1.0, None)
+    assert min(repeat(lambda: slave.sample(0.0), number=2000, repeat=20)) / 2000 < 5e-6
+
+
+def test_feedforward_into_a_pd(respond: Respond) -> None:
+    """The feedforward's outputs are named as a PD's inputs, so that they connect by names."""
+    ahead, controller = inverse_dynamics_feedforward(rigid(), sample_time=H), pd(1.0, 1.0, sample_time=H)
+    outputs = {(each.name, each.unit) for each in ahead.outputs}
+    assert outputs <= {(each.name, each.unit) for each in controller.inputs}
+    assert respond(controller, {"joint1.feedforward": [3.0]})["joint1.torque"] == [3.0]
+
+
+def test_limits(respond: Respond) -> None:
+    """Torques stay within the limits."""
+    block = computed_torque(rigid(), K_P, K_D, sample_time=H, limits=symmetric(7.0))
+    torque = np.array(list(respond(block, named(random_motion(30))).values()))
+    assert abs(torque).max() == 7.0
+    assert abs(torque).min() < 7.0
+
+
+def test_not_a_number_passes_the_limits(respond: Respond) -> None:
+    """A measurement that is not a number gives no torque at all, which stops the master."""
+    block = computed_torque(rigid(), K_P, K_D, sample_time=H, limits=symmetric(7.0))
+    motion = {"position": pose()[None, :], "velocity": np.array([[np.nan, 0.0]])}
+    assert np.isnan(list(respond(block, named(motion)).values())).all()
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"joints": ("joint1",)}, r"must take \(q, v, a\) of 1 each and give 1 torques for joint1"),
+    ({"inverse_dynamics": casadi.Function("f", [casadi.SX.sym("q", 2)], [casadi.SX(2, 1)])}, r"f takes \[2\] and gives"),
+    ({"proportional": np.nan}, "proportional_gain of joint1 must be finite, got nan 1/s2"),
+    ({"derivative": -1.0}, "derivative_gain of joint1 must be at least 0.0 1/s, got -1.0"),
+    ({"sample_time": 0.0}, "the sample time must be positive"),
+])  # fmt: skip
+def test_refused(change: dict[str, Any], message: str) -> None:
+    """Functions of another shape and bad gains are refused."""
+    options = {"inverse_dynamics": rigid(), "proportional": K_P, "derivative": K_D, "sample_time": H} | change
+    with pytest.raises(InputError, match=message):
+        computed_torque(**options)

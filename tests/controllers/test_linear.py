@@ -1,0 +1,228 @@
+"""Linear systems as blocks: they respond as python-control says, and continuous ones are never discretised by guess."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from flexfmu.cosim.controllers.from_control import control_block, dotted, from_control
+from flexfmu.cosim.controllers.linear_system import linear_system
+from flexfmu.cosim.controllers.realisation import realise
+from flexfmu.cosim.controllers.state_space import state_space
+from flexfmu.cosim.errors import InputError
+from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.linear import signal_label
+
+Array = NDArray[np.float64]
+Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
+
+H = 1e-3
+SAMPLES = 500
+TIME = H * np.arange(SAMPLES)
+
+
+def random_system(seed: int, states: int, inputs: int, outputs: int) -> control.StateSpace:
+    """A stable discrete system with direct feedthrough, spectral radius 0.95."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(states, states))
+    if states:
+        A *= 0.95 / abs(np.linalg.eigvals(A)).max()
+    B, C, D = (rng.normal(size=shape) for shape in ((states, inputs), (outputs, states), (outputs, inputs)))
+    return control.ss(A, B, C, D, H)
+
+
+def compare(respond: Respond, block: SymbolicBlock, system: Any, seed: int = 9) -> None:
+    """The block answers random signals as `control.forced_response` says, to 1e-12 of the largest value."""
+    signals = np.random.default_rng(seed).normal(size=(system.ninputs, SAMPLES))
+    wanted = control.forced_response(system, TIME, signals, squeeze=False).outputs
+    found = respond(block, {each.name: signals[i] for i, each in enumerate(block.inputs)})
+    np.testing.assert_allclose(np.array(list(found.values())), wanted, rtol=0, atol=1e-12 * abs(wanted).max())
+
+
+@pytest.mark.parametrize(("states", "inputs", "outputs"), [(1, 1, 1), (4, 2, 3), (12, 3, 2), (30, 2, 2), (0, 2, 2)])
+def test_discrete_state_space(respond: Respond, states: int, inputs: int, outputs: int) -> None:
+    """A discrete state space is taken as it is: MIMO, direct feedthrough, static gains and all."""
+    system = random_system(states, states, inputs, outputs)
+    compare(respond, control_block(system), system)
+
+
+def test_compiled_where_it_pays(respond: Respond) -> None:
+    """A controller from an H-infinity synthesis of order 30 is compiled, and the numbers stay."""
+    from flexfmu.cosim.block_code import COMPILED_FROM, block_function
+
+    block = control_block(random_system(1, 30, 2, 2))
+    assert block_function(block, compiled=False).n_instructions() > COMPILED_FROM
+    assert block_function(block).class_name() == "External"
+
+
+@pytest.mark.parametrize("system", [
+    control.tf([1.0], [1.0, -0.5], H),
+    control.tf([2.0, -1.0, 0.3], [2.0, 0.4, -0.6], H),
+    control.tf([3.0], [2.0], H),
+    control.tf([0.0, 0.0, 1.0], [1.0, -1.6, 0.8], H),
+])  # fmt: skip
+def test_discrete_transfer_function(respond: Respond, system: control.TransferFunction) -> None:
+    """Strictly proper, proper, static, and not normalised."""
+    compare(respond, control_block(system), system)
+
+
+def test_transfer_matrix(respond: Respond) -> None:
+    """A matrix of transfer functions needs no Slycot: it is the sum of its elements' responses."""
+    numerators = [[[1.0, 0.3], [2.0]], [[1.0], [0.5, 0.1, 0.0]]]
+    denominators = [[[1.0, -0.5], [1.0, 0.2, 0.1]], [[1.0, -0.9], [1.0, -0.3, 0.02]]]
+    signals = np.random.default_rng(4).normal(size=(2, SAMPLES))
+    found = respond(control_block(control.tf(numerators, denominators, H)), {"u[0]": signals[0], "u[1]": signals[1]})
+    for i in range(2):
+        wanted = sum(
+            control.forced_response(control.tf(numerators[i][j], denominators[i][j], H), TIME, signals[j]).outputs
+            for j in range(2)
+        )
+        np.testing.assert_allclose(found[f"y[{i}]"], wanted, rtol=0, atol=1e-12 * abs(wanted).max())
+
+
+def test_feedthrough_is_where_D_is_not_zero() -> None:
+    """A zero in D opens an algebraic loop that would otherwise be refused."""
+    system = linear_system([[0.5]], [[1.0, 1.0]], [[1.0], [1.0]], [[0.0, 2.0], [0.0, 0.0]], sample_time=H)
+    assert state_space(system).feedthrough == {"y[0]": ("u[1]",), "y[1]": ()}
+
+
+def test_start_states(respond: Respond) -> None:
+    """The free response from a start state is C A^k x_0."""
+    system = random_system(3, 3, 1, 1)
+    start = [1.0, -2.0, 0.5]
+    found = respond(control_block(system, start=start), {"u[0]": np.zeros(20)})["y[0]"]
+    wanted = [(system.C @ np.linalg.matrix_power(system.A, k) @ start)[0] for k in range(20)]
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-14)
+
+
+CONTINUOUS = control.tf([1.0, 40.0], [1.0, 30.0, 900.0])
+
+
+@pytest.mark.parametrize(("method", "theirs"), [
+    ("zoh", "zoh"), ("foh", "foh"), ("tustin", "bilinear"), ("euler", "euler"), ("backward", "backward_diff"),
+])  # fmt: skip
+def test_discretisation(respond: Respond, method: Any, theirs: str) -> None:
+    """A continuous system becomes what python-control's or SciPy's discretisation of it is."""
+    from scipy.signal import cont2discrete
+
+    numerator, denominator, _ = cont2discrete((CONTINUOUS.num[0][0], CONTINUOUS.den[0][0]), H, theirs)
+    wanted = control.tf(numerator[0], denominator, H)
+    signal = np.random.default_rng(6).normal(size=SAMPLES)
+    found = respond(control_block(CONTINUOUS, method=method, sample_time=H), {"u[0]": signal})["y[0]"]
+    expected = control.forced_response(wanted, TIME, signal).outputs
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11 * abs(expected).max())
+
+
+def test_hold_is_exact(respond: Respond) -> None:
+    """The zero-order hold of a lag gives the closed form 1 - exp(-t / T) at the samples, however long they are."""
+    lag, sample_time = 0.02, 0.05
+    block = control_block(control.tf([1.0], [lag, 1.0]), method="zoh", sample_time=sample_time)
+    found = respond(block, {"u[0]": np.ones(8)})["y[0]"]
+    np.testing.assert_allclose(found, 1.0 - np.exp(-sample_time * np.arange(8) / lag), rtol=0, atol=1e-14)
+
+
+def test_prewarping() -> None:
+    """Prewarped, Tustin's rule has the continuous frequency response at that frequency."""
+    frequency = 400.0
+    system = from_control(CONTINUOUS, method="tustin", sample_time=H, prewarp=frequency)
+    z = np.exp(1j * frequency * H)
+    found = (system.C @ np.linalg.solve(z * np.eye(2) - system.A, system.B) + system.D)[0, 0]
+    np.testing.assert_allclose(found, CONTINUOUS(1j * frequency), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", [
+    "joint1.torque", "joint2.position", "joint1.reference.position", "joint2.reference.acceleration", "force.x",
+    "end_effector.position.x", "end_effector.acceleration.y", "link11.tip_deflection", "link22.elongation",
+    "link11.bending[1]", "gain", "y[0]",
+])  # fmt: skip
+def test_labels_of_the_robot_get_their_dots_back(name: str) -> None:
+    """A controller designed on the linearised plant connects to it by the names of its variables."""
+    assert dotted(signal_label(name)) == name
+
+
+def test_labels_and_units() -> None:
+    """Labels become names, names may be given instead, and units belong to names."""
+    system = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], H, inputs=["joint1_position"], outputs=["joint1_torque"])
+    block = control_block(system, units={"joint1.torque": "N.m"})
+    assert [(each.name, each.unit) for each in (*block.inputs, *block.outputs)] == [
+        ("joint1.position", "1"),
+        ("joint1.torque", "N.m"),
+    ]
+    block = control_block(system, inputs=["e"], outputs=["f"], offset=2e-4, name="filter")
+    assert (block.inputs[0].name, block.outputs[0].name, block.offset, block.name) == ("e", "f", 2e-4, "filter")
+
+
+def test_sample_time_left_open() -> None:
+    """A discrete system with dt = True takes the sample time that it is given."""
+    system = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], True)
+    assert from_control(system, sample_time=H).sample_time == H
+
+
+DISCRETE = control.tf([1.0], [1.0, -0.5], H)
+
+
+@pytest.mark.parametrize(("system", "options", "message"), [
+    (CONTINUOUS, {}, "the system is continuous: say how to discretise it, method= one of zoh, foh, tustin"),
+    (CONTINUOUS, {"sample_time": H}, "the system is continuous: say how"),
+    (CONTINUOUS, {"method": "zoh"}, "with which sample_time="),
+    (CONTINUOUS, {"method": "zoh", "sample_time": 0.0}, "the sample time must be positive, got 0.0 s"),
+    (CONTINUOUS, {"method": "matched", "sample_time": H}, "unknown method 'matched'; choose from zoh"),
+    (CONTINUOUS, {"method": "zoh", "sample_time": H, "prewarp": 1.0}, "prewarp belongs to the method 'tustin'"),
+    (CONTINUOUS, {"method": "tustin", "sample_time": H, "prewarp": 4000.0}, "below the Nyquist frequency 3141.59 rad/s"),
+    (DISCRETE, {"method": "zoh"}, "the system is discrete and is taken as it is"),
+    (DISCRETE, {"sample_time": 2e-3}, "the system has the sample time 0.001 s, not 0.002 s"),
+    (control.tf([1.0], [1.0, 2.0], True), {}, r"discrete without a sample time \(dt is True\)"),
+    (control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], None), {}, "taken as continuous|has no time base"),
+    (control.tf([1.0, 2.0, 3.0], [1.0, 2.0], H), {}, r"element \[0, 0\] isn't proper: its numerator has degree 2"),
+    (DISCRETE, {"inputs": ["a", "b"]}, r"inputs must be a sequence of 1 names, one for each of \['u\[0\]'\]"),
+    (DISCRETE, {"inputs": "u"}, "inputs must be a sequence of 1 names"),
+    (DISCRETE, {"outputs": ["u[0]"]}, r"two signals are named 'u\[0\]'"),
+    (DISCRETE, {"units": {"u[1]": "m"}}, r"there is no signal 'u\[1\]'; did you mean 'u\[0\]'?"),
+    (control.frd([1.0, 2.0], [1.0, 2.0]), {}, "need a control.StateSpace or control.TransferFunction, got Frequency"),
+    ("plant.ss", {}, "need a control.StateSpace or control.TransferFunction, got str"),
+])  # fmt: skip
+def test_refused_systems(system: Any, options: dict[str, Any], message: str) -> None:
+    """What would have to be guessed is asked for instead."""
+    with pytest.raises(InputError, match=message):
+        from_control(system, **options)
+
+
+def test_python_control_is_optional(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without python-control the message says what to install."""
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(InputError, match=r"pip install flexfmu\[control\]"):
+        from_control(DISCRETE)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"A": [[0.5, 1.0]]}, "A must be 1 x 1, got 1 x 2"),
+    ({"B": [[1.0], [2.0]]}, "B must be 1 x 1, got 2 x 1"),
+    ({"C": [[np.nan]]}, r"C\[0, 0\] must be finite, got nan"),
+    ({"D": [[1j]]}, "D must hold real numbers, got complex128"),
+    ({"A": [["a"]]}, "A must hold real numbers"),
+    ({"sample_time": -1.0}, "the sample time must be positive"),
+    ({"inputs": ["y[0]"]}, r"two signals are named 'y\[0\]'"),
+])  # fmt: skip
+def test_refused_matrices(change: dict[str, Any], message: str) -> None:
+    """Shapes and numbers are checked where they come in."""
+    values = {"A": [[0.5]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]], "sample_time": H} | change
+    with pytest.raises(InputError, match=message):
+        linear_system(**values)
+
+
+def test_refused_start() -> None:
+    """One start value for each state."""
+    with pytest.raises(InputError, match="start must have 1 values, one for each state, got 2"):
+        state_space(linear_system([[0.5]], [[1.0]], [[1.0]], sample_time=H), start=[1.0, 2.0])
+
+
+def test_refused_denominator() -> None:
+    """A zero denominator is named."""
+    with pytest.raises(InputError, match=r"the denominator of element \[0, 0\] is zero"):
+        realise([[np.array([1.0])]], [[np.array([0.0])]])
