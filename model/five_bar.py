@@ -9,20 +9,14 @@ import casadi
 
 from flexfmu.model import scene as keys
 from flexfmu.model.closure import Closure, IndependentMotion, ProjectedForces
+from flexfmu.model.damping import ModalDamping, StiffnessDamping
 from flexfmu.model.drive_effects import CoulombFriction, ElasticTransmission, MotorInertia, ViscousFriction
 from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
-from flexfmu.model.effects import (
-    Effect,
-    ElasticFamily,
-    Gravity,
-    LinkInertia,
-    LinkProperties,
-    ModalDamping,
-    Output,
-    PointPayload,
-    StiffnessDamping,
-    link_properties,
-)
+from flexfmu.model.effects import Effect, Output
+from flexfmu.model.elastic_family import ElasticFamily
+from flexfmu.model.link_inertia import LinkInertia
+from flexfmu.model.link_properties import LinkProperties, link_properties
+from flexfmu.model.loads import Gravity, PointPayload
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Direction, LinkGroup, Robot, make_robot
 from flexfmu.model.scene import Mechanism, Scene

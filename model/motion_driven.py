@@ -10,15 +10,11 @@ import casadi
 from flexfmu.model.assembly import motor_angles
 from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.plant_functions import (
-    MARGIN_NAME,
-    MINIMUM_SINE,
     OutputRow,
     PlantEquations,
-    assembly_sign,
     compliance,
     elastic_scale,
-    feedthrough,
-    make_functions,
+    make_plant,
     moving_mass,
     output,
     reaction_outputs,
@@ -54,20 +50,14 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
         initial_coordinates=casadi.SX.zeros(m.q_e.numel()),
         error_scale=_error_scale(five_bar),
     )
-    return SymbolicModel(
-        name=scene.name,
+    return make_plant(
+        scene,
+        five_bar,
+        equations,
         description="Flexible five-bar robot, motion-driven: joint references in, torques and end-effector motion out",
         unknowns=five_bar.robot.elastic_names,
         inputs=inputs,
-        parameters=five_bar.registry.variables,
-        outputs=tuple(variable for variable, _ in outputs),
-        functions=make_functions(five_bar, equations, assembly_sign(scene)),
-        feedthrough=feedthrough(outputs, motion, inputs),
-        static_start=scene.cosimulation.initial == "static",
-        margin_name=MARGIN_NAME,
-        minimum_margin=MINIMUM_SINE,
         rate_inputs=4,
-        effects=five_bar.sentences,
     )
 
 

@@ -11,7 +11,7 @@ from flexfmu.model.assembly import WORKING_MODES
 from flexfmu.model.closure import ProjectedForces
 from flexfmu.model.five_bar import FiveBar
 from flexfmu.model.scene import Scene
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicModel, Variable
 from flexfmu.model.time_derivatives import Motion, along_motion
 
 MINIMUM_SINE = 0.01
@@ -44,7 +44,37 @@ class PlantEquations:
     error_scale: casadi.SX
 
 
-def make_functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[str, casadi.Function]:
+def make_plant(
+    scene: Scene,
+    five_bar: FiveBar,
+    equations: PlantEquations,
+    *,
+    description: str,
+    unknowns: Sequence[str],
+    inputs: Sequence[Variable],
+    locked: int = 0,
+    rate_inputs: int = 0,
+) -> SymbolicModel:
+    """The symbolic model of a plant; see `SymbolicModel` for the arguments."""
+    return SymbolicModel(
+        name=scene.name,
+        description=description,
+        unknowns=tuple(unknowns),
+        inputs=tuple(inputs),
+        parameters=five_bar.registry.variables,
+        outputs=tuple(variable for variable, _ in equations.outputs),
+        functions=_functions(five_bar, equations, 1 if scene.mechanism.assembly_mode == "left" else -1),
+        feedthrough=_feedthrough(equations, inputs),
+        static_start=scene.cosimulation.initial == "static",
+        margin_name=MARGIN_NAME,
+        minimum_margin=MINIMUM_SINE,
+        locked=locked,
+        rate_inputs=rate_inputs,
+        effects=five_bar.sentences,
+    )
+
+
+def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[str, casadi.Function]:
     """The functions of `flexfmu.model.symbolic.FUNCTION_SIGNATURES`; `side` is the assembly mode's sign."""
     motion, residual = equations.motion, equations.residual
     y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
@@ -67,11 +97,6 @@ def make_functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> d
         name: casadi.Function(name, arguments, [casadi.densify(casadi.cse(casadi.densify(result)))])
         for name, (arguments, result) in results.items()
     }
-
-
-def assembly_sign(scene: Scene) -> int:
-    """+1 for the assembly mode left, -1 for right."""
-    return 1 if scene.mechanism.assembly_mode == "left" else -1
 
 
 def start_parameters(five_bar: FiveBar, scene: Scene) -> casadi.SX:
@@ -147,13 +172,11 @@ def _components(name: str, unit: str, text: str, vector: casadi.SX) -> list[Outp
     return [(output(f"{name}.{axis}", unit, text.format(axis)), component) for axis, component in parts]
 
 
-def feedthrough(
-    outputs: Sequence[OutputRow], motion: Motion, inputs: Sequence[Variable]
-) -> Mapping[str, tuple[str, ...]]:
+def _feedthrough(equations: PlantEquations, inputs: Sequence[Variable]) -> Mapping[str, tuple[str, ...]]:
     """Inputs that each output depends on algebraically; accelerations follow from all inputs."""
-    names = [variable.name for variable in inputs]
+    names, motion = [variable.name for variable in inputs], equations.motion
     table = {}
-    for variable, expression in outputs:
+    for variable, expression in equations.outputs:
         everything = bool(motion.a.numel()) and casadi.depends_on(expression, motion.a)
         depends = casadi.depends_on(expression, motion.u)
         direct = casadi.which_depends(expression, motion.u, 1, False) if depends else [False] * len(names)

@@ -240,13 +240,24 @@ class QuantisationSection(SignalSection):
     resolution: PositivePerJoint
 
 
+class EncoderSection(LoopSection):
+    """Incremental encoders of both joints: the angle to the nearest of `counts_per_turn`, the velocity from the change over
+    `window` samples."""
+
+    kind: Literal["encoder"]
+    counts_per_turn: Annotated[float, quantity("1", ge=1.0)]
+    window: Annotated[int, quantity("samples", ge=1)] = 1
+    sample_time: Annotated[Positive | None, quantity("s")] = None
+    offset: SecondsOrZero = 0.0
+
+
 class NoiseSection(SignalSection):
     """White normal noise of a standard deviation in the signal's unit, the same for the same seed."""
 
     kind: Literal["noise"]
     signal: Literal["torque", "position", "velocity", "reference"] = "position"
     standard_deviation: NotNegativePerJoint
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**20)] = 0
 
 
 class JitterSection(SignalSection):
@@ -255,7 +266,7 @@ class JitterSection(SignalSection):
     kind: Literal["jitter"]
     signal: Literal["torque", "position", "velocity", "reference"] = "position"
     time: Seconds
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**20)] = 0
 
 
 class LagSection(SignalSection):
@@ -278,6 +289,7 @@ ImperfectionSection = Annotated[
     | RateLimitSection
     | DelaySection
     | QuantisationSection
+    | EncoderSection
     | NoiseSection
     | JitterSection
     | LagSection

@@ -1,0 +1,103 @@
+"""Elasticity of the links: assumed modes with their strain energy, and what can be measured of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import casadi
+import numpy as np
+
+from flexfmu.model.algebra import column, form, symmetric
+from flexfmu.model.beams import Shape, clamped_free_bending, fixed_free_axial, integrate_shapes, pinned_pinned_bending
+from flexfmu.model.effects import Effect, Output
+from flexfmu.model.link_properties import LinkProperties
+from flexfmu.model.parameters import ParameterRegistry
+from flexfmu.model.robot import Direction, Family, LinkGroup, Robot
+
+SHAPES: dict[tuple[LinkGroup, Direction], Callable[[int], Shape]] = {
+    ("proximal", "bending"): clamped_free_bending,
+    ("proximal", "axial"): fixed_free_axial,
+    ("distal", "bending"): pinned_pinned_bending,
+    ("distal", "axial"): fixed_free_axial,
+}
+"""The paper's boundary conditions: proximal links are clamped to the motors, distal links are pinned at both ends."""
+
+
+class ElasticFamily(Effect):
+    """Elasticity of one link group in one direction: strain energy of eqs. (10) to (13)."""
+
+    def __init__(
+        self,
+        registry: ParameterRegistry,
+        properties: LinkProperties,
+        group: LinkGroup,
+        direction: Direction,
+        modes: int,
+    ) -> None:
+        shapes = tuple(SHAPES[group, direction](k) for k in range(1, modes + 1))
+        integrals = integrate_shapes(shapes)
+        rigidity = (
+            properties.youngs_modulus * properties.second_moment / properties.length**3
+            if direction == "bending"
+            else properties.youngs_modulus * properties.area / properties.length
+        )
+
+        def matrix(name: str, factor: casadi.SX, gram: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> casadi.SX:
+            prefix = f"{group}_{direction}_{name}"
+            return symmetric(modes, lambda i, j: registry.derived(f"{prefix}_{i}_{j}", factor * gram[i, j]), gram)
+
+        self._registry, self._properties = registry, properties
+        self._family = Family(
+            group,
+            direction,
+            shapes,
+            matrix("k", rigidity, integrals.strain_gram),
+            matrix("m", properties.mass, integrals.gram),
+        )
+
+    def families(self) -> tuple[Family, ...]:
+        return (self._family,)
+
+    def potential_energy(self, robot: Robot, first_moment: casadi.SX) -> casadi.SX:
+        parts = (part for _, part in robot.elastic if part.family is self._family)
+        return sum((0.5 * form(self._family.stiffness, part.q, part.q) for part in parts), casadi.SX(0))
+
+    def outputs(self, robot: Robot) -> Sequence[Output]:
+        mine = [(link.name, part.q) for link, part in robot.elastic if part.family is self._family]
+        return (*self._tip_outputs(mine), *self._strain_outputs(mine))
+
+    def _tip_outputs(self, mine: Sequence[tuple[str, casadi.SX]]) -> Iterator[Output]:
+        name, text = _TIP_NAMES[self._family.direction]
+        if any(shape.tip for shape in self._family.shapes):
+            for link, q in mine:
+                yield Output(f"{link}.{name}", "m", f"{text} of {link}", q, casadi.SX(self._family.tips))
+
+    def _strain_outputs(self, mine: Sequence[tuple[str, casadi.SX]]) -> Iterator[Output]:
+        """Bending strain at the clamped end, where a strain gauge would sit: D/2 times the curvature."""
+        if (self._family.group, self._family.direction) != ("proximal", "bending"):
+            return
+        lever = self._properties.outer_diameter / (2 * self._properties.length**2)
+        root = np.zeros(1)
+        gain = column(
+            [
+                self._registry.derived(f"root_strain_{k}", lever * float(shape.strain(root)[0]))
+                for k, shape in enumerate(self._family.shapes)
+            ]
+        )
+        for link, q in mine:
+            yield Output(
+                f"{link}.root_strain", "1", f"bending strain at the root of {link}, on its outer side,", q, gain
+            )
+
+    def title(self) -> str:
+        return f"{self._family.group} {'bending' if self._family.direction == 'bending' else 'elongation'}"
+
+    def sentence(self) -> str:
+        family = self._family
+        return f"Elasticity of the {family.group} links, {family.direction}, with {len(family.shapes)} assumed mode(s)."
+
+
+_TIP_NAMES: dict[Direction, tuple[str, str]] = {
+    "bending": ("tip_deflection", "displacement of the tip across the undeformed axis, positive counter-clockwise,"),
+    "axial": ("elongation", "change of length"),
+}

@@ -1,0 +1,92 @@
+"""Inertia of the links, each a floating frame in which the beam deforms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi
+import numpy as np
+
+from flexfmu.model.algebra import column, dot, form, symmetric
+from flexfmu.model.effects import Effect
+from flexfmu.model.link_properties import LinkProperties
+from flexfmu.model.parameters import ParameterRegistry
+from flexfmu.model.robot import Link, LinkGroup, Robot
+
+
+class LinkInertia(Effect):
+    """Inertia of the four links with their displacement fields, eqs. (4) to (9)."""
+
+    def __init__(self, registry: ParameterRegistry, properties: Mapping[LinkGroup, LinkProperties]) -> None:
+        self._registry, self._properties = registry, properties
+
+    def kinetic_energy(self, robot: Robot) -> casadi.SX:
+        return sum((self._link_energy(link) for link in robot.links.values()), casadi.SX(0))
+
+    def first_moment(self, robot: Robot) -> casadi.SX:
+        return sum((self._link_moment(link) for link in robot.links.values()), casadi.SX(np.zeros((2, 1))))
+
+    def _inertia(self, link: Link) -> _LinkIntegrals:
+        return _LinkIntegrals(self._registry, link, self._properties[link.group])
+
+    def _link_moment(self, link: Link) -> casadi.SX:
+        inertia = self._inertia(link)
+        along, across = inertia.moment(link)
+        return inertia.mass * link.base + along * link.direction + across * link.normal
+
+    def _link_energy(self, link: Link) -> casadi.SX:
+        """T of one link: point P translates, the frame turns, the beam deforms in it."""
+        inertia, w, V = self._inertia(link), link.turning_rate, link.base_velocity
+        along, across = inertia.moment(link)
+        along_rate, across_rate = inertia.moment_rate(link)
+        relative = (along_rate - w * across) * link.direction + (across_rate + w * along) * link.normal
+        translation = 0.5 * inertia.mass * casadi.dot(V, V) + casadi.dot(V, relative)
+        return translation + inertia.relative_energy(link, w)
+
+
+class _LinkIntegrals:
+    """Mass integrals of one link group as derived symbols: m, m l/2, m l²/3 and those with the mode shapes."""
+
+    def __init__(self, registry: ParameterRegistry, link: Link, properties: LinkProperties) -> None:
+        m, length, group = properties.mass, properties.length, link.group
+        integrals = link.shape_integrals()
+        count = len(integrals.mean)
+
+        def derived(name: str, expression: casadi.SX) -> casadi.SX:
+            return registry.derived(f"{group}_{name}", expression)
+
+        self.mass = m
+        self.half = derived("m_l_2", m * length / 2)
+        self.inertia = derived("m_l2_3", m * length**2 / 3)
+        self.mean = column([derived(f"mean_{k}", m * integrals.mean[k]) for k in range(count)])
+        self.first = column([derived(f"first_{k}", m * length * integrals.first_moment[k]) for k in range(count)])
+        self.gram = symmetric(count, lambda i, j: derived(f"gram_{i}_{j}", m * integrals.gram[i, j]), integrals.gram)
+
+    def moment(self, link: Link) -> tuple[casadi.SX, casadi.SX]:
+        """∫ (x + u_x) dm along e and ∫ u_y dm along n [kg m]."""
+        axial, bending = _split(link, "q")
+        k = axial.numel()
+        return self.half + dot(self.mean[:k], axial), dot(self.mean[k:], bending)
+
+    def moment_rate(self, link: Link) -> tuple[casadi.SX, casadi.SX]:
+        """The same for the displacements' rates [kg m/s]."""
+        axial, bending = _split(link, "v")
+        k = axial.numel()
+        return dot(self.mean[:k], axial), dot(self.mean[k:], bending)
+
+    def relative_energy(self, link: Link, w: casadi.SX) -> casadi.SX:
+        """Kinetic energy with respect to the base point [J]."""
+        (ax, be), (axd, bed) = _split(link, "q"), _split(link, "v")
+        k = ax.numel()
+        gram_xx, gram_yy, gram_xy = self.gram[:k, :k], self.gram[k:, k:], self.gram[:k, k:]
+        polar = self.inertia + 2 * dot(self.first[:k], ax) + form(gram_xx, ax, ax) + form(gram_yy, be, be)
+        deformation = form(gram_xx, axd, axd) + form(gram_yy, bed, bed)
+        coupling = dot(self.first[k:], bed) + form(gram_xy, ax, bed) - form(gram_xy, axd, be)
+        return 0.5 * polar * w**2 + 0.5 * deformation + w * coupling
+
+
+def _split(link: Link, kind: str) -> tuple[casadi.SX, casadi.SX]:
+    """Axial and bending coordinates ("q") or rates ("v") of a link, each (K, 1), empty where rigid."""
+    parts = (link.family("axial"), link.family("bending"))
+    axial, bending = (casadi.SX(0, 1) if part is None else getattr(part, kind) for part in parts)
+    return axial, bending
