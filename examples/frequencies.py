@@ -1,0 +1,21 @@
+"""Natural frequencies with locked motors: along the path, and what leaving out the bending of the distal links does to them.
+
+python frequencies.py
+"""
+
+from flexfmu.cosim.modes_table import modes_along_path
+from flexfmu.cosim.planning import plan
+from flexfmu.model.modes import natural_frequencies
+from flexfmu.model.scene_file import load_scene
+
+scene = load_scene("barnard2012-0.1kg")
+
+poses = modes_along_path(plan(scene), count=5)
+print("part of the path   first three frequencies [Hz]")
+for pose in poses:
+    print(f"{pose.s:16.0%}   " + "  ".join(f"{frequency:7.1f}" for frequency in pose.frequencies[:3]))
+
+middle = poses[2]
+complete = scene.replace({"effects.distal_bending": 3})
+with_bending = natural_frequencies(complete, (middle.q11, middle.q21))
+print("middle, with bending of the distal links: " + "  ".join(f"{frequency:.1f}" for frequency in with_bending[:6]))

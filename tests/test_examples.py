@@ -1,0 +1,92 @@
+"""The examples run as a user runs them: as scripts, from any folder, without a warning."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy.util import read_csv
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def run_example(name: str, folder: Path) -> str:
+    """Standard output of an example that ran in ``folder``; warnings are errors."""
+    command = [sys.executable, "-W", "error", str(EXAMPLES / name)]
+    outcome = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=folder)
+    assert (outcome.returncode, outcome.stderr) == (0, ""), outcome.stderr
+    return outcome.stdout
+
+
+def numbers(text: str) -> list[float]:
+    """All numbers in a text that stand alone."""
+    return [float(number) for number in re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])", text)]
+
+
+def test_all_examples_are_tested() -> None:
+    """An example that nobody runs would rot."""
+    tested = Path(__file__).read_text(encoding="utf-8")
+    assert all(f'"{path.name}"' in tested for path in EXAMPLES.glob("*.py"))
+
+
+@pytest.mark.slow
+def test_run_scene(tmp_path: Path) -> None:
+    """The script prints the metrics and the jump of an acceleration, and leaves a file that fmpy reads."""
+    output = run_example("run_scene.py", tmp_path)
+    assert "the simulation reached its stop time" in output
+    torque = re.search(r"peak_torque_1 +([\d.]+) N·m", output)
+    assert torque is not None
+    assert 35.0 < float(torque.group(1)) < 45.0
+    results = read_csv(tmp_path / "results.csv")
+    assert abs(results["joint1.torque"]).max() == pytest.approx(float(torque.group(1)), rel=1e-3)
+
+
+@pytest.mark.slow
+def test_fmpy_script(tmp_path: Path) -> None:
+    """Standing still keeps the static torque; the paper's peak torque comes out of plain fmpy within half a percent."""
+    still, *moving = run_example("fmpy_script.py", tmp_path).splitlines()
+    before, after = re.findall(r"(-\d+\.\d+) N\.m", still)
+    assert before == after
+    peaks = [float(re.findall(r"[\d.]+(?= N\.m)", line)[0]) for line in moving]
+    assert peaks[0] == pytest.approx(73.634, rel=5e-3)
+    assert peaks[1] < 0.3 * peaks[0]
+
+
+@pytest.mark.slow
+def test_own_robot(tmp_path: Path) -> None:
+    """Both designs have all metrics, and they differ."""
+    table = run_example("own_robot.py", tmp_path).splitlines()[1:]
+    assert len(table) == 13
+    assert all("–" not in row and row.split()[-2] != row.split()[-4] for row in table)
+
+
+@pytest.mark.slow
+def test_payload_sweep(tmp_path: Path) -> None:
+    """Torque and deviation grow with the payload; the 6 kg row is the paper's scene."""
+    rows = np.array([numbers(line) for line in run_example("payload_sweep.py", tmp_path).splitlines()[1:]])
+    assert rows.shape == (6, 4)
+    assert np.all(np.diff(rows[:, :3], axis=0) > 0.0)
+    assert rows[rows[:, 0] == 6.0, 1] == pytest.approx(73.634, rel=5e-3)
+
+
+def test_frequencies(tmp_path: Path) -> None:
+    """The paper's bands of the first and third frequency; bending of the distal links puts modes below the third."""
+    _, *poses, last = run_example("frequencies.py", tmp_path).splitlines()
+    table = np.array([numbers(line.partition("%")[2]) for line in poses])
+    assert np.all((table[:, 0] > 123.5) & (table[:, 0] < 128.5))
+    assert np.all((table[:, 2] > 1904.0) & (table[:, 2] < 1920.5))
+    assert numbers(last)[2] < 620.0
+
+
+def test_own_trajectory(tmp_path: Path) -> None:
+    """The path has the stated ends, and the acceleration jumps by that of the ramp at its four breakpoints alone."""
+    length, speed, _, *breakpoints = run_example("own_trajectory.py", tmp_path).splitlines()
+    assert length.endswith("to (0.305, 0.0) m")
+    assert numbers(speed)[0] == pytest.approx(numbers(length)[0] * 1e-3 / (0.4 * 0.75), rel=1e-3)
+    table = np.array([numbers(line) for line in breakpoints])
+    jumps = np.abs(table[:, 2] - table[:, 1]) > 1e-3
+    np.testing.assert_allclose(table[jumps, 0], [0.0, 0.1, 0.3, 0.4])
