@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import tempfile
 import zipfile
@@ -48,9 +49,11 @@ def open_fmu(path: Path) -> UnpackedFmu:
 
 
 @cache
-def _root() -> tempfile.TemporaryDirectory[str]:
+def _root() -> Path:
     """Folder of all unpacked FMUs of this process, removed at its end."""
-    return tempfile.TemporaryDirectory(prefix="flexfmu-", ignore_cleanup_errors=True)
+    folder = tempfile.TemporaryDirectory(prefix="flexfmu-", ignore_cleanup_errors=True)
+    atexit.register(folder.cleanup)
+    return Path(folder.name)
 
 
 _unpacked: dict[str, tuple[Path, Any]] = {}
@@ -60,7 +63,7 @@ _unpacked: dict[str, tuple[Path, Any]] = {}
 def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
     """Folder and model description of the FMU with that content."""
     if digest not in _unpacked:
-        folder = Path(_root().name) / digest
+        folder = _root() / digest
         attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
         _unpacked[digest] = folder, description
