@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
+from timeit import repeat
 from typing import Any
 
 import casadi
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
 
 from flexfmu.cosim.block_code import block_function
 from flexfmu.cosim.block_slave import BlockSlave
@@ -113,8 +115,6 @@ def test_error_decays_as_designed() -> None:
             q, v = runge_kutta(q, v, torque, h)
         system = np.zeros((2, 2, 2))
         system[:, 0, 1], system[:, 1, 0], system[:, 1, 1] = 1.0, -K_P, -K_D
-        from scipy.linalg import expm
-
         wanted = np.array([(expm(0.05 * system[i]) @ [e, 0.0])[0] for i, e in enumerate((0.02, -0.01))])
         errors[h] = abs(q - start - wanted).max()
     assert errors[1e-4] < 2e-4
@@ -155,8 +155,6 @@ def test_evaluated_in_compiled_code() -> None:
 
 def test_cost_of_a_sample() -> None:
     """A sample of the computed torque, inverse dynamics included, stays below 5 microseconds."""
-    from timeit import repeat
-
     slave = BlockSlave(computed_torque(rigid(), K_P, K_D, sample_time=H))
     slave.set(np.arange(10), np.concatenate([pose(), np.zeros(4), pose(), np.zeros(2)]))
     slave.initialize(0.0, 1.0, None)

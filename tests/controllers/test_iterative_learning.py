@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from timeit import repeat
 from typing import Any
 
 import numpy as np
@@ -125,8 +126,6 @@ def test_joints_learn_apart() -> None:
 @pytest.mark.parametrize("compiled", [False, True])
 def test_long_tables_are_cheap(compiled: bool) -> None:
     """A table of a whole motion at 4 kHz moves on as one block of memory, not number by number."""
-    from timeit import repeat
-
     slave = BlockSlave(iterative_learning(1.0, 2720, sample_time=2.5e-4), compiled=compiled)
     slave.initialize(0.0, 1.0, None)
     assert min(repeat(lambda: slave.sample(0.0), number=200, repeat=10)) / 200 < 100e-6
