@@ -1,0 +1,89 @@
+"""Saturation and rate limit, against NumPy and against what they promise."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexfmu.cosim.imperfections.channels import Channel, joint_channels
+from flexfmu.cosim.imperfections.rate_limit import rate_limit
+from flexfmu.cosim.imperfections.saturation import saturation
+
+H = 1e-3
+TORQUES = joint_channels("torque")
+SIGNALS = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=25)
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(signal=SIGNALS, lower=st.floats(-50, 50), width=st.floats(0, 100))
+def test_saturation_is_exact(run: Any, signal: list[float], lower: float, width: float) -> None:
+    """Inside the limits nothing changes to the last bit; outside the limit itself comes out."""
+    block = saturation([Channel("a", "N.m")], lower, lower + width, sample_time=H)
+    np.testing.assert_array_equal(run(block, signal)[:, 0], np.clip(signal, lower, lower + width))
+
+
+def test_limits_for_each_channel_are_parameters(run: Any) -> None:
+    """Each channel has limits of its own, which can be tuned."""
+    block = saturation(TORQUES, [-1.0, -2.0], [3.0, 4.0], sample_time=H)
+    u = np.outer([-9.0, 0.5, 9.0], [1.0, 1.0])
+    np.testing.assert_array_equal(run(block, u), [[-1.0, -2.0], [0.5, 0.5], [3.0, 4.0]])
+    changed = {"joint1.torque.minimum": -0.1, "joint2.torque.maximum": 0.1}
+    np.testing.assert_array_equal(run(block, u, changed), [[-0.1, -2.0], [0.5, 0.1], [3.0, 0.1]])
+
+
+def test_saturation_lets_no_nan_pass_as_a_limit(run: Any) -> None:
+    """A signal that is not a number must stay one, so that the run stops and says so."""
+    assert np.isnan(run(saturation(TORQUES, -1.0, 1.0, sample_time=H), [[np.nan, np.nan]])).all()
+
+
+def reference_rate_limit(u: np.ndarray, rising: float, falling: float, last: float) -> np.ndarray:
+    """The law in plain NumPy."""
+    y = []
+    for value in u:
+        upper, lower = last + rising * H, last - falling * H
+        last = value if -falling * H <= value - last <= rising * H else (upper if value > last else lower)
+        y.append(last)
+    return np.array(y)
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(signal=SIGNALS, rising=st.floats(0, 1e6), falling=st.floats(0, 1e6), initial=st.floats(-100, 100))
+def test_rate_limit(run: Any, signal: list[float], rising: float, falling: float, initial: float) -> None:
+    """It equals the law in NumPy bit by bit, and its steps never exceed the rates by more than rounding."""
+    block = rate_limit([Channel("a", "N.m", initial)], rising, falling, sample_time=H)
+    y = run(block, signal)[:, 0]
+    np.testing.assert_array_equal(y, reference_rate_limit(np.array(signal), rising, falling, initial))
+    steps = np.diff([initial, *y])
+    slack = 1e-12 * (1e3 + H * max(rising, falling))
+    assert (steps <= rising * H + slack).all()
+    assert (steps >= -falling * H - slack).all()
+
+
+def test_rate_limited_step(run: Any) -> None:
+    """A step becomes a ramp of the given slopes that ends exactly at the step's height."""
+    block = rate_limit([Channel("a", "rad", 0.0)], 200.0, 100.0, sample_time=H)
+    y = run(block, np.repeat([1.0, 0.0], 12))[:, 0]
+    rise, fall = np.minimum(0.2 * np.arange(1, 13), 1.0), np.maximum(1.0 - 0.1 * np.arange(1, 13), 0.0)
+    np.testing.assert_allclose(y, [*rise, *fall], rtol=0, atol=1e-15)
+    assert y[11] == 1.0
+    assert y[-1] == 0.0
+
+
+def test_slow_signals_pass_a_rate_limit_unchanged(run: Any) -> None:
+    """Within the limit nothing changes to the last bit, also without an initial value."""
+    u = np.sin(np.arange(200) * 0.01)
+    np.testing.assert_array_equal(run(rate_limit([Channel("a")], 20.0, sample_time=H), u)[:, 0], u)
+
+
+@pytest.mark.parametrize("falling", [None, 7.0])
+def test_rates_are_parameters_with_units(falling: float | None) -> None:
+    """The rates can be tuned; one number counts for both directions."""
+    block = rate_limit([Channel("a", "rad/s")], 5.0, falling, sample_time=H)
+    assert [(each.name, each.unit, each.start, each.tunable) for each in block.parameters] == [
+        ("a.rising_rate", "rad/s2", 5.0, True),
+        ("a.falling_rate", "rad/s2", falling or 5.0, True),
+    ]
