@@ -137,6 +137,31 @@ def modes(
 
 
 @app.command()
+def shaper(
+    scene: SceneArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>.")
+    ] = None,
+    json: JsonOption = False,
+    payload_errors: Annotated[
+        bool,
+        typer.Option("--payload-errors", help="Seven payload errors instead of three; writes payload_errors.md too."),
+    ] = False,
+    payload_band: Annotated[
+        float, typer.Option(metavar="FRACTION", help="Largest error of the payload's mass, either way.")
+    ] = 0.3,
+) -> None:
+    """Design input shapers for a scene, try them all in co-simulation and recommend one.
+
+    Writes shapers.json, shapers.csv and the sensitivity picture.
+    """
+    with one_line_errors():
+        from flexfmu.cosim.cli_shaper import shaper_command
+
+        raise typer.Exit(shaper_command(scene, out, json, payload_errors, payload_band))
+
+
+@app.command()
 def validate(
     fmu: Annotated[
         Path, typer.Argument(metavar="FILE.fmu", help="The FMU to check.", show_default=False, readable=False)
