@@ -3,7 +3,7 @@
 Position and torque: largest difference over the whole run to a run with a tolerance of 1e-12, relative to the peak position
 error (what elasticity does, not the size of the path) and to the peak torque. Any metric: largest relative difference of all
 metrics to those of the finest run, interpolation between the communication points included.
-Times are wall times of the co-simulation, master and recording included, the best of several runs.
+Times are processor times of the co-simulation, master and recording included, the best of several runs.
 
     python benchmarks/accuracy_and_time.py [--repeat 7] [--json]
 """
@@ -16,16 +16,17 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from paper_scene import SCENE, best_times, timed_run
 
 from flexfmu.cosim.experiment import Run, run_scene
+from flexfmu.cosim.fmu_slave import FmuSlave
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene
 
-SCENE = load_scene("barnard2012-6kg")
 TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9)
 STEPS = (2e-4, 1e-3, 5e-3)
 REFERENCE_TOLERANCE = 1e-12
+FMU = build_scene(SCENE).path
 
 
 @dataclass(frozen=True)
@@ -49,36 +50,36 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=7, help="runs of which the fastest counts")
     parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
     options = parser.parse_args()
-    finest = metrics_of(simulate(min(STEPS), REFERENCE_TOLERANCE))
-    rows = [row for step in STEPS for row in measure_step(step, options.repeat, finest)]
+    rows = measure(options.repeat)
     if options.json:
-        print(json.dumps([asdict(row) for row in rows], indent=2))
+        print(json.dumps([asdict(each) for each in rows], indent=2))
         return
     print("   step   tolerance   time    x real time   steps   evaluations   position   torque   any metric")
-    for row in rows:
+    for each in rows:
         print(
-            f"{1e3 * row.communication_step:5.1f} ms   {row.tolerance:7.0e} {1e3 * row.time:6.1f} ms"
-            f" {row.real_time_factor:9.1f} {row.integrator_steps:11d} {row.evaluations:11d}"
-            f"      {row.position_error:8.1e} {row.torque_error:8.1e} {row.metric_error:9.1e}"
+            f"{1e3 * each.communication_step:5.1f} ms   {each.tolerance:7.0e} {1e3 * each.time:6.1f} ms"
+            f" {each.real_time_factor:9.1f} {each.integrator_steps:11d} {each.evaluations:11d}"
+            f"      {each.position_error:8.1e} {each.torque_error:8.1e} {each.metric_error:9.1e}"
         )
 
 
-def measure_step(step: float, repeat: int, finest: Mapping[str, float]) -> list[Row]:
-    """All tolerances at one communication step [s]."""
-    exact = simulate(step, REFERENCE_TOLERANCE)
-    return [measure_tolerance(step, tolerance, repeat, exact, finest) for tolerance in TOLERANCES]
+def measure(repeat: int) -> list[Row]:
+    """All tolerances at all communication steps."""
+    finest = metrics_of(simulate(min(STEPS), REFERENCE_TOLERANCE))
+    exact = {step: simulate(step, REFERENCE_TOLERANCE) for step in STEPS}
+    cases = [(step, tolerance) for step in STEPS for tolerance in TOLERANCES]
+    times = best_times([timed_run(FmuSlave(FMU, "plant"), *case) for case in cases], repeat)
+    return [row(simulate(*case), exact[case[0]], finest, time) for case, time in zip(cases, times, strict=True)]
 
 
-def measure_tolerance(step: float, tolerance: float, repeat: int, exact: Run, finest: Mapping[str, float]) -> Row:
+def row(run: Run, exact: Run, finest: Mapping[str, float], time: float) -> Row:
     """One line of the table."""
-    runs = [simulate(step, tolerance) for _ in range(repeat)]
-    run, time = runs[0], min(run.timing.simulate for run in runs)
     position = max(largest_difference(run, exact, f"end_effector.position.{axis}") for axis in "xy")
     torque = max(largest_difference(run, exact, f"joint{joint}.torque") for joint in (1, 2))
     changes = [abs(value / finest[name] - 1.0) for name, value in metrics_of(run).items()]
     return Row(
-        communication_step=step,
-        tolerance=tolerance,
+        communication_step=run.communication_step,
+        tolerance=run.tolerance,
         integrator_steps=run.health.statistics["steps"],
         evaluations=run.health.statistics["evaluations"],
         time=time,
@@ -105,5 +106,4 @@ def largest_difference(run: Run, exact: Run, signal: str) -> float:
 
 
 if __name__ == "__main__":
-    FMU = build_scene(SCENE).path
     main()

@@ -1,7 +1,8 @@
 """What the master costs per communication step: the paper's scene through its FMU, and the same with an idle plant instead.
 
 The idle plant has the FMU's variables and does nothing, so what remains is the master, the trajectory and the recording. The
-difference is the FMU itself: its integrator, its outputs with two derivatives, and the calls through ctypes.
+difference is the FMU itself: its integrator, its outputs with two derivatives, and the calls through ctypes. Processor times, the
+best of several runs.
 
     python benchmarks/overhead.py [--repeat 7] [--json]
 """
@@ -11,20 +12,16 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import asdict, dataclass
-from time import perf_counter
 
 import numpy as np
+from paper_scene import SCENE, best_times, timed_run
 
 from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.grid import time_grid
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.slave import Call, Indices, RealArray, Slave
-from flexfmu.cosim.system import connect
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.slave import Call, Indices, RealArray
 from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene
 
-SCENE = load_scene("barnard2012-6kg")
 STEPS = (5e-5, 2e-4, 1e-3, 5e-3)
 
 
@@ -63,7 +60,7 @@ def do_nothing() -> None:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: wall times of a run [s]."""
+    """One line of the table: processor times of a run [s]."""
 
     communication_step: float
     steps: int
@@ -78,7 +75,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
     options = parser.parse_args()
     plant = FmuSlave(build_scene(SCENE).path, "plant")
-    rows = [measure(plant, step, options.repeat) for step in STEPS]
+    rows = measure(plant, options.repeat)
     if options.json:
         print(json.dumps([asdict(row) for row in rows], indent=2))
         return
@@ -94,27 +91,12 @@ def main() -> None:
     )
 
 
-def measure(plant: FmuSlave, step: float, repeat: int) -> Row:
-    """Both runs at one communication step [s], the best of several."""
-    count, with_fmu = best_time(plant, step, repeat)
-    _, with_idle_plant = best_time(IdlePlant(plant), step, repeat)
-    return Row(step, count, with_fmu, with_idle_plant)
-
-
-def best_time(plant: Slave, step: float, repeat: int) -> tuple[int, float]:
-    """Number of communication steps and shortest wall time [s] of a run of the scene."""
-    motion = plan(SCENE)
-    references = TrajectorySlave(motion.joints)
-    names = [variable.name for variable in references.variables]
-    system = connect([references, plant], [(f"trajectory.{name}", f"plant.{name}") for name in names])
-    times = []
-    for _ in range(repeat):
-        started = perf_counter()
-        result = simulate(system, motion.stop_time, step, tolerance=SCENE.cosimulation.tolerance)
-        times.append(perf_counter() - started)
-        if result.outcome is not Outcome.COMPLETED:
-            raise SystemExit(result.message)
-    return result.steps, min(times)
+def measure(plant: FmuSlave, repeat: int) -> list[Row]:
+    """Both runs at all communication steps, the best of several rounds."""
+    tolerance, plants, motion = SCENE.cosimulation.tolerance, (plant, IdlePlant(plant)), plan(SCENE)
+    times = best_times([timed_run(each, step, tolerance) for each in plants for step in STEPS], repeat)
+    counts = [time_grid(0.0, motion.stop_time, step, motion.joints.breakpoints).times.size - 1 for step in STEPS]
+    return [Row(*row) for row in zip(STEPS, counts, times[: len(STEPS)], times[len(STEPS) :], strict=True)]
 
 
 if __name__ == "__main__":
