@@ -46,9 +46,12 @@ def build_block_fmu(
             compiler's error, or a file that cannot be written.
     """
 
+    from flexfmu.fmu_build.block_codegen import check_block
+
     def make_sources() -> Sources:
         return generate_block_sources(block, experiment, progress)
 
+    check_block(block)
     step = block.sample_time if step is None else step
     end = float(f"{DEFAULT_SAMPLES * block.sample_time:.12g}") if stop_time is None else stop_time
     experiment = DefaultExperiment(stop_time=end, step=step)

@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi
 
+from flexfmu.fmu_build.block_registers import with_runs_copied
 from flexfmu.fmu_build.codegen import (
     HEADER_FILE,
     MAX_INPUT_ORDER,
@@ -22,13 +23,22 @@ from flexfmu.model.block import SymbolicBlock
 SAMPLE_FILE = function_file("sample")
 _TEMPLATE = "block_description.c.j2"
 
+LARGE = 5000
+"""Lines of C from which GCC's optimiser isn't asked: its time grows with the square of their number, half a minute for
+10 000, and straight-line code gains little."""
+
+_QUICK = """#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("O0")
+#endif
+"""
+
 _ARGUMENTS = ("x", "u", "p")
 
 
 def sample_function(block: SymbolicBlock) -> casadi.Function:
     """Output and update in one function (x, u, p) → (y, next x), all dense, so that they share what they have in common.
 
-    Scalar operations are shared, matrix operations are kept: a table of thousands of states stays one copy in C.
+    Scalar operations are shared, matrix operations and long copies are kept: a table of thousands of states is a loop in C.
 
     Raises:
         ModelError: a function of the block has a wrong shape.
@@ -43,7 +53,8 @@ def sample_function(block: SymbolicBlock) -> casadi.Function:
     results = [casadi.densify(function.call(arguments)[0]) for function in functions]
     if is_scalar:
         results = casadi.cse(results)
-    return casadi.Function("model_sample", arguments, results, list(_ARGUMENTS), ["y", "next_x"])
+    sample = casadi.Function("model_sample", arguments, results, list(_ARGUMENTS), ["y", "next_x"])
+    return with_runs_copied(sample) if is_scalar else sample
 
 
 def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunction]:
@@ -56,7 +67,7 @@ def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunct
     function = sample_function(block)
     facts = function_facts("sample", function)
     try:
-        code = c_code(function)
+        code = _c_code(function)
     except RuntimeError as error:
         reason = str(error).strip().splitlines()[-1]
         raise ModelError(f"block '{block.name}' cannot be exported: CasADi has no C for it ({reason})") from error
@@ -66,6 +77,11 @@ def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunct
 def generate_block_description(block: SymbolicBlock, sample: GeneratedFunction, guid: str) -> str:
     """The C file that defines ``flex_the_block``."""
     return render(_TEMPLATE, block=block, sample=sample, guid=guid, max_input_order=MAX_INPUT_ORDER)
+
+
+def _c_code(function: casadi.Function) -> str:
+    code = c_code(function)
+    return code if code.count("\n") < LARGE else _QUICK + code
 
 
 def check_block(block: SymbolicBlock) -> None:
