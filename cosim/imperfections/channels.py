@@ -1,28 +1,19 @@
-"""The signals that pass through an imperfection: names, units, values before the first sample, and wiring by name."""
+"""The signals that pass through an imperfection, and wiring by their names."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
 
-import casadi
-import numpy as np
-
-from flexfmu.cosim.controllers.equations import Vector
 from flexfmu.cosim.controllers.joints import JOINTS, UNITS
 from flexfmu.cosim.errors import InputError
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.units import unit_exponents
-from flexfmu.model.symbolic import Variable
 
 JOINT_UNITS: dict[str, str] = {str(kind): unit for kind, unit in UNITS.items()} | {"torque": "N.m"}
 """What a joint has: kind of signal → unit."""
-
-PerChannel = float | Sequence[float]
-"""One number for all channels, or one for each."""
 
 
 @dataclass(frozen=True)
@@ -101,122 +92,3 @@ def chain(channels: Sequence[Channel], *slaves: str) -> list[tuple[str, str]]:
         for source, target in pairwise(slaves)
         for channel in channels
     ]
-
-
-def inputs(channels: Sequence[Channel]) -> list[Variable]:
-    """Inputs of a block, one for each channel.
-
-    Raises:
-        InputError: there is no channel.
-    """
-    if not channels:
-        raise InputError("an imperfection needs at least one channel")
-    return [
-        Variable(each.input, each.unit, f"Signal {each.name}, perfect", "input", each.initial or 0.0)
-        for each in channels
-    ]
-
-
-def outputs(channels: Sequence[Channel]) -> list[Variable]:
-    """Outputs of a block, one for each channel."""
-    return [Variable(each.name, each.unit, f"Signal {each.name}, imperfect", "output") for each in channels]
-
-
-def units(channels: Sequence[Channel]) -> list[str]:
-    """Unit of each channel."""
-    return [each.unit for each in channels]
-
-
-def per_second(unit: str) -> str:
-    """Unit of the time derivative of a signal: ``rad`` → ``rad/s`` → ``rad/s2``."""
-    found = re.fullmatch(r"(?P<head>.+)/s(?P<power>\d*)", unit)
-    return f"{found['head']}/s{int(found['power'] or 1) + 1}" if found else f"{unit}/s"
-
-
-def parameters(
-    channels: Sequence[Channel],
-    key: str,
-    values: PerChannel,
-    units: Sequence[str],
-    what: str,
-    *,
-    minimum: float | None = None,
-    maximum: float | None = None,
-) -> list[Variable]:
-    """Tunable parameters ``<channel>.<key>``.
-
-    Args:
-        channels: the channels.
-        key: last part of the parameters' names.
-        values: their start values.
-        units: unit for each channel.
-        what: the quantity in words.
-        minimum, maximum: admissible range.
-
-    Raises:
-        InputError: a value isn't finite or is out of range, their number doesn't fit, or one number is given for
-            different units.
-    """
-    what_in = f"{what} [{', '.join(dict.fromkeys(units))}]"
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what_in} must be a number or one for each channel, got {values!r}") from None
-    names = ", ".join(each.name for each in channels)
-    if array.shape not in ((), (len(channels),)):
-        raise InputError(f"{what_in} must be one number or one for each of {names}, got shape {array.shape}")
-    if array.shape == () and len(set(units)) > 1:
-        raise InputError(f"{what_in} can't be one number, {array}, for different units: give one for each of {names}")
-    numbers = [float(value) for value in np.broadcast_to(array, (len(channels),))]
-    for channel, value, unit in zip(channels, numbers, units, strict=True):
-        _check_range(f"{what} of {channel.name}", value, unit, minimum, maximum)
-    return [
-        Variable(
-            f"{each.name}.{key}", unit, f"{what} of {each.name}", "parameter", value, minimum, maximum, tunable=True
-        )
-        for each, value, unit in zip(channels, numbers, units, strict=True)
-    ]
-
-
-def initial_parameters(channels: Sequence[Channel]) -> list[Variable]:
-    """Parameters ``<channel>.initial`` of those channels that have an initial value."""
-    return [
-        Variable(f"{each.name}.initial", each.unit, f"{each.name} before the first sample", "parameter", each.initial)
-        for each in channels
-        if each.initial is not None
-    ]
-
-
-def require_initial(channels: Sequence[Channel], block: str) -> None:
-    """Make sure that every channel has an initial value.
-
-    Raises:
-        InputError: one has none.
-    """
-    for each in channels:
-        if each.initial is None:
-            raise InputError(
-                f"{block}: its first output is the value of {each.name} [{each.unit}] before the first sample; give it, "
-                f"for example Channel({each.name!r}, {each.unit!r}, initial=0.0)"
-            )
-
-
-def start_values(channels: Sequence[Channel], initial: Vector, u: Vector) -> Vector:
-    """What each channel was before the first sample: its initial value, or else the first sample's.
-
-    Args:
-        channels: n channels.
-        initial: the `initial_parameters`.
-        u: inputs of the first sample (n,).
-    """
-    given = iter(casadi.vertsplit(initial)) if initial.numel() else iter(())
-    return casadi.vertcat(*(u[i] if each.initial is None else next(given) for i, each in enumerate(channels)))
-
-
-def _check_range(what: str, value: float, unit: str, minimum: float | None, maximum: float | None) -> None:
-    if not isfinite(value):
-        raise InputError(f"{what} must be finite, got {value} {unit}")
-    if minimum is not None and value < minimum:
-        raise InputError(f"{what} must be at least {minimum:g} {unit}, got {value} {unit}")
-    if maximum is not None and value > maximum:
-        raise InputError(f"{what} must be at most {maximum:g} {unit}, got {value} {unit}")

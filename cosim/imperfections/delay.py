@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import casadi
 
 from flexfmu.cosim.controllers.equations import Vector, block
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.imperfections.channels import (
-    Channel,
+from flexfmu.cosim.imperfections.channels import Channel
+from flexfmu.cosim.imperfections.delay_filter import LINEAR, DelayFilter, Interpolation, delay_in_samples
+from flexfmu.cosim.imperfections.memory import cut, empty, recall, remember, repeated
+from flexfmu.cosim.imperfections.variables import (
     initial_parameters,
     inputs,
     outputs,
     require_initial,
     start_values,
+    whole_number,
 )
-from flexfmu.cosim.imperfections.delay_filter import LINEAR, DelayFilter, Interpolation, delay_in_samples
-from flexfmu.cosim.imperfections.memory import cut, empty, recall, remember, repeated
 from flexfmu.model.block import SymbolicBlock
 
 VECTORISED_FROM = 100
@@ -44,12 +44,8 @@ def whole_delay(
         InputError: n isn't a whole number or is negative, a channel has no initial value, or the sample time isn't
             positive.
     """
-    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 0:
-        raise InputError(
-            f"{name}: the delay must be a whole number of samples, zero or positive, got {samples!r}; "
-            "`delay` takes any time in seconds"
-        )
-    return _delay_line(channels, DelayFilter(samples), sample_time, offset, name)
+    whole = whole_number(f"{name}: the delay in samples", samples, 0, hint="`delay` takes any time in seconds")
+    return _delay_line(channels, DelayFilter(whole), sample_time, offset, name)
 
 
 def delay(

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from flexfmu.cosim.controllers.equations import check_sampling
 from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.imperfections.variables import whole_number
 
 WHOLE = 1e-12
 """A delay this close to a whole number of samples, relative to it, is that number: time / sample time is rounded."""
@@ -65,8 +66,8 @@ class Interpolation(Protocol):
 class Lagrange:
     """The polynomial through order + 1 samples, about the point where it is read: h_k = prod_{i != k} (D - i) / (k - i).
 
-    Group delay and magnitude are maximally flat at zero frequency; the magnitude nowhere exceeds 1 (Laakso et al. 1996,
-    eq. 42 and its discussion). The shortest delay is (order - 1) / 2 samples.
+    The frequency response is maximally flat at zero frequency, and its magnitude nowhere exceeds 1 (Laakso et al. 1996, on
+    maximally flat FIR filters). The shortest delay is (order - 1) / 2 samples.
 
     Attributes:
         order: N, from 1, which is linear interpolation.
@@ -97,8 +98,8 @@ class Thiran:
     """The all-pass whose group delay is maximally flat at zero frequency: a_k = (-1)^k C(N, k) prod_i (D - N + i) / (D - N + k + i).
 
     It changes no amplitude at any frequency, but answers a step with ripples. J.-P. Thiran, Recursive digital filters with
-    maximally flat group delay, IEEE Transactions on Circuit Theory 18(6), 1971, pp. 659-664; as an all-pass in Laakso et
-    al. 1996, eq. 86. The delay in the filter is N - 1/2 to N + 1/2 samples, where it is stable and at its best.
+    maximally flat group delay, IEEE Transactions on Circuit Theory 18(6), 1971, pp. 659-664; as an all-pass in
+    Laakso et al. 1996. The delay in the filter is N - 1/2 to N + 1/2 samples, where it is stable and at its best.
 
     Attributes:
         order: N, from 1.
@@ -152,8 +153,7 @@ def _trimmed(whole: int, weights: tuple[float, ...]) -> DelayFilter:
 
 
 def _check_order(order: int, what: str) -> None:
-    if isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= HIGHEST_ORDER:
-        raise InputError(f"the order of {what} must be a whole number from 1 to {HIGHEST_ORDER}, got {order!r}")
+    whole_number(f"the order of {what}", order, 1, HIGHEST_ORDER)
 
 
 def _check_shortest(samples: float, shortest: float, what: str) -> None:

@@ -9,9 +9,10 @@ import casadi
 
 from flexfmu.cosim.controllers.equations import Vector, block, check_sampling, split
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.imperfections.channels import Channel, initial_parameters, inputs, outputs, start_values
+from flexfmu.cosim.imperfections.channels import Channel
 from flexfmu.cosim.imperfections.memory import empty, recall, remember
 from flexfmu.cosim.imperfections.random_streams import Streams, draw, seed_parameter, seeded
+from flexfmu.cosim.imperfections.variables import initial_parameters, inputs, outputs, start_values
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.symbolic import Variable
 

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import casadi
 
 from flexfmu.cosim.controllers.equations import Vector, block, split
-from flexfmu.cosim.imperfections.channels import (
-    Channel,
+from flexfmu.cosim.imperfections.channels import Channel
+from flexfmu.cosim.imperfections.memory import empty, recall, remember
+from flexfmu.cosim.imperfections.variables import (
     PerChannel,
     initial_parameters,
     inputs,
@@ -16,7 +17,6 @@ from flexfmu.cosim.imperfections.channels import (
     parameters,
     require_initial,
 )
-from flexfmu.cosim.imperfections.memory import empty, recall, remember
 from flexfmu.model.block import SymbolicBlock
 
 

@@ -8,9 +8,10 @@ from math import pi
 import casadi
 
 from flexfmu.cosim.controllers.equations import Vector, block, split
-from flexfmu.cosim.imperfections.channels import Channel, PerChannel, inputs, outputs, parameters, units
+from flexfmu.cosim.imperfections.channels import Channel
 from flexfmu.cosim.imperfections.memory import empty, recall, remember
 from flexfmu.cosim.imperfections.random_streams import Streams, draw, seed_parameter, seeded
+from flexfmu.cosim.imperfections.variables import PerChannel, inputs, outputs, parameters, units
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.symbolic import Variable
 

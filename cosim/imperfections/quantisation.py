@@ -9,17 +9,9 @@ import casadi
 
 from flexfmu.cosim.controllers.equations import Vector, block
 from flexfmu.cosim.controllers.joints import JOINTS
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.imperfections.channels import (
-    Channel,
-    PerChannel,
-    inputs,
-    joint_channels,
-    outputs,
-    parameters,
-    units,
-)
+from flexfmu.cosim.imperfections.channels import Channel, joint_channels
 from flexfmu.cosim.imperfections.memory import cut, empty, recall, remember, repeated
+from flexfmu.cosim.imperfections.variables import PerChannel, inputs, outputs, parameters, units, whole_number
 from flexfmu.model.block import SymbolicBlock
 
 
@@ -34,7 +26,7 @@ def quantisation(
     """y = q floor(u / q + 1/2): the nearest multiple of the resolution q, at most q/2 away. It has no state.
 
     For a signal that crosses many steps the error is about uniform, of variance q²/12 and white (B. Widrow, I. Kollár,
-    Quantization Noise, 2008, chapter 4). The resolution is a tunable parameter ``<channel>.resolution``; zero switches
+    Quantization Noise, 2008, on pseudo-quantization noise). The resolution is a tunable parameter ``<channel>.resolution``; zero switches
     the quantisation off.
 
     Args:
@@ -80,7 +72,7 @@ def encoder(
 
     so the rate comes in steps of q / (w h) and w h / 2 late. Before the first sample the joints are taken to stand still.
     Inputs: ``joint1.position.input``; outputs ``joint1.position`` and ``joint1.velocity``; parameter
-    ``joint1.counts_per_turn``.
+    ``joint1.position.counts_per_turn``.
 
     Args:
         counts_per_turn: counts after the evaluation of edges, four for each line, and per turn of the joint, gear
@@ -94,8 +86,7 @@ def encoder(
         InputError: the counts are below 1 or not finite, the window isn't a whole number from 1, or the sample time isn't
             positive.
     """
-    if isinstance(window, bool) or not isinstance(window, int) or window < 1:
-        raise InputError(f"{name}: the window must be a whole number of samples, at least 1, got {window!r}")
+    whole_number(f"{name}: the window in samples", window, 1)
     angles, rates = joint_channels("position", joints=joints), joint_channels("velocity", joints=joints)
     ports, n = inputs(angles), len(angles)
 

@@ -1,7 +1,7 @@
 """Random numbers that are the same in Python and in exported C, to the last bit, because every operation on them is exact.
 
 The generator combines two multiplicative congruential ones with moduli below 2^31, of period 2.3e18: P. L'Ecuyer, Efficient
-and portable combined random number generators, Communications of the ACM 31(6), 1988, pp. 742-749 and 774. Products stay
+and portable combined random number generators, Communications of the ACM 31(6), 1988, pp. 742-751. Products stay
 below 2^48, so doubles hold them exactly.
 
 Every stream has a name, whose hash is where it starts, and a seed, which jumps ahead by seed * 2^40 numbers (P. L'Ecuyer,
@@ -21,7 +21,7 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.controllers.equations import Vector
-from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.imperfections.variables import whole_number
 from flexfmu.model.symbolic import Variable
 
 MODULI = (2147483563, 2147483399)
@@ -91,11 +91,8 @@ def seed_parameter(seed: int, block: str) -> Variable:
     Raises:
         InputError: the seed isn't a whole number or is out of range.
     """
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed <= LARGEST_SEED:
-        raise InputError(f"{block}: the seed must be a whole number from 0 to {LARGEST_SEED}, got {seed!r}")
-    return Variable(
-        "seed", "1", "Number of the random experiment, whole", "parameter", float(seed), 0.0, float(LARGEST_SEED)
-    )
+    start = whole_number(f"{block}: the seed", seed, 0, LARGEST_SEED)
+    return Variable("seed", "1", "Number of the random experiment", "parameter", float(start), 0.0, float(LARGEST_SEED))
 
 
 def _jump(seed: Vector, multiplier: int, modulus: int) -> Vector:

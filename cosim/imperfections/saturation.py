@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from flexfmu.cosim.controllers.equations import Vector, block, split
 from flexfmu.cosim.controllers.limits import saturate
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.imperfections.channels import Channel, PerChannel, inputs, outputs, parameters, units
+from flexfmu.cosim.imperfections.channels import Channel
+from flexfmu.cosim.imperfections.variables import PerChannel, inputs, outputs, parameters, units
 from flexfmu.model.block import SymbolicBlock
 
 
@@ -37,7 +38,7 @@ def saturation(
     minima = parameters(channels, "minimum", lower, units(channels), "the lower limit")
     maxima = parameters(channels, "maximum", upper, units(channels), "the upper limit")
     for channel, low, high in zip(channels, minima, maxima, strict=True):
-        if low.start > high.start:  # type: ignore[operator]
+        if low.start is not None and high.start is not None and low.start > high.start:
             raise InputError(
                 f"{name}: the lower limit {low.start} {low.unit} of {channel.name} is above the upper one, "
                 f"{high.start} {high.unit}; swap them"

@@ -11,7 +11,7 @@ import pytest
 from flexfmu.cosim.block_slave import BlockSlave
 from flexfmu.cosim.controllers.pd import pd
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.imperfections.channels import Channel, chain, joint_channels, per_second
+from flexfmu.cosim.imperfections.channels import Channel, chain, joint_channels
 from flexfmu.cosim.imperfections.delay import delay, whole_delay
 from flexfmu.cosim.imperfections.delay_filter import Lagrange, Thiran
 from flexfmu.cosim.imperfections.jitter import jitter
@@ -20,6 +20,7 @@ from flexfmu.cosim.imperfections.noise import gaussian_noise, uniform_noise
 from flexfmu.cosim.imperfections.quantisation import encoder, quantisation
 from flexfmu.cosim.imperfections.rate_limit import rate_limit
 from flexfmu.cosim.imperfections.saturation import saturation
+from flexfmu.cosim.imperfections.variables import per_second
 from flexfmu.cosim.system import connect
 from flexfmu.model.block import SymbolicBlock
 
@@ -160,29 +161,29 @@ def test_chain() -> None:
      r"the standard deviation \[rad, rad/s\] can't be one number, 0.001, for different units: give one for each of "
      r"joint1.position, joint1.velocity"),
     (lambda: gaussian_noise([TORQUE], -1e-3, 1, sample_time=H), r"must be at least 0 N.m, got -0.001 N.m"),
-    (lambda: gaussian_noise([TORQUE], 1e-3, -1, sample_time=H), r"seed must be a whole number from 0 to 1048575, got -1"),
-    (lambda: uniform_noise([TORQUE], 1e-3, 1.5, sample_time=H), r"seed must be a whole number .* got 1.5"),
+    (lambda: gaussian_noise([TORQUE], 1e-3, -1, sample_time=H), r"seed must be a whole number, from 0 to 1048575, got -1"),
+    (lambda: uniform_noise([TORQUE], 1e-3, 1.5, sample_time=H), r"seed must be a whole number, .* got 1.5"),
     (lambda: jitter([TORQUE], 2 * H, 1, sample_time=H), r"zero to the sample time, 0.001 s, got 0.002 s"),
-    (lambda: jitter([TORQUE], H, 2**20, sample_time=H), r"seed must be a whole number .* got 1048576"),
+    (lambda: jitter([TORQUE], H, 2**20, sample_time=H), r"seed must be a whole number, .* got 1048576"),
     (lambda: lag([TORQUE], 1e-3, sample_time=H),
      r"lag: its first output is the value of joint1.torque \[N.m\] before the first sample; give it, for example "
      r"Channel\('joint1.torque', 'N.m', initial=0.0\)"),
     (lambda: lag(joint_channels("torque", (0.0, 0.0)), -1e-3, sample_time=H),
      r"the time constant of joint1.torque must be at least 0 s, got -0.001 s"),
     (lambda: whole_delay([TORQUE], 1, sample_time=H), r"delay: its first output is the value of joint1.torque"),
-    (lambda: whole_delay([TORQUE], 1.5, sample_time=H), r"a whole number of samples, zero or positive, got 1.5; `delay`"),
-    (lambda: whole_delay([TORQUE], -1, sample_time=H), r"a whole number of samples, zero or positive, got -1"),
+    (lambda: whole_delay([TORQUE], 1.5, sample_time=H), r"the delay in samples must be a whole number, at least 0, got 1.5; `delay` takes"),
+    (lambda: whole_delay([TORQUE], -1, sample_time=H), r"the delay in samples must be a whole number, at least 0, got -1"),
     (lambda: delay([TORQUE], -H, sample_time=H), r"delay: the delay must be zero or positive, got -0.001 s"),
     (lambda: delay([TORQUE], H, sample_time=np.nan), r"delay: the sample time must be positive, got nan s"),
     (lambda: delay([TORQUE], 0.5 * H, sample_time=H, interpolation=Lagrange(3)),
      r"a delay of 0.5 samples is too short for Lagrange interpolation of order 3, which needs at least 1; take a lower"),
     (lambda: delay([TORQUE], 0.4 * H, sample_time=H, interpolation=Thiran(1)),
      r"a delay of 0.4 samples is too short for Thiran's all-pass of order 1, which needs at least 0.5"),
-    (lambda: Lagrange(0), r"the order of Lagrange interpolation must be a whole number from 1 to 10, got 0"),
-    (lambda: Thiran(11), r"the order of Thiran's all-pass must be a whole number from 1 to 10, got 11"),
+    (lambda: Lagrange(0), r"the order of Lagrange interpolation must be a whole number, from 1 to 10, got 0"),
+    (lambda: Thiran(11), r"the order of Thiran's all-pass must be a whole number, from 1 to 10, got 11"),
     (lambda: encoder(0.5, sample_time=H),
-     r"the number of counts per turn of joint1.position must be at least 1 1, got 0.5 1"),
-    (lambda: encoder(1e4, sample_time=H, window=0), r"the window must be a whole number of samples, at least 1, got 0"),
+     r"the number of counts per turn of joint1.position must be at least 1, got 0.5$"),
+    (lambda: encoder(1e4, sample_time=H, window=0), r"the window in samples must be a whole number, at least 1, got 0"),
 ])  # fmt: skip
 def test_wrong_input(make: Callable[[], object], message: str) -> None:
     """A message gives the value, its unit and what would be right, before anything runs."""

@@ -1,0 +1,96 @@
+"""Imperfections in the master: at their own instants, in a chain, in a closed loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.errors import AlgebraicLoopError
+from flexfmu.cosim.imperfections.channels import Channel, chain
+from flexfmu.cosim.imperfections.delay import delay, whole_delay
+from flexfmu.cosim.imperfections.jitter import jitter
+from flexfmu.cosim.imperfections.lag import lag
+from flexfmu.cosim.imperfections.noise import gaussian_noise
+from flexfmu.cosim.imperfections.quantisation import quantisation
+from flexfmu.cosim.imperfections.rate_limit import rate_limit
+from flexfmu.cosim.imperfections.saturation import saturation
+from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.system import connect
+
+H = 0.01
+POSITION = Channel("joint1.position", "rad", 0.3)
+TORQUE = Channel("joint1.torque", "N.m", 0.0)
+
+
+class Ramp:
+    """joint1.position = 0.3 + 2 t."""
+
+    name = "ramp"
+    variables = (SlaveVariable("joint1.position", "output", "rad"),)
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.time = start_time
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = 0.3 + 2.0 * self.time
+
+    def step(self, time: float, step: float) -> None:
+        self.time = time + step
+
+
+def test_delay_in_time() -> None:
+    """At its instants offset + k h a delay gives the signal of that time before, and holds it until the next."""
+    offset = H / 2
+    slaves = [Ramp(), BlockSlave(delay([POSITION], 3.25 * H, sample_time=H, offset=offset))]
+    result = simulate(connect(slaves, [("ramp.joint1.position", "delay.joint1.position.input")]), stop=0.2, step=H / 4)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    time, y = result.recording.time, result.recording["delay.joint1.position"].values
+    instant = offset + H * np.floor((time - offset) / H + 1e-9)
+    filled = time > 6 * H
+    held = filled & (np.abs(time - instant) > H / 8)
+    np.testing.assert_allclose(y[held], 0.3 + 2.0 * (instant[held] - 3.25 * H), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(y[time < 3 * H], 0.3)
+
+
+def test_a_chain_is_its_links_one_after_the_other(run: Any) -> None:
+    """Clock, converter, noise and wire in a row give what the blocks give one after the other, at the same instants."""
+    blocks = [
+        jitter([POSITION], 0.3 * H, 1, sample_time=H),
+        quantisation([POSITION], 1e-3, sample_time=H),
+        gaussian_noise([POSITION], 1e-4, 1, sample_time=H),
+        whole_delay([POSITION], 2, sample_time=H),
+        saturation([POSITION], 0.0, 0.6, sample_time=H),
+    ]
+    names = [block.name for block in blocks]
+    wiring = chain([POSITION], "ramp", *names, "receiver")[:-1]
+    result = simulate(connect([Ramp(), *map(BlockSlave, blocks)], wiring), stop=0.3, step=H)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    expected = 0.3 + 2.0 * H * np.arange(31)
+    for block in blocks:
+        expected = run(block, expected)[:, 0]
+    time, y = result.recording.time, result.recording["saturation.joint1.position"].values
+    for k in range(30):
+        between = y[(time > (k + 1e-6) * H) & (time < (k + 1 + 1e-6) * H)]
+        np.testing.assert_allclose(between[0], expected[k], rtol=0, atol=1e-14)
+
+
+def test_a_lag_breaks_a_loop() -> None:
+    """A current loop or a delay in a closed loop makes it solvable instant by instant; without them it is refused."""
+    limit = saturation([TORQUE], -1.0, 1.0, sample_time=H)
+    around = [
+        ("saturation.joint1.torque", "{}.joint1.torque.input"),
+        ("{}.joint1.torque", "saturation.joint1.torque.input"),
+    ]
+    for block in (lag([TORQUE], 0.1, sample_time=H), whole_delay([TORQUE], 1, sample_time=H)):
+        wiring = [(a.format(block.name), b.format(block.name)) for a, b in around]
+        assert len(connect([BlockSlave(limit), BlockSlave(block)], wiring).slaves) == 2
+    block = rate_limit([TORQUE], 1.0, sample_time=H)
+    wiring = [(a.format(block.name), b.format(block.name)) for a, b in around]
+    with pytest.raises(AlgebraicLoopError, match=r"joint1\.torque"):
+        connect([BlockSlave(limit), BlockSlave(block)], wiring)

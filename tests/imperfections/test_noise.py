@@ -1,0 +1,156 @@
+"""Noise: its law, its statistics, and that every signal has noise of its own that can be had again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import pi, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import kstest, kurtosis, skew
+
+from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.imperfections.channels import Channel, joint_channels
+from flexfmu.cosim.imperfections.noise import gaussian_noise, uniform_noise
+from flexfmu.cosim.imperfections.random_streams import JUMP, MODULI, MULTIPLIERS, start_states
+from flexfmu.model.block import SymbolicBlock
+
+H = 2.5e-4
+POSITIONS = joint_channels("position")
+COUNT = 100_000
+SIX_SIGMA = 6.0
+
+
+def uniform_numbers(name: str, seed: int, count: int) -> np.ndarray:
+    """The stream in whole-number NumPy."""
+    s = [pow(a, JUMP * seed, m) * s % m for a, m, s in zip(MULTIPLIERS, MODULI, start_states(name), strict=True)]
+    numbers = []
+    for _ in range(count):
+        s = [a * each % m for a, each, m in zip(MULTIPLIERS, s, MODULI, strict=True)]
+        numbers.append((s[0] - s[1] - 1) % (MODULI[0] - 1) + 1)
+    return np.array(numbers) / MODULI[0]
+
+
+@pytest.fixture(scope="module")
+def gauss(run: Any) -> np.ndarray:
+    """Noise of 1e-5 rad and 2e-5 rad, in standard deviations."""
+    block = gaussian_noise(POSITIONS, [1e-5, 2e-5], 7, sample_time=H)
+    return run(block, np.zeros((COUNT, 2))) / [1e-5, 2e-5]
+
+
+def test_gaussian_law(run: Any) -> None:
+    """y = u + sigma sqrt(-2 ln U) cos(2 pi V) with the streams' numbers in pairs, in plain NumPy."""
+    u = np.random.default_rng(1).normal(size=(500, 2))
+    y = run(gaussian_noise(POSITIONS, [0.1, 0.2], 99, sample_time=H), u)
+    for i, scale in enumerate((0.1, 0.2)):
+        radius, angle = uniform_numbers(f"noise/joint{i + 1}.position", 99, 1000).reshape(-1, 2).T
+        expected = u[:, i] + scale * np.sqrt(-2 * np.log(radius)) * np.cos(2 * pi * angle)
+        np.testing.assert_allclose(y[:, i], expected, rtol=0, atol=2e-15)
+
+
+def test_uniform_law(run: Any) -> None:
+    """y = u + half_width (2 U - 1), in plain NumPy."""
+    y = run(uniform_noise([Channel("a", "N.m")], 0.25, 4, sample_time=H, name="ripple"), np.full(500, 3.0))[:, 0]
+    np.testing.assert_allclose(y, 3.0 + 0.25 * (2 * uniform_numbers("ripple/a", 4, 500) - 1), rtol=0, atol=1e-15)
+
+
+def test_gaussian_moments(gauss: np.ndarray) -> None:
+    """Mean, variance, skewness and kurtosis are those of the normal distribution."""
+    for y in gauss.T:
+        assert abs(y.mean()) < SIX_SIGMA / sqrt(COUNT)
+        assert abs(y.var() - 1) < SIX_SIGMA * sqrt(2 / COUNT)
+        assert abs(skew(y)) < SIX_SIGMA * sqrt(6 / COUNT)
+        assert abs(kurtosis(y)) < SIX_SIGMA * sqrt(24 / COUNT)
+        assert kstest(y, "norm").pvalue > 1e-6
+
+
+def test_gaussian_tails(gauss: np.ndarray) -> None:
+    """Rare large values are as frequent as they should be, where a poor generator fails first."""
+    for bound, probability in ((2.0, 0.0455003), (3.0, 0.0026998), (4.0, 6.334e-5)):
+        count = (np.abs(gauss) > bound).sum()
+        expected = probability * gauss.size
+        assert abs(count - expected) < SIX_SIGMA * sqrt(expected)
+    assert np.abs(gauss).max() < sqrt(-2 * np.log(1 / MODULI[0]))
+
+
+def test_noise_is_white(gauss: np.ndarray) -> None:
+    """No autocorrelation, and none of the squares: the amplitude doesn't breathe."""
+    for y in gauss.T:
+        for values in (y, y**2):
+            scaled = (values - values.mean()) / values.std()
+            for lag in range(1, 21):
+                assert abs(np.mean(scaled[lag:] * scaled[:-lag])) < SIX_SIGMA / sqrt(COUNT)
+
+
+def test_channels_are_independent(gauss: np.ndarray) -> None:
+    """Both joints' encoders don't err together, at the same sample or around it."""
+    for lag in range(-5, 6):
+        pair = gauss[5:-5, 0], np.roll(gauss[:, 1], lag)[5:-5]
+        assert abs(np.corrcoef(*pair)[0, 1]) < SIX_SIGMA / sqrt(COUNT)
+
+
+def test_uniform_moments(run: Any) -> None:
+    """The variance is half_width² / 3, and no value lies outside."""
+    y = run(uniform_noise([Channel("a")], 0.3, 5, sample_time=H), np.zeros(COUNT))[:, 0]
+    assert np.abs(y).max() < 0.3
+    assert abs(y.mean()) < SIX_SIGMA * 0.3 / sqrt(3 * COUNT)
+    assert y.var() == pytest.approx(0.03, rel=SIX_SIGMA * sqrt(0.8 / COUNT))
+    assert kstest(y, "uniform", args=(-0.3, 0.6)).pvalue > 1e-6
+
+
+@pytest.mark.parametrize("make", [gaussian_noise, uniform_noise])
+def test_seed_is_a_parameter(make: Callable[..., SymbolicBlock], run: Any) -> None:
+    """The same seed gives the same noise, another one another; an importer can choose it."""
+    silence = np.zeros((50, 2))
+    noise = {seed: run(make(POSITIONS, 1.0, seed, sample_time=H), silence) for seed in (1, 2)}
+    np.testing.assert_array_equal(run(make(POSITIONS, 1.0, 1, sample_time=H), silence), noise[1])
+    np.testing.assert_array_equal(run(make(POSITIONS, 1.0, 1, sample_time=H), silence, {"seed": 2.0}), noise[2])
+    assert not np.isin(noise[1], noise[2]).any()
+
+
+def test_noise_belongs_to_the_channel(run: Any) -> None:
+    """Adding a channel or changing their order leaves everybody else's noise as it was."""
+    torque = Channel("joint1.torque", "N.m")
+    few = run(gaussian_noise(POSITIONS, 1.0, 3, sample_time=H), np.zeros((20, 2)))
+    many = run(gaussian_noise([torque, *POSITIONS[::-1]], [1.0] * 3, 3, sample_time=H), np.zeros((20, 3)))
+    np.testing.assert_array_equal(many[:, [2, 1]], few)
+
+
+def test_blocks_of_different_names_are_independent(run: Any) -> None:
+    """Two blocks with the same seed don't repeat each other's noise."""
+    a, b = (
+        run(gaussian_noise([Channel("a")], 1.0, 3, sample_time=H, name=name), np.zeros(20_000))[:, 0]
+        for name in ("sensor", "amplifier")
+    )
+    assert abs(np.corrcoef(a, b)[0, 1]) < SIX_SIGMA / sqrt(20_000)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_run_can_be_repeated(compiled: bool) -> None:
+    """Initialisation begins the noise anew; restoring a state takes it back to there."""
+    slave = BlockSlave(gaussian_noise(POSITIONS, 1.0, 3, sample_time=H), compiled=compiled)
+    outputs, values = np.array([5, 6]), np.empty(2)
+
+    def noise() -> list[float]:
+        slave.sample(0.0)
+        slave.get(outputs, values)
+        return list(values)
+
+    runs = []
+    for _ in range(2):
+        slave.initialize(0.0, 1.0, None)
+        runs.append([noise() for _ in range(5)])
+    assert runs[0] == runs[1]
+    state = slave.save()
+    following = noise()
+    slave.restore(state)
+    assert noise() == following
+
+
+def test_seeds_out_of_range_are_refused_at_run_time() -> None:
+    """A parameter set later is checked like an argument."""
+    slave = BlockSlave(gaussian_noise(POSITIONS, 1.0, 3, sample_time=H))
+    with pytest.raises(InputError, match=r"seed must be at most 1048575.0 1, got 2000000.0"):
+        slave.set(np.array([4]), np.array([2e6]))

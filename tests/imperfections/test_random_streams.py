@@ -1,0 +1,167 @@
+"""Random streams against whole-number arithmetic, the published generator, and statistics."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import casadi
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import kstest
+
+from flexfmu.cosim.imperfections.random_streams import (
+    JUMP,
+    LARGEST_SEED,
+    MODULI,
+    MULTIPLIERS,
+    Streams,
+    draw,
+    seeded,
+    start_states,
+)
+
+SEEDS = st.integers(0, LARGEST_SEED)
+SIX_SIGMA = 6.0
+"""A right generator exceeds this bound once in five hundred million cases."""
+
+
+def published(s1: int, s2: int, count: int) -> list[float]:
+    """L'Ecuyer's generator of 1988 for 32-bit machines, its products by Schrage's decomposition."""
+    numbers = []
+    for _ in range(count):
+        k = s1 // 53668
+        s1 = 40014 * (s1 - k * 53668) - k * 12211
+        s1 += 2147483563 if s1 < 0 else 0
+        k = s2 // 52774
+        s2 = 40692 * (s2 - k * 52774) - k * 3791
+        s2 += 2147483399 if s2 < 0 else 0
+        z = s1 - s2
+        numbers.append((z + 2147483562 if z < 1 else z) / 2147483563)
+    return numbers
+
+
+def states(name: str, seed: int) -> tuple[int, int]:
+    """The stream of a name and a seed, as CasADi calculates it."""
+    symbol = casadi.SX.sym("seed")
+    values = np.array(casadi.Function("seeded", [symbol], [seeded([name], symbol).states])(seed)).ravel()
+    return int(values[0]), int(values[1])
+
+
+def numbers(names: list[str], seed: int, count: int) -> np.ndarray:
+    """Random numbers (count, names)."""
+    x, n = casadi.SX.sym("x", 2 * len(names)), len(names)
+    values, following = draw(Streams.of(x))
+    step = casadi.Function("draw", [x, casadi.SX.sym("none", 0)], [following.states, values])
+    start = casadi.Function("seeded", [], [seeded(names, casadi.SX(seed)).states])()["o0"]
+    return np.array(step.mapaccum(count)(start, casadi.DM(0, count))[1]).T.reshape(count, n)
+
+
+@pytest.fixture(scope="module")
+def sample() -> np.ndarray:
+    """200 000 numbers of three streams."""
+    return numbers(["noise/joint1.position", "noise/joint2.position", "jitter"], 1, 200_000)
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(seed=SEEDS, name=st.text(max_size=20))
+def test_seeding_is_exact(seed: int, name: str) -> None:
+    """A seed jumps ahead by seed 2^40 numbers: compared with whole numbers of any length, for every seed."""
+    expected = tuple(
+        pow(a, JUMP * seed, m) * s % m for a, m, s in zip(MULTIPLIERS, MODULI, start_states(name), strict=True)
+    )
+    assert states(name, seed) == expected
+
+
+@pytest.mark.parametrize("seed", [0, 1, LARGEST_SEED])
+def test_numbers_are_those_of_the_published_generator(seed: int) -> None:
+    """Twenty thousand numbers equal those of the published program, bit by bit."""
+    got = numbers(["a"], seed, 20_000)[:, 0]
+    np.testing.assert_array_equal(got, published(*states("a", seed), 20_000))
+
+
+def test_states_are_those_that_others_have_published() -> None:
+    """The second generator from its largest state on, as the On-Line Encyclopedia of Integer Sequences lists it, A096561."""
+    listed = (2147483398, 2147442707, 491644535, 44073136, 275411947, 1494571342, 367188984, 1612130085, 1622029567)
+    x = casadi.SX.sym("x", 2)
+    step = casadi.Function("draw", [x], [draw(Streams.of(x))[1].states])
+    state = casadi.DM([1, listed[0]])
+    for expected in listed[1:]:
+        state = step(state)
+        assert int(state[1]) == expected
+
+
+def test_extreme_states() -> None:
+    """The largest and smallest states keep products exact and numbers inside (0, 1)."""
+    x = casadi.SX.sym("x", 2)
+    value, following = draw(Streams.of(x))
+    step = casadi.Function("draw", [x], [value, following.states])
+    for s1 in (1, 2, MODULI[0] - 1):
+        for s2 in (1, 2, MODULI[1] - 1):
+            u, after = step([s1, s2])
+            assert 0.0 < float(u) < 1.0
+            expected = [a * s % m for a, s, m in zip(MULTIPLIERS, (s1, s2), MODULI, strict=True)]
+            assert [int(each) for each in np.array(after).ravel()] == expected
+            assert float(u) == published(s1, s2, 1)[0]
+
+
+def test_multipliers_have_full_period() -> None:
+    """Both multipliers are primitive roots of prime moduli, so that the period is the product of (m - 1) over 2."""
+    factors = ((2, 3, 7, 631, 81031), (2, 19, 31, 1019, 1789))
+    for m, a, primes in zip(MODULI, MULTIPLIERS, factors, strict=True):
+        rest = m - 1
+        for prime in primes:
+            assert pow(a, (m - 1) // prime, m) != 1
+            while rest % prime == 0:
+                rest //= prime
+        assert rest == 1
+        assert pow(a, m - 1, m) == 1
+
+
+def test_uniformity(sample: np.ndarray) -> None:
+    """Mean, variance and distribution are those of the uniform one in (0, 1)."""
+    count = len(sample)
+    for u in sample.T:
+        assert abs(u.mean() - 0.5) < SIX_SIGMA * sqrt(1 / 12 / count)
+        assert abs(u.var() - 1 / 12) < SIX_SIGMA * sqrt(1 / 180 / count)
+        assert kstest(u, "uniform").pvalue > 1e-6
+
+
+def test_pairs_are_uniform(sample: np.ndarray) -> None:
+    """Pairs of successive numbers fill a 64 x 64 grid evenly: Gauss numbers are made of such pairs."""
+    for u in sample.T:
+        cells = np.floor(64 * u).astype(int).reshape(-1, 2)
+        counts = np.bincount(64 * cells[:, 0] + cells[:, 1], minlength=4096)
+        expected = len(cells) / 4096
+        chi_squared = ((counts - expected) ** 2).sum() / expected
+        assert abs(chi_squared - 4095) < SIX_SIGMA * sqrt(2 * 4095)
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Correlation, in standard deviations of that of independent numbers."""
+    return float(np.corrcoef(a, b)[0, 1] * sqrt(len(a)))
+
+
+def test_successive_numbers_are_uncorrelated(sample: np.ndarray) -> None:
+    """White noise: no correlation at any of fifty lags."""
+    for u in sample.T:
+        assert max(abs(correlation(u[lag:], u[:-lag])) for lag in range(1, 51)) < SIX_SIGMA
+
+
+def test_streams_are_uncorrelated() -> None:
+    """Neighbouring seeds and similar names have nothing in common, at small lags either."""
+    names = [f"noise/joint{i}.position" for i in range(1, 5)]
+    streams = np.hstack([numbers(names, seed, 20_000) for seed in (0, 1, 2, 3, 4, 8, 16, 1024)])
+    for lag in (0, 1, 2):
+        matrix = np.corrcoef(streams[lag:].T, streams[: len(streams) - lag].T)[: streams.shape[1], streams.shape[1] :]
+        if lag == 0:
+            matrix = matrix - np.eye(len(matrix))
+        assert np.abs(matrix).max() * sqrt(len(streams)) < SIX_SIGMA
+
+
+def test_no_seed_gives_the_sum_of_others() -> None:
+    """Three successive seeds are not linearly dependent modulo 1, as they would be if seeds multiplied states."""
+    u = np.hstack([numbers(["a"], seed, 20_000) for seed in (1, 2, 3)])
+    mixed = np.mod(u[:, 0] + u[:, 2] - 2 * u[:, 1], 1.0)
+    assert kstest(mixed, "uniform").pvalue > 1e-6
