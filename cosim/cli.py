@@ -145,7 +145,7 @@ def shaper(
     json: JsonOption = False,
     payload_errors: Annotated[
         bool,
-        typer.Option("--payload-errors", help="Seven payload errors instead of three; writes payload_errors.md too."),
+        typer.Option("--payload-errors", help="Seven payload errors instead of five; writes payload_errors.md too."),
     ] = False,
     payload_band: Annotated[
         float, typer.Option(metavar="FRACTION", help="Largest error of the payload's mass, either way.")

@@ -33,8 +33,9 @@ from flexfmu.model.scene_file import load_scene
 RESULTS = Path("results")
 """Where results go unless the user says otherwise, in a folder named after the scene."""
 
-COARSE, FINE = 3, 7
-"""Number of payload errors: both ends of the band and its middle, or also steps between."""
+COARSE, FINE = 5, 7
+"""Number of payload errors over the band. The residual vibration goes up and down with the payload, since the vibrations
+of start, corners and end meet in another phase: its ends and middle alone would miss the worst."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +129,7 @@ def _data(found: Study) -> dict[str, Any]:
 
 def _print(found: Study, folder: Path) -> None:
     recommended = found.recommendation.result
-    lines = [
-        f"Recommended: {recommended.candidate.name} on {recommended.candidate.application}: {found.recommendation.reason}."
-    ]
+    lines = [f"Recommended: {recommended.candidate.label}: {found.recommendation.reason}."]
     if found.slower is not None:
         lines.append(compare_slower(recommended, found.slower, found.scene.cosimulation.settling_band) + ".")
     lines += [f"Left out: {what}: {why}." for what, why in found.left_out.items()]

@@ -44,7 +44,8 @@ def draw_sensitivity(results: Sequence[Result], design: DesignModes, recommended
     left, right = figure.subplots(1, 2)
     _closed_form(left, results, design, colours, recommended)
     _simulated(right, results, colours, recommended, band)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=8)
+    handles, _ = left.get_legend_handles_labels()
+    figure.legend(handles=[*handles, *_line_styles()], loc="outside lower center", ncols=6, fontsize=8)
     return figure
 
 
@@ -126,7 +127,12 @@ def _simulated(
         title="Robot, co-simulated",
     )
     _plain_numbers(axes)
-    kinds = [("joints shaped", "-"), ("motion along the path shaped", STYLES["path"])]
-    handles = [Line2D([], [], color=GREY, linestyle=line, label=label) for label, line in kinds]
-    unshaped = Line2D([], [], color=INK, linewidth=2.6, label="unshaped")
-    axes.legend(handles=[unshaped, *handles], fontsize=8, loc="center right")
+
+
+def _line_styles() -> list[Line2D]:
+    """What the lines of the right panel tell apart beside colours."""
+    return [
+        Line2D([], [], color=INK, linewidth=2.6, label=UNSHAPED_NAME),
+        Line2D([], [], color=GREY, linestyle=STYLES["joints"], label="joints shaped"),
+        Line2D([], [], color=GREY, linestyle=STYLES["path"], label="motion along path shaped"),
+    ]

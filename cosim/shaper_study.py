@@ -60,6 +60,11 @@ class Candidate:
     sequence: ImpulseSequence
     motion: MotionPlan
 
+    @property
+    def label(self) -> str:
+        """Name and application in words."""
+        return self.name if self.application == NOTHING else f"{self.name} on {self.application}"
+
 
 @dataclass(frozen=True)
 class Result:
@@ -165,9 +170,7 @@ def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Tria
     scene = with_payload_error(candidate.motion.scene, payload_error)
     run = run_scene(scene, motion=replace(candidate.motion, scene=scene), fmu_path=fmu_path)
     if not run.completed:
-        raise CosimError(
-            f"shaper {candidate.name} on {candidate.application}, payload error {payload_error:+.0%}: {run.message}"
-        )
+        raise CosimError(f"{candidate.label}, payload error {payload_error:+.0%}: {run.message}")
     values = {name: measurement.value for name, measurement in measure_run(run).items()}
     return Trial(
         payload_error,
