@@ -16,7 +16,7 @@ from flexfmu.cosim.cli_errors import FAILURE, show_error
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.experiment import Run, run_scene
 from flexfmu.cosim.json_text import to_json
-from flexfmu.cosim.metric_table import METRICS, display
+from flexfmu.cosim.metric_table import ALL_METRICS, METRICS, display
 from flexfmu.cosim.metrics import Measurement, Settings, measure, settings_for
 from flexfmu.cosim.output import OutputFolder
 from flexfmu.cosim.summary import summarise
@@ -61,7 +61,7 @@ def _measure(run: Run) -> tuple[Settings | None, Mapping[str, Measurement], str 
     if not run.completed:
         return None, none, run.message
     try:
-        settings = settings_for(run.plan)
+        settings = settings_for(run.plan, run.robot)
         return settings, measure(run.recording, settings), None
     except (EquilibriumError, ResultsError) as error:
         return None, none, str(error)
@@ -81,6 +81,9 @@ def _print_summary(summary: Mapping[str, Any], folder: Path) -> None:
     if health["outcome"] == "completed":
         parts.append(_metrics_table(name, metrics))
     parts.append(Text(_health_line(health, summary["timing"])))
+    late = [delay for delay in summary["delays"] if delay["seconds"] > 0.0]
+    if late:
+        parts.append(Text("late: " + "; ".join(delay["description"] for delay in late)))
     if health["warnings"]:
         parts.append(Text(_warning_line(health), style="yellow"))
     parts.append(Text(f"results.csv, summary.json and report.html are in {folder}"))
@@ -92,7 +95,7 @@ def _metrics_table(title: str, metrics: Mapping[str, float | None]) -> Table:
     table.add_column("Metric")
     table.add_column("Value", justify="right")
     for name, value in metrics.items():
-        table.add_row(METRICS[name].label, display(name, value))
+        table.add_row(ALL_METRICS[name].label, display(name, value))
     return table
 
 
@@ -107,7 +110,7 @@ def _health_line(health: Mapping[str, Any], timing: Mapping[str, float]) -> str:
 def _warning_line(health: Mapping[str, Any]) -> str:
     """All metrics for which the communication step is too coarse, each with its estimated error."""
     coarse = "; ".join(
-        f"{METRICS[warning['metric']].label} ± {display(warning['metric'], warning['estimated_error'], digits=1)}"
+        f"{ALL_METRICS[warning['metric']].label} ± {display(warning['metric'], warning['estimated_error'], digits=1)}"
         for warning in health["warnings"]
     )
     return f"warning: the communication step of {health['communication_step']:g} s is too coarse for: {coarse}"

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
+from typing import TypedDict
 
-from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.delays import SignalDelay
 from flexfmu.cosim.fmu_file import open_fmu
 from flexfmu.cosim.fmu_slave import FmuSlave
 from flexfmu.cosim.fmu_variables import Value, parameter_names
+from flexfmu.cosim.loop import Loop
+from flexfmu.cosim.loop_recording import SlaveFacts, plain_names, slave_facts, with_constants
+from flexfmu.cosim.loop_sections import holding_torques, loop_of
 from flexfmu.cosim.master import Outcome, Progress, simulate
-from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.results import Recording
 from flexfmu.cosim.rigid_motion import with_rigid_motion
-from flexfmu.cosim.scene_parameters import parameters_for
+from flexfmu.cosim.scene_parameters import parameters_for, scene_with_parameters
+from flexfmu.cosim.slave import Slave
 from flexfmu.cosim.system import connect
 from flexfmu.cosim.trajectory_slave import HERMITE_ORDER, TrajectorySlave
+from flexfmu.cosim.wiring import wire
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
 
@@ -55,10 +61,11 @@ class Run:
 
     Attributes:
         plan: the scene and its planned motion.
-        recording: every output of the FMU with first and second derivatives, the joint references that drove it
-            (``joint1.reference.position`` and so on) and the rigid end-effector motion
+        recording: every output of the FMU with first and second derivatives, what acted on it (torques, or joint
+            references ``joint1.reference.position`` and so on) and the rigid end-effector motion
             (``end_effector.reference.position.x`` and so on: position, velocity, acceleration), over motion and dwell,
-            up to where the run came. The first instant appears twice (standstill, motion), so does every breakpoint.
+            up to where the run came; what other slaves put out as ``slave.variable``. The first instant appears twice
+            (standstill, motion), so does every breakpoint and every sample instant.
         outcome: how the run ended; `Outcome.COMPLETED` when all went well.
         message: what happened, in one line.
         fmu_path: the FMU that was simulated.
@@ -67,6 +74,9 @@ class Run:
         input_order: degree of the input polynomials.
         health: statistics and messages of the FMU.
         timing: wall times.
+        slaves: all slaves of the system.
+        delays: for each connection how late its signals arrive.
+        parameters: parameters of the robot that differ from the scene's.
     """
 
     plan: MotionPlan
@@ -79,6 +89,9 @@ class Run:
     input_order: int
     health: Health
     timing: Timing
+    slaves: tuple[SlaveFacts, ...] = ()
+    delays: tuple[SignalDelay, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def scene(self) -> Scene:
@@ -86,9 +99,26 @@ class Run:
         return self.plan.scene
 
     @property
+    def robot(self) -> Scene:
+        """The scene with the parameters that the robot had."""
+        return scene_with_parameters(self.scene, self.parameters)
+
+    @property
     def completed(self) -> bool:
         """Whether the run reached its stop time."""
         return self.outcome is Outcome.COMPLETED
+
+
+class Options(TypedDict, total=False):
+    """Keywords of `run_scene` that have nothing to do with what stands between motion and robot."""
+
+    communication_step: float | None
+    tolerance: float | None
+    input_order: int | None
+    fmu_path: Path | None
+    progress: Progress | None
+    parameters: Mapping[str, float] | None
+    initial: str | None
 
 
 def run_scene(
@@ -102,8 +132,12 @@ def run_scene(
     parameters: Mapping[str, float] | None = None,
     initial: str | None = None,
     motion: MotionPlan | None = None,
+    loop: Loop | None = None,
 ) -> Run:
     """Plan the scene's motion, build its FMU or take it from the cache, and co-simulate motion and dwell.
+
+    The scene's controllers, shapers and imperfections take part. A robot that is driven by torques and has no controller
+    gets the torques that hold its start pose.
 
     Args:
         scene: what to simulate.
@@ -115,36 +149,42 @@ def run_scene(
         progress: called now and then with the simulated fraction, 0..1.
         parameters: FMU parameters that differ from the scene's, for example ``{"payload.mass": 0.1}``.
         initial: ``static`` or ``undeformed``; the scene's own when None.
-        motion: a motion to run instead of the scene's own, a shaped one for example, planned from the same scene.
+        motion: a motion to run instead of the scene's own with its shapers, planned from the same scene.
+        loop: what stands between motion and robot, instead of the scene's own sections; see
+            `flexfmu.cosim.closed_loop.run_loop`.
 
     Returns:
-        The run; when the FMU fails on the way, with all that was recorded until then and the outcome.
+        The run; when a slave fails on the way, with all that was recorded until then and the outcome.
 
     Raises:
-        TrajectoryError: the motion is not feasible.
-        InputError: the scene is driven by torques, which nobody sets here; the FMU can't be loaded or lacks a variable;
-            a parameter doesn't exist or is out of range.
+        TrajectoryError: the motion is not feasible, or can't be shaped.
+        InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
+            slaves can't be wired.
         BuildError: the FMU can't be built (no compiler, for example).
     """
-    _check_drive(scene)
     planning = perf_counter()
-    motion = plan(scene) if motion is None else motion
+    loop = loop_of(scene, motion) if loop is None else loop
     building = perf_counter()
     path = fmu_path if fmu_path is not None else build_scene(scene).path
     loading = perf_counter()
-    plant = FmuSlave(path, PLANT, _parameters(scene, path, initial, parameters or {}), input_order)
+    changes = {**loop.parameters, **(parameters or {})}
+    constants = {} if loop.controllers else holding_torques(scene)
+    plant = FmuSlave(path, PLANT, {**_parameters(scene, path, initial, changes), **constants}, input_order)
     order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
-    references = TrajectorySlave(motion.joints, order=order, name=REFERENCES)
-    names = [variable.name for variable in references.variables]
-    system = connect([references, plant], [(f"{REFERENCES}.{name}", f"{PLANT}.{name}") for name in names])
+    references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
+    wiring = wire(references, plant, loop.controllers, loop.inserts, loop.connect)
+    slaves: list[Slave] = [references, plant, *loop.controllers, *(insert.slave for insert in loop.inserts)]
+    system = connect(slaves, wiring.connections)
     step = scene.cosimulation.step if communication_step is None else communication_step
     relative = scene.cosimulation.tolerance if tolerance is None else tolerance
     simulating = perf_counter()
-    simulation = simulate(system, motion.stop_time, step, tolerance=relative, progress=progress)
+    simulation = simulate(system, loop.motion.stop_time, step, tolerance=relative, progress=progress)
     done = perf_counter()
+    recording = plain_names(simulation.recording, PLANT, REFERENCES, wiring.feeding)
+    recording = with_constants(recording, plant, wiring, constants)
     return Run(
-        plan=motion,
-        recording=with_rigid_motion(_plain_names(simulation.recording), motion),
+        plan=loop.motion,
+        recording=with_rigid_motion(recording, loop.motion),
         outcome=simulation.outcome,
         message=simulation.message,
         fmu_path=path,
@@ -153,16 +193,10 @@ def run_scene(
         input_order=order,
         health=Health(plant.statistics, plant.messages),
         timing=Timing(building - planning, loading - building, simulating - loading, done - simulating),
+        slaves=slave_facts(slaves),
+        delays=simulation.delays,
+        parameters=changes,
     )
-
-
-def _check_drive(scene: Scene) -> None:
-    """The planned motion is all that drives a scene."""
-    if scene.cosimulation.drive != "motion":
-        raise InputError(
-            f"`cosimulation.drive` = {scene.cosimulation.drive!r}: a scene is run by its motion alone; use 'motion', or "
-            f"build the FMU and set its torques from a script (scene {scene.name})"
-        )
 
 
 def _parameters(scene: Scene, path: Path, initial: str | None, changes: Mapping[str, float]) -> dict[str, Value]:
@@ -170,8 +204,3 @@ def _parameters(scene: Scene, path: Path, initial: str | None, changes: Mapping[
     available = parameter_names(open_fmu(path).description)
     start = {"initial": initial or scene.cosimulation.initial}
     return {**parameters_for(scene, available), **start, **changes}
-
-
-def _plain_names(recording: Recording) -> Recording:
-    """Without the slaves' names: the variables of both have different names."""
-    return Recording(recording.time, {name.partition(".")[2]: column for name, column in recording.columns.items()})

@@ -111,14 +111,14 @@ def _coupling(system: System, source: int, target: int, ahead: bool, algorithm: 
     """The best that source and target can do together."""
     giver, taker = system.slaves[source], system.slaves[target]
     accepted, known = input_order(taker), output_order(giver)
-    if isinstance(giver, KnowsItsFuture):
-        order = min(giver.announced_order, accepted)
-        exact = giver.ends_exactly and order == giver.announced_order
-        return Coupling(Transport.ANNOUNCED if exact else Transport.EXTRAPOLATED, order, None, exact)
     if isinstance(giver, Sampled):
         return Coupling(Transport.HELD_SAMPLE, 0, None, exact=True)
     if isinstance(taker, Sampled):
         return Coupling(Transport.SAMPLED, 0, None, exact=False)
+    if isinstance(giver, KnowsItsFuture):
+        order = min(giver.announced_order, accepted)
+        exact = giver.ends_exactly and order == giver.announced_order
+        return Coupling(Transport.ANNOUNCED if exact else Transport.EXTRAPOLATED, order, None, exact)
     interpolates = algorithm.interpolates(ahead)
     if interpolates and accepted:
         return Coupling(Transport.INTERPOLATED, min(known, accepted), min(known, (accepted - 1) // 2), exact=True)

@@ -119,7 +119,8 @@ def _message(error: BaseException | None, outcome: Outcome, active: str, reached
     slave = error.slave if isinstance(error, SlaveError) else active
     reason = error.reason if isinstance(error, SlaveError) else f"{type(error).__name__}: {error}"
     known: float | None = getattr(error, "time", None)
-    return f"{slave} failed at {reached if known is None else known:.9g} s: {' '.join(reason.split())}"
+    when = f" at {reached if known is None else known:.9g} s"
+    return f"{slave} failed{'' if when in reason else when}: {' '.join(reason.split())}"
 
 
 def _instability(system: System, schedule: Schedule, recording: Recording) -> Instability | None:

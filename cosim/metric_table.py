@@ -26,7 +26,7 @@ class MetricInfo:
     description: str
 
 
-_NEGLIGIBLE: Mapping[str, float] = {"m": 1e-12, "m/s": 1e-9, "m/s2": 1e-5, "N.m": 1e-9, "s": 1e-9}
+_NEGLIGIBLE: Mapping[str, float] = {"m": 1e-12, "m/s": 1e-9, "m/s2": 1e-5, "N.m": 1e-9, "s": 1e-9, "rad": 1e-12}
 
 _DISPLAY_UNITS: Mapping[str, str] = {"N.m": "N·m", "m/s2": "m/s²"}
 
@@ -88,7 +88,22 @@ METRICS: Mapping[str, MetricInfo] = {
 }
 
 
+LOOP_METRICS: Mapping[str, MetricInfo] = {
+    f"{kind}_tracking_error_{joint}": MetricInfo(
+        f"{label}, joint {joint}", "rad", "mrad", 1e3, _NEGLIGIBLE["rad"], text.format(joint)
+    )
+    for kind, label, text in (
+        ("peak", "Peak tracking error", "Largest |angle of motor {} - planned angle| over motion and dwell."),
+        ("rms", "RMS tracking error", "Root mean square over the motion of the angle of motor {} - planned angle."),
+    )
+    for joint in (1, 2)
+}
+"""Metrics of a robot that is driven by torques, beside `METRICS`."""
+
+ALL_METRICS: Mapping[str, MetricInfo] = {**METRICS, **LOOP_METRICS}
+
+
 def display(name: str, value: float | None, digits: int = 6) -> str:
     """A metric's value for people, with its unit and so many significant digits; a dash where there is none."""
-    info = METRICS[name]
+    info = ALL_METRICS[name]
     return "–" if value is None else f"{value * info.display_factor:.{digits}g} {info.display_unit}"

@@ -16,13 +16,15 @@ import numpy as np
 from flexfmu.cosim.bernstein import Array, last_time_above
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.interpolation import HermiteSegments
-from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.metric_table import ALL_METRICS, METRICS
 from flexfmu.cosim.results import Recording
 from flexfmu.cosim.signals import (
+    JOINT_POSITIONS,
     TIP_DEFLECTIONS,
     TORQUES,
     deviation_from_point,
     deviation_from_rigid,
+    joint_error,
     modal_deflection,
     position,
     segments,
@@ -31,6 +33,7 @@ from flexfmu.cosim.signals import (
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment import Run
     from flexfmu.cosim.planning import MotionPlan
+    from flexfmu.model.scene import Scene
     from flexfmu.trajectories.trajectory import Trajectory
 
 
@@ -54,6 +57,7 @@ class Settings:
 
     Attributes:
         task: motion of the rigid robot's end effector.
+        joints: planned motion of the joints; None where their tracking is not of interest.
         end_equilibrium: (2,) end-effector position [m] of the static equilibrium at the end pose.
         dwell: standstill after the motion [s].
         settling_band: radius around the equilibrium within which the robot counts as settled [m].
@@ -63,10 +67,12 @@ class Settings:
     end_equilibrium: Array
     dwell: float
     settling_band: float
+    joints: Trajectory | None = None
 
 
 def measure_run(run: Run) -> Mapping[str, Measurement]:
-    """All metrics of a run, in the order of `METRICS`; all without a value when the run was cut short.
+    """All metrics of a run, in the order of `METRICS`, for a robot driven by torques those of `LOOP_METRICS` too; all
+    without a value when the run was cut short.
 
     Raises:
         ResultsError: a signal that the metrics need was not recorded.
@@ -74,20 +80,26 @@ def measure_run(run: Run) -> Mapping[str, Measurement]:
     """
     if not run.completed:
         return dict.fromkeys(METRICS, Measurement(None))
-    return measure(run.recording, settings_for(run.plan))
+    return measure(run.recording, settings_for(run.plan, run.robot))
 
 
-def settings_for(plan: MotionPlan) -> Settings:
-    """What the metrics of a scene's motion depend on; computes the static equilibrium at the end pose."""
+def settings_for(plan: MotionPlan, robot: Scene | None = None) -> Settings:
+    """What the metrics of a scene's motion depend on; computes the static equilibrium at the end pose.
+
+    Args:
+        plan: the planned motion.
+        robot: the scene with the robot's own parameters; that of the plan when None.
+    """
     from flexfmu.model.statics import static_equilibrium
 
     end_joints = plan.joints.evaluate(np.array([plan.duration]), 0, side="left")[0, 0]
-    equilibrium = np.asarray(static_equilibrium(plan.scene, end_joints).position, dtype=float)
-    return Settings(plan.task, equilibrium, plan.scene.trajectory.dwell, plan.scene.cosimulation.settling_band)
+    equilibrium = np.asarray(static_equilibrium(robot or plan.scene, end_joints).position, dtype=float)
+    section = plan.scene.cosimulation
+    return Settings(plan.task, equilibrium, plan.scene.trajectory.dwell, section.settling_band, plan.joints)
 
 
 def measure(recording: Recording, settings: Settings) -> Mapping[str, Measurement]:
-    """All metrics of a complete recording, in the order of `METRICS`.
+    """All metrics of a complete recording, in the order of `METRICS` and `LOOP_METRICS`.
 
     Raises:
         ResultsError: a signal that the metrics need was not recorded or is not finite.
@@ -103,8 +115,9 @@ def measure(recording: Recording, settings: Settings) -> Mapping[str, Measuremen
         "end_velocity_error": _at_end(motion, order=1),
         "end_acceleration_error": _at_end(motion, order=2),
         **_residual(recording, settings),
+        **_tracking(recording, settings),
     }
-    return {name: _finite(name, measurements[name]) for name in METRICS}
+    return {name: _finite(name, measurements[name]) for name in ALL_METRICS if name in measurements}
 
 
 def _finite(name: str, measurement: Measurement) -> Measurement:
@@ -138,6 +151,19 @@ def _residual(recording: Recording, settings: Settings) -> dict[str, Measurement
     vibration = deviation_from_point(position(recording), settings.end_equilibrium).within(end, math.inf)
     measurements = (peak(vibration), root_mean_square(vibration), settling(vibration, settings.settling_band))
     return dict(zip(names, measurements, strict=True))
+
+
+def _tracking(recording: Recording, settings: Settings) -> dict[str, Measurement]:
+    """How far the joints of a robot that is driven by torques stray from their planned motion."""
+    if settings.joints is None or any(name not in recording.columns for name in JOINT_POSITIONS):
+        return {}
+    found = {}
+    for joint in range(len(JOINT_POSITIONS)):
+        error = joint_error(recording, joint, settings.joints)
+        found[f"peak_tracking_error_{joint + 1}"] = peak(error)
+        motion = error.within(0.0, settings.task.duration)
+        found[f"rms_tracking_error_{joint + 1}"] = root_mean_square(motion)
+    return found
 
 
 def peak(signal: HermiteSegments) -> Measurement:

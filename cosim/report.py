@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from flexfmu.cosim.metric_table import METRICS, display
+from flexfmu.cosim.metric_table import ALL_METRICS, display
 
 if TYPE_CHECKING:
     from flexfmu.cosim.plots import Plot
@@ -55,15 +55,20 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         completed=health["outcome"] == "completed",
         health=health,
         coarse=[_coarse_row(warning) for warning in health["warnings"]],
-        tiles=[{"label": METRICS[name].label, "value": display(name, metrics[name], digits=4)} for name in TILES],
+        tiles=[{"label": ALL_METRICS[name].label, "value": display(name, metrics[name], digits=4)} for name in TILES],
         metrics=[_metric_row(name, metrics[name], health["interpolation_errors"][name]) for name in metrics],
         plots=list(plots),
         parameters=_scene_rows(summary["scene"]),
-        tables={
-            "Health": _health_rows(health),
-            "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
-            "Versions": {name: value or "–" for name, value in summary["versions"].items()},
-        },
+        tables=_filled(
+            {
+                "Shaping": _shaping_rows(summary.get("shaping")),
+                "Health": _health_rows(health),
+                "Slaves": _slave_rows(summary["slaves"]),
+                "Signals": _delay_rows(summary["delays"]),
+                "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
+                "Versions": {name: value or "–" for name, value in summary["versions"].items()},
+            }
+        ),
         versions=summary["versions"],
     )
 
@@ -79,7 +84,7 @@ def _motion_sentence(scene: Mapping[str, Any]) -> str:
 
 
 def _metric_row(name: str, value: float | None, error: float) -> dict[str, str]:
-    info = METRICS[name]
+    info = ALL_METRICS[name]
     return {
         "label": info.label,
         "value": display(name, value),
@@ -90,19 +95,60 @@ def _metric_row(name: str, value: float | None, error: float) -> dict[str, str]:
 
 def _coarse_row(warning: Mapping[str, Any]) -> dict[str, str]:
     name = warning["metric"]
-    return {"label": METRICS[name].label, "error": f"± {display(name, warning['estimated_error'], digits=1)}"}
+    return {"label": ALL_METRICS[name].label, "error": f"± {display(name, warning['estimated_error'], digits=1)}"}
 
 
 def _scene_rows(section: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """The scene file flattened to dotted keys."""
+    """The scene file flattened to dotted keys; entries of lists of tables have a number."""
     rows: dict[str, str] = {}
     for key, value in section.items():
         if isinstance(value, Mapping):
             rows |= _scene_rows(value, f"{prefix}{key}.")
-        elif isinstance(value, list | tuple):
-            rows[prefix + key] = ", ".join(f"{item:g}" for item in value)
-        else:
-            rows[prefix + key] = f"{value:g}" if isinstance(value, float) else str(value)
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            for index, item in enumerate(value):
+                rows |= _scene_rows(item, f"{prefix}{key}[{index}].")
+        elif not isinstance(value, list) or value:
+            rows[prefix + key] = _scene_value(value)
+    return rows
+
+
+def _scene_value(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(f"[{_scene_value(item)}]" if isinstance(item, list) else _scene_value(item) for item in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _filled(tables: Mapping[str, Mapping[str, str]]) -> dict[str, Mapping[str, str]]:
+    """The tables that have rows."""
+    return {title: rows for title, rows in tables.items() if rows}
+
+
+def _slave_rows(slaves: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Name of each slave → what it is and when it is sampled."""
+    return {slave["name"]: slave["description"] + _sampling(slave) for slave in slaves}
+
+
+def _sampling(slave: Mapping[str, Any]) -> str:
+    if slave["sample_time"] is None:
+        return ""
+    return f", every {slave['sample_time']:g} s" + (f" from {slave['offset']:g} s on" if slave["offset"] else "")
+
+
+def _shaping_rows(shaping: Mapping[str, float] | None) -> dict[str, str]:
+    """What shapers cost."""
+    if shaping is None:
+        return {}
+    return {
+        "added time": f"{1e3 * shaping['added_time']:.4g} ms",
+        "path deviation": f"{1e3 * shaping['path_deviation']:.4g} mm",
+    }
+
+
+def _delay_rows(delays: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Connection → how late it is."""
+    rows = {}
+    for delay in delays:
+        rows[delay["connection"]] = delay["description"].removeprefix(f"{delay['connection']}: ")
     return rows
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import Any
 
 from flexfmu.cosim.errors import InputError
 from flexfmu.model.scene import Effects, Link, ModalDamping, Scene, StiffnessDamping
@@ -66,6 +67,38 @@ def parameters_for(scene: Scene, available: Collection[str]) -> dict[str, float]
             f"the FMU has elastic transmissions, scene {scene.name} has rigid ones; build the FMU from this scene"
         )
     return {name: value for name, value in values.items() if name in available}
+
+
+def scene_with_parameters(scene: Scene, parameters: Mapping[str, float]) -> Scene:
+    """The scene whose robot has these values of FMU parameters; those that belong to no robot are left out.
+
+    Raises:
+        SceneError: a value is out of range.
+    """
+    known = scene_parameters(scene)
+    changes: dict[str, Any] = {}
+    for name, value in parameters.items():
+        head = name.partition(".")[0]
+        if head == "gravity":
+            gravity = changes.setdefault("effects.gravity", list(scene.effects.gravity))
+            gravity["xy".index(name[-1])] = value
+        elif name in known and head in _SECTIONS:
+            changes[_SECTIONS[head] + name] = value
+    return scene.replace(changes) if changes else scene
+
+
+_SECTIONS = {
+    "base_half_distance": "mechanism.",
+    "proximal": "mechanism.",
+    "distal": "mechanism.",
+    "material": "mechanism.",
+    "payload": "",
+    "damping": "effects.",
+    "motor_inertia": "effects.",
+    "joint_friction": "effects.",
+    "transmission": "effects.",
+}
+"""First part of a parameter's name → section of the scene that holds it."""
 
 
 def _link(name: str, link: Link) -> dict[str, float]:

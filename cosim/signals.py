@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 POSITION = ("end_effector.position.x", "end_effector.position.y")
 ACCELERATION = ("end_effector.acceleration.x", "end_effector.acceleration.y")
+JOINT_POSITIONS = ("joint1.position", "joint2.position")
 TORQUES = ("joint1.torque", "joint2.torque")
 TIP_DEFLECTIONS = ("link11.tip_deflection", "link21.tip_deflection")
 FIRST_BENDING = "link11.bending[1]"
@@ -74,6 +75,22 @@ def deviation_from_rigid(motion: HermiteSegments, task: Trajectory) -> HermiteSe
     return motion.minus(
         task.evaluate(motion.start, highest, side="right"), task.evaluate(motion.end, highest, side="left")
     )
+
+
+def joint_error(recording: Recording, joint: int, planned: Trajectory) -> HermiteSegments:
+    """What separates a joint's angle [rad] from its planned motion, which stands still after its end.
+
+    Args:
+        recording: of a robot that is driven by torques.
+        joint: 0 or 1.
+        planned: joint trajectory.
+    """
+    acceleration = JOINT_POSITIONS[joint].replace("position", "acceleration")
+    signal = segments(recording, [JOINT_POSITIONS[joint]], [acceleration])
+    highest = len(signal.left) - 1
+    begin = planned.evaluate(signal.start, highest, side="right")
+    end = planned.evaluate(signal.end, highest, side="left")
+    return signal.minus(begin[..., joint : joint + 1], end[..., joint : joint + 1])
 
 
 def deviation_from_point(signal: HermiteSegments, point: Array) -> HermiteSegments:

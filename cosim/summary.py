@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics import Measurement
 from flexfmu.cosim.versions import versions
 
 if TYPE_CHECKING:
+    from flexfmu.cosim.delays import SignalDelay
     from flexfmu.cosim.experiment import Run
     from flexfmu.model.scene import Effects, Scene
 
@@ -28,13 +30,18 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
     """Everything that ``summary.json`` says about a run, as plain data in SI units.
 
     Keys: ``scene`` (the scene file with its defaults), ``effects`` (effect → sentence), ``metrics`` (name → number or
-    None), ``health`` (outcome, integrator statistics, interpolation errors, warnings), ``timing`` [s], ``versions``.
+    None), ``health`` (outcome, integrator statistics, interpolation errors, warnings), ``slaves`` (name, description, sample
+    time), ``delays`` (for each connection how late it is), ``timing`` [s], ``versions``; with shapers also ``shaping`` (the
+    time that they add [s], how far they lead the rigid end effector off its path [m]).
     """
     return {
         "scene": run.scene.model_dump(mode="json", exclude_none=True),
         "effects": describe_effects(run.scene),
         "metrics": {name: measurement.value for name, measurement in measurements.items()},
         "health": _health(run, measurements),
+        **_shaping(run),
+        "slaves": [asdict(slave) for slave in run.slaves],
+        "delays": [_delay(delay) for delay in run.delays],
         "timing": _timing(run),
         "versions": dict(versions(run.fmu_path)),
     }
@@ -48,6 +55,7 @@ def describe_effects(scene: Scene) -> dict[str, str]:
         if modes:
             found[key] = f"{what}: {modes} assumed mode{'s' if modes > 1 else ''} each"
     found |= _damping(effects)
+    found |= _drives(effects)
     if any(effects.gravity):
         found["gravity"] = "Gravity of ({:g}, {:g}) m/s2".format(*effects.gravity)
     if scene.payload.mass:
@@ -59,7 +67,7 @@ def coarse_metrics(measurements: Mapping[str, Measurement]) -> Iterator[str]:
     """Names of the metrics for which the communication step is too coarse."""
     for name, measurement in measurements.items():
         value, error = measurement.value, measurement.interpolation_error
-        if value is not None and error > max(COARSE * abs(value), METRICS[name].negligible):
+        if value is not None and error > max(COARSE * abs(value), ALL_METRICS[name].negligible):
             yield name
 
 
@@ -70,6 +78,21 @@ def _damping(effects: Effects) -> dict[str, str]:
     if damping.kind == "stiffness":
         return {"damping": f"Damping proportional to the stiffness, time constant {damping.time:g} s"}
     return {}
+
+
+def _drives(effects: Effects) -> dict[str, str]:
+    """Motors, friction and transmissions."""
+    friction, transmission = effects.joint_friction, effects.transmission
+    found = {}
+    if effects.motor_inertia:
+        found["motor_inertia"] = f"Inertia of {effects.motor_inertia:g} kg m2 of each motor"
+    if friction.viscous or friction.coulomb:
+        found["joint_friction"] = (
+            f"Friction of each motor: {friction.viscous:g} N m s/rad viscous, {friction.coulomb:g} N m dry"
+        )
+    if transmission is not None:
+        found["transmission"] = f"Elastic transmissions of {transmission.stiffness:g} N m/rad"
+    return found
 
 
 def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
@@ -90,13 +113,28 @@ def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]
 
 
 def _warning(run: Run, name: str, measurement: Measurement) -> dict[str, Any]:
-    info, error, value = METRICS[name], measurement.interpolation_error, measurement.value
+    info, error, value = ALL_METRICS[name], measurement.interpolation_error, measurement.value
     relative = f" ({error / abs(value):.1g} of its value)" if value else ""
     sentence = (
         f"{info.label} may be off by about {error:.1g} {info.unit}{relative}: the communication step of "
         f"{run.communication_step:g} s is too coarse for the highest frequency in this signal; reduce `cosimulation.step`"
     )
     return {"metric": name, "estimated_error": error, "message": sentence}
+
+
+def _shaping(run: Run) -> dict[str, Any]:
+    """What shapers cost: the time that they add [s], and how far they lead the rigid end effector off its path [m]."""
+    motion = run.plan
+    if motion.task is motion.along_path:
+        return {}
+    from flexfmu.cosim.shaper_plan import deviation
+
+    added = motion.duration - motion.along_path.duration
+    return {"shaping": {"added_time": added, "path_deviation": deviation(motion)}}
+
+
+def _delay(delay: SignalDelay) -> dict[str, Any]:
+    return {"connection": delay.connection, "seconds": delay.seconds, "description": str(delay)}
 
 
 def _timing(run: Run) -> dict[str, float]:

@@ -38,6 +38,9 @@ class LoopSection(Section):
     name: Name | None = None
     connect: dict[str, str] = Field(default_factory=dict)
 
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())
+
 
 class SampledSection(LoopSection):
     """Something with a sample time of its own."""

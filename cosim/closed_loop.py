@@ -1,0 +1,44 @@
+"""A few lines for users: put controllers, shapers and imperfections between a scene's motion and its robot, and run it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Unpack
+
+from flexfmu.cosim.experiment import Options, Run, run_scene
+from flexfmu.cosim.loop import make_loop
+from flexfmu.cosim.planning import plan
+from flexfmu.model.scene import Scene
+
+
+def run_loop(
+    scene: Scene,
+    controllers: Iterable[Any] = (),
+    shapers: Iterable[Any] = (),
+    imperfections: Iterable[Any] = (),
+    connect: Mapping[str, str] | None = None,
+    **options: Unpack[Options],
+) -> Run:
+    """Run a scene with these instead of its own sections.
+
+    Anything may be a `SymbolicBlock` (what `flexfmu.cosim.controllers` and `flexfmu.cosim.imperfections` return), a slave
+    of your own, a `control.StateSpace` or `control.TransferFunction`, or the path of an FMU.
+
+    Example:
+        ``run_loop(scene, controllers=[pd(2e4, 200.0, sample_time=1e-3)], imperfections=[encoder(2**17, sample_time=1e-3)])``
+
+    Args:
+        scene: the scene; with controllers, one that is driven by torques.
+        controllers: what calculates torques from references and measurements; equal names are connected.
+        shapers: `flexfmu.cosim.loop.Shaper`, an `ImpulseSequence` for the joint references, or what else the references
+            shall pass.
+        imperfections: what signals pass on their way, in this order, or `flexfmu.cosim.loop.PayloadError`.
+        connect: ``slave.input`` → ``slave.output`` or name of a signal, beyond equal names.
+        options: as for `flexfmu.cosim.experiment.run_scene`.
+
+    Raises:
+        TrajectoryError: the motion is not feasible, or can't be shaped.
+        InputError: something can't be a slave, or the slaves can't be wired.
+        BuildError: the FMU can't be built.
+    """
+    return run_scene(scene, loop=make_loop(plan(scene), controllers, shapers, imperfections, connect), **options)

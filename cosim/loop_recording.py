@@ -1,0 +1,85 @@
+"""What a recording of a loop calls its signals, and which slaves made them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexfmu.cosim.results import Column, Recording
+from flexfmu.cosim.slave import Sampled, Slave, offset
+from flexfmu.cosim.wiring import Wiring
+
+
+@dataclass(frozen=True)
+class SlaveFacts:
+    """A slave as the summary lists it.
+
+    Attributes:
+        name: its name in the system.
+        description: what it is.
+        sample_time, offset: [s]; None for a slave that isn't sampled.
+    """
+
+    name: str
+    description: str
+    sample_time: float | None = None
+    offset: float | None = None
+
+
+def slave_facts(slaves: Sequence[Slave]) -> tuple[SlaveFacts, ...]:
+    """The slaves as the summary lists them."""
+    return tuple(
+        SlaveFacts(slave.name, _description(slave), slave.sample_time, offset(slave))
+        if isinstance(slave, Sampled)
+        else SlaveFacts(slave.name, _description(slave))
+        for slave in slaves
+    )
+
+
+def plain_names(recording: Recording, plant: str, references: str, feeding: Mapping[str, str]) -> Recording:
+    """The recording with short names.
+
+    What the plant puts out, what acts on it in the end (such as ``joint1.torque``) and, where the name isn't taken, what
+    the trajectory puts out have their own names; all others, and whatever was superseded, are ``slave.variable``.
+
+    Args:
+        recording: columns named ``slave.variable``.
+        plant, references: names of these slaves.
+        feeding: input of the plant → ``slave.output`` that feeds it.
+    """
+    columns: dict[str, Column] = {}
+    for name, column in recording.columns.items():
+        owner, _, variable = name.partition(".")
+        superseded = owner == references and feeding.get(variable, name) != name
+        columns[variable if owner in (plant, references) and not superseded else name] = column
+    acting = {name: held(recording[source]) for name, source in feeding.items() if name not in columns}
+    return Recording(recording.time, {**columns, **acting})
+
+
+def held(column: Column) -> Column:
+    """The column with zero for derivatives that its slave doesn't give: the signal is held."""
+    zero = np.zeros_like(column.values)
+    first = zero if column.first is None else column.first
+    return Column(column.unit, column.values, first, zero if column.second is None else column.second)
+
+
+def with_constants(recording: Recording, plant: Slave, wiring: Wiring, values: Mapping[str, float]) -> Recording:
+    """The recording with the plant's torques that nothing feeds, at their start values."""
+    size = recording.time.shape
+    units = {variable.name: variable.unit for variable in plant.variables if variable.causality == "input"}
+    columns = {
+        name: held(Column(units[name], np.full(size, value)))
+        for name, value in values.items()
+        if name in units and name not in wiring.feeding
+    }
+    return recording.with_columns(columns)
+
+
+def _description(slave: Slave) -> str:
+    """What a slave is."""
+    block = getattr(slave, "block", None)
+    if block is not None:
+        return str(block.description)
+    return {"FmuSlave": "FMU", "TrajectorySlave": "Planned motion"}.get(type(slave).__name__, type(slave).__name__)

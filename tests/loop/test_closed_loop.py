@@ -1,0 +1,153 @@
+"""Scenes that are driven by torques: they start at rest, follow their plan, and say what happened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.closed_loop import run_loop
+from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.errors import WiringError
+from flexfmu.cosim.experiment import Run, run_scene
+from flexfmu.cosim.loop import PayloadError
+from flexfmu.cosim.loop_sections import holding_torques
+from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.metric_table import ALL_METRICS, METRICS
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.summary import summarise
+from flexfmu.model.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def run(controlled: Scene) -> Run:
+    """The computed-torque loop."""
+    return run_scene(controlled)
+
+
+def values(run: Run) -> dict[str, float | None]:
+    """Metrics."""
+    return {name: measurement.value for name, measurement in measure_run(run).items()}
+
+
+def test_without_a_controller_the_robot_stays_where_it_is(robot: Scene) -> None:
+    """The static torques hold the start pose: nothing moves, so the start of every loop is at rest."""
+    run = run_scene(robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3}))
+    assert run.completed
+    for joint in (1, 2):
+        angle = run.recording[f"joint{joint}.position"].values
+        assert abs(angle - angle[0]).max() < 1e-9
+        np.testing.assert_array_equal(
+            run.recording[f"joint{joint}.torque"].values, holding_torques(robot)[f"joint{joint}.torque"]
+        )
+
+
+def test_computed_torque_follows_the_plan(run: Run) -> None:
+    """At 1 kHz the joints stay within a milliradian, and the robot vibrates hardly more than a perfect controller lets it."""
+    found = values(run)
+    assert run.completed
+    assert list(found) == list(ALL_METRICS)
+    assert 0.0 < (found["peak_tracking_error_1"] or 1.0) < 1e-3
+    assert (found["rms_tracking_error_2"] or 1.0) < (found["peak_tracking_error_2"] or 0.0)
+    assert (found["residual_vibration_amplitude"] or 1.0) < 2e-5
+
+
+def test_peak_torque_is_that_of_the_acting_torque(run: Run) -> None:
+    """The torque that acts on the robot is the controller's, held between its samples."""
+    torque = run.recording["joint1.torque"].values
+    np.testing.assert_array_equal(torque, run.recording["computed_torque.joint1.torque"].values)
+    assert values(run)["peak_torque_1"] == abs(torque[run.recording.time <= run.plan.duration]).max()
+    held = np.diff(torque)[np.diff(run.recording.time) > 0.0]
+    assert abs(held).max() == 0.0
+
+
+def test_motion_driven_scenes_have_their_metrics_alone(robot: Scene) -> None:
+    """Joints that follow their references exactly have no tracking error."""
+    run = run_scene(robot.replace({"cosimulation.drive": "motion"}))
+    assert list(values(run)) == list(METRICS)
+
+
+def test_the_python_way_gives_the_same_numbers(robot: Scene) -> None:
+    """A controller of the scene file and the same block in Python are the same loop, bit by bit."""
+    section = {"kind": "pd", "proportional": 1e4, "derivative": [100.0, 90.0], "sample_time": 1e-3, "offset": 5e-4}
+    by_file = run_scene(robot.replace({"controller": [section]}))
+    by_python = run_loop(robot, [pd(1e4, [100.0, 90.0], sample_time=1e-3, offset=5e-4)])
+    for name, column in by_file.recording.columns.items():
+        np.testing.assert_array_equal(column.values, by_python.recording[name].values)
+
+
+def test_a_payload_error_is_known_to_the_robot_alone(controlled: Scene, run: Run) -> None:
+    """The heavier robot lags behind, its controller reckons with the scene's payload, and its equilibrium is its own."""
+    heavy = run_scene(controlled.replace({"imperfection": [{"kind": "payload-error", "relative": 0.3}]}))
+    assert heavy.scene.payload.mass == 6.0
+    assert heavy.robot.payload.mass == pytest.approx(7.8)
+    assert (values(heavy)["peak_tracking_error_1"] or 0.0) > 5.0 * (values(run)["peak_tracking_error_1"] or 1.0)
+    by_python = run_loop(controlled, heavy_controllers(controlled), imperfections=[PayloadError(0.3)])
+    np.testing.assert_array_equal(by_python.recording["joint1.torque"].values, heavy.recording["joint1.torque"].values)
+
+
+def heavy_controllers(scene: Scene) -> list[object]:
+    """The controllers of a scene's own sections."""
+    from flexfmu.cosim.loop_sections import loop_of
+
+    return list(loop_of(scene).controllers)
+
+
+def test_the_summary_lists_slaves_and_delays(run: Run) -> None:
+    """Which signal is late by how much is part of the result."""
+    summary = summarise(run, measure_run(run))
+    assert [slave["name"] for slave in summary["slaves"]] == ["trajectory", "plant", "computed_torque"]
+    assert summary["slaves"][2]["sample_time"] == 1e-3
+    delays = {delay["connection"]: delay for delay in summary["delays"]}
+    assert all(delay["seconds"] == 0.0 for delay in delays.values())
+    assert (
+        "read at the sample instants"
+        in delays["plant.joint1.position -> computed_torque.joint1.position"]["description"]
+    )
+
+
+class Failing:
+    """A controller that gives up after a tenth of a second."""
+
+    name = "mine"
+    sample_time = 1e-3
+    variables = (SlaveVariable("joint1.position", "input", "rad"), SlaveVariable("joint1.torque", "output", "N.m"))
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+    def step(self, time: float, step: float) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """The torque that about holds the start pose."""
+        values[:] = -15.73
+
+    def sample(self, time: float) -> None:
+        """Fail sooner or later."""
+        if time > 0.0995:
+            raise RuntimeError("no idea what to do")
+
+
+def test_a_failing_controller_keeps_the_beginning(robot: Scene) -> None:
+    """The message names slave, time and reason, and what was recorded until then is there."""
+    run = run_loop(robot, [Failing()])
+    assert run.outcome is Outcome.STEP_FAILED
+    assert run.message.startswith("mine failed at 0.1 s: RuntimeError: no idea what to do")
+    assert run.recording.time[-1] == pytest.approx(0.1)
+
+
+def test_imperfections_of_torques_need_a_controller(robot: Scene) -> None:
+    """A saturation without anything to saturate is a mistake."""
+    scene = robot.replace({"imperfection": [{"kind": "saturation", "limit": 50.0}]})
+    with pytest.raises(WiringError, match=r"saturation acts on joint1\.torque.* needs a controller"):
+        run_scene(scene)
+
+
+def test_foreign_effects_are_refused(robot: Scene, run: Run) -> None:
+    """An FMU without the scene's friction would silently be another robot."""
+    from flexfmu.cosim.errors import InputError
+
+    rough = robot.replace({"effects.joint_friction": {"viscous": 0.5}})
+    with pytest.raises(InputError, match=r"the FMU lacks joint_friction\.viscous"):
+        run_scene(rough, fmu_path=Path(run.fmu_path))

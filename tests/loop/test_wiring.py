@@ -1,0 +1,123 @@
+"""Wiring by names: who feeds whom, what passes what, and what is said where a name fits nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from flexfmu.cosim.errors import WiringError
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.wiring import Wiring, passing, wire
+
+
+class Names:
+    """A slave that has names and does nothing."""
+
+    def __init__(self, name: str, inputs: Sequence[str] = (), outputs: Sequence[str] = ()) -> None:
+        self.name = name
+        self.variables = (
+            *(SlaveVariable(each, "input") for each in inputs),
+            *(SlaveVariable(each, "output") for each in outputs),
+        )
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+    def get(self, indices: Indices, values: RealArray) -> None: ...
+    def step(self, time: float, step: float) -> None: ...
+
+
+TRAJECTORY = Names("trajectory", outputs=["q.reference"])
+PLANT = Names("plant", ["torque", "force"], ["q", "v"])
+PD = Names("pd", ["q.reference", "q", "q.feedforward"], ["torque"])
+
+
+def sources(wiring: Wiring) -> dict[str, str]:
+    """Input → output."""
+    return {target: source for source, target in wiring.connections}
+
+
+def test_equal_names_are_connected() -> None:
+    """References and measurements reach the controller, its torque the plant; what nobody puts out stays at its start."""
+    wiring = wire(TRAJECTORY, PLANT, [PD])
+    assert sources(wiring) == {
+        "pd.q.reference": "trajectory.q.reference",
+        "pd.q": "plant.q",
+        "plant.torque": "pd.torque",
+    }
+    assert wiring.feeding == {"torque": "pd.torque"}
+
+
+def test_signals_pass_in_the_order_given() -> None:
+    """Imperfections stand one behind the other, wherever their signal comes from."""
+    delay, noise = Names("delay", ["q.input"], ["q"]), Names("noise", ["q.input"], ["q"])
+    shaper, amplifier = (
+        Names("shaper", ["q.reference"], ["shaped.q.reference"]),
+        Names("amplifier", ["torque"], ["torque"]),
+    )
+    wiring = wire(TRAJECTORY, PLANT, [PD], [passing(each) for each in (amplifier, delay, shaper, noise)])
+    assert sources(wiring) == {
+        "shaper.q.reference": "trajectory.q.reference",
+        "pd.q.reference": "shaper.shaped.q.reference",
+        "delay.q.input": "plant.q",
+        "noise.q.input": "delay.q",
+        "pd.q": "noise.q",
+        "amplifier.torque": "pd.torque",
+        "plant.torque": "amplifier.torque",
+    }
+
+
+def test_an_encoder_replaces_more_than_it_takes() -> None:
+    """A slave may make two signals of one: the plant's own rate then goes nowhere."""
+    encoder = Names("encoder", ["q.input"], ["q", "v"])
+    damper = Names("damper", ["v"], ["torque"])
+    assert sources(wire(TRAJECTORY, PLANT, [damper], [passing(encoder)]))["damper.v"] == "encoder.v"
+
+
+def test_controllers_feed_each_other_first() -> None:
+    """A feedforward goes to the controller that has an input for it."""
+    forward = Names("forward", ["q.reference"], ["q.feedforward"])
+    assert sources(wire(TRAJECTORY, PLANT, [PD, forward]))["pd.q.feedforward"] == "forward.q.feedforward"
+
+
+def test_underscores_stand_for_dots() -> None:
+    """Signals of python-control, which knows no dots, find their names."""
+    lqg = Names("lqg", ["q_reference", "q"], ["torque"])
+    assert sources(wire(TRAJECTORY, PLANT, [lqg]))["lqg.q_reference"] == "trajectory.q.reference"
+
+
+def test_explicit_connections_come_first() -> None:
+    """Foreign names are connected to signals (behind their imperfections) or to a slave's own output."""
+    foreign, noise = Names("foreign", ["u1", "u2"], ["y"]), Names("noise", ["q.input"], ["q"])
+    explicit = {"foreign.u1": "q", "foreign.u2": "plant.q", "plant.torque": "foreign.y"}
+    amplifier = Names("amplifier", ["torque"], ["torque"])
+    wiring = wire(TRAJECTORY, PLANT, [foreign], [passing(noise), passing(amplifier)], explicit)
+    assert sources(wiring) == {
+        "noise.q.input": "plant.q",
+        "foreign.u1": "noise.q",
+        "foreign.u2": "plant.q",
+        "amplifier.torque": "foreign.y",
+        "plant.torque": "amplifier.torque",
+    }
+
+
+@pytest.mark.parametrize(
+    ("controllers", "inserts", "explicit", "message"),
+    [
+        ([Names("c", ["q.refernce"], ["torque"])], [], {}, "c.q.refernce has no source"),
+        ([PD, Names("c", [], ["torque"])], [], {}, "pd and c both put out torque"),
+        ([], [Names("n", ["q"], [])], {}, "n has no outputs"),
+        ([], [Names("n", ["qq"], ["qq"])], {}, "n acts on qq, which doesn't exist; did you mean 'q'"),
+        ([], [Names("n", ["a.torque"], ["a.torque"])], {}, "needs a controller"),
+        ([PD], [], {"pd.x": "q"}, "pd has no input 'x'"),
+        ([PD], [], {"pdd.q": "q"}, "no slave 'pdd'"),
+        ([PD], [], {"pd.q": "plant.qq"}, "plant has no output 'qq'; did you mean 'q'"),
+        ([PD], [], {"pd.q": "x"}, "no signal 'x'"),
+    ],
+)
+def test_what_fits_nothing_is_named(
+    controllers: list[Names], inserts: list[Names], explicit: dict[str, str], message: str
+) -> None:
+    """Every mistake names the slave, the variable and what would do."""
+    with pytest.raises(WiringError, match=message):
+        wire(TRAJECTORY, PLANT, controllers, [passing(each) for each in inserts], explicit)
