@@ -105,9 +105,13 @@ class Result:
         return None if settling is None else self.added_time + settling
 
 
+LOOP_SECTIONS = ("controller", "shaper", "imperfection")
+"""Sections of a scene that stand between motion and robot; the study puts its own shapers there and nothing else."""
+
+
 def motion_driven(scene: Scene, lowest_frequency: float) -> Scene:
-    """The scene as the study needs it: driven by motion, with a dwell."""
-    changes: dict[str, object] = {}
+    """The scene as the study needs it: driven by motion, nothing between motion and robot, with a dwell."""
+    changes: dict[str, object] = {section: () for section in LOOP_SECTIONS if getattr(scene, section)}
     if scene.cosimulation.drive != "motion":
         changes["cosimulation.drive"] = "motion"
     if scene.trajectory.dwell == 0.0:

@@ -171,6 +171,18 @@ def test_a_scene_without_dwell_gets_one(scene: Scene) -> None:
     assert motion_driven(scene.replace({"trajectory.dwell": 0.0}), 50.0).trajectory.dwell == pytest.approx(0.3)
 
 
+def test_a_controlled_scene_is_studied_without_its_loop(scene: Scene) -> None:
+    """Shapers are compared on the motion-driven robot; the scene's controllers and shapers would act besides."""
+    controlled = scene.replace(
+        {
+            "cosimulation.drive": "torque",
+            "controller": [{"kind": "pd", "proportional": 1e4, "derivative": 1e2, "sample_time": 1e-3}],
+            "shaper": [{"kind": "zv"}],
+        }
+    )
+    assert motion_driven(controlled, 50.0) == scene
+
+
 def test_a_slower_motion_takes_the_time_on_the_same_path(motion: MotionPlan) -> None:
     """What a shaper's time could have bought: the same path and end, later."""
     found = slower(motion, 0.02)
