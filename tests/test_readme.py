@@ -1,0 +1,235 @@
+"""The README tells the truth: its code runs, its commands exist, its names are complete and its figures come out."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from flexfmu.cosim.cli import app
+from flexfmu.cosim.experiment import Run, run_scene
+from flexfmu.cosim.fmu_file import open_fmu
+from flexfmu.cosim.fmu_variables import parameter_names
+from flexfmu.cosim.metric_table import ALL_METRICS, METRICS, display
+from flexfmu.cosim.metrics import Measurement, measure_run
+from flexfmu.cosim.modes_table import modes_along_path
+from flexfmu.cosim.paper.cases import case_scene
+from flexfmu.cosim.paper.motions import blend_length, peak_task_acceleration
+from flexfmu.cosim.paper.reference import printed_table
+from flexfmu.cosim.planning import plan
+from flexfmu.cosim.summary import summarise
+from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.model.scene_file import load_scene, parse_scene
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+POLYNOMIAL = "7th order polynomial"
+
+
+def blocks(language: str) -> list[str]:
+    """Fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
+
+
+def section(heading: str) -> str:
+    """Text below a heading, down to the next one."""
+    found = re.search(rf"^## {heading}\n(.*?)(?=^## |\Z)", README, re.DOTALL | re.MULTILINE)
+    assert found is not None, heading
+    return found.group(1)
+
+
+def rows(text: str) -> list[list[str]]:
+    """Cells of the body of all Markdown tables in a text."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    tables = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
+    return [
+        row
+        for row, following in zip(tables, [*tables[1:], [""]], strict=True)
+        if set(row[0]) - set("-:") and (not following[0] or set(following[0]) - set("-:"))
+    ]
+
+
+def table_row(text: str, label: str) -> list[str]:
+    """Cells of the row that begins so."""
+    return next(row for row in rows(text) if row[0].startswith(label))
+
+
+def agrees(text: str, value: float) -> bool:
+    """Whether a printed figure is the value, rounded to its digits."""
+    _, _, decimals = text.partition("e")[0].partition(".")
+    return abs(float(text) - value) <= 0.51 * 10.0 ** -len(decimals)
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """The 6 kg scene."""
+    return run_scene(load_scene("barnard2012-6kg"))
+
+
+@pytest.fixture(scope="module")
+def metrics(run: Run) -> dict[str, Measurement]:
+    """Its metrics."""
+    return dict(measure_run(run))
+
+
+@pytest.mark.slow
+def test_python_blocks_run(tmp_path: Path) -> None:
+    """The Python blocks, one after the other, are a script that works without a warning."""
+    script = tmp_path / "readme.py"
+    script.write_text("\n".join(blocks("python")), encoding="utf-8")
+    command = [sys.executable, "-W", "error", str(script)]
+    outcome = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
+    assert (outcome.returncode, outcome.stderr) == (0, "")
+    assert outcome.stdout.startswith("the simulation reached its stop time ")
+    assert (tmp_path / "results.csv").is_file()
+
+
+def test_commands_exist() -> None:
+    """Every command of the README is one of the program's, with these options, and every command of the program is there."""
+    commands: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
+    typed = [line for block in blocks("console") for line in block.splitlines() if line.startswith("$ ")]
+    typed += [f"$ {line}" for line in re.findall(r"`(flexfmu [^`]*)`", README)]
+    for line in typed:
+        program, name, *arguments = shlex.split(line.removeprefix("$ ").translate(str.maketrans("", "", "[]")))
+        assert program == "flexfmu"
+        options = {option for parameter in commands[name].params for option in parameter.opts}
+        assert {argument for argument in arguments if argument.startswith("-")} <= options, line
+    assert all(f"**`flexfmu {name}" in README for name in commands)
+
+
+def test_files_and_targets_exist() -> None:
+    """Links lead to files, scripts that are to be run exist, and so do the targets of make."""
+    for link in re.findall(r"\]\(([^)#:]+)\)", README):
+        assert (ROOT / link).exists(), link
+    for script in re.findall(r"`python ([^` ]+)", README):
+        assert (ROOT / script).is_file(), script
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for target in re.findall(r"^    make (\w+)", README, re.MULTILINE):
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+    assert (ROOT / "docs" / "overview.png").stat().st_size < 300_000
+
+
+def test_scene_file_is_the_shipped_one() -> None:
+    """The explained scene file is the 6 kg scene to the last value."""
+    (text,) = blocks("toml")
+    assert parse_scene(tomllib.loads(text), "README.md") == load_scene("barnard2012-6kg")
+
+
+def test_metrics_and_summary_are_complete(run: Run, metrics: dict[str, Measurement]) -> None:
+    """The tables name every metric with its unit, and every key of summary.json."""
+    for name, info in ALL_METRICS.items():
+        row = next(row for row in rows(section("Results")) if f"`{name}`" in row[0])
+        units = row[1].split(", ")
+        assert info.unit == units[row[0].split(", ").index(f"`{name}`") if len(units) > 1 else 0]
+    keys = " ".join(row[0] for row in rows(section("Results")))
+    assert all(f"`{key}`" in keys for key in summarise(run, metrics))
+
+
+def test_variables_of_the_fmu(run: Run) -> None:
+    """All parameters are named, and all inputs and outputs are of the named kinds."""
+    text = section("The FMU")
+    description = open_fmu(run.fmu_path).description
+    assert all(f"`{name}`" in text for name in parameter_names(description))
+    for variable in description.modelVariables:
+        name = re.sub(r"link2(\d)", r"link1\1", variable.name.replace("joint2", "joint1").replace(".y", ".x"))
+        kind = re.sub(r"link\d\d\.(bending|axial)\[\d\]", "link11.bending[1]", name)
+        assert f"`{variable.name}`" in text or f"`{kind}`" in text, variable.name
+
+
+def test_metrics_of_the_quick_start(metrics: dict[str, Measurement]) -> None:
+    """What `flexfmu run` is shown to print is what it prints."""
+    shown = blocks("console")[0]
+    named = {name: info.label for name, info in METRICS.items() if info.label in shown}
+    assert len(named) >= 6
+    for name, label in named.items():
+        assert re.search(rf"{label} +{re.escape(display(name, metrics[name].value))}\n", shown), label
+
+
+def test_modes_table() -> None:
+    """The shown frequencies are those of the scene."""
+    shown = next(block for block in blocks("console") if "modes" in block).splitlines()[3:]
+    poses = modes_along_path(plan(load_scene("barnard2012-6kg")), 3)
+    for line, pose in zip(shown, poses, strict=True):
+        values = [pose.s, pose.x, pose.y, pose.q11, pose.q21, *pose.frequencies[:6]]
+        assert all(agrees(*pair) for pair in zip(line.split(), values, strict=True)), line
+
+
+def test_paper_figures_of_the_trajectories_and_frequencies() -> None:
+    """Lengths, accelerations and frequencies beside the paper's, reproduced or not."""
+    text = section("Against the paper")
+    for label, computed in {
+        "Table 2: length of the Lamé": 1e3 * blend_length("Lamé"),
+        "Table 2: length of the clothoid": 1e3 * blend_length("Clothoid"),
+        "Table 5: acceleration, polynomial": peak_task_acceleration(POLYNOMIAL, "Lamé"),
+        "Table 5: acceleration, bang-bang": peak_task_acceleration("Bang-bang", "Clothoid"),
+    }.items():
+        assert agrees(table_row(text, label)[2], computed), label
+    for payload in ("6", "0.1"):
+        frequencies = [
+            pose.frequencies[0] for pose in modes_along_path(plan(load_scene(f"barnard2012-{payload}kg")), 11)
+        ]
+        shown = table_row(text, f"first natural frequency, {payload} kg")[2].split(" to ")
+        assert all(agrees(*pair) for pair in zip(shown, (min(frequencies), max(frequencies)), strict=True))
+
+
+@pytest.mark.slow
+def test_paper_figures_of_the_simulations(metrics: dict[str, Measurement]) -> None:
+    """Figures of Tables 7, 8, 9 and 11, each with its difference from the printed one."""
+    text = section("Against the paper")
+
+    def measured(scene: str, profile: str, curve: str) -> dict[str, Measurement]:
+        return dict(measure_run(run_scene(case_scene(scene, profile, curve))))
+
+    light = measured("barnard2012-0.1kg", POLYNOMIAL, "Lamé")
+    polar = measured("barnard2012-6kg", "1/8 Trapezoidal", "Polar")
+    extended = measured("barnard2012-6kg", POLYNOMIAL, "Clot. Ext")
+    for label, found, metric, scale in [
+        ("Table 7: torque", metrics, "peak_torque_1", 1.0),
+        ("Table 7: RMS", metrics, "rms_acceleration_error", 1.0),
+        ("Table 7: modal deflection [mm]", metrics, "peak_modal_deflection_1", 1e3),
+        ("Table 9: torque", light, "peak_torque_1", 1.0),
+        ("Table 9: RMS", light, "rms_acceleration_error", 1.0),
+        ("Table 11: end position error, polynomial, Lamé", metrics, "end_position_error", 1e3),
+        ("Table 7: modal deflection, 1/8", polar, "peak_modal_deflection_1", 1e3),
+        ("Table 11: end position error, polynomial, extended", extended, "end_position_error", 1e3),
+        ("Table 8: end position error", metrics, "end_position_error", 1e3),
+    ]:
+        _, printed, shown, remark = table_row(text, label)
+        value = found[metric].value
+        assert value is not None
+        assert agrees(shown, scale * value), label
+        if remark.endswith(" %"):
+            difference = float(remark.removesuffix(" %").replace("−", "-"))
+            assert difference == pytest.approx(100.0 * (scale * value / float(printed) - 1.0), abs=0.0051), label
+
+
+def test_printed_figures_are_the_paper_s() -> None:
+    """No printed figure in the README that isn't in the tables of the paper as they are kept."""
+    for row in rows(section("Against the paper")):
+        found = re.match(r"Table (\d+):", row[0])
+        if found:
+            table = printed_table(f"table-{int(found.group(1)):02d}")
+            assert any(row[1] in figures for quantity in table.quantities for figures in quantity.values), row
+
+
+@pytest.mark.slow
+def test_accuracy_table(run: Run) -> None:
+    """The achieved errors at 1 ms are of the stated size, and the integrator needs about the stated steps."""
+    scene, fmu = run.scene, build_scene(run.scene).path
+    exact = run_scene(scene, fmu_path=fmu, communication_step=1e-3, tolerance=1e-12)
+    peak = measure_run(run)["peak_torque_1"].value
+    assert peak is not None
+    stated = [row for row in rows(section("Accuracy and speed")) if row[0] == "1 ms"]
+    assert len(stated) == 3
+    for _, tolerance, _, _, steps, _, torque, _ in stated:
+        result = run_scene(scene, fmu_path=fmu, communication_step=1e-3, tolerance=float(tolerance))
+        error = abs(result.recording["joint1.torque"].values - exact.recording["joint1.torque"].values).max() / peak
+        assert 0.1 * float(torque) < error < 10.0 * float(torque)
+        assert result.health.statistics["steps"] == pytest.approx(int(steps), rel=0.2)
