@@ -203,6 +203,21 @@ def test_runs_are_copied_between_computed_states(export: Export) -> None:
     np.testing.assert_array_equal(run(export(mixed)(), inputs, SAMPLE_TIME), expected(mixed, inputs))
 
 
+def test_thousands_of_statements(export: Export) -> None:
+    """Where nothing can be copied the code is long, and GCC's optimiser must not take minutes over it."""
+    many = block(
+        "many",
+        [1.0 + i for i in range(2000)],
+        1,
+        lambda x, u, p: [x[0] * u[0]],
+        lambda x, u, p: [0.5 * x[i] + x[(7 * i) % 2000] * u[0] for i in range(2000)],
+    )
+    assert "optimize" in generate_block_sources(many, DefaultExperiment()).generated["model_sample.c"]
+    inputs = np.random.default_rng(6).normal(size=(20, 1))
+    exact = expected(many, inputs)
+    np.testing.assert_allclose(run(export(many)(), inputs, SAMPLE_TIME), exact, rtol=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("ziglang") is None, reason="no zig")
 def test_cross_compiles(tmp_path: Path) -> None:
