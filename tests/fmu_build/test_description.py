@@ -24,7 +24,9 @@ def read(tmp_path: Path) -> Callable[[SymbolicModel], Any]:
     """Write the description of a model and read it back with all of fmpy's checks."""
 
     def write_and_read(model: SymbolicModel) -> Any:
-        text = description_xml(plant_description(model), "{guid}", DefaultExperiment(0.68, 2e-4, 1e-7), ("one.c", "two.c"))
+        text = description_xml(
+            plant_description(model), "{guid}", DefaultExperiment(0.68, 2e-4, 1e-7), ("one.c", "two.c")
+        )
         (tmp_path / "modelDescription.xml").write_text(text, encoding="utf-8")
         return read_model_description(
             str(tmp_path), validate=True, validate_variable_names=True, validate_model_structure=True
