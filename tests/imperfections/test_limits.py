@@ -70,6 +70,8 @@ def test_rate_limited_step(run: Any) -> None:
     rise, fall = np.minimum(0.2 * np.arange(1, 13), 1.0), np.maximum(1.0 - 0.1 * np.arange(1, 13), 0.0)
     np.testing.assert_allclose(y, [*rise, *fall], rtol=0, atol=1e-15)
     assert y[11] == 1.0
+    just_above = run(rate_limit([Channel("a", "rad", 0.0)], 1000.0, sample_time=H), [1.0, 2.0 + 1e-10])[:, 0]
+    np.testing.assert_array_equal(just_above, [1.0, 2.0])
     assert y[-1] == 0.0
 
 

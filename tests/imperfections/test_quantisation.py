@@ -28,6 +28,13 @@ def test_error_bound(run: Any, signal: list[float], resolution: float) -> None:
     assert (np.abs(y - u) <= resolution / 2 * (1 + 1e-9) + 1e-15).all()
 
 
+def test_decision_levels(run: Any) -> None:
+    """The output changes half-way between its levels, the upper level at the half-way point itself."""
+    u = np.array([-1.5, -0.5 - 1e-9, -0.5, 0.5 - 1e-9, 0.5, 1.5 - 1e-9, 1.5])
+    y = run(quantisation([ANGLE], 1.0, sample_time=H), u)[:, 0]
+    np.testing.assert_array_equal(y, [-1.0, -1.0, 0.0, 0.0, 1.0, 1.0, 2.0])
+
+
 def test_quantisation_is_idempotent_for_binary_fractions(run: Any) -> None:
     """What is on the grid stays there."""
     block = quantisation([ANGLE], 2.0**-10, sample_time=H)

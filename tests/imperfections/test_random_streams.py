@@ -106,6 +106,21 @@ def test_extreme_states() -> None:
             assert float(u) == published(s1, s2, 1)[0]
 
 
+def test_equal_states_give_the_largest_number() -> None:
+    """Where both generators meet, their difference is zero: it becomes the largest number, not zero, whose logarithm is infinite."""
+    before = [pow(a, -1, m) * 1234567 % m for a, m in zip(MULTIPLIERS, MODULI, strict=True)]
+    x = casadi.SX.sym("x", 2)
+    u = casadi.Function("draw", [x], [draw(Streams.of(x))[0]])(before)
+    assert float(u) == (MODULI[0] - 1) / MODULI[0]
+
+
+def test_numbers_never_change() -> None:
+    """Whoever repeats an experiment years later gets the same numbers: name and seed mean the same in all versions."""
+    assert JUMP == 2**40
+    assert start_states("noise/joint1.position") == (510063222, 1608203664)
+    assert states("noise/joint1.position", 1) == (100566748, 2131566761)
+
+
 def test_multipliers_have_full_period() -> None:
     """Both multipliers are primitive roots of prime moduli, so that the period is the product of (m - 1) over 2."""
     factors = ((2, 3, 7, 631, 81031), (2, 19, 31, 1019, 1789))
