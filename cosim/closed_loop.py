@@ -7,7 +7,7 @@ from typing import Any, Unpack
 
 from flexfmu.cosim.experiment import Options, Run, run_scene
 from flexfmu.cosim.loop import make_loop
-from flexfmu.cosim.planning import plan
+from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.model.scene import Scene
 
 
@@ -17,6 +17,7 @@ def run_loop(
     shapers: Iterable[Any] = (),
     imperfections: Iterable[Any] = (),
     connect: Mapping[str, str] | None = None,
+    motion: MotionPlan | None = None,
     **options: Unpack[Options],
 ) -> Run:
     """Run a scene with these instead of its own sections.
@@ -34,6 +35,7 @@ def run_loop(
             shall pass.
         imperfections: what signals pass on their way, in this order, or `flexfmu.cosim.loop.PayloadError`.
         connect: ``slave.input`` → ``slave.output`` or name of a signal, beyond equal names.
+        motion: a motion instead of the scene's own, planned from the same scene.
         options: as for `flexfmu.cosim.experiment.run_scene`.
 
     Raises:
@@ -41,4 +43,5 @@ def run_loop(
         InputError: something can't be a slave, or the slaves can't be wired.
         BuildError: the FMU can't be built.
     """
-    return run_scene(scene, loop=make_loop(plan(scene), controllers, shapers, imperfections, connect), **options)
+    planned = plan(scene) if motion is None else motion
+    return run_scene(scene, loop=make_loop(planned, controllers, shapers, imperfections, connect), **options)

@@ -1,0 +1,34 @@
+"""Iterative learning: the torque that a repeated motion needs, learned cycle by cycle on top of PD control.
+
+python controller_learning.py
+"""
+
+import numpy as np
+
+from flexfmu.cosim.closed_loop import run_loop
+from flexfmu.cosim.controllers.iterative_learning import iterative_learning
+from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.cycles import repeated
+from flexfmu.cosim.planning import plan
+from flexfmu.model.scene_file import load_scene
+
+scene = load_scene("barnard2012-6kg").replace(
+    {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.duration": 0.6, "trajectory.dwell": 0.15}
+)
+CYCLES, SAMPLE_TIME = 8, 1e-3
+motion = repeated(plan(scene), CYCLES)  # there and back, 1.5 s a cycle
+samples = round(motion.joints.period / SAMPLE_TIME)
+
+feedback = pd(proportional=10e3, derivative=100.0, sample_time=SAMPLE_TIME)
+learning = iterative_learning(4e3, samples, sample_time=SAMPLE_TIME, shift=4, forgetting=0.0)
+run = run_loop(scene, [feedback, learning], motion=motion)
+
+time = run.recording.time
+for cycle in range(CYCLES):
+    part = (time >= cycle * motion.joints.period) & (time < (cycle + 1) * motion.joints.period)
+    errors = [
+        run.recording[f"joint{joint}.reference.position"].values - run.recording[f"joint{joint}.position"].values
+        for joint in (1, 2)
+    ]
+    rms = np.sqrt(np.mean(np.square(errors)[:, part]))
+    print(f"cycle {cycle + 1}: tracking error {1e3 * rms:.4f} mrad RMS")

@@ -1,0 +1,23 @@
+"""PD control of the joints, alone and with the rigid torques of the motion as feedforward.
+
+python controller_pd.py
+"""
+
+from flexfmu.cosim.closed_loop import run_loop
+from flexfmu.cosim.controllers.computed_torque import inverse_dynamics_feedforward
+from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.model.rigid_dynamics import inverse_dynamics
+from flexfmu.model.scene_file import load_scene
+
+# flexible links alone are next to massless for the motors at high frequency: real ones have an inertia of their own
+scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+
+feedback = pd(proportional=10e3, derivative=100.0, sample_time=1e-3)  # N.m/rad, N.m.s/rad
+feedforward = inverse_dynamics_feedforward(inverse_dynamics(scene), sample_time=1e-3)
+
+for label, controllers in (("PD", [feedback]), ("PD and feedforward", [feedback, feedforward])):
+    run = run_loop(scene, controllers)
+    found = measure_run(run)
+    tracking, torque = found["peak_tracking_error_1"].value, found["peak_torque_1"].value
+    print(f"{label:20} tracking error {1e3 * tracking:.3f} mrad, peak torque {torque:.2f} N.m")

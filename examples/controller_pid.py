@@ -1,0 +1,34 @@
+"""PID control with limited torques: the integral brings the robot to its end pose, anti-windup keeps it from going astray.
+
+python controller_pid.py
+"""
+
+from flexfmu.cosim.closed_loop import run_loop
+from flexfmu.cosim.controllers.anti_windup import BackCalculation, Clamping, Unprotected
+from flexfmu.cosim.controllers.limits import symmetric
+from flexfmu.cosim.controllers.pid import pid
+from flexfmu.cosim.loop_sections import holding_torques
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.model.scene_file import load_scene
+
+scene = load_scene("barnard2012-6kg").replace(
+    {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.5}
+)
+start = list(holding_torques(scene).values())  # the integral begins where the robot is at rest
+
+for rule in (Unprotected(), Clamping(), BackCalculation(tracking_time=0.01)):
+    controller = pid(
+        proportional=10e3,
+        integral=300e3,
+        derivative=100.0,
+        sample_time=1e-3,
+        limits=symmetric(50.0),
+        anti_windup=rule,
+        initial_torque=start,
+    )
+    found = measure_run(run_loop(scene, [controller]))
+    settling = found["settling_time"].value
+    print(
+        f"{type(rule).__name__:16} residual {1e3 * found['residual_vibration_amplitude'].value:8.3f} mm, "
+        + ("not settled" if settling is None else f"settled after {1e3 * settling:.0f} ms")
+    )

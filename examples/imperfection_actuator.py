@@ -1,0 +1,26 @@
+"""Motors that are not ideal: limited torque, limited rate of torque, a current loop that lags.
+
+python imperfection_actuator.py
+"""
+
+from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.model.scene_file import load_scene
+
+CONTROLLER = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
+scene = load_scene("barnard2012-6kg").replace(
+    {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "controller": [CONTROLLER]}
+)
+
+imperfections = {
+    "ideal": [],
+    "saturation, 80 N.m": [{"kind": "saturation", "limit": 80.0}],
+    "rate limit, 5 N.m/ms": [{"kind": "rate-limit", "rate": 5e3}],
+    "lag, 0.2 ms": [{"kind": "lag", "time_constant": 0.2e-3, "sample_time": 0.02e-3}],
+}
+for label, sections in imperfections.items():
+    found = measure_run(run_scene(scene.replace({"imperfection": sections})))
+    print(
+        f"{label:22} peak torque {found['peak_torque_1'].value:6.2f} N.m, "
+        f"tracking error {1e3 * found['peak_tracking_error_1'].value:7.3f} mrad"
+    )

@@ -1,0 +1,21 @@
+"""How much delay a controller stands: torques that come later and later, by parts of a sample.
+
+python imperfection_delay.py
+"""
+
+from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.model.scene_file import load_scene
+
+CONTROLLER = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
+scene = load_scene("barnard2012-6kg").replace(
+    {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "controller": [CONTROLLER]}
+)
+
+for delay in (0.0, 0.25e-3, 0.5e-3, 1e-3, 2e-3):
+    run = run_scene(scene.replace({"imperfection": [{"kind": "delay", "time": delay, "signal": "torque"}]}))
+    if run.completed:
+        error = measure_run(run)["peak_tracking_error_1"].value
+        print(f"{1e3 * delay:.2f} ms late: tracking error {1e3 * error:.3f} mrad")
+    else:  # what was recorded until then is kept
+        print(f"{1e3 * delay:.2f} ms late: unstable, {run.recording.time[-1]:.3f} s simulated")

@@ -1,0 +1,48 @@
+"""A motion there and back: smooth where it should be, on both sides of every breakpoint."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.cycles import ThereAndBack, repeated
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.model.scene_file import load_scene
+
+
+def bang_bang(dwell: float) -> MotionPlan:
+    """Three cycles of a motion whose acceleration jumps."""
+    changes = {"trajectory.dwell": dwell, "trajectory.profile": {"kind": "bang-bang"}}
+    return repeated(plan(load_scene("barnard2012-6kg").replace(changes)), 3)
+
+
+@pytest.mark.parametrize("dwell", [0.0, 0.1])
+def test_limits_are_those_of_the_neighbourhood(dwell: float) -> None:
+    """Left and right limits at a breakpoint are what the motion comes to from either side, in every cycle."""
+    motion = bang_bang(dwell).joints
+    near = 1e-9
+    points = np.array(motion.breakpoints)
+    assert np.all(np.diff(points) > 0.0)
+    np.testing.assert_allclose(motion.evaluate(points, 2, "left"), motion.evaluate(points - near, 2), atol=1e-5)
+    np.testing.assert_allclose(motion.evaluate(points, 2, "right"), motion.evaluate(points + near, 2), atol=1e-5)
+
+
+@pytest.mark.parametrize("dwell", [0.0, 0.1])
+def test_it_comes_back(dwell: float) -> None:
+    """After each cycle the joints are where they were; the way back is the way there, reversed in time."""
+    motion = bang_bang(dwell).joints
+    assert isinstance(motion, ThereAndBack)
+    there = np.linspace(0.01, 0.42, 20)
+    back = 2 * motion.motion.duration + motion.dwell - there
+    forward, backward = motion.evaluate(there, 2), motion.evaluate(motion.period + back, 2)
+    np.testing.assert_allclose(backward[::2], forward[::2], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(backward[1], -forward[1], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(motion.evaluate(motion.duration, 0), motion.evaluate(0.0, 0), atol=1e-12)
+
+
+@pytest.mark.parametrize(("dwell", "cycles"), [(-0.1, 1), (0.1, 0), (float("nan"), 1)])
+def test_nonsense_is_refused(dwell: float, cycles: int) -> None:
+    """Numbers out of range are named."""
+    with pytest.raises(InputError, match=r"the (dwell|number of cycles)"):
+        ThereAndBack(plan(load_scene("barnard2012-6kg")).joints, dwell, cycles)

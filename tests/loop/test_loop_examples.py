@@ -1,0 +1,157 @@
+"""The examples with controllers, shapers and imperfections run as a user runs them, and say what they promise."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+pytestmark = pytest.mark.slow
+
+
+def lines(name: str, folder: Path) -> list[str]:
+    """What an example prints when it runs in ``folder``; warnings are errors."""
+    command = [sys.executable, "-W", "error", str(EXAMPLES / name)]
+    outcome = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=folder)
+    assert (outcome.returncode, outcome.stderr) == (0, ""), outcome.stderr
+    return outcome.stdout.splitlines()
+
+
+def value(line: str, what: str) -> float:
+    """The number behind some words."""
+    found = re.search(rf"{what} +(-?[\d.]+(?:e[-+]\d+)?)", line)
+    assert found is not None, line
+    return float(found.group(1))
+
+
+def columns(line: str) -> list[float]:
+    """All numbers that stand alone in a line."""
+    return [float(number) for number in re.findall(r"(?<=\s)-?\d+\.\d+(?=\s|$)", line)]
+
+
+def test_controller_pd(tmp_path: Path) -> None:
+    """The rigid torques of the motion take most of the error away."""
+    alone, helped = (value(line, "tracking error") for line in lines("controller_pd.py", tmp_path))
+    assert helped < 0.1 * alone
+
+
+def test_controller_pid(tmp_path: Path) -> None:
+    """Both rules against windup keep a robot at its limits on its way; without them it goes astray."""
+    unprotected, clamped, calculated = lines("controller_pid.py", tmp_path)
+    assert value(unprotected, "residual") > 100.0
+    assert "settled after" in clamped
+    assert "settled after" in calculated
+
+
+def test_controller_computed_torque(tmp_path: Path) -> None:
+    """Faster sampling helps where the model is right, hardly where the payload is wrong."""
+    slow, slow_wrong, fast, fast_wrong = (value(x, "error") for x in lines("controller_computed_torque.py", tmp_path))
+    assert fast < 0.8 * slow < 0.2 * slow_wrong
+    assert fast_wrong == pytest.approx(slow_wrong, rel=0.1)
+
+
+def test_controller_lqg(tmp_path: Path) -> None:
+    """The design is stable and the robot arrives within a micro-radian, observing its links from the motor angles."""
+    design, result = lines("controller_lqg.py", tmp_path)
+    assert value(design, "slowest pole") < -50.0
+    assert value(result, "at the end") < 1e-2
+
+
+def test_controller_learning(tmp_path: Path) -> None:
+    """Every cycle is better than the one before; after eight of them a tenth of the error is left."""
+    errors = [value(line, "tracking error") for line in lines("controller_learning.py", tmp_path)]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 0.1 * errors[0]
+
+
+def test_controller_fmu(tmp_path: Path) -> None:
+    """The exported controller moves the robot as its Python twin does."""
+    _, result = lines("controller_fmu.py", tmp_path)
+    assert value(result, "joint angles:") < 1e-12
+    assert (tmp_path / "pd.fmu").is_file()
+
+
+def test_controller_scene(tmp_path: Path) -> None:
+    """The scene file's sections all take part."""
+    rows = {line[:24].strip(): columns(line[24:]) for line in lines("controller_scene.py", tmp_path)}
+    torque, tracking, _, residual = range(4)
+    assert len(rows) == 4
+    assert rows["without the feedforward"][tracking] > 10.0 * rows["complete"][tracking]
+    assert rows["without imperfections"][residual] < 0.1 * rows["complete"][residual]
+    assert rows["without the shaper"][torque] > rows["complete"][torque]
+
+
+def test_shaper_three_ways(tmp_path: Path) -> None:
+    """On joints and sampled it cancels the vibration and leaves the path; along the path it doesn't leave it."""
+    _, *rows = lines("shaper_three_ways.py", tmp_path)
+    unshaped, joints, path, sampled = rows
+    assert value(joints, "residual") < 0.1 * value(unshaped, "residual")
+    assert value(sampled, "residual") == pytest.approx(value(joints, "residual"), rel=0.05)
+    assert value(path, "path by") == pytest.approx(0.0, abs=1e-4)
+    assert value(joints, "path by") > 0.1
+
+
+def test_shaper_controlled(tmp_path: Path) -> None:
+    """Shapers take vibration away and need less torque, with a perfect drive most of all."""
+    _, *rows = lines("shaper_controlled.py", tmp_path)
+    residual = [columns(row)[1] for row in rows]
+    torque = [columns(row)[2] for row in rows]
+    assert residual[2] < 0.2 * residual[0]
+    assert max(torque[2:]) < min(torque[:2])
+
+
+def test_imperfection_actuator(tmp_path: Path) -> None:
+    """A motor that can't do what it is told follows worse than an ideal one."""
+    ideal, saturated, limited, lagging = lines("imperfection_actuator.py", tmp_path)
+    assert value(saturated, "peak torque") == 80.0
+    for row in (saturated, limited, lagging):
+        assert value(row, "tracking error") > value(ideal, "tracking error")
+
+
+def test_imperfection_sensor(tmp_path: Path) -> None:
+    """Small errors of the angle do little; a rate from differences costs more than all of them."""
+    ideal, *others, encoder = (value(row, "tracking error") for row in lines("imperfection_sensor.py", tmp_path))
+    assert all(error == pytest.approx(ideal, rel=0.2) for error in others)
+    assert encoder > 2.0 * ideal
+
+
+def test_imperfection_delay(tmp_path: Path) -> None:
+    """The later the torque, the larger the error, until the loop is unstable; the run says so and goes on."""
+    rows = lines("imperfection_delay.py", tmp_path)
+    errors = [value(row, "tracking error") for row in rows if "tracking" in row]
+    assert errors == sorted(errors)
+    assert "unstable" in rows[-1]
+
+
+def test_imperfection_payload(tmp_path: Path) -> None:
+    """The error is smallest where the controller is right about the payload, and grows to both sides."""
+    errors = [float(row.split()[4]) for row in lines("imperfection_payload.py", tmp_path)]
+    assert errors.index(min(errors)) == 2
+    assert errors[0] > errors[1]
+    assert errors[-1] > errors[-2]
+
+
+def test_custom_controller(tmp_path: Path) -> None:
+    """An own class gives the same numbers from Python and from the scene file."""
+    python, scene_file = (value(row, "tracking error") for row in lines("custom_controller.py", tmp_path))
+    assert python == scene_file == pytest.approx(7.9, rel=0.01)
+
+
+def test_custom_transfer_function(tmp_path: Path) -> None:
+    """A python-control system with foreign names controls the robot."""
+    (row,) = lines("custom_transfer_function.py", tmp_path)
+    assert value(row, "tracking error") < 10.0
+
+
+def test_all_examples_of_loops_are_tested() -> None:
+    """An example that nobody runs would rot."""
+    tested = Path(__file__).read_text(encoding="utf-8")
+    prefixes = ("controller_", "shaper_", "imperfection_", "custom_")
+    mine = [path.name for path in EXAMPLES.glob("*.py") if path.name.startswith(prefixes)]
+    assert mine
+    assert all(f'"{name}"' in tested for name in mine)
