@@ -59,12 +59,17 @@ def in_one_call(slave: Slave) -> bool:
 
 
 def declared(slaves: Sequence[Slave], connections: Sequence[Connection], complete: Collection[int] = ()) -> Graph:
-    """The graph as the slaves declare it, but for the ``complete`` ones, which depend on all of their inputs."""
+    """The graph as the slaves declare it, but for the ``complete`` ones, which depend on all of their inputs.
+
+    Inputs that aren't connected are left out: they wait for nothing.
+    """
     graph: dict[Variable, list[Variable]] = {}
+    connected = {target_of(slaves, each) for each in connections}
     for i, slave in enumerate(slaves):
         inputs = [variable.name for variable in slave.variables if variable.causality == "input"]
         for output, names in feedthrough(slave).items():
-            graph[i, output] = [(i, name) for name in (inputs if i in complete else names)]
+            needed = inputs if i in complete else names
+            graph[i, output] = [(i, name) for name in needed if (i, name) in connected]
     for each in connections:
         graph.setdefault(target_of(slaves, each), []).append(source_of(slaves, each))
     return graph
@@ -84,20 +89,15 @@ def find_loops(graph: Graph) -> list[frozenset[Variable]]:
 
     Cycles are contracted one after the other until none is left.
     """
-    member: dict[Variable, Variable] = {}
-    contracted: Graph = graph
-    while ring := cycle(contracted):
-        for each in ring:
-            member[each] = ring[0]
-        member.pop(ring[0])
-        contracted = _contract(contracted, set(ring), ring[0])
     groups: dict[Variable, set[Variable]] = {}
-    for each in member:
-        root = each
-        while root in member:
-            root = member[root]
-        groups.setdefault(root, {root}).add(each)
-    return [frozenset(group) for group in groups.values()]
+    left = graph
+    while ring := cycle(left):
+        members: set[Variable] = set()
+        for each in ring:
+            members |= groups.pop(each, {each})
+        groups[ring[0]] = members
+        left = _contract(left, set(ring), ring[0])
+    return sorted(map(frozenset, groups.values()), key=min)
 
 
 def _contract(graph: Graph, ring: set[Variable], name: Variable) -> Graph:
@@ -112,7 +112,9 @@ def _contract(graph: Graph, ring: set[Variable], name: Variable) -> Graph:
 
 def restricted(graph: Graph, inside: Collection[Variable], cut: Collection[Variable] = ()) -> Graph:
     """The part of the graph within a set of variables, without the use of the outputs ``cut``."""
-    return {node: [each for each in graph.get(node, ()) if each in inside and each not in cut] for node in inside}
+    return {
+        node: [each for each in graph.get(node, ()) if each in inside and each not in cut] for node in sorted(inside)
+    }
 
 
 def tear(graph: Graph, outputs: Collection[Variable]) -> tuple[Variable, ...]:

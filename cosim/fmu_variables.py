@@ -61,7 +61,8 @@ def read_variables(description: Any) -> FmuVariables:
 def _variable(variable: Any) -> SlaveVariable:
     """The variable as the master sees it."""
     start = None if variable.start is None else _number(variable.start)
-    return SlaveVariable(variable.name, cast(Causality, variable.causality), _unit(variable), start)
+    discrete = variable.type != "Real" or variable.variability == "discrete"
+    return SlaveVariable(variable.name, cast(Causality, variable.causality), _unit(variable), start, discrete)
 
 
 def _number(text: str) -> float:

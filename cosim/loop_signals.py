@@ -71,7 +71,7 @@ class LoopSignals:
         """
         if not solution.converged:
             raise LoopError(self._complaint(solution, loop, time, remedy))
-        np.maximum(self.scale, abs(solution.value), self.scale)
+        np.maximum(self.scale, abs(solution.value), out=self.scale)
         return solution.value + solution.residual
 
     def _complaint(self, solution: Solution, loop: str, time: float, remedy: str) -> str:

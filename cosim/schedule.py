@@ -106,8 +106,8 @@ class Schedule:
                 turn.outputs.read(time)
 
     def refresh(self, time: float) -> None:
-        """Pass on the outputs without sampling, so that those with direct feedthrough are up to date."""
-        self._pass_on(OFF_GRID, time, False)
+        """Pass on and read the outputs without sampling, so that all that depends on inputs directly is up to date."""
+        self._pass_on(OFF_GRID, time, True)
 
     def begin(self, times: RealArray) -> None:
         """Choose the coming communication points, from the current or an earlier one on, and begin the first step."""

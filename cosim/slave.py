@@ -27,12 +27,14 @@ class SlaveVariable:
         causality: input, output or parameter.
         unit: unit, for example ``N.m``; empty when unknown, which fits every unit.
         start: start value in ``unit``; None when the slave calculates it.
+        discrete: whether it changes in jumps alone, as counters and switches do.
     """
 
     name: str
     causality: Causality
     unit: str = ""
     start: float | None = None
+    discrete: bool = False
 
 
 class Slave(Protocol):

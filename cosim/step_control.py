@@ -20,21 +20,25 @@ class StepDoubling:
 
     The two halves are kept. The error that accumulates over the whole run shall stay below the tolerance: a step of
     length h may add the fraction h / (stop - start) of it (error per unit step; E. Hairer, S. P. Nørsett, G. Wanner,
-    Solving Ordinary Differential Equations I, II.4). Watched are all connected outputs of slaves that are stepped, and
-    their first derivatives where the slaves give them: what a slave keeps to itself is not seen. The slaves' own
-    integrators should be more precise than the tolerance, or their noise drives the step down.
+    Solving Ordinary Differential Equations I, II.4). What a slave keeps to itself is not
+    seen: one that gives no output derivatives should put out velocities beside positions. The slaves' own integrators
+    should be more precise than the tolerance, or their noise drives the step down.
 
     Args:
         tolerance: allowed error relative to the largest magnitude of each signal so far.
         absolute: allowed error on top of that, in each signal's unit (the derivatives' in unit/s).
         smallest: smallest step [s], two of which are taken at once; 1e-6 of the first one when None.
         largest: largest step [s].
+        signals: outputs whose error counts, as ``slave.output``, with their first derivatives where the slave gives
+            them. None for those that slaves with extrapolated or interpolated inputs pass on; for all continuous outputs
+            of such a slave where it passes on none or gives no derivatives.
     """
 
     tolerance: float = 1e-4
     absolute: float = 1e-9
     smallest: float | None = None
     largest: float = inf
+    signals: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         if not (0.0 < self.tolerance < 1.0 and 0.0 <= self.absolute < inf):

@@ -19,6 +19,9 @@ HERMITE_ORDER = 9
 END_ORDER = 4
 """Derivatives of each reference that the Hermite polynomial meets at both ends."""
 
+RECENT = 8
+"""Instants whose values are kept for a master that goes back and forth."""
+
 REFERENCES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"))
 """Which derivative of the trajectory each reference is, with what it appends to the unit."""
 
@@ -58,6 +61,7 @@ class TrajectorySlave:
         self.ends_exactly = order == HERMITE_ORDER
         self._trajectory = trajectory
         self._times = self._polynomials = self._ends = self._now = np.empty(0)
+        self._recent = np.empty(0), np.empty(0)
         self._next = 0
 
     @property
@@ -73,13 +77,12 @@ class TrajectorySlave:
     def prepare(self, times: RealArray) -> None:
         """Calculate the polynomials of all steps, and begin with the left limits at the first point."""
         first, last = self._landings(times)
+        self._polynomials = self._right_limits(last)
         self._times = times
-        self._polynomials = self._references(
-            last, self.max_output_order if not self.ends_exactly else END_ORDER, "right"
-        )
         self._ends = self._polynomials[:, : END_ORDER + 1].copy()
         jumps = np.isin(first, self.breakpoints)
-        self._ends[jumps] = self._references(first[jumps], END_ORDER, "left")
+        if jumps.any():
+            self._ends[jumps] = self._references(first[jumps], END_ORDER, "left")
         if self.ends_exactly:
             self._polynomials = self._hermite_polynomials(self._polynomials[:, : END_ORDER + 1])
         self._begin()
@@ -126,6 +129,22 @@ class TrajectorySlave:
         for point in reversed(self.breakpoints):
             first[abs(times - point) <= near] = point
         return first, last
+
+    def _right_limits(self, times: RealArray) -> RealArray:
+        """(N, order + 1, variables): right limits of all references with the derivatives that their polynomials need.
+
+        Where a master chooses its steps, most of the few points were among those before.
+        """
+        order = self.max_output_order if not self.ends_exactly else END_ORDER
+        known_times, known = self._recent
+        new = np.setdiff1d(times, known_times)
+        if new.size:
+            known_times = np.concatenate([known_times, new])
+            limits = self._references(new, order, "right")
+            known = np.concatenate([known, limits]) if known.size else limits
+        self._recent = (known_times[-RECENT:], known[-RECENT:]) if times.size <= RECENT else self._recent
+        order_of = np.argsort(known_times)
+        return known[order_of[np.searchsorted(known_times, times, sorter=order_of)]]
 
     def _references(self, times: RealArray, order: int, side: Side) -> RealArray:
         """(N, order + 1, variables): one-sided limits of all references with their derivatives."""

@@ -1,4 +1,4 @@
-"""An FMU from elsewhere, compiled on the spot."""
+"""What several tests use: an FMU from elsewhere, compiled on the spot, and an oscillator split into two slaves."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ import shutil
 import subprocess
 import zipfile
 from importlib.resources import as_file, files
+from math import factorial, fsum
 from pathlib import Path
 
 import fmpy
+import numpy as np
 import pytest
+
+from flexfmu.cosim.results import Recording
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.system import System, connect
 
 FOREIGN = Path(__file__).parent / "foreign-fmu"
 
@@ -36,3 +42,109 @@ def pack(path: Path, description: str, library: Path | None, platform: str = fmp
         if library is not None:
             archive.write(library, f"binaries/{platform}/decay{fmpy.sharedLibraryExtension}")
     return path
+
+
+TERMS = 24
+"""Terms of a Taylor series in a step of at most one radian: the last is below 1e-23."""
+
+
+class Mass:
+    """A unit mass on a spring of its own, coupled by another to the displacement that is its input.
+
+    x'' = -stiffness x + coupling (u - x), solved exactly for a polynomial input. Outputs are x and v = x'; derivatives
+    up to ``order`` are given and twice as many taken.
+    """
+
+    feedthrough = {"x": (), "v": ()}  # noqa: RUF012
+
+    def __init__(self, name: str, start: float, order: int, stiffness: float, coupling: float) -> None:
+        self.name, self.start, self.max_output_order = name, start, order
+        self.max_input_order = 2 * order + 1 if order else 0
+        self.own, self.coupling = stiffness + coupling, coupling
+        self.variables = (
+            SlaveVariable("x", "output", "m"),
+            SlaveVariable("v", "output", "m/s"),
+            SlaveVariable("u", "input", "m", 0.0),
+        )
+        self.memory = np.zeros(2 + self.max_input_order + 1)
+        self.saved = 0
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.memory[:2] = self.start, 0.0
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.memory[2:] = 0.0
+        self.memory[2] = values[0]
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        self.memory[3 : len(derivatives) + 3] = derivatives[:, 0]
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = self.memory[indices]
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        x = [*self.memory[:2]]
+        for k in range(len(derivatives)):
+            x.append(-self.own * x[k] + self.coupling * self.memory[2 + k])
+        for column, index in enumerate(indices):
+            derivatives[:, column] = x[index + 1 : len(derivatives) + index + 1]
+
+    def step(self, time: float, step: float) -> None:
+        parts = int(np.sqrt(self.own) * step) + 1
+        for _ in range(parts):
+            self._taylor_step(step / parts)
+
+    def _taylor_step(self, step: float) -> None:
+        """The series of x from x'' = -own x + coupling u, normalised so that its terms are summed for the value."""
+        inputs = [value * step**k / factorial(k) for k, value in enumerate(self.memory[2:].tolist())]
+        x, v = self.memory[:2].tolist()
+        terms = [x, v * step]
+        for k in range(TERMS):
+            u = inputs[k] if k < len(inputs) else 0.0
+            terms.append(step**2 * (self.coupling * u - self.own * terms[k]) / ((k + 1) * (k + 2)))
+        self.memory[0] = fsum(terms)
+        self.memory[1] = fsum(k * term for k, term in enumerate(terms)) / step
+        for j in range(len(inputs)):
+            rest = [value * factorial(k) / factorial(k - j) for k, value in enumerate(inputs) if k >= j]
+            self.memory[2 + j] = fsum(rest) / step**j
+
+    def save(self) -> object:
+        self.saved += 1
+        return self.memory.copy()
+
+    def restore(self, state: object) -> None:
+        assert isinstance(state, np.ndarray)
+        self.memory[:] = state
+
+    def release(self, state: object) -> None:
+        self.saved -= 1
+
+
+class SplitOscillator:
+    """Two equal masses, the first displaced by 1 m, split at the spring between them.
+
+    Args:
+        order: derivatives that the slaves exchange.
+        stiffness: of the springs that hold the masses [N/m].
+        coupling: of the spring between them [N/m].
+    """
+
+    def __init__(self, order: int, stiffness: float = 4.0, coupling: float = 9.0) -> None:
+        self.slaves = [Mass(name, start, order, stiffness, coupling) for name, start in (("left", 1.0), ("right", 0.0))]
+        self.frequencies = np.sqrt([stiffness, stiffness + 2.0 * coupling])
+
+    def system(self) -> System:
+        """The slaves wired together."""
+        return connect(self.slaves, [("left.x", "right.u"), ("right.x", "left.u")])
+
+    def error(self, recording: Recording) -> float:
+        """Largest error of both displacements [m], against the normal modes."""
+        together, apart = (np.cos(frequency * recording.time) for frequency in self.frequencies)
+        left, right = (recording[f"{name}.x"].values for name in ("left", "right"))
+        return float(max(abs(left - (together + apart) / 2.0).max(), abs(right - (together - apart) / 2.0).max()))
+
+
+@pytest.fixture
+def split_oscillator() -> type[SplitOscillator]:
+    """Makes split oscillators."""
+    return SplitOscillator

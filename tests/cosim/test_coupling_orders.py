@@ -1,0 +1,102 @@
+"""Every coupling algorithm converges with the order that its polynomials allow, on an oscillator with closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.iteration import Anderson, FixedPoint, Tolerance
+from flexfmu.cosim.master import Outcome, simulate
+
+Factory = Callable[..., Any]
+
+
+def slope(make: Factory, order: int, algorithm: Algorithm, steps: tuple[float, float]) -> float:
+    """Observed order between two steps."""
+    errors = []
+    for step in steps:
+        oscillator = make(order)
+        result = simulate(oscillator.system(), stop=1.0, step=step, algorithm=algorithm)
+        assert result.outcome is Outcome.COMPLETED, result.message
+        errors.append(oscillator.error(result.recording))
+    return float(np.log(errors[0] / errors[1]) / np.log(steps[0] / steps[1]))
+
+
+@pytest.mark.parametrize("order", range(4))
+def test_jacobi(split_oscillator: Factory, order: int) -> None:
+    """Side by side, extrapolating with k derivatives: order k + 1."""
+    assert slope(split_oscillator, order, Jacobi(), (0.01, 0.005)) == pytest.approx(order + 1, abs=0.3)
+
+
+@pytest.mark.parametrize("order", range(4))
+def test_gauss_seidel(split_oscillator: Factory, order: int) -> None:
+    """One after the other, the loop is closed by extrapolation: order k + 1 too."""
+    assert slope(split_oscillator, order, GaussSeidel(), (0.01, 0.005)) == pytest.approx(order + 1, abs=0.3)
+
+
+@pytest.mark.parametrize(("order", "expected"), [(0, 2), (1, 4), (2, 6)])
+def test_implicit(split_oscillator: Factory, order: int, expected: int) -> None:
+    """Interpolating between both ends of the repeated step: order 2k + 2."""
+    tight = Implicit(Anderson(tolerance=Tolerance(relative=1e-14, absolute=1e-14)))
+    assert slope(split_oscillator, order, tight, (0.1, 0.05)) == pytest.approx(expected, abs=0.3)
+
+
+def test_the_order_of_slaves_does_not_matter_side_by_side(split_oscillator: Factory) -> None:
+    """Jacobi gives the same numbers whichever slave comes first."""
+    one, other = split_oscillator(2), split_oscillator(2)
+    other.slaves.reverse()
+    first, second = (simulate(each.system(), 1.0, 0.02, algorithm=Jacobi()).recording for each in (one, other))
+    for name in ("left.x", "left.v", "right.x", "right.v"):
+        np.testing.assert_array_equal(first[name].values, second[name].values)
+
+
+@pytest.mark.parametrize("solver", [Anderson(), FixedPoint(), FixedPoint(relaxation=0.7)])
+def test_solvers_agree(split_oscillator: Factory, solver: Anderson | FixedPoint) -> None:
+    """What is found doesn't depend on how; all states are let go again."""
+    reference, oscillator = split_oscillator(1), split_oscillator(1)
+    exact = simulate(reference.system(), 1.0, 0.05, algorithm=Implicit(Anderson(tolerance=Tolerance(1e-14, 1e-14))))
+    result = simulate(oscillator.system(), 1.0, 0.05, algorithm=Implicit(solver))
+    np.testing.assert_allclose(result.recording["left.x"].values, exact.recording["left.x"].values, atol=1e-8)
+    assert [slave.saved for slave in oscillator.slaves] == [0, 0]
+
+
+def test_delays_are_stated(split_oscillator: Factory) -> None:
+    """The run says which signal is how old, as numbers and in words."""
+    one_way = simulate(split_oscillator(0).system(), 1.0, 0.02)
+    assert [each.seconds for each in one_way.delays] == pytest.approx([0.02, 0.02])
+    derivatives = simulate(split_oscillator(2).system(), 1.0, 0.02)
+    assert [each.seconds for each in derivatives.delays] == [0.0, pytest.approx(0.02)]
+    assert derivatives.delay_report.splitlines() == [
+        "left.x -> right.u: no delay, interpolated between both ends of the step",
+        "right.x -> left.u: up to 0.02 s old, extrapolated from the beginning of the step with 2 derivatives",
+    ]
+    both = simulate(split_oscillator(0).system(), 1.0, 0.02, algorithm=Jacobi())
+    assert both.delay_report.splitlines()[0] == "left.x -> right.u: up to 0.02 s late, held over the step"
+    implicit = simulate(split_oscillator(1).system(), 1.0, 0.02, algorithm=Implicit())
+    assert [each.seconds for each in implicit.delays] == [0.0, 0.0]
+
+
+def test_an_unsolved_step_is_an_outcome(split_oscillator: Factory) -> None:
+    """A step that can't be made to agree ends the run with the loop's name, what is left, and a remedy; the results up to
+    there are kept."""
+    solver = FixedPoint(rounds=2, tolerance=Tolerance(1e-14, 1e-14))
+    result = simulate(split_oscillator(1).system(), 1.0, 0.1, algorithm=Implicit(solver))
+    assert result.outcome is Outcome.LOOP_NOT_SOLVED
+    assert "the loop right.x -> left.u isn't solved at 0.1 s: after 2 rounds der(right.x,1) still" in result.message
+    assert "smaller communication step" in result.message
+    assert result.recording.time.tolist() == [0.0]
+
+
+def test_stiff_couplings(split_oscillator: Factory) -> None:
+    """A coupling spring that makes the explicit algorithms explode is named as the cause; repeated steps stay bounded."""
+    unstable = simulate(split_oscillator(0, coupling=1e4).system(), 20.0, 0.1, algorithm=Jacobi())
+    assert unstable.outcome is Outcome.COUPLING_UNSTABLE
+    assert "-fold from step to step" in unstable.message
+    assert "Implicit()" in unstable.message
+    implicit = simulate(split_oscillator(1, coupling=1e4).system(), 20.0, 0.02, algorithm=Implicit())
+    assert implicit.outcome is Outcome.COMPLETED
+    assert abs(implicit.recording["left.x"].values).max() < 1.5

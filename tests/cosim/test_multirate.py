@@ -1,0 +1,172 @@
+"""Slaves with their own sample times and offsets: instants are integers, what doesn't fit is refused, delays are said."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.grid import Clock, time_grid
+from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.system import connect
+
+
+class Sampler:
+    """Puts out its input of one sample earlier, y_k = x_k, x_k+1 = u_k, and notes its instants."""
+
+    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("y", "output"))
+    feedthrough = {"y": ()}  # noqa: RUF012
+
+    def __init__(self, name: str, sample_time: float, offset: float = 0.0, start: float = 0.0) -> None:
+        self.name, self.sample_time, self.offset = name, sample_time, offset
+        self.u, self.x, self.y = 0.0, start, -1.0
+        self.times: list[float] = []
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.u = float(values[0])
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = self.y
+
+    def step(self, time: float, step: float) -> None:
+        raise AssertionError("a sampled slave is never stepped")
+
+    def sample(self, time: float) -> None:
+        self.times.append(time)
+        self.y, self.x = self.x, self.u
+
+
+class InTwoPhases(Sampler):
+    """The same, in two phases."""
+
+    def output(self, time: float) -> None:
+        self.y = self.x
+
+    def update(self, time: float) -> None:
+        self.times.append(time)
+        self.x = self.u
+
+
+class Counter:
+    """A stepped slave that passes on its input."""
+
+    name = "plant"
+    feedthrough = {"x": ()}  # noqa: RUF012
+    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("x", "output"))
+
+    def __init__(self) -> None:
+        self.x = self.u = 1.0
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.u = float(values[0])
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = self.x
+
+    def step(self, time: float, step: float) -> None:
+        self.x += self.u
+
+
+@pytest.mark.parametrize(
+    ("sample_time", "offset", "step"), [(2e-4, 0.0, 2e-4), (1e-3, 3e-4, 1e-4), (2.5e-4, 5e-5, 1e-4), (1 / 3e3, 0, 1e-3)]
+)
+def test_instants_are_exact_over_many_samples(sample_time: float, offset: float, step: float) -> None:
+    """After 1e5 samples every instant is still offset + k * sample_time to the last two digits, and none is doubled."""
+    count = 100_000
+    clock = Clock("controller", sample_time, offset)
+    stop = offset + sample_time * count
+    grid = time_grid(0.0, stop, step, clocks=[clock])
+    instants = grid.times[grid.due[0]]
+    np.testing.assert_array_max_ulp(instants, offset + sample_time * np.arange(count + 1), 2)
+    assert np.diff(grid.times).min() > 0.1 * step / Fraction(sample_time / step).limit_denominator(10).denominator
+    assert np.unique(np.rint(grid.times / (step / 60.0))).size == grid.times.size
+
+
+def test_rates_meet_exactly() -> None:
+    """Where two clocks and the communication grid fall together they share one point, also after 1e5 steps."""
+    clocks = [Clock("fast", 1e-4), Clock("slow", 3e-4, 2e-4), Clock("odd", 7e-5)]
+    grid = time_grid(0.0, 10.0, 1e-4, clocks=clocks)
+    numbers = np.rint(grid.times / 1e-5).astype(int)
+    assert np.unique(numbers).size == numbers.size
+    np.testing.assert_array_equal(grid.due[0], numbers % 10 == 0)
+    np.testing.assert_array_equal(grid.due[1], (numbers % 30 == 20) & (numbers >= 20))
+    np.testing.assert_array_equal(grid.due[2], numbers % 7 == 0)
+
+
+def test_a_slave_is_sampled_at_its_instants() -> None:
+    """Offset and sample time as given; before its first sample a slave's output is as it was initialised."""
+    sampler = Sampler("controller", 0.25, 0.1)
+    result = simulate(connect([sampler, Counter()], [("plant.x", "controller.u")]), 1.0, 0.1)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    np.testing.assert_allclose(sampler.times, [0.1, 0.35, 0.6, 0.85], rtol=1e-15)
+    y = result.recording["controller.y"].values
+    assert set(y[result.recording.time < 0.1].tolist()) == {-1.0}
+
+
+@pytest.mark.parametrize(
+    ("sample_time", "offset", "words"),
+    [
+        (np.pi * 1e-4, 0.0, ["sample time of 0.000314159265359 s", "step of 0.0002 s", "0.0004 s", "0.00015707963"]),
+        (1e-3, 0.000123457, ["offset of 0.000123457 s", "step of 0.0002 s", "0.0002 s"]),
+        (7.77777e-6, 0.0, ["sample time of 7.77777e-06 s", "7.69230769231e-06 s"]),
+        (0.0, 0.0, ["sample time of 0.0 s"]),
+        (-1e-3, 0.0, ["sample time of -0.001 s"]),
+        (1e-3, -1e-3, ["offset must be zero or positive, got -0.001 s"]),
+        (float("nan"), 0.0, ["sample time of nan s"]),
+    ],
+)
+def test_what_does_not_fit_is_refused(sample_time: float, offset: float, words: list[str]) -> None:
+    """A sample time or offset without a common tick with the communication step is refused: both are named, and values
+    that fit."""
+    with pytest.raises(InputError) as caught:
+        simulate(connect([Sampler("controller", sample_time, offset)], []), 1.0, 2e-4)
+    message = str(caught.value)
+    assert message.startswith("controller: ")
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def test_clocks_that_fit_alone_but_not_together() -> None:
+    """Sample times whose common tick is far too small are named together."""
+    clocks = [Clock("a", 1e-3 / 997), Clock("b", 1e-3 / 991), Clock("c", 1e-3)]
+    with pytest.raises(InputError, match=r"the sample times of a .* b .* have no common tick"):
+        time_grid(0.0, 1.0, 1e-3, clocks=clocks)
+
+
+def test_a_held_output_arrives_at_once() -> None:
+    """What a slave puts out at its sample instant drives the plant from that instant on, though it needs no input for
+    it and could be visited early: x grows by -1 before the first sample, then by the start state, then by what was
+    read one sample earlier."""
+    sampler = Sampler("controller", 0.2, start=5.0)
+    system = connect([sampler, Counter()], [("controller.y", "plant.u"), ("plant.x", "controller.u")])
+    result = simulate(system, 0.6, 0.1)
+    times = result.recording.time
+    last = np.append(np.diff(times) > 0.0, True)
+    # u: 5 at 0 and 0.1; then x(0) = 1 at 0.2 and 0.3; then x(0.2) = 11 at 0.4 and 0.5
+    assert result.recording["plant.x"].values[last].tolist() == [1.0, 6.0, 11.0, 12.0, 13.0, 24.0, 35.0]
+    assert [each.seconds for each in result.delays] == [0.0, 0.0]
+    assert result.delay_report.splitlines() == [
+        "controller.y -> plant.u: no delay, held between the samples of its source",
+        "plant.x -> controller.u: no delay, read at the sample instants",
+    ]
+
+
+def test_a_ring_of_sampled_slaves() -> None:
+    """Two delays of one sample in a ring: in two phases a sample goes round in two sample times. In one call, one of them
+    has to sample first, before the other's new output is there: the run says that this signal is one sample late."""
+    wires = [("a.y", "b.u"), ("b.y", "a.u")]
+    two = simulate(connect([InTwoPhases("a", 0.1, start=1.0), InTwoPhases("b", 0.1)], wires), 0.6, 0.1)
+    last = np.append(np.diff(two.recording.time) > 0.0, True)
+    assert two.recording["a.y"].values[last].tolist() == [1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0]
+    assert [each.seconds for each in two.delays] == [0.0, 0.0]
+    one = simulate(connect([Sampler("a", 0.1, start=1.0), Sampler("b", 0.1)], wires), 0.6, 0.1)
+    assert sorted(each.seconds for each in one.delays) == [0.0, 0.1]
+    assert "0.1 s late, its source samples after its target" in one.delay_report

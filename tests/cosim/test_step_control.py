@@ -1,0 +1,179 @@
+"""Step control: the error that was asked for is kept, marks are hit, rejected steps leave no trace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.errors import InputError, SlaveError
+from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.step_control import StepDoubling, fitted
+from flexfmu.cosim.system import System, connect
+from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.trajectories.blends import LameBlend
+from flexfmu.trajectories.path import PickAndPlacePath
+from flexfmu.trajectories.profiles import BangBang
+from flexfmu.trajectories.trajectory import TaskTrajectory
+
+Factory = Callable[..., Any]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "order", "tolerances"),
+    [
+        (GaussSeidel(), 0, (3e-2, 1e-2)),
+        (GaussSeidel(), 1, (1e-2, 1e-3, 1e-4)),
+        (GaussSeidel(), 3, (1e-3, 1e-5, 1e-7)),
+        (Jacobi(), 2, (1e-3, 1e-4, 1e-5)),
+        (Implicit(), 0, (1e-2, 1e-3)),
+        (Implicit(), 1, (1e-3, 1e-5, 1e-7)),
+    ],
+)
+def test_the_error_is_kept(
+    split_oscillator: Factory, algorithm: Algorithm, order: int, tolerances: tuple[float, ...]
+) -> None:
+    """The error over the whole run stays below what was asked for, and not far below; signals have magnitude 1."""
+    for tolerance in tolerances:
+        oscillator = split_oscillator(order)
+        control = StepDoubling(tolerance=tolerance)
+        result = simulate(oscillator.system(), 2.0, 0.01, algorithm=algorithm, step_control=control)
+        assert result.outcome is Outcome.COMPLETED, result.message
+        assert 0.02 * tolerance < oscillator.error(result.recording) < tolerance
+        assert [slave.saved for slave in oscillator.slaves] == [0, 0]
+
+
+class Kicks:
+    """Does nothing but has instants that must be hit."""
+
+    name = "kicks"
+    variables = (SlaveVariable("y", "output"),)
+
+    def __init__(self, breakpoints: tuple[float, ...]) -> None:
+        self.breakpoints = breakpoints
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+    def step(self, time: float, step: float) -> None: ...
+    def restore(self, state: object) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = 0.0
+
+    def save(self) -> object:
+        return None
+
+
+def with_marks(oscillator: Any, marks: tuple[float, ...]) -> System:
+    """The oscillator with instants to hit."""
+    wires = [("left.x", "right.u"), ("right.x", "left.u")]
+    return connect([*oscillator.slaves, Kicks(marks)], wires)
+
+
+def test_marks_are_hit(split_oscillator: Factory) -> None:
+    """Chosen steps land on every mark exactly; each mark has two sides, every other point one."""
+    marks = (1.0 / 3.0, 0.7, 0.7 + 1e-5, 1.234567)
+    control = StepDoubling(tolerance=1e-5)
+    result = simulate(with_marks(split_oscillator(2), marks), 2.0, 0.01, step_control=control)
+    times, counts = np.unique(result.recording.time, return_counts=True)
+    assert set(times[counts == 2].tolist()) == set(marks)
+    assert result.delays[1].seconds == pytest.approx(np.diff(times).max(), rel=1e-6)
+
+
+def test_smallest_step(split_oscillator: Factory) -> None:
+    """A tolerance that the smallest step can't keep ends the run with the signal's name and a remedy."""
+    control = StepDoubling(tolerance=1e-9, smallest=1e-3)
+    result = simulate(split_oscillator(0).system(), 1.0, 0.01, step_control=control)
+    assert result.outcome is Outcome.STEP_TOO_SMALL
+    assert "the coupling error of" in result.message
+    assert "take a larger tolerance" in result.message
+
+
+class Impatient(Kicks):
+    """Can't make steps above a limit."""
+
+    limit = 0.3
+
+    def step(self, time: float, step: float) -> None:
+        if step > self.limit:
+            raise SlaveError(self.name, "this step is too long for me")
+
+
+def test_rejected_steps_leave_no_trace(split_oscillator: Factory) -> None:
+    """A run whose first step is too long for somebody, and is taken back at its end, gives bit by bit what a run gives
+    that begins with the shorter step."""
+    wires = [("left.x", "right.u"), ("right.x", "left.u")]
+    results = []
+    for first in (0.5, 0.1):
+        system = connect([*split_oscillator(3).slaves, Impatient(())], wires)
+        control = StepDoubling(tolerance=1e-3, smallest=1e-6)
+        results.append(simulate(system, 2.0, first, step_control=control))
+    back, straight = results
+    assert back.rejected > straight.rejected
+    np.testing.assert_array_equal(back.recording.time, straight.recording.time)
+    for name in ("left.x", "left.v", "right.x", "right.v"):
+        np.testing.assert_array_equal(back.recording[name].values, straight.recording[name].values)
+
+
+def test_a_failing_slave_gets_a_smaller_step() -> None:
+    """A slave that only fails in long steps is asked again; one that never manages has the last word."""
+    slave = Impatient(())
+    result = simulate(connect([slave], []), 1.0, 0.5, step_control=StepDoubling())
+    assert result.outcome is Outcome.COMPLETED
+    assert result.rejected > 0
+    slave.limit = 0.0
+    result = simulate(connect([slave], []), 1.0, 0.5, step_control=StepDoubling())
+    assert result.outcome is Outcome.STEP_FAILED
+    assert result.message == "kicks failed at 0 s: this step is too long for me"
+
+
+def test_who_cannot_go_back_is_refused(split_oscillator: Factory) -> None:
+    """Step control needs saved states; who has none is named before the run."""
+    system = split_oscillator(1).system()
+    system.slaves[1].can_save = False
+    with pytest.raises(InputError, match="right can't save and restore its state, which step control needs"):
+        simulate(system, 1.0, 0.01, step_control=StepDoubling())
+
+
+def test_a_trajectory_is_announced_for_every_chosen_step() -> None:
+    """A slave that knows its future follows the master's steps, back and forth: at every point it is on its trajectory,
+    on both sides of its jumps."""
+    path = PickAndPlacePath((-0.175, 0.32), (0.0, -1.0), 0.025, 0.35, LameBlend(0.025, 0.025))
+    trajectory = TaskTrajectory(path, BangBang(), 0.43)
+    source = TrajectorySlave(trajectory, ("x", "y"), "m")
+    target = Impatient(())
+    target.limit = 0.013
+    target.variables = (*target.variables, SlaveVariable("u", "input", "m"))
+    target.max_input_order = 9
+    target.set_derivatives = lambda indices, derivatives: None
+    system = connect([target, source], [("trajectory.x.reference.position", "kicks.u")])
+    result = simulate(system, 0.5, 0.1, step_control=StepDoubling())
+    assert result.rejected > 0, result.message
+    time = result.recording.time
+    last = np.append(np.diff(time) > 0.0, True)
+    right = trajectory.evaluate(time[last], 2, side="right")
+    names = [f"trajectory.{axis}.reference.{kind}" for kind in ("position", "acceleration") for axis in "xy"]
+    recorded = np.stack([result.recording[name].values[last] for name in names])
+    np.testing.assert_allclose(recorded, np.concatenate([right[0].T, right[2].T]), rtol=1e-12, atol=1e-12)
+    assert set(trajectory.breakpoints) <= set(time.tolist())
+
+
+def test_equal_steps_to_a_mark() -> None:
+    """The rest of the way to a mark is split into equal steps, without a tiny one at the end."""
+    assert fitted(0.3, 1.0) == 0.25
+    assert fitted(0.1, 0.3 + 1e-17) == pytest.approx(0.1)
+    assert fitted(5.0, 1.0) == 1.0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{"tolerance": 0.0}, {"tolerance": 2.0}, {"absolute": -1.0}, {"smallest": 0.0}, {"smallest": 2.0, "largest": 1.0}],
+)
+def test_senseless_control(arguments: dict[str, float]) -> None:
+    """Numbers out of range are refused."""
+    with pytest.raises(InputError, match="step control needs"):
+        StepDoubling(**arguments)
