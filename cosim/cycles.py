@@ -11,7 +11,7 @@ from flexfmu.cosim.bernstein import Array
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.trajectories.curves import Side
-from flexfmu.trajectories.trajectory import Trajectory
+from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
 
 
 @dataclass(frozen=True)
@@ -50,29 +50,31 @@ class ThereAndBack:
     @property
     def breakpoints(self) -> tuple[float, ...]:
         """Those of all motions [s]."""
-        there = list(self.motion.breakpoints)
-        back = [self._return + self.motion.duration - time for time in reversed(there)]
-        points = [cycle * self.period + time for cycle in range(self.cycles) for time in (*there, *back)]
-        return tuple(dict.fromkeys([*points[:-1], self.duration]))
+        there = np.array(self.motion.breakpoints)
+        back = self.motion.duration - there[::-1]
+        legs = [leg * self._leg + (back if leg % 2 else there) for leg in range(2 * self.cycles)]
+        points = np.concatenate([*legs[:-1], legs[-1][:-1], [self.duration]])
+        distinct = np.diff(points, prepend=-np.inf) > SAME_TIME * self.duration
+        return tuple(float(point) for point in points[distinct])
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
         """Coordinates and their time derivatives; see `flexfmu.trajectories.trajectory.Trajectory.evaluate`."""
         instants = np.atleast_1d(np.asarray(time, dtype=float))
-        cycle = np.clip(np.floor(instants / self.period), 0, self.cycles - 1)
-        if side == "left":
-            cycle = np.where((instants == cycle * self.period) & (cycle > 0), cycle - 1, cycle)
-        within = instants - cycle * self.period
+        near = SAME_TIME * self.duration
+        count = (
+            np.floor((instants + near) / self._leg) if side == "right" else np.ceil((instants - near) / self._leg) - 1
+        )
+        leg = np.clip(count, 0, 2 * self.cycles - 1)
+        within = instants - leg * self._leg
         there = self.motion.evaluate(within, order, side)
         opposite: Side = "left" if side == "right" else "right"
-        back = self.motion.evaluate(self._return + self.motion.duration - within, order, opposite)
+        back = self.motion.evaluate(self.motion.duration - within, order, opposite)
         signs = (-1.0) ** np.arange(order + 1)
-        middle = self._return - 0.5 * self.dwell
-        returning = within > middle if side == "left" else within >= middle
-        return np.asarray(np.where(returning[:, np.newaxis], signs[:, np.newaxis, np.newaxis] * back, there))
+        return np.asarray(np.where((leg % 2 == 1)[:, np.newaxis], signs[:, np.newaxis, np.newaxis] * back, there))
 
     @property
-    def _return(self) -> float:
-        """When the way back begins within a cycle [s]."""
+    def _leg(self) -> float:
+        """Length of a motion with its standstill [s]."""
         return self.motion.duration + self.dwell
 
 

@@ -1,0 +1,230 @@
+"""What stands between motion, controller and robot: shapers in their three ways, every imperfection, foreign slaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.closed_loop import run_loop
+from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.experiment import Run, run_scene
+from flexfmu.cosim.loop import Shaper
+from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.slave import SlaveVariable
+from flexfmu.cosim.summary import summarise
+from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.model.scene import Scene
+from flexfmu.trajectories.shapers.oscillator import Oscillator
+from flexfmu.trajectories.shapers.zero_vibration import zero_vibration
+
+MODE = {"frequency": 58.0, "ratio": 0.02}
+COMPUTED_TORQUE = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
+SIGNALS = ("torque", "position", "velocity", "reference")
+
+
+def at_samples(run: Run, name: str, sample_time: float) -> np.ndarray:
+    """A signal right after its sample instants."""
+    time = run.recording.time
+    right = np.append(np.diff(time) > 0.0, True)
+    number = time / sample_time
+    return np.asarray(run.recording[name].values[right & (abs(number - np.round(number)) < 1e-6)])
+
+
+@pytest.fixture(scope="module")
+def motion_driven(robot: Scene) -> Scene:
+    """A quick motion that leaves vibration."""
+    return robot.replace({"cosimulation.drive": "motion", "trajectory.duration": 0.35})
+
+
+def residual(run: Run) -> float:
+    """Residual vibration [m]."""
+    value = measure_run(run)["residual_vibration_amplitude"].value
+    assert value is not None
+    return value
+
+
+def test_shapers_in_a_motion_driven_scene(motion_driven: Scene) -> None:
+    """On the joints, analytically and sampled, a shaper cancels the vibration; the run is longer by its duration, and the
+    summary says by how much and how far the path is left."""
+    unshaped = run_scene(motion_driven)
+    shaper = {"kind": "zvd"}
+    joints = run_scene(motion_driven.replace({"shaper": [shaper]}))
+    sampled = run_scene(motion_driven.replace({"shaper": [shaper | {"apply": "sampled", "sample_time": 2.5e-4}]}))
+    assert residual(joints) < 0.1 * residual(unshaped)
+    assert residual(sampled) == pytest.approx(residual(joints), rel=0.1)
+    shaping = summarise(joints, measure_run(joints))["shaping"]
+    assert shaping["added_time"] == pytest.approx(joints.plan.duration - 0.35)
+    assert 1e-4 < shaping["path_deviation"] < 2e-3
+    assert "shaping" not in summarise(unshaped, measure_run(unshaped))
+
+
+def test_a_shaper_along_the_path_keeps_it(motion_driven: Scene) -> None:
+    """The rigid robot's end effector stays on its path."""
+    scene = motion_driven.replace({"shaper": [{"kind": "zv", "modes": [MODE], "apply": "path"}]})
+    loop = loop_of(scene)
+    from flexfmu.cosim.shaper_plan import deviation
+
+    assert deviation(loop.motion) < 1e-9
+    assert loop.motion.duration > 0.35
+
+
+def test_sampled_references_are_shaped_by_the_split_sequence(motion_driven: Scene) -> None:
+    """The sampled shaper's positions at its instants are those of the trajectory shaped by the split impulses, exactly:
+    that is the plan that the metrics compare with."""
+    sequence = zero_vibration(Oscillator(**MODE), 1)
+    run = run_loop(motion_driven, shapers=[Shaper(sequence, "sampled", sample_time=1e-3)])
+    shaped = at_samples(run, "joint1.reference.position", 1e-3)
+    planned = run.plan.joints.evaluate(1e-3 * np.arange(shaped.size), 0)[0, :, 0]
+    np.testing.assert_allclose(shaped, planned, rtol=0.0, atol=1e-12)
+    assert "trajectory.joint1.reference.position" in run.recording.columns
+
+
+def test_two_shapers_act_one_after_the_other(motion_driven: Scene) -> None:
+    """Their durations add up."""
+    modes = [{"kind": "zv", "modes": [{"frequency": frequency}]} for frequency in (50.0, 100.0)]
+    assert loop_of(motion_driven.replace({"shaper": modes})).motion.duration == pytest.approx(0.35 + 0.01 + 0.005)
+
+
+def test_more_modes_than_there_are_is_an_error(motion_driven: Scene) -> None:
+    """A rigid robot has nothing to shape for."""
+    rigid = motion_driven.replace(
+        {"effects.proximal_bending": 0, "effects.distal_axial": 0, "shaper": [{"kind": "zv"}]}
+    )
+    with pytest.raises(InputError, match=r"`shaper\.mode_count` = 1, but .* has 0 modes"):
+        run_scene(rigid)
+
+
+KINDS: dict[str, dict[str, Any]] = {
+    "saturation": {"limit": 1e3},
+    "rate-limit": {"rate": 1e9},
+    "delay": {"time": 0.0},
+    "quantisation": {"resolution": 1e-12},
+    "noise": {"standard_deviation": 0.0},
+    "jitter": {"time": 1e-9},
+}
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_imperfection_can_act_on_every_signal(robot: Scene, kind: str, signal: str) -> None:
+    """Imperfections that are next to nothing change next to nothing, wherever they act."""
+    short = robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3, "controller": [COMPUTED_TORQUE]})
+    section = {"kind": kind, "signal": signal, **KINDS[kind]}
+    run = run_scene(short.replace({"imperfection": [section]}))
+    assert run.completed
+    assert run.slaves[-1].sample_time == 1e-3
+    assert (measure_run(run)["peak_tracking_error_1"].value or 1.0) < 1e-3
+
+
+def test_delays_and_lags_begin_with_the_static_torque(robot: Scene) -> None:
+    """Before anything has passed a delay line or a lag, the motors hold the robot: it doesn't drop at the start."""
+    late = [
+        {"kind": "delay", "time": 5e-4, "sample_time": 2.5e-4},
+        {"kind": "lag", "time_constant": 1e-4, "sample_time": 1e-4},
+    ]
+    scene = robot.replace({"trajectory.dwell": 0.0, "controller": [COMPUTED_TORQUE], "imperfection": late})
+    run = run_scene(scene)
+    angle = run.recording["joint1.position"].values[run.recording.time < 2e-3]
+    assert abs(angle - angle[0]).max() < 1e-7
+    assert "lag.joint1.torque" in run.recording.columns
+
+
+def test_noise_is_the_same_for_the_same_seed(robot: Scene) -> None:
+    """And another one for another seed."""
+    short = robot.replace({"trajectory.dwell": 0.0, "controller": [COMPUTED_TORQUE]})
+
+    def torque(seed: int) -> np.ndarray:
+        noise = {"kind": "noise", "standard_deviation": 1e-5, "seed": seed}
+        return run_scene(short.replace({"imperfection": [noise]})).recording["joint1.torque"].values
+
+    np.testing.assert_array_equal(torque(1), torque(1))
+    assert abs(torque(1) - torque(2)).max() > 1e-3
+
+
+def test_an_exported_controller_in_the_scene_file(robot: Scene, tmp_path: Path) -> None:
+    """The FMU of a controller moves the robot as its Python twin does, and its parameters can be set."""
+    short = robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3})
+    build_block_fmu(pd(5e3, 100.0, sample_time=1e-3), tmp_path / "pd.fmu")
+    gains = {f"joint{joint}.proportional_gain": 1e4 for joint in (1, 2)}
+    section = {"kind": "fmu", "path": str(tmp_path / "pd.fmu"), "name": "mine", "parameters": gains}
+    exported = run_scene(short.replace({"controller": [section]})).recording
+    python = run_loop(short, [pd(1e4, 100.0, sample_time=1e-3)]).recording
+    for name in ("joint1.position", "end_effector.position.y"):
+        twin = np.interp(exported.time, python.time, python[name].values)
+        np.testing.assert_allclose(exported[name].values, twin, rtol=0.0, atol=1e-12)
+    assert "mine.joint1.torque" in exported.columns
+
+
+class Constant:
+    """A slave with foreign names that puts out what it was told."""
+
+    name = "foreign"
+    sample_time = 1e-3
+    variables = (SlaveVariable("in", "input"), SlaveVariable("out", "output"))
+
+    def __init__(self, value: float) -> None:
+        self._value = value
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+    def set(self, indices: Any, values: Any) -> None: ...
+    def sample(self, time: float) -> None: ...
+    def step(self, time: float, step: float) -> None: ...
+
+    def get(self, indices: Any, values: Any) -> None:
+        """The constant."""
+        values[:] = self._value
+
+
+def test_foreign_names_are_connected_explicitly(robot: Scene) -> None:
+    """A section's `connect` names its own inputs, or the robot's with the source behind them."""
+    section = {
+        "kind": "python",
+        "source": f"{__name__}:Constant",
+        "arguments": {"value": -15.0},
+        "connect": {"in": "joint1.position", "plant.joint1.torque": "foreign.out"},
+    }
+    loop = loop_of(robot.replace({"controller": [section]}))
+    assert loop.connect == {"foreign.in": "joint1.position", "plant.joint1.torque": "foreign.out"}
+    run = run_loop(robot.replace({"trajectory.dwell": 0.0}), [Constant(-15.0)], connect=loop.connect)
+    assert run.recording["joint1.torque"].values[-1] == -15.0
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("nowhere:Thing", "can't import nowhere"),
+        ("math:thing", "module math has no 'thing'"),
+        ("math:sqrt", "math:sqrt\\(\\)"),
+        ("math:pi", "a float can't be a slave"),
+    ],
+)
+def test_own_sources_that_fail_are_named(robot: Scene, source: str, message: str) -> None:
+    """Module, name, call and kind are checked, each with its sentence."""
+    with pytest.raises(InputError, match=message):
+        run_scene(robot.replace({"controller": [{"kind": "python", "source": source}]}))
+
+
+def test_state_space_and_state_feedback_from_the_scene_file(robot: Scene) -> None:
+    """Matrices of the file are the controller; LQG weights of the file make one that arrives."""
+    gain = 1e4
+    section = {
+        "kind": "state-space",
+        "A": [[0.0]],
+        "B": [[0.0, 0.0, 0.0, 0.0]],
+        "C": [[0.0], [0.0]],
+        "D": [[gain, 0.0, -gain, 0.0], [0.0, gain, 0.0, -gain]],
+        "inputs": ["joint1.reference.position", "joint2.reference.position", "joint1.position", "joint2.position"],
+        "outputs": ["joint1.torque", "joint2.torque"],
+        "sample_time": 2.5e-4,
+    }
+    spring = loop_of(robot.replace({"controller": [section]})).controllers[0]
+    assert spring.name == "state_space"
+    lqg = run_scene(robot.replace({"controller": [{"kind": "state-feedback", "sample_time": 1e-3}]}))
+    end = abs(lqg.recording["joint1.position"].values[-1] - lqg.recording["joint1.reference.position"].values[-1])
+    assert lqg.completed
+    assert end < 1e-3
