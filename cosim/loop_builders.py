@@ -15,7 +15,6 @@ from flexfmu.cosim.controllers.pd import pd
 from flexfmu.cosim.controllers.pid import pid
 from flexfmu.cosim.controllers.state_space import state_space
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.fmu_slave import FmuSlave
 from flexfmu.cosim.imperfections.channels import Channel, joint_channels
 from flexfmu.cosim.imperfections.delay import delay
 from flexfmu.cosim.imperfections.jitter import jitter
@@ -28,6 +27,7 @@ from flexfmu.cosim.loop import Names, PayloadError, Shaper, as_slave
 from flexfmu.cosim.lqg import LqgWeights, lqg
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.python_source import from_source
+from flexfmu.cosim.sampled_fmu import fmu_slave
 from flexfmu.cosim.slave import Slave
 from flexfmu.model import scene_sections as sections
 from flexfmu.model.block import SymbolicBlock
@@ -156,7 +156,7 @@ class LoopBuilder:
         if isinstance(section, sections.FmuSection):
             path = section.path
             named = self._names.unused(section.name) if section.name else self._names.of_file(path)
-            return self._connected(FmuSlave(path, named, section.parameters), section)
+            return self._connected(fmu_slave(path, named, section.parameters), section)
         made = from_source(section.source, section.arguments)
         return self._connected(as_slave(made, self._names, section.name), section)
 
