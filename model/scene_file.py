@@ -99,8 +99,22 @@ def _sentence(error: ErrorDetails) -> str:
             if isinstance(error["input"], dict)
             else f"`{key}` must be a table with a `kind`, got {error['input']!r}"
         )
+    if kind in _FORMS:
+        return f"`{key}` must be {_FORMS[kind].format(**context)}{f' in {unit}' if unit_text else ''}, got {_as_toml(error['input'])}"
     return f"`{key}` {_plain(error['msg'])}{f' in {unit}' if unit_text else ''}, got {error['input']!r}"
 
+
+_FORMS = {
+    "tuple_type": "an array like [1.0, 2.0]",
+    "too_long": "an array of {max_length} values",
+    "model_type": "a table like {{ key = value }}",
+    "model_attributes_type": "a table like {{ key = value }}",
+    "dict_type": "a table like {{ key = value }}",
+    "string_type": "a text in quotes",
+    "string_too_short": "a text that is not empty",
+    "string_pattern_mismatch": "made of letters, digits and the signs that suit it (pattern {pattern})",
+}
+"""Pydantic's types of errors → what the scene file should have there."""
 
 _BOUNDS = {
     "greater_than": "above {gt}",
@@ -119,6 +133,11 @@ def _tags(location: tuple[Any, ...]) -> str:
             annotation = holder.model_fields[part].annotation
     kinds = [kind for model in _sections(annotation) for kind in get_args(model.model_fields["kind"].annotation)]
     return ", ".join(map(repr, kinds))
+
+
+def _as_toml(value: Any) -> str:
+    """A value as it stands in the scene file, where vectors are arrays."""
+    return repr(list(value)) if isinstance(value, tuple) else repr(value)
 
 
 def _plain(message: str) -> str:

@@ -35,7 +35,17 @@ WRONG_VALUES = {
     ),
     "boolean for a number": ({"payload.mass": True}, r"`payload\.mass` must be a valid number in kg, got True"),
     "fraction of a mode": ({"effects.proximal_bending": 2.5}, r"`effects\.proximal_bending` must be a valid integer"),
-    "vector too long": ({"trajectory.start": [1.0, 2.0, 3.0]}, r"`trajectory\.start` .* at most 2 items"),
+    "vector too long": (
+        {"trajectory.start": [1.0, 2.0, 3.0]},
+        r"`trajectory\.start` must be an array of 2 values in m, got \[1\.0, 2\.0, 3\.0\]",
+    ),
+    "number for a vector": (
+        {"trajectory.lift": 1.0},
+        r"`trajectory\.lift` must be an array like \[1\.0, 2\.0\], got 1\.0",
+    ),
+    "word for a table": ({"trajectory.blend": "lame"}, r"`trajectory\.blend` must be a table like \{ key = value \}"),
+    "number for a damping": ({"effects.damping": 3}, r"`effects\.damping` must be a table"),
+    "path as a name": ({"name": "a/b"}, r"`name` must be made of letters, digits"),
     "word in a vector": ({"trajectory.start": [1.0, "b"]}, r"`trajectory\.start\[1\]` must be a valid number in m"),
     "not a number": (
         {"trajectory.duration": float("nan")},
