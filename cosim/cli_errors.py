@@ -49,13 +49,13 @@ def _exit_status(error: Exception) -> int | None:
     The families of errors are imported here: `flexfmu --help` would wait for SciPy otherwise.
     """
     from flexfmu.cosim.errors import CosimError, InputError
-    from flexfmu.fmu_build.errors import BuildError, MissingCompilerError, PlatformError
+    from flexfmu.fmu_build.errors import BuildError, MissingCompilerError, PlatformError, StartError
     from flexfmu.model.errors import EquilibriumError, SceneError
     from flexfmu.trajectories.errors import TrajectoryError
 
     if isinstance(error, MissingCompilerError):
         return FAILURE
-    if isinstance(error, SceneError | TrajectoryError | InputError | PlatformError):
+    if isinstance(error, SceneError | TrajectoryError | InputError | PlatformError | StartError):
         return USAGE
     return FAILURE if isinstance(error, CosimError | BuildError | EquilibriumError | OSError) else None
 

@@ -11,6 +11,10 @@ class ModelError(BuildError):
     """The symbolic model contradicts its own contract: a function, a shape, a unit or a name."""
 
 
+class StartError(ModelError):
+    """A start value, the scene's, is outside the range that the model allows."""
+
+
 class PlatformError(BuildError):
     """The platform is unknown to FMI 2.0, or this machine cannot build for it."""
 

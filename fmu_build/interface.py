@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.errors import ModelError, StartError
 from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit
 
 if TYPE_CHECKING:
@@ -217,7 +217,8 @@ def _check_start(variable: Variable) -> None:
         raise ModelError(f"{variable.causality} '{variable.name}' needs a start value")
     if (low is not None and start < low) or (high is not None and start > high):
         limits = f"{'-inf' if low is None else low} to {'inf' if high is None else high}"
-        raise ModelError(f"start of '{variable.name}' must be within {limits} {variable.unit}, got {start}")
+        unit = "" if variable.unit == DIMENSIONLESS else f" {variable.unit}"
+        raise StartError(f"start of '{variable.name}' must be within {limits}{unit}, got {start}{unit}")
 
 
 def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariable, ...]:
