@@ -64,18 +64,27 @@ class Run:
         self._cross = self._controlled.cross
 
     def go(self, tolerance: float | None) -> None:
-        """Initialise, then go from point to point."""
+        """Initialise, then go from point to point.
+
+        An instant is recorded once where signals are continuous, on both sides where they may jump.
+        """
         self._schedule.initialize(tolerance)
         self.initialized = True
-        self._exchange_and_record(0)
-        count = len(self._times) - 1
+        self._start()
+        times, marked, cross = self._times, self._marked, self._cross
+        exchange, record = self._schedule.exchange, self.recorder.append
+        count = len(times) - 1
         every = max(1, count // PROGRESS_CALLS)
         for n in range(count):
-            self._cross(self._times[n], self._times[n + 1])
+            time, jump = times[n + 1], marked[n + 1]
+            cross(times[n], time)
             self._passed += 1
-            self._exchange_and_record(n + 1)
+            if jump:
+                record(time)
+            exchange(n + 1, time, jump)
+            record(time)
             if self._progress is not None and (self._passed % every == 0 or self._passed == count):
-                self._progress((self._times[n + 1] - self._times[0]) / (self._times[-1] - self._times[0]))
+                self._progress((time - times[0]) / (times[-1] - times[0]))
 
     @property
     def reached(self) -> Reached:
@@ -86,10 +95,9 @@ class Run:
         taken = self._controlled
         return Reached(max(time, taken.time), taken.accepted, taken.rejected, taken.largest or self._largest)
 
-    def _exchange_and_record(self, point: int) -> None:
-        """Record the instant: once where signals are continuous, on both sides where they may jump."""
-        time, jump = self._times[point], self._marked[point]
-        if jump:
-            self.recorder.append(time)
-        self._schedule.exchange(point, time, jump or point == 0)
-        self.recorder.append(time)
+    def _start(self) -> None:
+        """Exchange and record the first instant."""
+        if self._marked[0]:
+            self.recorder.append(self._times[0])
+        self._schedule.exchange(0, self._times[0], jump=True)
+        self.recorder.append(self._times[0])

@@ -94,11 +94,12 @@ class Schedule:
 
     def _pass_on(self, point: int, time: float, jump: bool) -> None:
         """Everybody's turn."""
+        activity = self.activity
         for turn in self._turns:
             if isinstance(turn, InstantLoop):
                 turn.solve(point, time)
                 continue
-            self.activity.name = turn.slave.name
+            activity.name = turn.slave.name
             turn.inputs.exchange()
             if turn.sample is not None and turn.due[point]:
                 turn.sample(time)

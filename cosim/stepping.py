@@ -52,22 +52,32 @@ class Stepping:
             for i, slave in enumerate(system.slaves)
         ]
         groups = step_groups(system, algorithm)
-        self._single = [steppers[i] for group in groups for i in group.slaves]
-        self._interpolating = [each.inputs for each in self._single if each.interpolating]
+        single = [steppers[i] for group in groups for i in group.slaves]
+        self._interpolating = [each.inputs for each in single if each.interpolating]
+        # bound once: this is what a run spends its time with
+        self._calls = [
+            (
+                each.slave.name,
+                each.inputs.interpolate if each.interpolating else None,
+                each.slave.step,
+                each.outputs.read,
+            )
+            for each in single
+        ]
         self._groups = [self._group(system, group, steppers, coupled) for group in groups]
         self.advance = self._advance_groups if any(group.solver for group in groups) else self._advance
 
     def _advance(self, begin: float, end: float) -> None:
         """Step all slaves from one communication point to the next and read them."""
-        step = end - begin
+        step, activity = end - begin, self._activity
         for inputs in self._interpolating:
             inputs.remember()
-        for each in self._single:
-            self._activity.name = each.slave.name
-            if each.interpolating:
-                each.inputs.interpolate(step)
-            each.slave.step(begin, step)
-            each.outputs.read(end)
+        for name, interpolate, advance, read in self._calls:
+            activity.name = name
+            if interpolate is not None:
+                interpolate(step)
+            advance(begin, step)
+            read(end)
 
     def _advance_groups(self, begin: float, end: float) -> None:
         """The same, groups of slaves that feed each other again and again until they agree."""
