@@ -16,10 +16,12 @@ from flexfmu.cosim.interpolation import HermiteSegments
 from flexfmu.cosim.mechanism_plot import draw_scene
 from flexfmu.cosim.plot_style import GREY
 from flexfmu.cosim.signals import (
+    JOINT_POSITIONS,
     TIP_DEFLECTIONS,
     TORQUES,
     deviation_from_point,
     deviation_from_rigid,
+    joint_error,
     position,
     sample,
     segments,
@@ -60,6 +62,9 @@ def draw_plots(run: Run, end_equilibrium: Array | None) -> Iterator[Plot]:
             return
         yield _plot("references", "Joint references", "What drives the robot.", (5.2, 3.9), _draw_references, run)
         yield _plot("torques", "Motor torques", "Positive counter-clockwise.", (5.2, 2.7), _draw_torques, run)
+        if all(name in run.recording.columns for name in JOINT_POSITIONS):
+            caption = "Angle minus planned angle of each motor."
+            yield _plot("tracking", "Tracking error", caption, (5.2, 2.7), _draw_tracking_error, run)
         if any(name in run.recording.columns for name in TIP_DEFLECTIONS):
             caption = "Transverse displacement of the proximal links' tips."
             yield _plot("deflections", "Tip deflections", caption, (5.2, 2.7), _draw_deflections, run)
@@ -98,6 +103,16 @@ def _draw_references(figure: Figure, run: Run) -> None:
 
 def _draw_torques(figure: Figure, run: Run) -> None:
     _draw_pair(figure, run, TORQUES, ("joint 1", "joint 2"), "torque [N·m]", 1.0)
+
+
+def _draw_tracking_error(figure: Figure, run: Run) -> None:
+    axes = figure.subplots()
+    for joint in (0, 1):
+        time, values = _curve(joint_error(run.recording, joint, run.plan.joints))
+        axes.plot(time, 1e3 * values[:, 0], label=f"joint {joint + 1}")
+    axes.set_ylabel("error [mrad]")
+    figure.legend(loc="outside upper right", ncols=2)
+    _time_axis(axes, run)
 
 
 def _draw_deflections(figure: Figure, run: Run) -> None:

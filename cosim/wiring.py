@@ -83,7 +83,8 @@ def wire(
 
     Raises:
         WiringError: an input finds no source, a signal that shall pass an insert doesn't exist, two controllers put out
-            the same signal, or an explicit connection names something unknown.
+            the same signal, one puts out what the plant itself does, nothing that they put out reaches the plant, or an
+            explicit connection names something unknown.
     """
     slaves = (references, plant, *controllers, *(insert.slave for insert in inserts))
     bus = _Bus({slave.name: slave for slave in slaves}, dict(explicit or {}))
@@ -91,12 +92,17 @@ def wire(
     for source in (references, plant):
         bus.publish(source)
         waiting = bus.pass_through(waiting)
+    for controller in controllers:
+        _check_roles(controller, plant)
     bus.connect_controllers(controllers)
     bus.publish_to(plant)
     stuck = bus.pass_through(waiting)
     if stuck:
         raise WiringError(_nothing_to_pass(stuck[0], bus))
-    return bus.finished(plant)
+    wiring = bus.finished(plant)
+    if controllers and not wiring.feeding:
+        raise WiringError(_nothing_arrives(controllers, plant))
+    return wiring
 
 
 @dataclass
@@ -215,6 +221,30 @@ class _Bus:
         own = {name: source for name, source in feeding.items() if source.partition(".")[0] != plant.name}
         self.connections += [(source, f"{plant.name}.{name}") for name, source in own.items()]
         return Wiring(tuple(self.connections), own)
+
+
+def _check_roles(controller: Slave, plant: Slave) -> None:
+    """A controller doesn't put out what the plant puts out.
+
+    Raises:
+        WiringError: it does.
+    """
+    for name in set(_names(controller, "output")) & set(_names(plant, "output")):
+        raise WiringError(
+            f"{controller.name} puts out {name}, but so does the robot, which is driven by its motion; for a robot that "
+            'takes torques set `cosimulation.drive` = "torque"'
+        )
+
+
+def _nothing_arrives(controllers: Sequence[Slave], plant: Slave) -> str:
+    """Controllers whose outputs have names that the plant doesn't know."""
+    outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
+    inputs = _names(plant, "input")
+    return (
+        f"nothing that the controllers put out ({', '.join(outputs) or 'no outputs'}) reaches the robot, which takes "
+        f"{', '.join(inputs)}; give outputs these names, or connect them explicitly, "
+        f'connect = {{ "{plant.name}.{inputs[0]}" = "{outputs[0] if outputs else "mine.torque"}" }} for example'
+    )
 
 
 def _nothing_to_pass(insert: Insert, bus: _Bus) -> str:

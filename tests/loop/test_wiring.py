@@ -106,6 +106,8 @@ def test_explicit_connections_come_first() -> None:
     [
         ([Names("c", ["q.refernce"], ["torque"])], [], {}, "c.q.refernce has no source"),
         ([PD, Names("c", [], ["torque"])], [], {}, "pd and c both put out torque"),
+        ([Names("c", [], ["q"])], [], {}, "c puts out q, but so does the robot"),
+        ([Names("c", ["q"], ["y"])], [], {}, r"\(c\.y\) reaches the robot, which takes torque, force"),
         ([], [Names("n", ["q"], [])], {}, "n has no outputs"),
         ([], [Names("n", ["qq"], ["qq"])], {}, "n acts on qq, which doesn't exist; did you mean 'q'"),
         ([], [Names("n", ["a.torque"], ["a.torque"])], {}, "needs a controller"),
