@@ -120,24 +120,30 @@ QUANTITIES: dict[str, Callable[[Trial], str]] = {
     "Residual vibration [µm]": lambda each: f"{1e6 * each.residual_vibration:.1f}",
     "Settling time [ms]": lambda each: "–" if each.settling_time is None else f"{1e3 * each.settling_time:.0f}",
     "Peak torque [N·m]": lambda each: f"{each.peak_torque:.1f}",
-    "Rest offset [µm]": lambda each: f"{1e6 * each.rest_offset:.0f}",
 }
 
 
 def markdown(found: Sequence[Trial]) -> str:
-    """A table for each quantity and drive: shapers in rows, payload errors in columns."""
+    """A table for each quantity and drive, shapers in rows, payload errors in columns; the rest offset by drive."""
     errors = list(dict.fromkeys(each.payload_error for each in found))
     shapers = list(dict.fromkeys((each.shaper, each.added_time) for each in found))
-    parts = ["# Input shapers and payload errors, 6 kg"]
+    head = [f"{error:+.0%}" for error in errors]
+    parts = ["# Input shapers and payload errors, 6 kg", (__doc__ or "").split("\n\n")[1]]
     for quantity, text in QUANTITIES.items():
         for drive in DRIVES:
             cells = {(each.shaper, each.payload_error): text(each) for each in found if each.drive == drive}
-            head = ["Shaper", "Added time [ms]", *(f"{error:+.0%}" for error in errors)]
             rows = [[name, f"{1e3 * added:.1f}", *(cells[name, error] for error in errors)] for name, added in shapers]
-            rule = ["---", *["---:"] * (len(head) - 1)]
-            lines = ["| " + " | ".join(row) + " |" for row in (head, rule, *rows)]
-            parts.append("\n".join([f"## {quantity}, {drive}, by payload error", "", *lines]))
+            parts += [f"## {quantity}, {drive}, by payload error", table(["Shaper", "Added time [ms]", *head], rows)]
+    offsets = {(each.drive, each.payload_error): f"{1e6 * each.rest_offset:.0f}" for each in found}
+    rows = [[drive, *(offsets[drive, error] for error in errors)] for drive in DRIVES]
+    parts += ["## Rest offset [µm], the same for all shapers, by payload error", table(["Drive", *head], rows)]
     return "\n\n".join(parts) + "\n"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table, numbers to the right."""
+    rule = ["---", *["---:"] * (len(head) - 1)]
+    return "\n".join("| " + " | ".join(row) + " |" for row in (head, rule, *rows))
 
 
 def main() -> None:
