@@ -10,6 +10,7 @@ from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import FmiVariable, Interface, Unknown, check_names, real_variable
+from flexfmu.fmu_build.licences import licence_files
 from flexfmu.fmu_build.templating import render
 from flexfmu.model.block import SymbolicBlock
 
@@ -78,7 +79,7 @@ def block_documentation(block: SymbolicBlock, experiment: DefaultExperiment) -> 
     """Files of the folder ``documentation/``: path below the FMU's root → text."""
     variables = block_interface(block).variables
     page = render("block.html.j2", model=block, experiment=experiment, variables=variables)
-    return {"documentation/index.html": page, "documentation/licenses/license.txt": render("license.txt")}
+    return {"documentation/index.html": page, **licence_files()}
 
 
 def _feedthrough(block: SymbolicBlock, output: str, index_of: Mapping[str, int]) -> tuple[int, ...]:

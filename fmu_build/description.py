@@ -8,8 +8,11 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER, identifier
+from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import INITIAL_TYPE, EnumerationType, Interface, build_interface
+from flexfmu.fmu_build.licences import AUTHOR, LICENSE, copyright_line
+from flexfmu.fmu_build.quantities import RealType, real_types
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.units import unit_definitions
 
@@ -42,6 +45,9 @@ class Description:
         max_output_order: highest order of an output's derivative that can be read; 0 for none.
         has_tolerance: whether the default experiment's tolerance means anything here.
         annotations: what FMI has no place for, for tools that look: element → attributes.
+
+    Raises:
+        ModelError: a variable has the name of a type.
     """
 
     name: str
@@ -52,6 +58,22 @@ class Description:
     max_output_order: int = 0
     has_tolerance: bool = False
     annotations: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        types = {each.name for each in self.real_types} | {each.name for each in self.types}
+        for variable in self.interface.variables:
+            if variable.name in types:
+                raise ModelError(f"variable '{variable.name}' has the name of a type; give it another one")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of all variables that have one."""
+        return tuple(variable.unit for variable in self.interface.variables if variable.unit is not None)
+
+    @property
+    def real_types(self) -> tuple[RealType, ...]:
+        """Types of the real variables: their quantities."""
+        return real_types(self.units)
 
 
 def plant_description(model: SymbolicModel) -> Description:
@@ -83,18 +105,21 @@ def description_xml(
         experiment: proposed times and tolerance.
         source_files: C files below ``sources/`` from which the binary can be built again.
     """
-    variables = description.interface.variables
     return render(
         "modelDescription.xml.j2",
         name=description.name,
         description=description.text,
         model_identifier=identifier(description.name),
         guid=guid,
-        generation_tool=f"flexfmu {version('flexfmu')}",
+        author=AUTHOR,
+        version=version("flexfmu"),
+        copyright=copyright_line(),
+        license=LICENSE,
         experiment=experiment,
         tolerance=experiment.tolerance if description.has_tolerance else None,
         source_files=source_files,
-        units=unit_definitions(variable.unit for variable in variables if variable.unit is not None),
+        units=unit_definitions(description.units),
+        real_types=description.real_types,
         types=description.types,
         log_categories=LOG_CATEGORIES,
         max_input_order=description.max_input_order,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import INITIAL_STATES, build_interface
+from flexfmu.fmu_build.licences import licence_files
 from flexfmu.fmu_build.templating import render
 
 if TYPE_CHECKING:
@@ -21,4 +22,4 @@ def documentation(model: SymbolicModel, experiment: DefaultExperiment) -> dict[s
         initial_states=INITIAL_STATES,
         variables=build_interface(model).variables,
     )
-    return {"documentation/index.html": page, "documentation/licenses/license.txt": render("license.txt")}
+    return {"documentation/index.html": page, **licence_files()}

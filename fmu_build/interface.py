@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from flexfmu.fmu_build.errors import ModelError, StartError
+from flexfmu.fmu_build.quantities import quantity
 from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class FmiVariable:
         value_reference: handle for the FMI functions, counted per type from 0.
         kind: FMI type.
         start: start value, None where the standard forbids one.
-        declared_type: name of the enumeration type.
+        declared_type: name of its type: the physical quantity, or the enumeration.
         unit, display_unit: None for numbers without a unit.
         derivative: index of the variable whose time derivative this one is.
     """
@@ -196,6 +197,7 @@ def real_variable(
         variability=output_variability if is_output else _variability(variable),
         initial={"input": None, "parameter": "exact", "output": "calculated"}[variable.causality],
         start=None if is_output else variable.start,
+        declared_type=quantity(variable.unit),
         unit=None if variable.unit == DIMENSIONLESS else variable.unit,
         display_unit=display_unit(variable.unit),
         minimum=variable.minimum,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import EnumerationType, FmiVariable, Interface, Unknown, check_names, real_variable
+from flexfmu.fmu_build.licences import licence_files
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, TrajectoryTable
 from flexfmu.model.symbolic import Variable
@@ -126,7 +127,7 @@ def trajectory_documentation(motion: TableMotion, experiment: DefaultExperiment)
         max_order=END_ORDER,
         variables=trajectory_interface(motion).variables,
     )
-    return {"documentation/index.html": page, "documentation/licenses/license.txt": render("license.txt")}
+    return {"documentation/index.html": page, **licence_files()}
 
 
 def _by_kind(errors: Sequence[float]) -> dict[str, float]:

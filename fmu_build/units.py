@@ -32,14 +32,28 @@ _BASE_UNITS = ("kg", "m", "s", "A", "K", "rad")
 
 _DEGREE = 180.0 / pi
 
-_DISPLAY_UNITS: Mapping[str, tuple[str, float]] = {
-    "rad": ("deg", _DEGREE),
-    "rad/s": ("deg/s", _DEGREE),
-    "rad/s2": ("deg/s2", _DEGREE),
-    "m": ("mm", 1e3),
-    "Pa": ("GPa", 1e-9),
+
+@dataclass(frozen=True)
+class DisplayUnit:
+    """A unit in which people read a value: its number there is ``factor`` times the one in the model's unit."""
+
+    name: str
+    factor: float
+
+
+_DISPLAY_UNITS: Mapping[str, tuple[DisplayUnit, ...]] = {
+    "rad": (DisplayUnit("deg", _DEGREE),),
+    "rad/s": (DisplayUnit("deg/s", _DEGREE), DisplayUnit("rpm", 30.0 / pi)),
+    "rad/s2": (DisplayUnit("deg/s2", _DEGREE),),
+    "m": (DisplayUnit("mm", 1e3), DisplayUnit("um", 1e6)),
+    "m/s": (DisplayUnit("mm/s", 1e3),),
+    "s": (DisplayUnit("ms", 1e3),),
+    "Pa": (DisplayUnit("GPa", 1e-9), DisplayUnit("MPa", 1e-6)),
 }
-"""What a person would rather read: unit → (display unit, factor)."""
+"""What a person may rather read; the first is what the variables propose, but for those in `_READ_AS_THEY_ARE`."""
+
+_READ_AS_THEY_ARE = {"m/s", "s"}
+"""Units whose display units are an offer, not the proposal."""
 
 _FACTOR = re.compile(r"(?P<sign>^|[./])(?P<symbol>1|[A-Za-z]+)(?P<power>\d*)")
 
@@ -51,12 +65,12 @@ class Unit:
     Attributes:
         name: its spelling.
         exponents: base unit → exponent, zeros left out, in the schema's order.
-        display: name and factor of the unit to show instead; None to show this one.
+        displays: units to choose from for showing it; the model's units are coherent, so their own factor is 1.
     """
 
     name: str
     exponents: Mapping[str, int]
-    display: tuple[str, float] | None
+    displays: tuple[DisplayUnit, ...] = ()
 
 
 def unit_exponents(name: str) -> dict[str, int]:
@@ -81,10 +95,10 @@ def unit_exponents(name: str) -> dict[str, int]:
 
 def display_unit(name: str) -> str | None:
     """Name of the unit in which a person would rather read ``name``, None for the unit itself."""
-    return _DISPLAY_UNITS[name][0] if name in _DISPLAY_UNITS else None
+    return _DISPLAY_UNITS[name][0].name if name in _DISPLAY_UNITS and name not in _READ_AS_THEY_ARE else None
 
 
 def unit_definitions(names: Iterable[str]) -> tuple[Unit, ...]:
     """Definitions of the units in ``names``, each once, sorted; numbers without a unit need none."""
     used = sorted(set(names) - {DIMENSIONLESS})
-    return tuple(Unit(name, unit_exponents(name), _DISPLAY_UNITS.get(name)) for name in used)
+    return tuple(Unit(name, unit_exponents(name), _DISPLAY_UNITS.get(name, ())) for name in used)

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from math import pi
+
 import pytest
 
+from flexfmu.fmu_build.description import plant_description
 from flexfmu.fmu_build.errors import ModelError
-from flexfmu.fmu_build.units import unit_definitions, unit_exponents
+from flexfmu.fmu_build.quantities import real_types
+from flexfmu.fmu_build.units import display_unit, unit_definitions, unit_exponents
+from flexfmu.model.symbolic import SymbolicModel
 
 
 @pytest.mark.parametrize(
@@ -41,3 +48,28 @@ def test_unknown_spelling_is_refused(name: str) -> None:
 def test_definitions_are_sorted_and_leave_numbers_out() -> None:
     """Equal models have equal descriptions, whatever the order of their variables."""
     assert [unit.name for unit in unit_definitions(["s", "1", "m", "s"])] == ["m", "s"]
+
+
+def test_display_units_convert_what_is_shown() -> None:
+    """A quarter turn per second reads 90 deg/s and 15 rpm; tools multiply by the factor."""
+    (unit,) = unit_definitions(["rad/s"])
+    assert {each.name: each.factor * pi / 2 for each in unit.displays} == pytest.approx({"deg/s": 90.0, "rpm": 15.0})
+    assert display_unit("rad/s") == "deg/s"
+    assert display_unit("s") is None
+
+
+def test_every_quantity_has_one_type() -> None:
+    """Variables of one unit share a type; numbers and unnamed units have none."""
+    types = real_types(["N.m", "rad", "1", "rad", "kg.m5"])
+    assert [(each.name, each.unit, each.display_unit) for each in types] == [
+        ("Angle", "rad", "deg"),
+        ("Torque", "N.m", None),
+    ]
+
+
+def test_types_can_be_told_from_variables(make_oscillators: Callable[..., SymbolicModel]) -> None:
+    """FMI wants every type's name to differ from every variable's: a model that breaks this is refused."""
+    model = make_oscillators()
+    mass = replace(model.parameters[0], name="Mass")
+    with pytest.raises(ModelError, match="variable 'Mass' has the name of a type"):
+        plant_description(replace(model, parameters=(mass, *model.parameters[1:])))
