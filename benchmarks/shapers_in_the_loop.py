@@ -128,7 +128,7 @@ def markdown(found: Sequence[Trial]) -> str:
     errors = list(dict.fromkeys(each.payload_error for each in found))
     shapers = list(dict.fromkeys((each.shaper, each.added_time) for each in found))
     head = [f"{error:+.0%}" for error in errors]
-    parts = ["# Input shapers and payload errors, 6 kg", (__doc__ or "").split("\n\n")[1]]
+    parts = ["# Input shapers and payload errors, 6 kg", (__doc__ or "").split("\n\n")[1], overview(found)]
     for quantity, text in QUANTITIES.items():
         for drive in DRIVES:
             cells = {(each.shaper, each.payload_error): text(each) for each in found if each.drive == drive}
@@ -138,6 +138,21 @@ def markdown(found: Sequence[Trial]) -> str:
     rows = [[drive, *(offsets[drive, error] for error in errors)] for drive in DRIVES]
     parts += ["## Rest offset [µm], the same for all shapers, by payload error", table(["Drive", *head], rows)]
     return "\n\n".join(parts) + "\n"
+
+
+def overview(found: Sequence[Trial]) -> str:
+    """A row for each shaper: residual vibration with the right payload / the largest over all payload errors."""
+    rows = []
+    for shaper in dict.fromkeys(each.shaper for each in found):
+        mine = [each for each in found if each.shaper == shaper]
+        row = [shaper, f"{1e3 * mine[0].added_time:.1f}"]
+        for drive in DRIVES:
+            residual = {each.payload_error: each.residual_vibration for each in mine if each.drive == drive}
+            nominal = min(residual, key=abs)
+            row.append(f"{1e6 * residual[nominal]:.1f} / {1e6 * max(residual.values()):.1f}")
+        rows.append(row)
+    head = [f"Residual, {drive} [µm]" for drive in DRIVES]
+    return table(["Shaper", "Added time [ms]", *head], rows)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
