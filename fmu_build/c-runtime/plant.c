@@ -31,11 +31,11 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->jerk = flex_take_doubles(arena, n);
   plant->snap = flex_take_doubles(arena, n);
   flex_inputs_take(&plant->inputs, model->n_inputs, model->max_input_order, arena);
-  flex_gauss_take_state(&plant->gauss, model->n, arena);
+  flex_integrator_take_state(&plant->integrator, model->n, arena);
   plant->state_size = arena->used - begin;
 
   // scratch
-  flex_gauss_take_scratch(&plant->gauss, model->n, model->n_inputs, arena);
+  flex_integrator_take_scratch(&plant->integrator, model->n, model->n_inputs, arena);
   flex_equations_take(&plant->equations, model, arena);
   flex_statics_take(&plant->statics, model->n, arena);
   plant->u1 = flex_take_doubles(arena, m);
@@ -59,23 +59,23 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
   plant->model = model;
 
   // seams between the parts
-  flex_gauss *gauss = &plant->gauss;
+  flex_integrator *integrator = &plant->integrator;
   plant->equations.d = plant->d;
   plant->equations.evaluations = &plant->record->stages.evaluations;
-  gauss->record = &plant->record->gauss;
-  gauss->stages.record = &plant->record->stages;
-  gauss->stages.matrix.record = &plant->record->stages.matrix;
-  gauss->stages.equations = &plant->equations;
-  gauss->stages.inputs = &plant->inputs;
-  gauss->stages.position_weight = plant->scale;
-  gauss->stages.rate_weight = plant->scale + model->n;
-  gauss->floor = plant->scale + 2 * model->n;
+  integrator->record = &plant->record->integrator;
+  integrator->stages.record = &plant->record->stages;
+  integrator->stages.matrix.record = &plant->record->stages.matrix;
+  integrator->stages.equations = &plant->equations;
+  integrator->stages.inputs = &plant->inputs;
+  integrator->stages.position_weight = plant->scale;
+  integrator->stages.rate_weight = plant->scale + model->n;
+  integrator->floor = plant->scale + 2 * model->n;
   flex_plant_reset(plant);
   return plant;
 }
 
 static void choose_stages(flex_plant *plant) {
-  flex_stages_use(&plant->gauss.stages, plant->record->tolerance < FOUR_STAGES_TOLERANCE ? &flex_gauss_4 : &flex_gauss_3);
+  flex_stages_use(&plant->integrator.stages, plant->record->tolerance < FOUR_STAGES_TOLERANCE ? &flex_gauss_4 : &flex_gauss_3);
 }
 
 void flex_plant_reset(flex_plant *plant) {
@@ -101,7 +101,7 @@ void flex_plant_restored(flex_plant *plant) {
 
 void flex_plant_parameters_changed(flex_plant *plant) {
   plant->record->have &= ~(FLEX_HAVE_DERIVED | FLEX_HAVE_START | POINT);
-  flex_newton_clear(&plant->gauss.stages.matrix);
+  flex_newton_clear(&plant->integrator.stages.matrix);
 }
 
 void flex_plant_inputs_changed(flex_plant *plant) {
@@ -136,7 +136,7 @@ static flex_outcome need_derived(flex_plant *plant) {
   // weights must be usable as such
   for (int i = 0; i < 2 * model->n; i++)
     if (!(plant->scale[i] >= 0.0) || !isfinite(plant->scale[i])) return FLEX_BAD_SCALE;
-  double floor = *plant->gauss.floor;
+  double floor = *plant->integrator.floor;
   if (model->n > 0 && (!(floor > 0.0) || !isfinite(floor))) return FLEX_BAD_SCALE;
   plant->record->have |= FLEX_HAVE_DERIVED;
   return FLEX_DONE;
@@ -154,16 +154,16 @@ static flex_outcome need_start_inputs(flex_plant *plant) {
 
 // the undeformed pose at rest, which must be admissible
 static flex_outcome start_undeformed(flex_plant *plant, double *margin) {
-  flex_gauss *gauss = &plant->gauss;
+  flex_integrator *integrator = &plant->integrator;
   const double *const p[] = {plant->p};
   size_t size = (size_t)plant->model->n * sizeof(double);
-  memset(gauss->v, 0, size);
-  memset(gauss->a, 0, size);
-  if (flex_call(&plant->equations, &plant->model->initial_coordinates, 1, p, gauss->y)) return FLEX_NOT_FINITE;
-  if (!all_finite(gauss->y, plant->model->n)) return FLEX_NOT_FINITE;
+  memset(integrator->v, 0, size);
+  memset(integrator->a, 0, size);
+  if (flex_call(&plant->equations, &plant->model->initial_coordinates, 1, p, integrator->y)) return FLEX_NOT_FINITE;
+  if (!all_finite(integrator->y, plant->model->n)) return FLEX_NOT_FINITE;
   flex_outcome outcome = need_start_inputs(plant);
   if (outcome != FLEX_DONE) return outcome;
-  if (flex_margin(&plant->equations, gauss->y, plant->u, margin)) return FLEX_NOT_FINITE;
+  if (flex_margin(&plant->equations, integrator->y, plant->u, margin)) return FLEX_NOT_FINITE;
   return *margin >= plant->model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR;
 }
 
@@ -193,17 +193,17 @@ static int needs_holding(const flex_plant *plant) {
 
 // deflection under the static loads, where the motion starts from it or somebody must hold it
 static flex_outcome start_static(flex_plant *plant, double *value) {
-  flex_gauss *gauss = &plant->gauss;
+  flex_integrator *integrator = &plant->integrator;
   int holds = needs_holding(plant);
   if (!plant->record->starts_static && !holds) return FLEX_DONE;
   size_t size = (size_t)plant->model->n * sizeof(double);
   const double *u = inputs_at_rest(plant);
-  double *y = gauss->full_y;
-  memcpy(y, gauss->y, size);
+  double *y = integrator->full_y;
+  memcpy(y, integrator->y, size);
   flex_outcome outcome =
-      flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *gauss->floor, u, y, value);
+      flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *integrator->floor, u, y, value);
   if (outcome == FLEX_DONE && holds) outcome = hold_locked(plant, u, y);
-  if (outcome == FLEX_DONE && plant->record->starts_static) memcpy(gauss->y, y, size);
+  if (outcome == FLEX_DONE && plant->record->starts_static) memcpy(integrator->y, y, size);
   return outcome;
 }
 
@@ -218,7 +218,7 @@ static flex_failure need_start(flex_plant *plant) {
   if (outcome == FLEX_DONE) outcome = start_static(plant, &value);
   if (outcome != FLEX_DONE) return outcome_now(plant, outcome, value);
   choose_stages(plant);
-  flex_gauss_start(&plant->gauss);
+  flex_integrator_start(&plant->integrator);
   record->have = (record->have | FLEX_HAVE_START) & ~POINT;
   return outcome_now(plant, FLEX_DONE, 0.0);
 }
@@ -248,7 +248,7 @@ static flex_failure need_acceleration(flex_plant *plant) {
 
   memcpy(plant->u, plant->u1, size);
   record->have &= ~POINT;
-  flex_outcome outcome = flex_gauss_accelerate(&plant->gauss, plant->u);
+  flex_outcome outcome = flex_integrator_accelerate(&plant->integrator, plant->u);
   if (outcome == FLEX_DONE)
     record->have |= FLEX_HAVE_ACCELERATION;
   else
@@ -272,7 +272,7 @@ flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
 
   flex_failure failure = need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
-  failure = flex_gauss_advance(&plant->gauss, t0, t1, record->tolerance);
+  failure = flex_integrator_advance(&plant->integrator, t0, t1, record->tolerance);
   if (failure.time > t0) {
     record->time = failure.time;
     flex_inputs_evaluate(&plant->inputs, record->time, 0.0, plant->u);
@@ -281,11 +281,18 @@ flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
   return failure;
 }
 
+// whether results are there and nothing has changed since: every variable that is read asks
+static int is_current(const flex_plant *plant, int results) {
+  const flex_plant_record *record = plant->record;
+  return (record->have & results) == results && !record->inputs_changed;
+}
+
 flex_failure flex_plant_need_outputs(flex_plant *plant) {
-  const flex_gauss *gauss = &plant->gauss;
+  const flex_integrator *integrator = &plant->integrator;
+  if (is_current(plant, FLEX_HAVE_OUTPUTS)) return outcome_now(plant, FLEX_DONE, 0.0);
   flex_failure failure = need_acceleration(plant);
   if (failure.outcome != FLEX_DONE || (plant->record->have & FLEX_HAVE_OUTPUTS)) return failure;
-  const double *const arguments[] = {gauss->y, gauss->v, gauss->a, plant->u, plant->d};
+  const double *const arguments[] = {integrator->y, integrator->v, integrator->a, plant->u, plant->d};
   if (flex_call(&plant->equations, &plant->model->outputs, 5, arguments, plant->outputs) ||
       !all_finite(plant->outputs, plant->model->n_outputs))
     return outcome_now(plant, FLEX_NOT_FINITE, 0.0);
@@ -295,13 +302,13 @@ flex_failure flex_plant_need_outputs(flex_plant *plant) {
 
 // M x = -(rate of the residual without x), x being jerk or snap
 static void solve_rate(const flex_plant *plant, double *x) {
-  flex_cholesky_solve(plant->model->n, plant->gauss.mass_factor, x);
+  flex_cholesky_solve(plant->model->n, plant->integrator.mass_factor, x);
   for (int i = 0; i < plant->model->n; i++) x[i] = -x[i];
 }
 
 static int first_rates(flex_plant *plant) {
   const flex_model *model = plant->model;
-  const flex_gauss *g = &plant->gauss;
+  const flex_integrator *g = &plant->integrator;
   const double *u = plant->u, *u1 = plant->u1, *d = plant->d;
   int refused = 0;
   if (model->n > 0) {
@@ -316,7 +323,7 @@ static int first_rates(flex_plant *plant) {
 
 static int second_rates(flex_plant *plant) {
   const flex_model *model = plant->model;
-  const flex_gauss *g = &plant->gauss;
+  const flex_integrator *g = &plant->integrator;
   const double *u = plant->u, *u1 = plant->u1, *u2 = plant->u2, *d = plant->d;
   int refused = 0;
   if (model->n > 0) {
@@ -331,6 +338,8 @@ static int second_rates(flex_plant *plant) {
 
 flex_failure flex_plant_need_rates(flex_plant *plant, int order) {
   flex_plant_record *record = plant->record;
+  if (is_current(plant, FLEX_HAVE_FIRST_RATES | (order > 1 ? FLEX_HAVE_SECOND_RATES : 0)))
+    return outcome_now(plant, FLEX_DONE, 0.0);
   flex_failure failure = need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
   flex_inputs_rates(&plant->inputs, record->time, plant->u1, plant->u2);

@@ -4,7 +4,7 @@
 #ifndef FLEXFMU_PLANT_H
 #define FLEXFMU_PLANT_H
 
-#include "gauss.h"
+#include "integrator.h"
 #include "inputs.h"
 #include "model.h"
 #include "outcome.h"
@@ -28,7 +28,7 @@ typedef struct {
   int is_moving;     /* 1 = initialisation is over */
   int have;          /* FLEX_HAVE_.. */
   int inputs_changed;
-  flex_gauss_record gauss;
+  flex_integrator_record integrator;
   flex_stages_record stages;
 } flex_plant_record;
 
@@ -40,7 +40,7 @@ typedef struct {
   /* numeric state; rates: o1, o2; jerk da/dt, snap d2a/dt2 */
   double *p, *d, *scale, *u, *outputs, *first_rates, *second_rates, *jerk, *snap;
   flex_inputs inputs;
-  flex_gauss gauss;
+  flex_integrator integrator;
 
   /* scratch */
   flex_equations equations;

@@ -97,6 +97,6 @@ void flex_backend_summarise(const flex_backend *backend, char *text, size_t size
   const flex_plant_record *record = plant_of(backend)->record;
   snprintf(text, size,
            "%lld steps, %lld rejected, %lld evaluations of the equations, %lld Newton iterations, %lld factorisations",
-           record->gauss.steps, record->gauss.rejections, record->stages.evaluations, record->stages.iterations,
+           record->integrator.steps, record->integrator.rejections, record->stages.evaluations, record->stages.iterations,
            record->stages.matrix.factorisations);
 }

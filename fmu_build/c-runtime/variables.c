@@ -99,8 +99,8 @@ int flex_get_integer(flex_plant *plant, unsigned index, int *value) {
   const flex_plant_record *record = plant->record;
   switch (index) {
     case FLEX_INITIAL: *value = record->starts_static ? FLEX_STATIC : FLEX_UNDEFORMED; return 0;
-    case FLEX_STEPS: *value = clamped(record->gauss.steps); return 0;
-    case FLEX_REJECTIONS: *value = clamped(record->gauss.rejections); return 0;
+    case FLEX_STEPS: *value = clamped(record->integrator.steps); return 0;
+    case FLEX_REJECTIONS: *value = clamped(record->integrator.rejections); return 0;
     case FLEX_EVALUATIONS: *value = clamped(record->stages.evaluations); return 0;
     case FLEX_ITERATIONS: *value = clamped(record->stages.iterations); return 0;
     case FLEX_FACTORISATIONS: *value = clamped(record->stages.matrix.factorisations); return 0;

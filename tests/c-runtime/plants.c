@@ -18,10 +18,10 @@ void begin_at(flex_plant *plant, const double *y, const double *v) {
   plant->record->starts_static = 0;
   flex_plant_begin(plant); // which may fail at the undeformed position, the origin
   plant->record->is_moving = 1;
-  memset(plant->gauss.a, 0, (size_t)plant->model->n * sizeof *y);
-  memcpy(plant->gauss.y, y, (size_t)plant->model->n * sizeof *y);
-  memcpy(plant->gauss.v, v, (size_t)plant->model->n * sizeof *v);
-  flex_gauss_start(&plant->gauss);
+  memset(plant->integrator.a, 0, (size_t)plant->model->n * sizeof *y);
+  memcpy(plant->integrator.y, y, (size_t)plant->model->n * sizeof *y);
+  memcpy(plant->integrator.v, v, (size_t)plant->model->n * sizeof *v);
+  flex_integrator_start(&plant->integrator);
   plant->record->have &= ~(FLEX_HAVE_ACCELERATION | FLEX_HAVE_OUTPUTS | FLEX_HAVE_FIRST_RATES | FLEX_HAVE_SECOND_RATES);
 }
 

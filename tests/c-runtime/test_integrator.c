@@ -40,7 +40,7 @@ static double vibration_error(const flex_plant *plant, const double deflection[3
   for (int k = 0; k < 3; k++) {
     double w = plant->p[k], q, p;
     free_vibration(w, plant->p[3], deflection[k], plant->record->time, &q, &p);
-    double dq = w * (modal(plant->gauss.y, k) - q), dp = modal(plant->gauss.v, k) - p;
+    double dq = w * (modal(plant->integrator.y, k) - q), dp = modal(plant->integrator.v, k) - p;
     error += dq * dq + dp * dp;
     scale += w * w * deflection[k] * deflection[k];
   }
@@ -49,24 +49,24 @@ static double vibration_error(const flex_plant *plant, const double deflection[3
 
 // equal steps of a method without any control, stage equations solved to rounding errors
 static void fixed_steps(flex_plant *plant, const flex_tableau *tableau, double duration, int count) {
-  flex_gauss *gauss = &plant->gauss;
-  flex_stages *stages = &gauss->stages;
+  flex_integrator *integrator = &plant->integrator;
+  flex_stages *stages = &integrator->stages;
   double h = duration / count;
-  int n = gauss->n;
+  int n = integrator->n;
   flex_stages_use(stages, tableau);
   flex_stages_clear(stages);
   for (int k = 0; k < count; k++) {
-    CHECK(flex_gauss_accelerate(gauss, plant->u) == FLEX_DONE);
-    for (int i = 0; i < tableau->stages; i++) memcpy(stages->acceleration + i * n, gauss->a, (size_t)n * sizeof(double));
-    CHECK(flex_stages_solve(stages, k * h, h, gauss->y, gauss->v, gauss->a, 1.0, 0.0) == FLEX_DONE);
+    CHECK(flex_integrator_accelerate(integrator, plant->u) == FLEX_DONE);
+    for (int i = 0; i < tableau->stages; i++) memcpy(stages->acceleration + i * n, integrator->a, (size_t)n * sizeof(double));
+    CHECK(flex_stages_solve(stages, k * h, h, integrator->y, integrator->v, integrator->a, 1.0, 0.0) == FLEX_DONE);
     for (int c = 0; c < n; c++) {
       double dy = 0.0, dv = 0.0;
       for (int i = 0; i < tableau->stages; i++) {
         dy += tableau->b_position[i] * stages->acceleration[i * n + c];
         dv += tableau->b[i] * stages->acceleration[i * n + c];
       }
-      gauss->y[c] += h * gauss->v[c] + h * h * dy;
-      gauss->v[c] += h * dv;
+      integrator->y[c] += h * integrator->v[c] + h * h * dy;
+      integrator->v[c] += h * dv;
     }
   }
 }
@@ -79,7 +79,7 @@ static void check_order(const flex_model *model, const double *y, const double *
     flex_plant *plant = make_plant(model, 1e-6);
     begin_at(plant, y, v);
     fixed_steps(plant, tableau, 2.0, counts[k]);
-    memcpy(end[k], plant->gauss.y, (size_t)(2 * model->n) * sizeof(double));
+    memcpy(end[k], plant->integrator.y, (size_t)(2 * model->n) * sizeof(double));
     free_plant(plant);
   }
   double coarse = 0.0, fine = 0.0;
@@ -149,7 +149,7 @@ void test_stiff_modes_at_rest_cost_nothing(void) {
                  *plant = let_go(stiff, damping, deflection, tolerance);
       advance(plain, 0.0, TAU, 3);
       advance(plant, 0.0, TAU, 3);
-      CHECK(plant->record->gauss.steps <= 2 * plain->record->gauss.steps + 10);
+      CHECK(plant->record->integrator.steps <= 2 * plain->record->integrator.steps + 10);
       CHECK_BETWEEN(vibration_error(plant, deflection), 0.0, 10.0 * tolerance);
       free_plant(plain);
       free_plant(plant);
@@ -178,9 +178,9 @@ void test_forced_motion_is_exact(void) {
   flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 6.0 / (w * w));
   flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 3, 6.0);
   advance(plant, 0.0, 0.25, 8);
-  CHECK_CLOSE(plant->gauss.y[0], 8.0, 1e-12);
-  CHECK_CLOSE(plant->gauss.v[0], 12.0, 1e-12);
-  CHECK_CLOSE(plant->gauss.a[0], 12.0, 1e-12);
+  CHECK_CLOSE(plant->integrator.y[0], 8.0, 1e-12);
+  CHECK_CLOSE(plant->integrator.v[0], 12.0, 1e-12);
+  CHECK_CLOSE(plant->integrator.a[0], 12.0, 1e-12);
   free_plant(plant);
 }
 
@@ -203,7 +203,7 @@ void test_jumps_of_the_input_are_met(void) {
         p[m] = -x * w * s + p[m] * c;
       }
     }
-    for (int m = 0; m < 3; m++) CHECK_CLOSE(modal(plant->gauss.y, m), q[m], 20.0 * tolerance);
+    for (int m = 0; m < 3; m++) CHECK_CLOSE(modal(plant->integrator.y, m), q[m], 20.0 * tolerance);
     free_plant(plant);
   }
 }
@@ -211,7 +211,7 @@ void test_jumps_of_the_input_are_met(void) {
 // sum over modes of the error in the energy norm
 static double driven_error(const flex_plant *plant, const double *q, const double *p) {
   double error = 0.0;
-  for (int k = 0; k < 3; k++) error = fmax(error, hypot(plant->p[k] * (plant->gauss.y[k] - q[k]), plant->gauss.v[k] - p[k]));
+  for (int k = 0; k < 3; k++) error = fmax(error, hypot(plant->p[k] * (plant->integrator.y[k] - q[k]), plant->integrator.v[k] - p[k]));
   return error;
 }
 
@@ -262,7 +262,7 @@ void test_jerks_are_noticed(void) {
 static double oscillator_energy(const flex_plant *plant) {
   double energy = 0.0;
   for (int k = 0; k < 3; k++) {
-    double q = modal(plant->gauss.y, k), p = modal(plant->gauss.v, k);
+    double q = modal(plant->integrator.y, k), p = modal(plant->integrator.v, k);
     energy += 0.5 * (plant->p[k] * plant->p[k] * q * q + p * p);
   }
   return energy;
@@ -310,7 +310,7 @@ void test_orbit_keeps_energy_and_momentum(void) {
     advance(plant, 0.0, TAU, 3);
     CHECK_CLOSE(output(plant, 0), energy, 100.0 * tolerance);
     CHECK_CLOSE(output(plant, 1), momentum, 10.0 * tolerance);
-    CHECK_CLOSE(plant->gauss.y[0], y[0], 1000.0 * tolerance);
+    CHECK_CLOSE(plant->integrator.y[0], y[0], 1000.0 * tolerance);
     free_plant(plant);
   }
 }
@@ -335,7 +335,7 @@ void test_rest_stays_at_rest(void) {
   for (int i = 0; i < 3; i++) set_input(plant, i, load[i]);
   begin_static(plant);
   advance(plant, 0.0, 0.1, 100);
-  for (int i = 0; i < 3; i++) CHECK_CLOSE(plant->gauss.y[i], load[i], 1e-13);
-  CHECK(plant->record->gauss.steps < 2000);
+  for (int i = 0; i < 3; i++) CHECK_CLOSE(plant->integrator.y[i], load[i], 1e-13);
+  CHECK(plant->record->integrator.steps < 2000);
   free_plant(plant);
 }

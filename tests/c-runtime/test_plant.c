@@ -13,10 +13,10 @@ void test_static_equilibrium_is_found(void) {
     flex_plant *plant = make_plant(&pendulum, 1e-6);
     set_input(plant, 0, torque);
     begin_static(plant);
-    CHECK_CLOSE(plant->gauss.y[0], asin(torque), 1e-13);
-    CHECK(plant->gauss.v[0] == 0.0);
+    CHECK_CLOSE(plant->integrator.y[0], asin(torque), 1e-13);
+    CHECK(plant->integrator.v[0] == 0.0);
     output(plant, 0);
-    CHECK_CLOSE(plant->gauss.a[0], 0.0, 1e-14);
+    CHECK_CLOSE(plant->integrator.a[0], 0.0, 1e-14);
     free_plant(plant);
   }
 }
@@ -35,7 +35,7 @@ void test_static_equilibrium_may_be_missing(void) {
   flex_plant_start_changed(plant);
   CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
   output(plant, 0);
-  CHECK_CLOSE(plant->gauss.a[0], 1.5, 1e-15);
+  CHECK_CLOSE(plant->integrator.a[0], 1.5, 1e-15);
   free_plant(plant);
 }
 
@@ -213,12 +213,12 @@ void test_unsolvable_equations_are_given_up(void) {
   flex_plant *plant = make_plant(&model, 1e-6);
   plant->record->starts_static = 0;
   CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
-  plant->gauss.a[0] = 10.0;
+  plant->integrator.a[0] = 10.0;
   flex_failure failure = flex_plant_advance(plant, 0.0, 1.0);
   CHECK(failure.outcome == FLEX_NO_CONVERGENCE && failure.time == 0.0);
   flex_explain(plant, "integration", &failure);
   CHECK(strstr(plant->message, "cannot be solved") != NULL);
-  CHECK(plant->gauss.y[0] == 0.0 && plant->gauss.v[0] == 0.0 && plant->gauss.a[0] == 10.0);
+  CHECK(plant->integrator.y[0] == 0.0 && plant->integrator.v[0] == 0.0 && plant->integrator.a[0] == 10.0);
   free_plant(plant);
 }
 
@@ -233,7 +233,7 @@ void test_blow_up_is_reported(void) {
     flex_failure failure = flex_plant_advance(plant, 0.0, 2.0);
     CHECK(failure.outcome != FLEX_DONE && plant->record->time == failure.time);
     CHECK_CLOSE(failure.time, 1.0, 0.1);
-    CHECK(isfinite(plant->gauss.y[0]) && isfinite(plant->gauss.v[0]) && isfinite(plant->gauss.a[0]));
+    CHECK(isfinite(plant->integrator.y[0]) && isfinite(plant->integrator.v[0]) && isfinite(plant->integrator.a[0]));
     flex_explain(plant, "integration", &failure);
     CHECK(strlen(plant->message) > 40);
     free_plant(plant);
@@ -250,8 +250,8 @@ void test_rates_follow_the_power(void) {
   advance(plant, 0.0, 0.2, 3);
   CHECK(flex_plant_need_rates(plant, 2).outcome == FLEX_DONE);
   double torque = 0.3 + 0.7 * 0.6;
-  CHECK_CLOSE(plant->first_rates[0], torque * plant->gauss.v[0], 1e-14);
-  CHECK_CLOSE(plant->second_rates[0], 0.7 * plant->gauss.v[0] + torque * plant->gauss.a[0], 1e-14);
+  CHECK_CLOSE(plant->first_rates[0], torque * plant->integrator.v[0], 1e-14);
+  CHECK_CLOSE(plant->second_rates[0], 0.7 * plant->integrator.v[0] + torque * plant->integrator.a[0], 1e-14);
   free_plant(plant);
 }
 

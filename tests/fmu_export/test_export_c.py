@@ -100,5 +100,5 @@ def test_each_kind_has_its_own_runtime() -> None:
     assert "block.c" in block
     assert "inputs.c" in block
     assert "trajectory.c" in trajectory
-    assert not {name for name in block | trajectory if name.startswith(("gauss", "plant", "stages", "linear"))}
+    assert not {name for name in block | trajectory if name.startswith(("integrator", "plant", "stages", "linear"))}
     assert not {name for name in trajectory if name.startswith(("block", "inputs"))}

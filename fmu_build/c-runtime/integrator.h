@@ -1,6 +1,6 @@
 /* Integration of r(y, y', y'', u(t)) = 0 by Gauss collocation with control of the local error. */
-#ifndef FLEXFMU_GAUSS_H
-#define FLEXFMU_GAUSS_H
+#ifndef FLEXFMU_INTEGRATOR_H
+#define FLEXFMU_INTEGRATOR_H
 
 #include "accuracy.h"
 #include "stages.h"
@@ -12,12 +12,12 @@ typedef struct {
   double scale;        /* running maximum of the motion in the error norm */
   double history_step; /* duration of the step that is kept for prediction [s]; 0 = none */
   long long steps, rejections;
-} flex_gauss_record;
+} flex_integrator_record;
 
 typedef struct {
   int n;
   flex_stages stages;
-  flex_gauss_record *record;
+  flex_integrator_record *record;
   const double *floor; /* least scale */
 
   /* numeric state, one after the other in memory: position, rate, what rounding left of both, acceleration, accelerations
@@ -27,19 +27,19 @@ typedef struct {
 
   /* scratch */
   double *saved, *full_y, *full_v, *full_a, *defect, *end_u;
-} flex_gauss;
+} flex_integrator;
 
-void flex_gauss_take_state(flex_gauss *gauss, int n, flex_arena *arena);
-void flex_gauss_take_scratch(flex_gauss *gauss, int n, int n_inputs, flex_arena *arena);
+void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *arena);
+void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena);
 
 /* begins a motion at the present y and v: forgets history and step size */
-void flex_gauss_start(flex_gauss *gauss);
+void flex_integrator_start(flex_integrator *integrator);
 
 /* acceleration and factor of the mass matrix at the present y and v for the inputs u */
-flex_outcome flex_gauss_accelerate(flex_gauss *gauss, const double *u);
+flex_outcome flex_integrator_accelerate(flex_integrator *integrator, const double *u);
 
 /* integrates from t0 to t1 with a relative tolerance; a must be the acceleration at t0. Returns the outcome with the time
  * that was reached; y, v, a belong to that time. */
-flex_failure flex_gauss_advance(flex_gauss *gauss, double t0, double t1, double tolerance);
+flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1, double tolerance);
 
 #endif
