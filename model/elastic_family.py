@@ -1,26 +1,19 @@
-"""Elasticity of the links: assumed modes with their strain energy, and what can be measured of them."""
+"""Elasticity of the links: modes with their strain energy, and what can be measured of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import casadi
 import numpy as np
 
 from flexfmu.model.algebra import column, form, symmetric
-from flexfmu.model.beams import Shape, clamped_free_bending, fixed_free_axial, integrate_shapes, pinned_pinned_bending
+from flexfmu.model.beams import Shape
 from flexfmu.model.effects import Effect, Output
 from flexfmu.model.link_properties import LinkProperties
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Direction, Family, LinkGroup, Robot
-
-SHAPES: dict[tuple[LinkGroup, Direction], Callable[[int], Shape]] = {
-    ("proximal", "bending"): clamped_free_bending,
-    ("proximal", "axial"): fixed_free_axial,
-    ("distal", "bending"): pinned_pinned_bending,
-    ("distal", "axial"): fixed_free_axial,
-}
-"""The paper's boundary conditions: proximal links are clamped to the motors, distal links are pinned at both ends."""
+from flexfmu.model.shape_integrals import integrate_shapes
 
 
 class ElasticFamily(Effect):
@@ -32,9 +25,8 @@ class ElasticFamily(Effect):
         properties: LinkProperties,
         group: LinkGroup,
         direction: Direction,
-        modes: int,
+        shapes: tuple[Shape, ...],
     ) -> None:
-        shapes = tuple(SHAPES[group, direction](k) for k in range(1, modes + 1))
         integrals = integrate_shapes(shapes)
         rigidity = (
             properties.youngs_modulus * properties.second_moment / properties.length**3
@@ -44,7 +36,7 @@ class ElasticFamily(Effect):
 
         def matrix(name: str, factor: casadi.SX, gram: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> casadi.SX:
             prefix = f"{group}_{direction}_{name}"
-            return symmetric(modes, lambda i, j: registry.derived(f"{prefix}_{i}_{j}", factor * gram[i, j]), gram)
+            return symmetric(len(shapes), lambda i, j: registry.derived(f"{prefix}_{i}_{j}", factor * gram[i, j]), gram)
 
         self._registry, self._properties = registry, properties
         self._family = Family(
@@ -94,7 +86,7 @@ class ElasticFamily(Effect):
 
     def sentence(self) -> str:
         family = self._family
-        return f"Elasticity of the {family.group} links, {family.direction}, with {len(family.shapes)} assumed mode(s)."
+        return f"Elasticity of the {family.group} links, {family.direction}, with {len(family.shapes)} mode(s)."
 
 
 _TIP_NAMES: dict[Direction, tuple[str, str]] = {

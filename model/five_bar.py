@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import casadi
 
 from flexfmu.model import scene as keys
+from flexfmu.model.bases import family_shapes
 from flexfmu.model.closure import Closure, IndependentMotion, ProjectedForces
 from flexfmu.model.damping import ModalDamping, StiffnessDamping
 from flexfmu.model.drive_effects import CoulombFriction, ElasticTransmission, MotorInertia, ViscousFriction
@@ -98,7 +99,8 @@ def chosen_effects(
     for group, direction in FAMILIES:
         modes: int = getattr(scene.effects, f"{group}_{direction}")
         if modes:
-            effects.append(ElasticFamily(registry, properties[group], group, direction, modes))
+            shapes = family_shapes(scene.effects.basis, group, direction, modes)
+            effects.append(ElasticFamily(registry, properties[group], group, direction, shapes))
     if scene.payload.mass:
         effects.append(PointPayload(registry, scene.payload.mass))
     if any(scene.effects.gravity):

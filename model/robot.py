@@ -14,7 +14,8 @@ from typing import Literal
 import casadi
 import numpy as np
 
-from flexfmu.model.beams import Shape, ShapeIntegrals, integrate_shapes
+from flexfmu.model.beams import Shape
+from flexfmu.model.shape_integrals import ShapeIntegrals, integrate_shapes
 
 LinkGroup = Literal["proximal", "distal"]
 Direction = Literal["axial", "bending"]
@@ -151,6 +152,12 @@ class Robot:
             for k in range(len(part.family.shapes))
         )
         return modes + tuple(f"joint{leg}.twist" for leg in LEGS[: self.twist.numel()])
+
+    @property
+    def elastic_texts(self) -> tuple[str, ...]:
+        """What each elastic coordinate is."""
+        modes = tuple(shape.text for _, part in self.elastic for shape in part.family.shapes)
+        return modes + ("Twist of the transmission, link minus motor",) * self.twist.numel()
 
     @property
     def elastic_units(self) -> tuple[str, ...]:

@@ -102,7 +102,7 @@ class Effects(Section):
     """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code."""
 
     gravity: Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m/s2")]
-    basis: Literal["assumed-modes"]
+    basis: Literal["assumed-modes", "craig-bampton"]
     proximal_bending: ModeCount = 0
     proximal_axial: ModeCount = 0
     distal_bending: ModeCount = 0

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from flexfmu.model.beams import clamped_free_bending, fixed_free_axial, integrate_shapes, pinned_pinned_bending
+from flexfmu.model.beams import (
+    Shape,
+    clamped_free_bending,
+    clamped_pinned_bending,
+    fixed_fixed_axial,
+    fixed_free_axial,
+    pinned_pinned_bending,
+    tip_force_axial,
+    tip_force_bending,
+)
+from flexfmu.model.shape_integrals import integrate_shapes
 
 XI = np.linspace(0.0, 1.0, 101)
 
@@ -95,3 +105,48 @@ def test_axial_modes_make_up_the_static_compliance_of_a_rod() -> None:
     partial = np.cumsum([s.tip**2 for s in shapes] / np.diag(integrate_shapes(shapes).strain_gram))
     assert partial[0] == pytest.approx(8 / np.pi**2, rel=1e-12)
     assert 0.0 < 1.0 - partial[-1] < 0.006
+
+
+@pytest.mark.parametrize("mode", [1, 2, 5, 20, 40])
+def test_clamped_pinned_shapes_meet_their_boundary_conditions(mode: int) -> None:
+    """Clamped: phi = phi' = 0; pinned: phi = phi'' = 0; the tabulated roots are 3.9266, 7.0686 (Blevins 1979, table 8-1)."""
+    shape = clamped_pinned_bending(mode)
+    ends = np.array([0.0, 1.0])
+    np.testing.assert_allclose(shape.value(ends), 0.0, atol=1e-13)
+    assert abs(shape.slope(ends)[0]) < 1e-13 * shape.wave_number
+    assert abs(shape.strain(ends)[1]) < 1e-12 * shape.wave_number**2
+    assert [round(clamped_pinned_bending(k).wave_number, 4) for k in (1, 2)] == [3.9266, 7.0686]
+
+
+ALL_SHAPES = [
+    clamped_free_bending(3),
+    clamped_pinned_bending(3),
+    tip_force_bending(),
+    pinned_pinned_bending(3),
+    fixed_free_axial(3),
+    fixed_fixed_axial(3),
+    tip_force_axial(),
+]
+
+
+@pytest.mark.parametrize("shape", ALL_SHAPES)
+def test_slopes_and_strains_are_the_derivatives_of_the_shapes(shape: Shape) -> None:
+    """Each energy sees the same shape."""
+    inside, h = XI[1:-1], 1e-6
+    scale = max(1.0, shape.wave_number)
+    slope = (shape.value(inside + h) - shape.value(inside - h)) / (2 * h)
+    np.testing.assert_allclose(shape.slope(inside), slope, atol=1e-8 * scale**3)
+    bends = np.any(shape.rotation(inside))
+    strain = (shape.rotation(inside + h) - shape.rotation(inside - h)) / (2 * h) if bends else slope
+    np.testing.assert_allclose(shape.strain(inside), strain, atol=1e-8 * scale**4)
+    assert shape.value(np.array([1.0]))[0] == pytest.approx(shape.tip, abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("static", "held"), [(tip_force_bending, clamped_pinned_bending), (tip_force_axial, fixed_fixed_axial)]
+)
+def test_static_shapes_carry_the_whole_compliance_and_no_stiffness_couples_them(static, held) -> None:  # type: ignore[no-untyped-def]
+    """Craig and Bampton (1968): stiffness 3 EI/l³ and EA/l at the tip, exactly, and none to the modes with the tip held."""
+    stiffness = integrate_shapes([static(), *(held(k) for k in range(1, 6))]).strain_gram
+    assert stiffness[0, 0] == pytest.approx(3.0 if static is tip_force_bending else 1.0, rel=1e-14)
+    np.testing.assert_array_equal(stiffness[~np.eye(6, dtype=bool)], 0.0)
