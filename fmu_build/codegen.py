@@ -85,10 +85,12 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
 def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     """Shape of every argument and result by its name in `FUNCTION_SIGNATURES`."""
     n, m = model.degrees_of_freedom, len(model.inputs)
-    vectors = dict.fromkeys(("y", "v", "a", "j", "s", "r", "r1", "r2"), n)
-    vectors |= dict.fromkeys(("u", "u1", "u2"), m)
-    vectors |= dict.fromkeys(("o", "o1", "o2"), len(model.outputs))
-    vectors |= {"p": len(model.parameters), "d": _function(model, "derive").numel_out(0)}
+    vectors = dict.fromkeys(("y", "v", "a", "j", "s", "r", "r2", "dy", "dv", "da", "dr"), n)
+    vectors |= dict.fromkeys(("u", "u1", "u2", "du"), m)
+    vectors |= dict.fromkeys(("o", "o2", "do"), len(model.outputs))
+    vectors |= dict.fromkeys(("p", "dp"), len(model.parameters))
+    vectors |= dict.fromkeys(("d", "dd"), n_derived := _function(model, "derive").numel_out(0))
+    vectors["start_rates"] = n_derived + n + m
     vectors |= {"margin": 1, "scale": 2 * n + 1}
     return {name: (size, 1) for name, size in vectors.items()} | {"m": (n, n)}
 

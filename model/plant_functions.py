@@ -12,7 +12,7 @@ from flexfmu.model.closure import ProjectedForces
 from flexfmu.model.five_bar import FiveBar
 from flexfmu.model.scene import Scene
 from flexfmu.model.symbolic import SymbolicModel, Variable
-from flexfmu.model.time_derivatives import Motion, along_motion
+from flexfmu.model.time_derivatives import Motion, along_motion, forward
 
 MINIMUM_SINE = 0.01
 """Smallest |sine| of the angle between the distal links that is simulated: half of what planning accepts, and still two
@@ -79,17 +79,20 @@ def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[
     motion, residual = equations.motion, equations.residual
     y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
     outputs = casadi.vertcat(*(casadi.SX(expression) for _, expression in equations.outputs))
+    derived = five_bar.registry.resolved()
+    start = casadi.vertcat(derived, equations.initial_coordinates, equations.initial_inputs)
     results = {
-        "derive": ([p], five_bar.registry.resolved()),
+        "derive": ([p], derived),
         "initial_inputs": ([p], equations.initial_inputs),
         "initial_coordinates": ([p], equations.initial_coordinates),
+        "start_forward": forward([p], start),
         "residual": ([y, v, a, u, d], residual),
         "mass_matrix": ([y, u, d], casadi.jacobian(residual, a)),
         "outputs": ([y, v, a, u, d], outputs),
-        "residual_rate": along_motion(motion, residual, d, order=1),
-        "residual_rate2": along_motion(motion, residual, d, order=2),
-        "outputs_rate": along_motion(motion, outputs, d, order=1),
-        "outputs_rate2": along_motion(motion, outputs, d, order=2),
+        "residual_forward": forward([y, v, a, u, d], residual),
+        "residual_rate2": along_motion(motion, residual, d),
+        "outputs_forward": forward([y, v, a, u, d], outputs),
+        "outputs_rate2": along_motion(motion, outputs, d),
         "singularity": ([y, u, d], side * five_bar.closure.sine),
         "error_scale": ([d], equations.error_scale),
     }
@@ -145,10 +148,10 @@ def robot_outputs(five_bar: FiveBar) -> list[OutputRow]:
         (output(o.name, o.unit, o.description[0].upper() + o.description[1:]), casadi.dot(o.gain, o.coordinates))
         for o in five_bar.outputs
     ]
-    names = five_bar.robot.elastic_names, five_bar.robot.elastic_units
-    for k, (name, unit) in enumerate(zip(*names, strict=True)):
+    robot = five_bar.robot
+    names = robot.elastic_names, robot.elastic_units, robot.elastic_texts
+    for k, (name, unit, text) in enumerate(zip(*names, strict=True)):
         rate, acceleration = f"der({name})", f"der({name},2)"
-        text = "Modal coordinate of the paper's shape" if unit == "m" else "Twist of the transmission, link minus motor"
         rows.append((output(name, unit, text), motion.q_e[k]))
         rows.append((output(rate, f"{unit}/s", f"Rate of {name}", of=name), motion.v_e[k]))
         rows.append((output(acceleration, f"{unit}/s2", f"Acceleration of {name}", of=rate), motion.a_e[k]))

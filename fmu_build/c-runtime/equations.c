@@ -9,12 +9,13 @@ static void widen(const flex_function *function, int *n_arg, int *n_res, int *n_
 
 void flex_equations_take(flex_equations *equations, const flex_model *model, flex_arena *arena) {
   const flex_function *functions[] = {&model->derive,         &model->initial_inputs, &model->residual,
-                                      &model->mass_matrix,    &model->outputs,        &model->residual_rate,
-                                      &model->residual_rate2, &model->outputs_rate,   &model->outputs_rate2,
-                                      &model->singularity,    &model->error_scale,    &model->initial_coordinates};
+                                      &model->mass_matrix,    &model->outputs,        &model->residual_forward,
+                                      &model->residual_rate2, &model->outputs_forward,   &model->outputs_rate2,
+                                      &model->singularity,    &model->error_scale,    &model->initial_coordinates,
+                                      &model->start_forward};
 
   // the largest work space that any function needs, at least room for the arguments
-  int n_arg = 9, n_res = 1, n_iw = 1, n_w = 1;
+  int n_arg = 10, n_res = 1, n_iw = 1, n_w = 1;
   for (size_t i = 0; i < sizeof functions / sizeof *functions; i++) widen(functions[i], &n_arg, &n_res, &n_iw, &n_w);
 
   equations->model = model;

@@ -30,7 +30,7 @@ int flex_mass_matrix(flex_equations *equations, const double *y, const double *u
 /* singularity margin, one number */
 int flex_margin(flex_equations *equations, const double *y, const double *u, double *margin);
 
-/* any function of the model: up to 9 arguments, then the result */
+/* any function of the model: up to 10 arguments, then the result */
 int flex_call(flex_equations *equations, const flex_function *function, int n_arguments, const double *const *arguments,
               double *result);
 

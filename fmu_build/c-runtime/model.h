@@ -55,11 +55,15 @@ typedef struct {
   flex_function mass_matrix;    /* (y, u, d) -> M [n x n], symmetric, positive definite */
   flex_function outputs;        /* (y, v, a, u, d) -> o [n_outputs] */
 
-  /* time derivatives along the motion; j = da/dt, s = dj/dt, u1 = du/dt, u2 = d2u/dt2.
-   * residual_rate is M j + (terms without j), residual_rate2 is M s + (terms without s). */
-  flex_function residual_rate;  /* (y, v, a, j, u, u1, d) -> dr/dt [n] */
+  /* directional derivatives: what small changes dy, dv, .. of the arguments make of the results. Along a motion the seeds
+   * v, a, da/dt, du/dt, 0 give the rates. residual_forward is M da + (terms without da). */
+  flex_function residual_forward; /* (y, v, a, u, d, dy, dv, da, du, dd) -> dr [n] */
+  flex_function outputs_forward;  /* (y, v, a, u, d, dy, dv, da, du, dd) -> do [n_outputs] */
+  flex_function start_forward;    /* (p, dp) -> [dd, dy, du] of derive, initial_coordinates and initial_inputs */
+
+  /* second time derivatives along the motion; j = da/dt, s = dj/dt, u1 = du/dt, u2 = d2u/dt2.
+   * residual_rate2 is M s + (terms without s). */
   flex_function residual_rate2; /* (y, v, a, j, s, u, u1, u2, d) -> d2r/dt2 [n] */
-  flex_function outputs_rate;   /* (y, v, a, j, u, u1, d) -> do/dt [n_outputs] */
   flex_function outputs_rate2;  /* (y, v, a, j, s, u, u1, u2, d) -> d2o/dt2 [n_outputs] */
 
   flex_function singularity; /* (y, u, d) -> one number, at least minimum_margin at admissible poses, NaN where the

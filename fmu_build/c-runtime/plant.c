@@ -41,7 +41,7 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->u1 = flex_take_doubles(arena, m);
   plant->u2 = flex_take_doubles(arena, m);
   plant->shown_u = flex_take_doubles(arena, m);
-  plant->zero = flex_take_doubles(arena, n);
+  plant->zero = flex_take_doubles(arena, n + (size_t)model->n_derived);
 }
 
 size_t flex_plant_size(const flex_model *model) {
@@ -309,15 +309,15 @@ static void solve_rate(const flex_plant *plant, double *x) {
 static int first_rates(flex_plant *plant) {
   const flex_model *model = plant->model;
   const flex_integrator *g = &plant->integrator;
-  const double *u = plant->u, *u1 = plant->u1, *d = plant->d;
+  const double *u = plant->u, *u1 = plant->u1, *d = plant->d, *zero = plant->zero;
   int refused = 0;
   if (model->n > 0) {
-    const double *const arguments[] = {g->y, g->v, g->a, plant->zero, u, u1, d};
-    refused |= flex_call(&plant->equations, &model->residual_rate, 7, arguments, plant->jerk);
+    const double *const arguments[] = {g->y, g->v, g->a, u, d, g->v, g->a, zero, u1, zero};
+    refused |= flex_call(&plant->equations, &model->residual_forward, 10, arguments, plant->jerk);
     solve_rate(plant, plant->jerk);
   }
-  const double *const arguments[] = {g->y, g->v, g->a, plant->jerk, u, u1, d};
-  refused |= flex_call(&plant->equations, &model->outputs_rate, 7, arguments, plant->first_rates);
+  const double *const arguments[] = {g->y, g->v, g->a, u, d, g->v, g->a, plant->jerk, u1, zero};
+  refused |= flex_call(&plant->equations, &model->outputs_forward, 10, arguments, plant->first_rates);
   return refused || !all_finite(plant->first_rates, model->n_outputs);
 }
 

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #define LIMITLESS -HUGE_VAL, HUGE_VAL
-#define FUNCTION(f) {f, 9, 1, 0, 0}
+#define FUNCTION(f) {f, 10, 1, 0, 0}
 
 typedef const double **in;
 typedef double **out;
@@ -120,17 +120,32 @@ static int oscillators_outputs(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-// arg: y, v, a, j, u, u1, d
-static int oscillators_residual_rate(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, u, d, dy, dv, da, du, dd
+static int oscillators_residual_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  oscillators_balance(arg[1], arg[2], arg[3], arg[5], arg[6], res[0]);
+  oscillators_balance(arg[5], arg[6], arg[7], arg[8], arg[4], res[0]);
+
+  // changes of frequencies and damping: d(2 zeta w) p + d(w^2) q
+  for (int k = 0; k < 3; k++) {
+    double q = 0.0, p = 0.0, frequency = arg[4][k], damping = arg[4][3];
+    for (int i = 0; i < 3; i++) q += rotation[i][k] * (arg[0][i] - arg[3][i]), p += rotation[i][k] * arg[1][i];
+    double f = 2.0 * (arg[9][3] * frequency + damping * arg[9][k]) * p + 2.0 * frequency * arg[9][k] * q;
+    for (int i = 0; i < 3; i++) res[0][i] += rotation[i][k] * f;
+  }
   return 0;
 }
 
-static int oscillators_outputs_rate(in arg, out res, int *iw, double *w, int mem) {
+static int oscillators_outputs_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  for (int k = 0; k < 3; k++) memcpy(res[0] + 3 * k, arg[k + 1], 3 * sizeof(double));
+  for (int k = 0; k < 3; k++) memcpy(res[0] + 3 * k, arg[k + 5], 3 * sizeof(double));
   return 0;
+}
+
+// d changes with p; neither start position nor inputs do
+static int oscillators_start_forward(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  memcpy(res[0], arg[1], 4 * sizeof(double));
+  return origin(res[0] + 4, 6);
 }
 
 // arg: y, v, a, j, s, u, u1, u2, d
@@ -192,9 +207,10 @@ const flex_model oscillators = {.name = "oscillators",
                                 .residual = FUNCTION(oscillators_residual),
                                 .mass_matrix = FUNCTION(oscillators_mass),
                                 .outputs = FUNCTION(oscillators_outputs),
-                                .residual_rate = FUNCTION(oscillators_residual_rate),
+                                .residual_forward = FUNCTION(oscillators_residual_forward),
                                 .residual_rate2 = FUNCTION(oscillators_residual_rate2),
-                                .outputs_rate = FUNCTION(oscillators_outputs_rate),
+                                .outputs_forward = FUNCTION(oscillators_outputs_forward),
+                                .start_forward = FUNCTION(oscillators_start_forward),
                                 .outputs_rate2 = FUNCTION(oscillators_outputs_rate2),
                                 .singularity = FUNCTION(ample_margin),
                                 .error_scale = FUNCTION(oscillators_scale)};
@@ -213,16 +229,16 @@ static int pendulum_energy(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-// arg: y, v, a, j, u, u1, d
-static int pendulum_residual_rate(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, u, d, dy, dv, da, du, dd
+static int pendulum_residual_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[3][0] + cos(arg[0][0]) * arg[1][0] - arg[5][0];
+  res[0][0] = arg[7][0] + cos(arg[0][0]) * arg[5][0] - arg[8][0];
   return 0;
 }
 
-static int pendulum_energy_rate(in arg, out res, int *iw, double *w, int mem) {
+static int pendulum_energy_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[1][0] * (arg[2][0] + sin(arg[0][0]));
+  res[0][0] = arg[1][0] * arg[6][0] + sin(arg[0][0]) * arg[5][0];
   return 0;
 }
 
@@ -261,9 +277,10 @@ const flex_model pendulum = {.name = "pendulum",
                              .residual = FUNCTION(pendulum_residual),
                              .mass_matrix = FUNCTION(unit_mass_1),
                              .outputs = FUNCTION(pendulum_energy),
-                             .residual_rate = FUNCTION(pendulum_residual_rate),
+                             .residual_forward = FUNCTION(pendulum_residual_forward),
                              .residual_rate2 = FUNCTION(pendulum_residual_rate2),
-                             .outputs_rate = FUNCTION(pendulum_energy_rate),
+                             .outputs_forward = FUNCTION(pendulum_energy_forward),
+                             .start_forward = FUNCTION(origin_2),
                              .outputs_rate2 = FUNCTION(pendulum_energy_rate2),
                              .singularity = FUNCTION(ample_margin),
                              .error_scale = FUNCTION(unit_scale_1)};
@@ -313,9 +330,10 @@ const flex_model orbit = {.name = "orbit",
                           .residual = FUNCTION(orbit_residual),
                           .mass_matrix = FUNCTION(orbit_mass),
                           .outputs = FUNCTION(orbit_invariants),
-                          .residual_rate = FUNCTION(unknown_rates),
+                          .residual_forward = FUNCTION(unknown_rates),
                           .residual_rate2 = FUNCTION(unknown_rates),
-                          .outputs_rate = FUNCTION(unknown_rates),
+                          .outputs_forward = FUNCTION(unknown_rates),
+                          .start_forward = FUNCTION(unknown_rates),
                           .outputs_rate2 = FUNCTION(unknown_rates),
                           .singularity = FUNCTION(ample_margin),
                           .error_scale = FUNCTION(unit_scale_2)};
@@ -358,9 +376,10 @@ const flex_model double_pendulum = {.name = "double_pendulum",
                                     .residual = FUNCTION(double_pendulum_residual),
                                     .mass_matrix = FUNCTION(double_pendulum_mass),
                                     .outputs = FUNCTION(double_pendulum_energy),
-                                    .residual_rate = FUNCTION(unknown_rates),
+                                    .residual_forward = FUNCTION(unknown_rates),
                                     .residual_rate2 = FUNCTION(unknown_rates),
-                                    .outputs_rate = FUNCTION(unknown_rates),
+                                    .outputs_forward = FUNCTION(unknown_rates),
+                          .start_forward = FUNCTION(unknown_rates),
                                     .outputs_rate2 = FUNCTION(unknown_rates),
                                     .singularity = FUNCTION(ample_margin),
                                     .error_scale = FUNCTION(unit_scale_2)};
@@ -373,9 +392,9 @@ static int rigid_outputs(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-static int rigid_outputs_rate(in arg, out res, int *iw, double *w, int mem) {
+static int rigid_outputs_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = 2.0 * arg[4][0] * arg[5][0];
+  res[0][0] = 2.0 * arg[3][0] * arg[8][0];
   return 0;
 }
 
@@ -417,9 +436,10 @@ const flex_model rigid = {.name = "rigid",
                           .residual = FUNCTION(no_inputs),
                           .mass_matrix = FUNCTION(no_inputs),
                           .outputs = FUNCTION(rigid_outputs),
-                          .residual_rate = FUNCTION(no_inputs),
+                          .residual_forward = FUNCTION(no_inputs),
                           .residual_rate2 = FUNCTION(no_inputs),
-                          .outputs_rate = FUNCTION(rigid_outputs_rate),
+                          .outputs_forward = FUNCTION(rigid_outputs_forward),
+                          .start_forward = FUNCTION(zero_input),
                           .outputs_rate2 = FUNCTION(rigid_outputs_rate2),
                           .singularity = FUNCTION(margin_below_one),
                           .error_scale = FUNCTION(unit_floor)};
@@ -445,9 +465,9 @@ static int first_coordinate(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-static int fragile_residual_rate(in arg, out res, int *iw, double *w, int mem) {
+static int fragile_residual_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[3][0] + arg[1][0] - arg[5][0];
+  res[0][0] = arg[7][0] + arg[5][0] - arg[8][0] - arg[9][1];
   return 0;
 }
 
@@ -457,10 +477,17 @@ static int fragile_residual_rate2(in arg, out res, int *iw, double *w, int mem) 
   return 0;
 }
 
-static int second_argument(in arg, out res, int *iw, double *w, int mem) {
+static int sixth_argument(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[1][0];
+  res[0][0] = arg[5][0];
   return 0;
+}
+
+// d changes with p; neither start position nor input does
+static int fragile_start_forward(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  memcpy(res[0], arg[1], 2 * sizeof(double));
+  return origin(res[0] + 2, 2);
 }
 
 static int third_argument(in arg, out res, int *iw, double *w, int mem) {
@@ -503,9 +530,10 @@ static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS
    .residual = FUNCTION(fragile_residual),             \
    .mass_matrix = FUNCTION(unit_mass_1),               \
    .outputs = FUNCTION(first_coordinate),              \
-   .residual_rate = FUNCTION(fragile_residual_rate),   \
+   .residual_forward = FUNCTION(fragile_residual_forward), \
    .residual_rate2 = FUNCTION(fragile_residual_rate2), \
-   .outputs_rate = FUNCTION(second_argument),          \
+   .outputs_forward = FUNCTION(sixth_argument),        \
+   .start_forward = FUNCTION(fragile_start_forward),   \
    .outputs_rate2 = FUNCTION(third_argument),          \
    .singularity = FUNCTION(margin_below_two),          \
    .error_scale = FUNCTION(unit_scale_1)}

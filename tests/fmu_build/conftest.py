@@ -9,6 +9,7 @@ import casadi
 import pytest
 
 from flexfmu.model.symbolic import SymbolicModel, Variable
+from flexfmu.model.time_derivatives import forward
 
 MakeModel = Callable[..., SymbolicModel]
 
@@ -65,12 +66,13 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
         "derive": ([p], p[:4]),
         "initial_inputs": ([p], p[4]),
         "initial_coordinates": ([p], casadi.SX.zeros(2)),
+        "start_forward": forward([p], casadi.vertcat(p[:4], casadi.SX.zeros(2), p[4])),
         "residual": ([y, v, a, u, d], residual),
         "mass_matrix": ([y, u, d], d[0] * casadi.SX.eye(2)),
         "outputs": ([y, v, a, u, d], outputs),
-        "residual_rate": ([y, v, a, j, u, u1, d], rate(residual)),
+        "residual_forward": forward([y, v, a, u, d], residual),
         "residual_rate2": ([y, v, a, j, s, u, u1, u2, d], rate(rate(residual))),
-        "outputs_rate": ([y, v, a, j, u, u1, d], rate(outputs)),
+        "outputs_forward": forward([y, v, a, u, d], outputs),
         "outputs_rate2": ([y, v, a, j, s, u, u1, u2, d], rate(rate(outputs))),
         "singularity": ([y, u, d], casadi.SX(1)),
         "error_scale": ([d], casadi.vertcat(d[1], d[1], d[0], d[0], 1e-6)),
@@ -120,12 +122,13 @@ def lever(name: str = "lever") -> SymbolicModel:
         "derive": ([p], p),
         "initial_inputs": ([p], casadi.SX(0)),
         "initial_coordinates": ([p], none),
+        "start_forward": forward([p], casadi.vertcat(p, 0)),
         "residual": ([*empty[:3], u, d], none),
         "mass_matrix": ([empty[0], u, d], casadi.SX(0, 0)),
         "outputs": ([*empty[:3], u, d], d * u),
-        "residual_rate": ([*empty[:4], u, u1, d], none),
+        "residual_forward": forward([*empty[:3], u, d], none),
         "residual_rate2": ([*empty, u, u1, u2, d], none),
-        "outputs_rate": ([*empty[:4], u, u1, d], d * u1),
+        "outputs_forward": forward([*empty[:3], u, d], d * u),
         "outputs_rate2": ([*empty, u, u1, u2, d], d * u2),
         "singularity": ([empty[0], u, d], casadi.SX(1)),
         "error_scale": ([d], casadi.SX(1)),

@@ -43,10 +43,11 @@ class PolynomialMotion:
 
 def evaluate(plant: SymbolicModel, name: str, motion: PolynomialMotion, t: float, d: np.ndarray) -> np.ndarray:
     """A function of the plant along the motion, its arguments taken from the signature."""
-    orders = {"y": 0, "v": 1, "a": 2, "j": 3, "s": 4}
-    arguments, _ = FUNCTION_SIGNATURES[name]
+    orders = {"y": 0, "v": 1, "a": 2, "j": 3, "s": 4, "dy": 1, "dv": 2, "da": 3}
+    inputs = {"u": 0, "u1": 1, "u2": 2, "du": 1}
     values = [
-        d if a == "d" else motion.y(t, orders[a]) if a in orders else motion.u(t, int(a[1:] or 0)) for a in arguments
+        motion.y(t, orders[a]) if a in orders else motion.u(t, inputs[a]) if a in inputs else d * (a == "d")
+        for a in FUNCTION_SIGNATURES[name][0]
     ]
     return plant.functions[name](*values).full().ravel()
 
@@ -56,7 +57,7 @@ def test_rates_are_the_time_derivatives_of_the_functions(plant: SymbolicModel, d
     """First and second rates agree with eighth-order differences along a motion with known derivatives."""
     motion = PolynomialMotion(plant.degrees_of_freedom)
     h, weights = 2e-4, np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-    for lower, upper in ((name, f"{name}_rate"), (f"{name}_rate", f"{name}_rate2")):
+    for lower, upper in ((name, f"{name}_forward"), (f"{name}_forward", f"{name}_rate2")):
         samples = np.array([evaluate(plant, lower, motion, k * h, derived) for k in range(-4, 5)])
         difference = weights @ samples / h
         exact = evaluate(plant, upper, motion, 0.0, derived)
