@@ -75,7 +75,10 @@ def build(
     ] = None,
     platform: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="linux64, win64 or darwin64; may be repeated. Default: this machine's."),
+        typer.Option(
+            metavar="NAME",
+            help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
+        ),
     ] = None,
     json: JsonOption = False,
 ) -> None:

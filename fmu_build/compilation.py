@@ -12,7 +12,7 @@ from flexfmu.fmu_build.archive import write_atomically
 from flexfmu.fmu_build.cache import cache_folder
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.hashing import content_hash
-from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, RUNTIME_FLAGS, CompileJob, Compiler
+from flexfmu.fmu_build.toolchain import FIRST_HEADER, GENERATED_FLAGS, RUNTIME_FLAGS, CompileJob, Compiler
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.sources import Sources
@@ -42,7 +42,7 @@ def compile_library(
     """
     texts = sources.generated | sources.runtime
     jobs = {
-        name: CompileJob(name, generated_flags if name in sources.generated else runtime_flags)
+        name: CompileJob(name, (*(generated_flags if name in sources.generated else runtime_flags), *FIRST_HEADER))
         for name in sorted(texts)
         if name.endswith(".c")
     }

@@ -31,30 +31,47 @@ class Platform:
     zig_link_flags: tuple[str, ...] = ()
 
 
+def _linux(name: str, processor: str) -> Platform:
+    link_flags = ("-shared", "-s", "-Wl,--gc-sections", "-Wl,-z,defs", "-lm")
+    return Platform(name, ".so", f"{processor}-linux-gnu.2.17", ("-fPIC",), link_flags)
+
+
+def _darwin(name: str, zig_target: str) -> Platform:
+    link_flags = ("-shared", "-Wl,-dead_strip", "-Wl,-x")
+    return Platform(name, ".dylib", zig_target, ("-fPIC",), link_flags, ("-s",))
+
+
 PLATFORMS = {
     target.name: target
     for target in (
-        Platform(
-            "linux64",
-            ".so",
-            "x86_64-linux-gnu.2.17",
-            ("-fPIC",),
-            ("-shared", "-s", "-Wl,--gc-sections", "-Wl,-z,defs", "-lm"),
-        ),
+        _linux("linux64", "x86_64"),
         Platform("win64", ".dll", "x86_64-windows-gnu", (), ("-shared", "-s", "-Wl,--gc-sections"), ("-Wl,-Brepro",)),
-        Platform("darwin64", ".dylib", "x86_64-macos", ("-fPIC",), ("-shared", "-Wl,-dead_strip", "-Wl,-x"), ("-s",)),
+        _darwin("darwin64", "x86_64-macos.10.13"),
+        _linux("aarch64-linux", "aarch64"),
+        _darwin("aarch64-darwin", "aarch64-macos.11.0"),
     )
 }
-"""Every platform that can be built for, by its FMI 2.0 name."""
+"""Every platform that can be built for, by its name in FMI 2.0.4 and later: x86 as ever, ARM by FMI 3.0's platform tuple.
+
+Importers on ARM that are older, or that don't care for the processor (fmpy), look into the folder of the x86 name instead.
+"""
 
 _SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
+_ZIG_TARGETS = {
+    ("linux64", "x86_64"): PLATFORMS["linux64"].zig_target,
+    ("win64", "x86_64"): PLATFORMS["win64"].zig_target,
+    ("darwin64", "x86_64"): PLATFORMS["darwin64"].zig_target,
+    ("linux64", "aarch64"): PLATFORMS["aarch64-linux"].zig_target,
+    ("win64", "aarch64"): "aarch64-windows-gnu",
+    ("darwin64", "aarch64"): PLATFORMS["aarch64-darwin"].zig_target,
+}
 _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 
 
 def native_platform() -> Platform:
     """The platform of this interpreter, named as FMI 2.0 importers on this machine look for it.
 
-    FMI 2.0 knows no processors; on ARM its 64-bit names stand for ARM binaries.
+    Most of them don't ask for the processor (fmpy among them): on ARM the 64-bit names stand for ARM binaries there.
 
     Raises:
         PlatformError: FMI 2.0 has no name for this machine.
@@ -64,19 +81,19 @@ def native_platform() -> Platform:
     if name is None or processor is None or sys.maxsize <= 2**32:
         where = f"{sys.platform} on {platform.machine()}"
         raise PlatformError(f"FMI 2.0 has no platform for {where}; build on one of {', '.join(PLATFORMS)}")
-    target = PLATFORMS[name]
-    return replace(target, zig_target=target.zig_target.replace("x86_64", processor))
+    return replace(PLATFORMS[name], zig_target=_ZIG_TARGETS[name, processor])
 
 
 def find_platforms(names: Iterable[str] | None) -> tuple[Platform, ...]:
     """Platforms by name, sorted, without repetition; the native one when no name is given.
 
+    A name means what the standard says, whatever this machine is: ``linux64`` is for x86.
+
     Raises:
         PlatformError: a name is unknown.
     """
-    native = native_platform()
-    wanted = sorted(set(names or ())) or [native.name]
+    wanted = sorted(set(names or ()))
     unknown = [name for name in wanted if name not in PLATFORMS]
     if unknown:
         raise PlatformError(f"unknown platform '{unknown[0]}'; choose from {', '.join(PLATFORMS)}")
-    return tuple(native if name == native.name else PLATFORMS[name] for name in wanted)
+    return tuple(PLATFORMS[name] for name in wanted) or (native_platform(),)

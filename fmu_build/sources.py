@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, Literal
 
+from flexfmu.fmu_build.build_description import BUILD_DESCRIPTION, build_description
 from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, generate_description, generate_functions, identifier
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.documentation import documentation
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 Kind = Literal["plant", "block", "trajectory"]
 """What an FMU contains; the same FMI layer serves all of them."""
 
-_COMMON = ("backend.", "clock.", "fmi2", "memory.", "model.", "refusal.")
+_COMMON = ("backend.", "clock.", "fmi2", "memory.", "model.", "old_glibc.", "refusal.")
 """How the names of the runtime's files begin that every kind needs."""
 
 _OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",)}
@@ -55,7 +56,8 @@ class Sources:
     def archive_files(self) -> dict[str, bytes]:
         """Path below the FMU's root → content, all but the binaries."""
         code = {f"sources/{name}": text for name, text in (self.generated | self.runtime).items()}
-        texts = {"modelDescription.xml": self.description} | code | self.documentation
+        built = {BUILD_DESCRIPTION: build_description(self.model_identifier, c_files((*self.generated, *self.runtime)))}
+        texts = {"modelDescription.xml": self.description} | code | built | self.documentation
         return {path: text.encode() for path, text in texts.items()}
 
 

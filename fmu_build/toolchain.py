@@ -31,6 +31,9 @@ COMMON_FLAGS = (
     "-fdata-sections",
 )
 
+FIRST_HEADER = ("-include", "old_glibc.h")
+"""Read in front of every source of an FMU, so that binaries for Linux need no new C library."""
+
 _COMPILERS = (("cc",), ("gcc",), ("clang",))
 _REMEDY = "install gcc or clang, or run: pip install flexfmu[zig]"
 
@@ -101,7 +104,7 @@ def find_compiler(platform: Platform) -> Compiler:
     Raises:
         MissingCompilerError: there is none; the message says what to install.
     """
-    is_native = platform.name == native_platform().name
+    is_native = platform.zig_target == native_platform().zig_target
     compiler = _native_compiler(platform) if is_native else None
     compiler = compiler or _zig_compiler(platform)
     if compiler is None:

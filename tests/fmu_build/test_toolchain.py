@@ -98,7 +98,10 @@ def test_zig_is_the_last_resort(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_unknown_platform_lists_the_known_ones() -> None:
     """A typing error in --platform is answered with the choice."""
-    with pytest.raises(PlatformError, match="unknown platform 'linux'; choose from linux64, win64, darwin64"):
+    with pytest.raises(
+        PlatformError,
+        match="unknown platform 'linux'; choose from linux64, win64, darwin64, aarch64-linux, aarch64-darwin",
+    ):
         find_platforms(["linux"])
 
 
@@ -122,7 +125,7 @@ def test_other_compiler_has_another_identity(monkeypatch: pytest.MonkeyPatch) ->
         ("linux", "x86_64", "linux64", "x86_64-linux-gnu.2.17"),
         ("linux", "aarch64", "linux64", "aarch64-linux-gnu.2.17"),
         ("win32", "AMD64", "win64", "x86_64-windows-gnu"),
-        ("darwin", "arm64", "darwin64", "aarch64-macos"),
+        ("darwin", "arm64", "darwin64", "aarch64-macos.11.0"),
     ],
 )
 def test_native_platform_fits_the_interpreter(
@@ -131,8 +134,16 @@ def test_native_platform_fits_the_interpreter(
     """An importer in this process must be able to load what is built by default, on ARM too."""
     monkeypatch.setattr(sys, "platform", system)
     monkeypatch.setattr(platform, "machine", lambda: machine)
-    (native,) = find_platforms([name])
+    (native,) = find_platforms(None)
     assert (native.name, native.zig_target) == (name, zig_target)
+
+
+@pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
+def test_names_mean_what_the_standard_says(monkeypatch: pytest.MonkeyPatch, machine: str) -> None:
+    """Asked for by name, linux64 is x86 and aarch64-linux is ARM on every machine: one build line, one FMU."""
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    targets = {target.name: target.zig_target.split("-")[0] for target in find_platforms(["linux64", "aarch64-linux"])}
+    assert targets == {"linux64": "x86_64", "aarch64-linux": "aarch64"}
 
 
 def test_machine_without_a_name_in_fmi_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
