@@ -5,6 +5,11 @@
 
 #include "clock.h"
 
+/* no importer can stop a communication step that has begun: so many samples take some seconds */
+#ifndef FLEX_MAX_SAMPLES
+#define FLEX_MAX_SAMPLES 1e8
+#endif
+
 // pieces of an instance in memory; the numeric state first
 static void take(flex_block *block, const flex_block_model *model, flex_arena *arena) {
   const flex_function *sample = &model->sample;
@@ -76,6 +81,8 @@ static int take_sample(flex_block *block) {
   const flex_block_model *model = block->model;
   double time = block->record->time;
   flex_inputs_evaluate(&block->inputs, time, 0.0, block->u);
+  for (int i = 0; i < model->n_inputs; i++)
+    if (flex_refuse_input(block->message, &model->input_variables[i], time, block->u[i])) return 1;
 
   // generated code may use what is behind arguments and results for itself
   block->arg[0] = block->x, block->arg[1] = block->u, block->arg[2] = block->p;
@@ -128,6 +135,11 @@ int flex_block_begin(flex_block *block) {
 int flex_block_advance(flex_block *block, double t0, double t1) {
   flex_block_record *record = block->record;
   double slack = flex_time_slack(t1, fmin(t1 - t0, block->model->sample_time));
+
+  double samples = (t1 - t0) / block->model->sample_time;
+  if (samples > FLEX_MAX_SAMPLES)
+    return flex_refuse(block->message, "a communication step of %.6g s has %.3g samples, but may have %.3g; make it shorter",
+                       t1 - t0, samples, FLEX_MAX_SAMPLES);
 
   // the importer's time may differ from ours by a rounding
   for (int i = 0; i < block->inputs.count; i++)

@@ -76,7 +76,9 @@ int flex_backend_get_real(flex_backend *backend, unsigned index, double *value) 
   if (!is_known(block, index)) return 1;
   if (index < m) {
     flex_inputs_evaluate(&block->inputs, block->record->time, 0.0, block->u);
-    *value = block->u[index];
+    double shown = block->u[index];
+    if (flex_refuse_input(block->message, &block->model->input_variables[index], block->record->time, shown)) return 1;
+    *value = shown;
   } else if (index < settable) {
     *value = block->p[index - m];
   } else {

@@ -68,6 +68,12 @@ flex_instance *flex_checked(fmi2Component component, flex_call_id call) {
   return NULL;
 }
 
+int flex_lacks(const flex_instance *instance, flex_call_id call, const char *what, const void *place, size_t count) {
+  if (place || count == 0) return 0;
+  flex_log(instance, fmi2Error, LOG_ERROR, "%s needs %s, got a null pointer", calls[call].name, what);
+  return 1;
+}
+
 void *flex_allocate(const fmi2CallbackFunctions *callbacks, size_t size) {
   return callbacks->allocateMemory ? callbacks->allocateMemory(1, size) : calloc(1, size);
 }

@@ -18,6 +18,8 @@ typedef struct {
   double stop_time;
   int has_stop_time;
   int phase;
+  int last_step; /* status of the last fmi2DoStep */
+  int unused;
 } flex_session;
 
 typedef struct {
@@ -25,8 +27,9 @@ typedef struct {
   flex_session session;
   fmi2CallbackFunctions callbacks;
   const char *name;
-  int logged[N_LOG_CATEGORIES]; /* 1 = the category is shown */
-  fmi2Status last_step;         /* status of the last fmi2DoStep */
+  int logged[N_LOG_CATEGORIES];   /* 1 = the category is shown */
+  void *freed_states;             /* memory of freed FMU states, for the next ones */
+  char reason[FLEX_MESSAGE_SIZE]; /* why the last fmi2DoStep was discarded, if it was and nobody went back since */
 } flex_instance;
 
 /* hands a sentence to the importer's logger, if its category is shown; returns the status */
@@ -38,11 +41,17 @@ fmi2Status flex_log_refusal(const flex_instance *instance);
 /* the instance behind a component if the call is legal in its state, else NULL after logging why not */
 flex_instance *flex_checked(fmi2Component component, flex_call_id call);
 
+/* 1 after logging it, if a call that is about `count` elements was given no place where they are */
+int flex_lacks(const flex_instance *instance, flex_call_id call, const char *what, const void *place, size_t count);
+
 flex_phase flex_phase_of(const flex_instance *instance);
 void flex_enter_phase(flex_instance *instance, flex_phase phase);
 
 /* memory through the importer's callbacks, or the C library where it has none */
 void *flex_allocate(const fmi2CallbackFunctions *callbacks, size_t size);
 void flex_release(const fmi2CallbackFunctions *callbacks, void *memory);
+
+/* gives back the memory of freed FMU states */
+void flex_release_states(flex_instance *instance);
 
 #endif

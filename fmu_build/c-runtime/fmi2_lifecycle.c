@@ -65,6 +65,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
 
 void fmi2FreeInstance(fmi2Component c) {
   if (!c) return;
+  flex_release_states(c);
   const fmi2CallbackFunctions callbacks = ((flex_instance *)c)->callbacks;
   flex_release(&callbacks, c);
 }
@@ -78,6 +79,7 @@ static int category_index(const char *name) {
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories, const fmi2String categories[]) {
   flex_instance *instance = flex_checked(c, call_fmi2SetDebugLogging);
   if (!instance) return fmi2Error;
+  if (flex_lacks(instance, call_fmi2SetDebugLogging, "log categories", categories, nCategories)) return fmi2Error;
   for (size_t i = 0; i < nCategories; i++)
     if (category_index(categories[i]) < 0)
       return flex_log(instance, fmi2Error, LOG_ERROR, "log category '%s' is unknown; there are %s, %s, %s, %s and %s",
@@ -142,7 +144,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
   if (!instance) return fmi2Error;
   flex_backend_reset(instance->backend);
   memset(&instance->session, 0, sizeof instance->session);
-  instance->last_step = fmi2OK;
+  instance->reason[0] = '\0';
   flex_enter_phase(instance, INSTANTIATED);
   return fmi2OK;
 }

@@ -1,5 +1,6 @@
 /* Communication steps and their status. */
 #include <math.h>
+#include <string.h>
 
 #include "clock.h"
 #include "fmi2_instance.h"
@@ -16,6 +17,10 @@ static int is_possible(const flex_instance *instance, double point, double step)
   if (fabs(point - present) > flex_time_slack(present, step)) {
     flex_log(instance, fmi2Error, LOG_ERROR, "the communication point must be the present time %.17g s, got %.17g s",
              present, point);
+    return 0;
+  }
+  if (!isfinite(point + step)) {
+    flex_log(instance, fmi2Error, LOG_ERROR, "a communication step of %g s from %.17g s has no finite end", step, point);
     return 0;
   }
   if (!(point + step > point)) {
@@ -37,12 +42,13 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
   if (!instance || !is_possible(instance, currentCommunicationPoint, communicationStepSize)) return fmi2Error;
 
   double end = currentCommunicationPoint + communicationStepSize;
-  if (!flex_backend_advance(instance->backend, currentCommunicationPoint, end)) {
-    flex_enter_phase(instance, STEP_COMPLETE);
-    return instance->last_step = fmi2OK;
-  }
-  flex_enter_phase(instance, STEP_FAILED);
-  return instance->last_step = flex_log(instance, fmi2Discard, LOG_DISCARD, "%s", instance->backend->message);
+  int is_refused = flex_backend_advance(instance->backend, currentCommunicationPoint, end);
+  flex_enter_phase(instance, is_refused ? STEP_FAILED : STEP_COMPLETE);
+  instance->session.last_step = is_refused ? fmi2Discard : fmi2OK;
+  instance->reason[0] = '\0';
+  if (!is_refused) return fmi2OK;
+  memcpy(instance->reason, instance->backend->message, strlen(instance->backend->message) + 1);
+  return flex_log(instance, fmi2Discard, LOG_DISCARD, "%s", instance->reason);
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) {
@@ -57,15 +63,15 @@ static fmi2Status no_such_status(const flex_instance *instance, const char *func
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value) {
   flex_instance *instance = flex_checked(c, call_fmi2GetStatus);
-  if (!instance) return fmi2Error;
+  if (!instance || flex_lacks(instance, call_fmi2GetStatus, "a place for the answer", value, 1)) return fmi2Error;
   if (s != fmi2DoStepStatus) return no_such_status(instance, "fmi2GetStatus", (int)s);
-  *value = instance->last_step;
+  *value = (fmi2Status)instance->session.last_step;
   return fmi2OK;
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
   flex_instance *instance = flex_checked(c, call_fmi2GetRealStatus);
-  if (!instance) return fmi2Error;
+  if (!instance || flex_lacks(instance, call_fmi2GetRealStatus, "a place for the answer", value, 1)) return fmi2Error;
   if (s != fmi2LastSuccessfulTime) return no_such_status(instance, "fmi2GetRealStatus", (int)s);
   *value = *instance->backend->time;
   return fmi2OK;
@@ -79,7 +85,7 @@ fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Int
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
   flex_instance *instance = flex_checked(c, call_fmi2GetBooleanStatus);
-  if (!instance) return fmi2Error;
+  if (!instance || flex_lacks(instance, call_fmi2GetBooleanStatus, "a place for the answer", value, 1)) return fmi2Error;
   if (s != fmi2Terminated) return no_such_status(instance, "fmi2GetBooleanStatus", (int)s);
   *value = fmi2False;
   return fmi2OK;
@@ -87,8 +93,8 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
 
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2String *value) {
   flex_instance *instance = flex_checked(c, call_fmi2GetStringStatus);
-  if (!instance) return fmi2Error;
+  if (!instance || flex_lacks(instance, call_fmi2GetStringStatus, "a place for the answer", value, 1)) return fmi2Error;
   if (s != fmi2PendingStatus) return no_such_status(instance, "fmi2GetStringStatus", (int)s);
-  *value = "no step is pending";
+  *value = instance->reason[0] ? instance->reason : "no step is pending";
   return fmi2OK;
 }

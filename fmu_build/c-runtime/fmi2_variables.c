@@ -1,9 +1,14 @@
 /* Values of variables and their derivatives. */
 #include "fmi2_instance.h"
 
+// value references and values of so many variables
+static int lacks_arrays(const flex_instance *instance, flex_call_id call, const void *vr, const void *value, size_t nvr) {
+  return flex_lacks(instance, call, "value references", vr, nvr) || flex_lacks(instance, call, "values", value, nvr);
+}
+
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
   flex_instance *instance = flex_checked(c, call_fmi2GetReal);
-  if (!instance) return fmi2Error;
+  if (!instance || lacks_arrays(instance, call_fmi2GetReal, vr, value, nvr)) return fmi2Error;
 
   // before initialisation nothing is computed
   unsigned n_settable = instance->backend->n_settable;
@@ -17,7 +22,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[]) {
   flex_instance *instance = flex_checked(c, call_fmi2SetReal);
-  if (!instance) return fmi2Error;
+  if (!instance || lacks_arrays(instance, call_fmi2SetReal, vr, value, nvr)) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
     if (flex_backend_set_real(instance->backend, vr[i], value[i])) return flex_log_refusal(instance);
   return fmi2OK;
@@ -25,7 +30,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
 
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[]) {
   flex_instance *instance = flex_checked(c, call_fmi2GetInteger);
-  if (!instance) return fmi2Error;
+  if (!instance || lacks_arrays(instance, call_fmi2GetInteger, vr, value, nvr)) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
     if (flex_backend_get_integer(instance->backend, vr[i], &value[i])) return flex_log_refusal(instance);
   return fmi2OK;
@@ -33,7 +38,7 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
 
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[]) {
   flex_instance *instance = flex_checked(c, call_fmi2SetInteger);
-  if (!instance) return fmi2Error;
+  if (!instance || lacks_arrays(instance, call_fmi2SetInteger, vr, value, nvr)) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
     if (flex_backend_set_integer(instance->backend, vr[i], value[i])) return flex_log_refusal(instance);
   return fmi2OK;
@@ -69,7 +74,8 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer order[],
                                        const fmi2Real value[]) {
   flex_instance *instance = flex_checked(c, call_fmi2SetRealInputDerivatives);
-  if (!instance) return fmi2Error;
+  if (!instance || lacks_arrays(instance, call_fmi2SetRealInputDerivatives, vr, value, nvr)) return fmi2Error;
+  if (flex_lacks(instance, call_fmi2SetRealInputDerivatives, "orders", order, nvr)) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
     if (flex_backend_set_input_derivative(instance->backend, vr[i], order[i], value[i])) return flex_log_refusal(instance);
   return fmi2OK;
@@ -78,7 +84,8 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                         const fmi2Integer order[], fmi2Real value[]) {
   flex_instance *instance = flex_checked(c, call_fmi2GetRealOutputDerivatives);
-  if (!instance) return fmi2Error;
+  if (!instance || lacks_arrays(instance, call_fmi2GetRealOutputDerivatives, vr, value, nvr)) return fmi2Error;
+  if (flex_lacks(instance, call_fmi2GetRealOutputDerivatives, "orders", order, nvr)) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
     if (flex_backend_get_output_derivative(instance->backend, vr[i], order[i], &value[i])) return flex_log_refusal(instance);
   return fmi2OK;

@@ -37,6 +37,11 @@
 #define MIN_STEP_SHARE 1e-10
 #define MIN_STEP_ROUNDINGS 16.0
 
+/* no importer can stop a communication step that has begun: after so many steps, some seconds, it is told */
+#ifndef FLEX_MAX_STEPS
+#define FLEX_MAX_STEPS 1000000.0
+#endif
+
 void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *arena) {
   size_t size = (size_t)n;
   integrator->n = n;
@@ -330,7 +335,7 @@ flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, dou
   if (integrator->n == 0) return advance_rigid(integrator, t0, t1);
   flex_integrator_record *record = integrator->record;
   flex_failure result = {FLEX_DONE, t0, 0.0};
-  double span = t1 - t0, order = 2.0 * integrator->stages.tableau->stages;
+  double attempts = 0.0, span = t1 - t0, order = 2.0 * integrator->stages.tableau->stages;
   double least = fmax(MIN_STEP_SHARE * span, MIN_STEP_ROUNDINGS * DBL_EPSILON * fmax(fabs(t0), fabs(t1)));
   double local = LOCAL_SHARE * pow(tolerance, 1.0 + 1.0 / order);
   if (record->step == 0.0) record->step = first_step(integrator, span);
@@ -341,6 +346,11 @@ flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, dou
     double count = fmax(1.0, ceil(remaining / record->step * (1.0 - 1e-9)));
     double h = remaining / count;
     for (double i = 0.0; i < count; i += 1.0) {
+      if (attempts++ >= FLEX_MAX_STEPS) {
+        result.outcome = FLEX_TOO_MANY_STEPS;
+        result.value = FLEX_MAX_STEPS;
+        return result;
+      }
       result.outcome = step(integrator, start + i * h, h, local, &result.value);
       if (result.outcome != FLEX_DONE) break;
       result.time = i + 1.0 == count ? t1 : start + (i + 1.0) * h;

@@ -9,6 +9,7 @@ typedef enum {
   FLEX_NOT_FINITE,     /* the model returned NaN or infinity */
   FLEX_NOT_DEFINITE,   /* the mass matrix is not positive definite */
   FLEX_TOO_SINGULAR,   /* the margin of the mechanism is violated */
+  FLEX_TOO_MANY_STEPS, /* the end of the communication step is out of reach */
   FLEX_NO_EQUILIBRIUM, /* Newton's method found no static equilibrium */
   FLEX_BAD_SCALE       /* the error norm of the model is unusable */
 } flex_outcome;

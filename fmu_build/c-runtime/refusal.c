@@ -20,6 +20,12 @@ int flex_refuse_value(char *message, const flex_variable *variable, double value
                      value);
 }
 
+int flex_refuse_input(char *message, const flex_variable *variable, double time, double value) {
+  if (isfinite(value)) return 0;
+  return flex_refuse(message, "input %s is %g at %.9g s; its derivatives have carried it there, set it again", variable->name,
+                     value, time);
+}
+
 int flex_refuse_reference(char *message, unsigned index, int count) {
   if (index < (unsigned)count) return 0;
   return flex_refuse(message, "value reference %u of a real variable is unknown; there are %d", index, count);

@@ -12,6 +12,9 @@ int flex_refuse(char *message, const char *format, ...);
 /* 0 if a variable may have the value: finite and within its limits */
 int flex_refuse_value(char *message, const flex_variable *variable, double value);
 
+/* 0 if an input is finite at a time: its derivatives may have carried it beyond all numbers */
+int flex_refuse_input(char *message, const flex_variable *variable, double time, double value);
+
 /* 0 if there are that many real variables */
 int flex_refuse_reference(char *message, unsigned index, int count);
 

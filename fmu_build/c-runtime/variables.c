@@ -29,6 +29,10 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
       refuse(plant, "%s: at %.9g s the %s is %.6g, but must be at least %.6g; keep away from the singularity", what, t,
              model->margin_name, value, model->minimum_margin);
       break;
+    case FLEX_TOO_MANY_STEPS:
+      refuse(plant, "%s: at %.9g s %.0f steps have been made within one communication step; make that shorter", what, t,
+             value);
+      break;
     case FLEX_NO_EQUILIBRIUM:
       refuse(plant,
              "%s: at %.9g s no static equilibrium was found, the last correction was %.3g; start undeformed (initial = 2)",
@@ -58,7 +62,9 @@ int flex_get_real(flex_plant *plant, unsigned index, double *value) {
   if (!is_known(plant, index)) return 1;
   if (index < m) {
     if (failed(plant, "reading inputs", flex_plant_need_inputs(plant))) return 1;
-    *value = plant->shown_u[index];
+    double shown = plant->shown_u[index];
+    if (flex_refuse_input(plant->message, &model->input_variables[index], plant->record->time, shown)) return 1;
+    *value = shown;
   } else if (index < m + p) {
     *value = plant->p[index - m];
   } else {

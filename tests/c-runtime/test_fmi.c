@@ -175,7 +175,8 @@ static fmi2Status make_call(fmi2Component c, flex_call_id call, fmi2FMUstate *st
     case call_fmi2SerializedFMUstateSize: return fmi2SerializedFMUstateSize(c, *state, &size);
     case call_fmi2SerializeFMUstate: return fmi2SerializeFMUstate(c, *state, bytes, sizeof bytes);
     case call_fmi2DeSerializeFMUstate:
-      status = fmi2DeSerializeFMUstate(c, bytes, sizeof bytes, &copy);
+      fmi2SerializedFMUstateSize(c, *state, &size);
+      status = fmi2DeSerializeFMUstate(c, bytes, size, &copy);
       fmi2FreeFMUstate(c, &copy);
       return status;
     case call_fmi2GetDirectionalDerivative: return fmi2GetDirectionalDerivative(c, &output, 1, &real, 1, &zero, &value);
