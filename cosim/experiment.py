@@ -9,26 +9,18 @@ from time import perf_counter
 from typing import TypedDict
 
 from flexfmu.cosim.delays import SignalDelay
-from flexfmu.cosim.fmu_file import open_fmu
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.fmu_variables import Value, parameter_names
 from flexfmu.cosim.loop import Loop
 from flexfmu.cosim.loop_recording import SlaveFacts, plain_names, slave_facts, with_constants
-from flexfmu.cosim.loop_sections import holding_torques, loop_of
+from flexfmu.cosim.loop_sections import loop_of
 from flexfmu.cosim.master import Outcome, Progress, simulate
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.results import Recording
 from flexfmu.cosim.rigid_motion import with_rigid_motion
-from flexfmu.cosim.scene_parameters import parameters_for, scene_with_parameters
-from flexfmu.cosim.slave import Slave
+from flexfmu.cosim.scene_parameters import scene_with_parameters
+from flexfmu.cosim.scene_system import PLANT, REFERENCES, SceneSystem, scene_system
 from flexfmu.cosim.system import connect
-from flexfmu.cosim.trajectory_slave import HERMITE_ORDER, TrajectorySlave
-from flexfmu.cosim.wiring import wire
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
-
-PLANT, REFERENCES = "plant", "trajectory"
-"""Names of the slaves."""
 
 
 @dataclass(frozen=True)
@@ -167,40 +159,31 @@ def run_scene(
     building = perf_counter()
     path = fmu_path if fmu_path is not None else build_scene(scene).path
     loading = perf_counter()
-    changes = {**loop.parameters, **(parameters or {})}
-    constants = {} if loop.controllers else holding_torques(scene)
-    plant = FmuSlave(path, PLANT, {**_parameters(scene, path, initial, changes), **constants}, input_order)
-    order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
-    references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
-    wiring = wire(references, plant, loop.controllers, loop.inserts, loop.connect)
-    slaves: list[Slave] = [references, plant, *loop.controllers, *(insert.slave for insert in loop.inserts)]
-    system = connect(slaves, wiring.connections)
+    parts = scene_system(scene, loop, path, parameters=parameters, initial=initial, input_order=input_order)
+    system = connect(parts.slaves, parts.wiring.connections)
     step = scene.cosimulation.step if communication_step is None else communication_step
     relative = scene.cosimulation.tolerance if tolerance is None else tolerance
     simulating = perf_counter()
     simulation = simulate(system, loop.motion.stop_time, step, tolerance=relative, progress=progress)
     done = perf_counter()
-    recording = plain_names(simulation.recording, PLANT, REFERENCES, wiring.feeding)
-    recording = with_constants(recording, plant, wiring, constants)
     return Run(
         plan=loop.motion,
-        recording=with_rigid_motion(recording, loop.motion),
+        recording=_recording(simulation.recording, parts, loop.motion),
         outcome=simulation.outcome,
         message=simulation.message,
         fmu_path=path,
         communication_step=step,
         tolerance=relative,
-        input_order=order,
-        health=Health(plant.statistics, plant.messages),
+        input_order=parts.references.announced_order,
+        health=Health(parts.plant.statistics, parts.plant.messages),
         timing=Timing(building - planning, loading - building, simulating - loading, done - simulating),
-        slaves=slave_facts(slaves),
+        slaves=slave_facts(parts.slaves),
         delays=simulation.delays,
-        parameters=changes,
+        parameters=parts.changes,
     )
 
 
-def _parameters(scene: Scene, path: Path, initial: str | None, changes: Mapping[str, float]) -> dict[str, Value]:
-    """All parameters that the FMU has, from the scene, but for the changes."""
-    available = parameter_names(open_fmu(path).description)
-    start = {"initial": initial or scene.cosimulation.initial}
-    return {**parameters_for(scene, available), **start, **changes}
+def _recording(recorded: Recording, parts: SceneSystem, motion: MotionPlan) -> Recording:
+    """What was recorded, with short names, the torques that nothing feeds, and the rigid motion."""
+    recording = plain_names(recorded, PLANT, REFERENCES, parts.wiring.feeding)
+    return with_rigid_motion(with_constants(recording, parts.plant, parts.constants), motion)

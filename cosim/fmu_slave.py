@@ -30,6 +30,8 @@ class FmuSlave:
             model description states.
 
     Attributes:
+        path: the FMU file.
+        parameters: the start values that were given.
         statistics: Integer variables ``statistics.*`` at the end of the last run, without the prefix.
         can_save: whether the FMU can save and restore its state.
         messages: what the FMU logged in the last run, warnings and worse.
@@ -47,12 +49,13 @@ class FmuSlave:
         input_order: int | None = None,
     ) -> None:
         self.name = name
-        self._fmu = open_fmu(Path(path))
+        self.path, self.parameters = Path(path), dict(parameters or {})
+        self._fmu = open_fmu(self.path)
         known = read_variables(self._fmu.description)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
         self._counters = {n: h for n, h in known.others.items() if n.startswith(STATISTICS) and h.kind == "Integer"}
-        self._settings = settings(self._fmu.description, parameters or {})
+        self._settings = settings(self._fmu.description, self.parameters)
         self.max_output_order = highest_output_derivative(self._fmu)
         highest = highest_input_derivative(self._fmu)
         self.max_input_order = highest if input_order is None or highest == 0 else input_order

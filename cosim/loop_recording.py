@@ -9,7 +9,6 @@ import numpy as np
 
 from flexfmu.cosim.results import Column, Recording
 from flexfmu.cosim.slave import Sampled, Slave, offset
-from flexfmu.cosim.wiring import Wiring
 
 
 @dataclass(frozen=True)
@@ -65,15 +64,11 @@ def held(column: Column) -> Column:
     return Column(column.unit, column.values, first, zero if column.second is None else column.second)
 
 
-def with_constants(recording: Recording, plant: Slave, wiring: Wiring, values: Mapping[str, float]) -> Recording:
-    """The recording with the plant's torques that nothing feeds, at their start values."""
+def with_constants(recording: Recording, plant: Slave, values: Mapping[str, float]) -> Recording:
+    """The recording with the plant's inputs that nothing feeds, at the values that they keep."""
     size = recording.time.shape
     units = {variable.name: variable.unit for variable in plant.variables if variable.causality == "input"}
-    columns = {
-        name: held(Column(units[name], np.full(size, value)))
-        for name, value in values.items()
-        if name in units and name not in wiring.feeding
-    }
+    columns = {name: held(Column(units[name], np.full(size, value))) for name, value in values.items()}
     return recording.with_columns(columns)
 
 

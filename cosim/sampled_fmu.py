@@ -39,6 +39,9 @@ class SampledFmu:
         name: name of the slave.
         parameters: start values of parameters and inputs by name.
 
+    Attributes:
+        path: the FMU file.
+
     Raises:
         FmuFileError: the FMU is missing or broken, or doesn't tell its sample time.
         InputError: a parameter doesn't exist or its value doesn't suit its type.
@@ -51,6 +54,7 @@ class SampledFmu:
         self.name = name
         self.sample_time, self.offset = times
         self._fmu = FmuSlave(path, name, parameters, input_order=0)
+        self.path, self.parameters = self._fmu.path, self._fmu.parameters
         self.variables, self.feedthrough = self._fmu.variables, self._fmu.feedthrough
         self._inputs = np.array([i for i, each in enumerate(self.variables) if each.causality == "input"], np.intp)
         self._values = np.zeros(len(self.variables))

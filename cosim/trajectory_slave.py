@@ -40,6 +40,9 @@ class TrajectorySlave:
         unit: unit of the positions.
         order: degree of the polynomials, 0 to 9.
         name: name of the slave.
+
+    Attributes:
+        trajectory: what is streamed.
     """
 
     def __init__(
@@ -59,7 +62,7 @@ class TrajectorySlave:
         self.announced_order = order
         self.max_output_order = max(order, END_ORDER)
         self.ends_exactly = order == HERMITE_ORDER
-        self._trajectory = trajectory
+        self.trajectory = trajectory
         self._times = self._polynomials = self._ends = self._now = np.empty(0)
         self._recent = np.empty(0), np.empty(0)
         self._next = 0
@@ -67,7 +70,7 @@ class TrajectorySlave:
     @property
     def breakpoints(self) -> tuple[float, ...]:
         """Breakpoints of the trajectory [s]."""
-        return tuple(self._trajectory.breakpoints)
+        return tuple(self.trajectory.breakpoints)
 
     @property
     def feedthrough(self) -> dict[str, tuple[str, ...]]:
@@ -148,7 +151,7 @@ class TrajectorySlave:
 
     def _references(self, times: RealArray, order: int, side: Side) -> RealArray:
         """(N, order + 1, variables): one-sided limits of all references with their derivatives."""
-        jets = self._trajectory.evaluate(times, order + 2, side)
+        jets = self.trajectory.evaluate(times, order + 2, side)
         stacked = np.concatenate([jets[kind : kind + order + 1] for kind in range(len(REFERENCES))], axis=2)
         return np.ascontiguousarray(stacked.swapaxes(0, 1))
 

@@ -1,0 +1,87 @@
+"""The slaves of a scene and their connections: planned motion, robot, and what stands between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from flexfmu.cosim.fmu_file import open_fmu
+from flexfmu.cosim.fmu_slave import FmuSlave
+from flexfmu.cosim.fmu_variables import Value, parameter_names
+from flexfmu.cosim.loop import Loop
+from flexfmu.cosim.loop_sections import holding_torques
+from flexfmu.cosim.scene_parameters import parameters_for
+from flexfmu.cosim.slave import Slave
+from flexfmu.cosim.trajectory_slave import HERMITE_ORDER, TrajectorySlave
+from flexfmu.cosim.wiring import Wiring, wire
+from flexfmu.model.scene import Scene
+
+PLANT, REFERENCES = "plant", "trajectory"
+"""Names of the robot and of the planned motion in the system."""
+
+
+@dataclass(frozen=True)
+class SceneSystem:
+    """Slaves that are ready to be connected.
+
+    Attributes:
+        references: streams the planned motion.
+        plant: the robot.
+        others: controllers, shapers and imperfections.
+        wiring: who feeds whom.
+        changes: parameters of the robot that differ from the scene's.
+        constants: inputs of the robot that nothing feeds, with the values that they keep.
+    """
+
+    references: TrajectorySlave
+    plant: FmuSlave
+    others: tuple[Slave, ...]
+    wiring: Wiring
+    changes: Mapping[str, float]
+    constants: Mapping[str, float]
+
+    @property
+    def slaves(self) -> tuple[Slave, ...]:
+        """All slaves: planned motion, robot, and what stands between them."""
+        return (self.references, self.plant, *self.others)
+
+
+def scene_system(
+    scene: Scene,
+    loop: Loop,
+    fmu_path: Path,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    initial: str | None = None,
+    input_order: int | None = None,
+) -> SceneSystem:
+    """Wire a scene's motion, its robot and what stands between them.
+
+    Args:
+        scene: the scene.
+        loop: its planned motion, controllers, shapers and imperfections.
+        fmu_path: the robot.
+        parameters: FMU parameters that differ from the scene's.
+        initial: ``static`` or ``undeformed``; the scene's own when None.
+        input_order: degree of the input polynomials; None for the highest that the FMU states.
+
+    Raises:
+        InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
+            slaves can't be wired.
+    """
+    changes = {**loop.parameters, **(parameters or {})}
+    unfed = {} if loop.controllers else holding_torques(scene)
+    plant = FmuSlave(fmu_path, PLANT, {**_parameters(scene, fmu_path, initial), **unfed, **changes}, input_order)
+    order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
+    references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
+    others = (*loop.controllers, *(insert.slave for insert in loop.inserts))
+    wiring = wire(references, plant, loop.controllers, loop.inserts, loop.connect)
+    constants = {name: changes.get(name, value) for name, value in unfed.items() if name not in wiring.feeding}
+    return SceneSystem(references, plant, others, wiring, changes, constants)
+
+
+def _parameters(scene: Scene, path: Path, initial: str | None) -> dict[str, Value]:
+    """All parameters that the FMU has, from the scene."""
+    available = parameter_names(open_fmu(path).description)
+    return {**parameters_for(scene, available), "initial": initial or scene.cosimulation.initial}
