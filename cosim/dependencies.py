@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 
+from flexfmu.cosim.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.slave import Sampled, SamplesInTwoPhases, Slave, feedthrough
 
 Variable = tuple[int, str]
@@ -17,12 +18,16 @@ Graph = Mapping[Variable, Collection[Variable]]
 
 @dataclass(frozen=True)
 class Connection:
-    """An output that feeds an input; indices of slaves in `System.slaves` and of variables in `Slave.variables`."""
+    """An output that feeds an input; indices of slaves in `System.slaves` and of variables in `Slave.variables`.
+
+    The input is the output under the linear map ``transformation``.
+    """
 
     source: int
     output: int
     target: int
     input: int
+    transformation: LinearMap = IDENTITY
 
 
 def source_of(slaves: Sequence[Slave], connection: Connection) -> Variable:

@@ -95,7 +95,7 @@ def settings(description: Any, parameters: Mapping[str, Value]) -> Sequence[Sett
     Raises:
         InputError: there is no such parameter, or the value doesn't suit its type or range.
     """
-    known = {v.name: v for v in description.modelVariables if v.causality in ("parameter", "input")}
+    known = {v.name: v for v in description.modelVariables if _has_start(v)}
     result = []
     for name, value in parameters.items():
         if name not in known:
@@ -103,6 +103,12 @@ def settings(description: Any, parameters: Mapping[str, Value]) -> Sequence[Sett
             raise InputError(f"the FMU has no parameter {name!r}" + (f"; did you mean {hint[0]!r}?" if hint else ""))
         result.append(Setting(name, _handle(known[name]), _in_range(known[name], _translate(known[name], value))))
     return result
+
+
+def _has_start(variable: Any) -> bool:
+    """Whether a variable may be set before initialisation (FMI 2.0.4, section 2.2.7)."""
+    settable = variable.initial in ("exact", "approx") and variable.variability != "constant"
+    return variable.causality in ("parameter", "input") or settable
 
 
 def _in_range(variable: Any, value: Value) -> Value:

@@ -11,6 +11,7 @@ import numpy as np
 from flexfmu.cosim.algorithms import Algorithm
 from flexfmu.cosim.dependencies import Connection
 from flexfmu.cosim.hermite import two_point
+from flexfmu.cosim.linear_map import IDENTITY
 from flexfmu.cosim.ports import InputPort, OutputPort
 from flexfmu.cosim.slave import Indices, KnowsItsFuture, RealArray, Sampled, feedthrough, input_order, output_order
 from flexfmu.cosim.stepping_order import step_order
@@ -51,6 +52,23 @@ Couplings = Mapping[tuple[int, int], Coupling]
 
 
 @dataclass(frozen=True)
+class Transformation:
+    """Linear maps of neighbouring inputs.
+
+    Attributes:
+        factor, offset: (n,) y = factor x + offset.
+    """
+
+    factor: RealArray
+    offset: RealArray
+
+    def apply(self, fed: RealArray) -> None:
+        """Transform values and derivatives (orders + 1, n) in place."""
+        fed *= self.factor
+        fed[0] += self.offset
+
+
+@dataclass(frozen=True)
 class Link:
     """Outputs of one slave that feed neighbouring inputs of another.
 
@@ -59,12 +77,14 @@ class Link:
         columns: (n,) columns of the source's signals.
         slots: which of the target's fed inputs they are.
         coupling: how they get there.
+        transformation: what is done to them on the way; None for nothing.
     """
 
     source: OutputPort
     columns: Indices
     slots: slice
     coupling: Coupling
+    transformation: Transformation | None = None
 
     @property
     def interpolates(self) -> bool:
@@ -83,9 +103,11 @@ class Link:
         rows = self.coupling.order + 1
         if fed.shape == (rows, self.columns.size):
             self.source.signals[:rows].take(self.columns, 1, fed, "clip")
-            return
-        fed[:rows, self.slots] = self.source.signals[:rows, self.columns]
-        fed[rows:, self.slots] = 0.0
+        else:
+            fed[:rows, self.slots] = self.source.signals[:rows, self.columns]
+            fed[rows:, self.slots] = 0.0
+        if self.transformation is not None:
+            self.transformation.apply(fed[:, self.slots])
 
     def ended(self) -> RealArray:
         """(ends + 1, n): signals that an interpolation meets at the current instant."""
@@ -98,6 +120,8 @@ class Link:
             fed[0, self.slots] = 0.5 * (begin[0] + self.ended()[0])
         else:
             fed[: 2 * len(begin), self.slots] = two_point(begin, self.ended(), step)
+        if self.transformation is not None:
+            self.transformation.apply(fed[:, self.slots])
 
 
 def couplings(system: System, algorithm: Algorithm) -> Couplings:
@@ -145,7 +169,8 @@ def _input_port(system: System, target: int, outputs: list[OutputPort], coupled:
     for source in dict.fromkeys(each.source for each in incoming):
         group = [each for each in incoming if each.source == source]
         slots = slice(count, count + len(group))
-        links.append(Link(outputs[source], columns(outputs[source], group), slots, coupled[source, target]))
+        place = columns(outputs[source], group)
+        links.append(Link(outputs[source], place, slots, coupled[source, target], transformation(group)))
         count += len(group)
     return InputPort(system.slaves[target], np.array([each.input for each in incoming], np.intp), links)
 
@@ -153,6 +178,14 @@ def _input_port(system: System, target: int, outputs: list[OutputPort], coupled:
 def columns(port: OutputPort, group: Sequence[Connection]) -> Indices:
     """Columns of the port's signals that the connections start from."""
     return np.searchsorted(port.indices, [each.output for each in group])
+
+
+def transformation(group: Sequence[Connection]) -> Transformation | None:
+    """The linear maps of connections, unless all of them leave the signals as they are."""
+    maps = [each.transformation for each in group]
+    if all(each == IDENTITY for each in maps):
+        return None
+    return Transformation(np.array([each.factor for each in maps]), np.array([each.offset for each in maps]))
 
 
 def stale_after_step(system: System, coupled: Couplings) -> frozenset[int]:

@@ -25,6 +25,7 @@ from flexfmu.cosim.dependencies import (
 )
 from flexfmu.cosim.errors import AlgebraicLoopError, WiringError
 from flexfmu.cosim.iteration import LoopSolver
+from flexfmu.cosim.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.slave import Causality, Slave, can_save, feedthrough
 
 
@@ -82,14 +83,16 @@ class System:
         return f"{self.source_name(connection)} -> {_full_name(self.slaves, target_of(self.slaves, connection))}"
 
 
-def connect(
-    slaves: Sequence[Slave], connections: Iterable[tuple[str, str]], *, loops: LoopSolver | None = None
-) -> System:
+Wire = tuple[str, str] | tuple[str, str, LinearMap]
+"""``slave.output``, the ``slave.input`` that it feeds, and a linear map on the way, which answers for the units."""
+
+
+def connect(slaves: Sequence[Slave], connections: Iterable[Wire], *, loops: LoopSolver | None = None) -> System:
     """Wire slaves together.
 
     Args:
         slaves: slaves with different names.
-        connections: pairs (``slave.output``, ``slave.input``).
+        connections: pairs (``slave.output``, ``slave.input``), in equal units, or triples with a linear map.
         loops: how to solve algebraic loops, at every instant; None to refuse them.
 
     Raises:
@@ -99,7 +102,7 @@ def connect(
             the loop.
     """
     _check_names(slaves)
-    resolved = tuple(_resolve(slaves, source, target) for source, target in connections)
+    resolved = tuple(_resolve(slaves, *each) for each in connections)
     _check_single_sources(slaves, resolved)
     exchange_order = _exchange_order(slaves, resolved, loops)
     step_order = _step_order(slaves, resolved)
@@ -118,14 +121,14 @@ def _check_names(slaves: Sequence[Slave]) -> None:
             raise WiringError(f"{name!r} can't name a slave: take a name without a dot")
 
 
-def _resolve(slaves: Sequence[Slave], source: str, target: str) -> Connection:
+def _resolve(slaves: Sequence[Slave], source: str, target: str, linear: LinearMap | None = None) -> Connection:
     """Look up both ends of a connection."""
     from_slave, output = _find(slaves, source, "output")
     to_slave, receiver = _find(slaves, target, "input")
     units = slaves[from_slave].variables[output].unit, slaves[to_slave].variables[receiver].unit
-    if all(units) and units[0] != units[1]:
+    if linear is None and all(units) and units[0] != units[1]:
         raise WiringError(f"units differ: {source} is in {units[0]}, {target} in {units[1]}; put a conversion between")
-    return Connection(from_slave, output, to_slave, receiver)
+    return Connection(from_slave, output, to_slave, receiver, linear or IDENTITY)
 
 
 def _find(slaves: Sequence[Slave], full_name: str, causality: Causality) -> tuple[int, int]:
