@@ -90,6 +90,32 @@ def build(
 
 
 @app.command()
+def fmus(
+    scene: SceneArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the FMUs. Default: results/<name of the scene>/fmus.")
+    ] = None,
+    slave: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Name of a slave in the scene; may be repeated. Default: all of them."),
+    ] = None,
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="linux64, win64 or darwin64; may be repeated. Default: this machine's."),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Export a scene's slaves as FMUs: robot, trajectory, controllers, shapers and imperfections.
+
+    With --json it also lists the connections between them.
+    """
+    with one_line_errors():
+        from flexfmu.cosim.cli_slaves import fmus_command
+
+        raise typer.Exit(fmus_command(scene, out, slave or [], platform or [], json))
+
+
+@app.command()
 def run(
     scene: SceneArgument,
     out: Annotated[

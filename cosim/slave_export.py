@@ -100,7 +100,9 @@ def export_slaves(
     chosen = _chosen(system.slaves, names)
     for slave in chosen:
         _check_exportable(slave)
-    export = _Exporter(scene, float(f"{loop.motion.stop_time:.12g}"), None if platforms is None else tuple(platforms), cache)
+    export = _Exporter(
+        scene, float(f"{loop.motion.stop_time:.12g}"), None if platforms is None else tuple(platforms), cache
+    )
     exported = []
     for number, facts in enumerate(slave_facts(chosen)):
         progress(f"exporting {facts.name}", number / len(chosen))

@@ -41,8 +41,9 @@ def compile_library(
         ArchiveError: there is no room for temporary files.
     """
     texts = sources.generated | sources.runtime
+    first = FIRST_HEADER if FIRST_HEADER[-1] in texts else ()
     jobs = {
-        name: CompileJob(name, (*(generated_flags if name in sources.generated else runtime_flags), *FIRST_HEADER))
+        name: CompileJob(name, (*(generated_flags if name in sources.generated else runtime_flags), *first))
         for name in sorted(texts)
         if name.endswith(".c")
     }
