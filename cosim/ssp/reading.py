@@ -1,0 +1,134 @@
+"""From an SSP file to its structure."""
+
+from __future__ import annotations
+
+from typing import cast, get_args
+
+from flexfmu.cosim.ssp.archive import DESCRIPTION, SspArchive
+from flexfmu.cosim.ssp.parameter_reading import read_bindings, read_transformation, read_units
+from flexfmu.cosim.ssp.structure import Component, Connection, Connector, Kind, Structure, Type
+from flexfmu.cosim.ssp.xml_tree import Node, parse
+
+FMU = "application/x-fmu-sharedlibrary"
+
+OSP_STEP = ("FixedStepAlgorithm", "baseStepSize")
+"""Element and attribute of the Open Simulation Platform's annotation with the communication step."""
+
+
+def read_structure(archive: SspArchive) -> Structure:
+    """What an SSP's ``SystemStructure.ssd`` says.
+
+    Raises:
+        SspError: it isn't SSP 1, contradicts the standard, or has nested systems, signal dictionaries or
+            transformations that aren't linear.
+    """
+    root = parse(archive.read(DESCRIPTION), archive.label(DESCRIPTION), "SystemStructureDescription")
+    version = root.required("version")
+    if not version.startswith("1."):
+        raise root.error(f"is of SSP {version}; this program reads SSP 1.0")
+    system = root.child("System")
+    if system is None:
+        raise root.error("has no System; export it again")
+    experiment = root.child("DefaultExperiment")
+    return Structure(
+        name=root.required("name"),
+        components=tuple(_component(each, archive) for each in system.children("Elements", "*")),
+        connections=tuple(_connection(each) for each in system.children("Connections", "Connection")),
+        connectors=_connectors(system),
+        bindings=read_bindings(system, archive),
+        units=read_units(root),
+        start=None if experiment is None else experiment.number("startTime"),
+        stop=None if experiment is None else experiment.number("stopTime"),
+        step=None if experiment is None else _step(experiment),
+        description=root.text("description") or "",
+    )
+
+
+def _step(experiment: Node) -> float | None:
+    """The communication step [s], which SSP 1.0 leaves to annotations; None where none of those known has it.
+
+    Raises:
+        SspError: it isn't positive.
+    """
+    element, attribute = OSP_STEP
+    for node in experiment.descendants(element):
+        step = node.number(attribute)
+        if step is not None and step <= 0.0:
+            raise node.error(f"has {attribute}='{step:g}', which must be positive [s]")
+        return step
+    return None
+
+
+def _component(node: Node, archive: SspArchive) -> Component:
+    """A component that is an FMU for co-simulation.
+
+    Raises:
+        SspError: it is anything else.
+    """
+    _check_kind(node)
+    source = archive.resolve(node.required("source"), node.where)
+    name = node.required("name")
+    return Component(
+        name,
+        source,
+        _connectors(node),
+        read_bindings(node, archive, source),
+        node.text("description") or "",
+        node.where,
+    )
+
+
+def _check_kind(node: Node) -> None:
+    """The element is an FMU for co-simulation.
+
+    Raises:
+        SspError: it is something else.
+    """
+    if node.tag == "System":
+        raise node.error(
+            "is a nested system, which this program doesn't read; move its components into the outer system"
+        )
+    if node.tag != "Component":
+        raise node.error("is not supported; only components that are FMUs are, connect them directly")
+    if (kind := node.text("type") or FMU) != FMU:
+        raise node.error(f"has the type {kind!r}; only FMUs ({FMU}) can be run, put the package's FMUs in directly")
+    if node.text("implementation") == "ModelExchange":
+        raise node.error("is for model exchange; this program co-simulates, take implementation='CoSimulation'")
+
+
+def _connectors(node: Node) -> tuple[Connector, ...]:
+    """Connectors of an element.
+
+    Raises:
+        SspError: two share a name, or one is of an unknown kind.
+    """
+    found = tuple(_connector(each) for each in node.children("Connectors", "Connector"))
+    names = [each.name for each in found]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise node.error(f"has two connectors named {twice!r}; keep one")
+    return found
+
+
+def _connector(node: Node) -> Connector:
+    """One connector."""
+    name, kind = node.required("name"), node.required("kind")
+    if kind not in get_args(Kind):
+        raise node.error(f"has the kind {kind!r}, which must be one of {', '.join(get_args(Kind))}")
+    kinds = (*get_args(Type), "Binary")
+    typed = next((each for each in node.children("*") if each.tag in kinds), None)
+    if typed is not None and typed.tag == "Binary":
+        raise node.error("is Binary, which FMI 2.0 doesn't have; leave it out")
+    connector_type = None if typed is None else cast(Type, typed.tag)
+    return Connector(name, cast(Kind, kind), connector_type, None if typed is None else typed.text("unit"), node.where)
+
+
+def _connection(node: Node) -> Connection:
+    """One connection."""
+    return Connection(
+        (node.text("startElement"), node.required("startConnector")),
+        (node.text("endElement"), node.required("endConnector")),
+        read_transformation(node),
+        not node.boolean("suppressUnitConversion"),
+        node.where,
+    )
