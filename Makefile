@@ -1,5 +1,6 @@
 # make demo   set everything up and run the paper's experiment: tables, figures and report in results/
 # make test   set everything up, build the wheel and run every test against it
+# make fuzz   100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers
 # make lint   formatting, linting, types
 
 PYTHON ?= python3
@@ -9,7 +10,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint format clean
+.PHONY: demo test fuzz lint format clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/bin/python
@@ -23,6 +24,10 @@ test: $(VENV)/.test
 	rm -rf build/wheel build/lib && $(BIN)/python -m build --quiet --wheel --outdir build/wheel .
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps build/wheel/*.whl
 	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGUMENTS)
+
+fuzz: $(VENV)/.test
+	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
+	FLEXFMU_FUZZ=100000 $(BIN)/python -m pytest -n 2 --durations=0 tests/fmu_boundary/test_fuzzing.py
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff format --check .

@@ -1,0 +1,102 @@
+"""FMUs in the form in which the tests in C need them: sources with a few numbers; and the same as files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from export_support.blocks import pd_controller
+from export_support.trajectories import Swing
+
+from flexfmu.fmu_build.block_build import build_block_fmu, generate_block_sources
+from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.fmu_build.sources import Sources, generate_sources, runtime_sources
+from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu, generate_trajectory_sources
+from flexfmu.model.plants import build_model
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+HAND_WRITTEN = Path(__file__).parents[2] / "c-runtime" / "models.c"
+EXPERIMENT = DefaultExperiment()
+N_STATISTICS = 6
+
+
+@dataclass(frozen=True)
+class Subject:
+    """C files by name, and the numbers of Real variables (inputs first, then parameters, then outputs) and Integers.
+
+    Attributes:
+        own: hand-written and constant files, which must compile without a warning.
+        generated: CasADi's.
+        guid: of the model description.
+        counts: N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS.
+    """
+
+    own: dict[str, str]
+    generated: dict[str, str]
+    guid: str
+    counts: tuple[int, int, int, int]
+
+    @property
+    def defines(self) -> tuple[str, ...]:
+        """For the compiler; steps that have no end are given up early."""
+        names = ("N_INPUTS", "N_SETTABLE", "N_REALS", "N_INTEGERS")
+        numbers = [f"-D{name}={count}" for name, count in zip(names, self.counts, strict=True)]
+        return (f'-DGUID="{self.guid}"', *numbers, "-DFLEX_MAX_STEPS=3000.0", "-DFLEX_MAX_SAMPLES=3000.0")
+
+
+def scene(drive: str) -> Scene:
+    """The smallest robot that bends: one mode in each proximal arm."""
+    return load_scene("barnard2012-6kg").replace(
+        {"effects.proximal_bending": 1, "effects.distal_axial": 0, "cosimulation.drive": drive}
+    )
+
+
+def _fragile() -> Subject:
+    """One that can fail in every way."""
+    return Subject(runtime_sources("plant") | {"models.c": _adapted_model()}, {}, "{fragile}", (1, 3, 4, N_STATISTICS))
+
+
+def _adapted_model() -> str:
+    return HAND_WRITTEN.read_text(encoding="utf-8").replace(
+        '#include "models.h"', f'#include "{HAND_WRITTEN.parent}/models.h"'
+    )
+
+
+def _robot(drive: str) -> Subject:
+    model = build_model(scene(drive))
+    inputs, settable = len(model.inputs), len(model.inputs) + len(model.parameters)
+    counts = (inputs, settable, settable + len(model.outputs), N_STATISTICS)
+    return _subject(generate_sources(model, EXPERIMENT), counts)
+
+
+def _subject(sources: Sources, counts: tuple[int, int, int, int]) -> Subject:
+    return Subject(sources.runtime, sources.generated, sources.guid, counts)
+
+
+def _block() -> Subject:
+    return _subject(generate_block_sources(pd_controller(), EXPERIMENT), (2, 5, 6, 1))
+
+
+def _trajectory() -> Subject:
+    sources = generate_trajectory_sources(Swing(), EXPERIMENT, axes=["axis"], unit="m")  # type: ignore[arg-type]
+    return _subject(sources, (0, 0, 3, 1))
+
+
+SUBJECTS: dict[str, Callable[[], Subject]] = {
+    "fragile": _fragile,
+    "robot": lambda: _robot("motion"),
+    "torque-driven robot": lambda: _robot("torque"),
+    "block": _block,
+    "trajectory": _trajectory,
+}
+"""Name → function that makes it."""
+
+FILES: dict[str, Callable[[], Path]] = {
+    "robot": lambda: build_scene(scene("motion")).path,
+    "block": lambda: build_block_fmu(pd_controller()).path,
+    "trajectory": lambda: build_trajectory_fmu(Swing(), axes=["axis"], unit="m").path,  # type: ignore[arg-type]
+}
+"""Name → function that builds the FMU, or finds it in the cache."""
