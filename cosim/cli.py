@@ -116,21 +116,60 @@ def fmus(
 
 
 @app.command()
-def run(
+def export(
     scene: SceneArgument,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.ssp", help="Default: the scene's name, here.")
+    ] = None,
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Write a whole scene as one SSP 1.0 file: its FMUs, their connections and parameters.
+
+    Other tools simulate the file as it is; here: flexfmu run FILE.ssp.
+    """
+    with one_line_errors():
+        from flexfmu.cosim.cli_export import export_command
+
+        raise typer.Exit(export_command(scene, output, platform or [], json))
+
+
+@app.command()
+def run(
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE",
+            help="A scene file (TOML), the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg; or an SSP file.",
+            show_default=False,
+        ),
+    ],
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>.")
+    ] = None,
+    step: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Communication step. Default: what the scene or file says.")
     ] = None,
     json: JsonOption = False,
 ) -> None:
     """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
 
-    The FMU is built first unless it is in the cache.
+    The FMU is built first unless it is in the cache. An SSP file, ours or not, gives results.csv and summary.json.
     """
     with one_line_errors():
-        from flexfmu.cosim.cli_run import run_command
+        from flexfmu.cosim.cli_run import RESULTS, run_command
 
-        raise typer.Exit(run_command(scene, out, json))
+        if scene.lower().endswith(".ssp"):
+            from flexfmu.cosim.cli_export import run_ssp_command
+
+            raise typer.Exit(run_ssp_command(Path(scene), out or RESULTS / Path(scene).stem, step, json))
+        raise typer.Exit(run_command(scene, out, json, step))
 
 
 @app.command()
@@ -197,7 +236,7 @@ def validate(
     ],
     json: JsonOption = False,
 ) -> None:
-    """Check an FMU: its model description and archive, then a simulation with its default experiment."""
+    """Check any FMU 2.0: archive, description, binaries, and each claim tried for real; exit status 1 if anything is wrong."""
     with one_line_errors():
         from flexfmu.cosim.cli_fmu import validate_command
 

@@ -27,7 +27,7 @@ RESULTS = Path("results")
 """Where results go unless the user says otherwise, in a folder named after the scene."""
 
 
-def run_command(source: str, out: Path | None, as_json: bool) -> int:
+def run_command(source: str, out: Path | None, as_json: bool, step: float | None = None) -> int:
     """Simulate, write, print; the exit status.
 
     What was recorded before a failure is written too.
@@ -37,7 +37,7 @@ def run_command(source: str, out: Path | None, as_json: bool) -> int:
     folder.prepare()
     with progress() as show:
         show("planning the motion, building the FMU", None)
-        run = run_scene(scene, progress=lambda fraction: show("simulating", fraction))
+        run = run_scene(scene, communication_step=step, progress=lambda fraction: show("simulating", fraction))
         show("writing the results", None)
         run.recording.write_csv(folder.path / "results.csv")
         settings, measurements, problem = _measure(run)
