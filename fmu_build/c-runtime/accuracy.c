@@ -40,9 +40,8 @@ int flex_accuracy_applies(const flex_accuracy *accuracy, const flex_evidence *ev
          evidence->error <= MAX_ERROR_GROWTH * accuracy->error && evidence->bend <= MAX_BEND_GROWTH * accuracy->bend;
 }
 
-double flex_accuracy_error(const flex_accuracy *accuracy, int stages, const flex_evidence *evidence) {
-  // the orders of the two estimates differ by s
-  return evidence->error * accuracy->sharpness * pow(evidence->step / accuracy->step, stages);
+double flex_accuracy_error(const flex_accuracy *accuracy, int excess, const flex_evidence *evidence) {
+  return evidence->error * accuracy->sharpness * pow(evidence->step / accuracy->step, excess);
 }
 
 void flex_accuracy_calibrate(flex_accuracy *accuracy, const flex_evidence *evidence, double true_error) {

@@ -1,4 +1,4 @@
-/* What is known about the local error of a Gauss method of s stages, and the step sizes that follow from it.
+/* What is known about the local error of a collocation method of s stages, and the step sizes that follow from it.
  *
  * The cheap estimate of every step is of order s + 1 only and so far too pessimistic where the method has order 2 s. A
  * calibration, one step against two of half its size, tells how much; until the next one the cheap estimate times what was
@@ -32,8 +32,8 @@ double flex_accuracy_hold(flex_accuracy *accuracy, int stages, double error, dou
 /* whether the last calibration says something about a step */
 int flex_accuracy_applies(const flex_accuracy *accuracy, const flex_evidence *evidence);
 
-/* estimate of the true error of a step to which the calibration applies */
-double flex_accuracy_error(const flex_accuracy *accuracy, int stages, const flex_evidence *evidence);
+/* estimate of the true error of a step to which the calibration applies; excess: of its order over the cheap estimate's */
+double flex_accuracy_error(const flex_accuracy *accuracy, int excess, const flex_evidence *evidence);
 
 /* takes note of the true error of a step */
 void flex_accuracy_calibrate(flex_accuracy *accuracy, const flex_evidence *evidence, double true_error);

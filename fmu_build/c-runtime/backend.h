@@ -14,6 +14,7 @@ typedef struct {
   const double *time;  /* present time [s], within the state */
   const char *message; /* why the last call was refused */
   unsigned n_settable; /* real variables below this value reference are inputs and parameters */
+  unsigned n_outputs;  /* so many after them are outputs */
 } flex_backend;
 
 /* identity of the model description that belongs to this binary */

@@ -37,6 +37,7 @@ flex_backend *flex_backend_create(void *memory) {
   whole->base.time = &block->record->time;
   whole->base.message = block->message;
   whole->base.n_settable = (unsigned)(flex_the_block.n_inputs + flex_the_block.n_parameters);
+  whole->base.n_outputs = (unsigned)flex_the_block.n_outputs;
   return &whole->base;
 }
 

@@ -11,9 +11,9 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
   if (!instance || lacks_arrays(instance, call_fmi2GetReal, vr, value, nvr)) return fmi2Error;
 
   // before initialisation nothing is computed
-  unsigned n_settable = instance->backend->n_settable;
+  unsigned first = instance->backend->n_settable, end = first + instance->backend->n_outputs;
   for (size_t i = 0; i < nvr; i++) {
-    if (flex_phase_of(instance) == INSTANTIATED && vr[i] >= n_settable)
+    if (flex_phase_of(instance) == INSTANTIATED && vr[i] >= first && vr[i] < end)
       return flex_log(instance, fmi2Error, LOG_ERROR, "outputs cannot be read before fmi2EnterInitializationMode");
     if (flex_backend_get_real(instance->backend, vr[i], &value[i])) return flex_log_refusal(instance);
   }

@@ -1,8 +1,9 @@
-/* Integration of r(y, y', y'', u(t)) = 0 by Gauss collocation with control of the local error. */
+/* Integration of r(y, y', y'', u(t)) = 0 by one of several methods, with control of the local error or by fixed steps. */
 #ifndef FLEXFMU_INTEGRATOR_H
 #define FLEXFMU_INTEGRATOR_H
 
 #include "accuracy.h"
+#include "methods.h"
 #include "stages.h"
 
 /* plain numbers, saved and restored with the state of the plant */
@@ -14,23 +15,28 @@ typedef struct {
   long long steps, rejections;
 } flex_integrator_record;
 
-typedef struct {
+struct flex_integrator {
   int n;
+  const flex_method *method;
   flex_stages stages;
   flex_integrator_record *record;
-  const double *floor; /* least scale */
+  const double *floor;      /* least scale */
+  const double *fixed_step; /* [s]; 0 = the error decides */
 
   /* numeric state, one after the other in memory: position, rate, what rounding left of both, acceleration, accelerations
    * at the start, the stages and the end of the last step, factor of the mass matrix */
   double *y, *v, *y_rest, *v_rest, *a, *start_a, *end_a, *stage_a, *mass_factor;
   size_t motion_count;
 
-  /* scratch */
-  double *saved, *full_y, *full_v, *full_a, *defect, *end_u;
-} flex_integrator;
+  /* scratch; explicit methods: rates and accelerations of the stages */
+  double *saved, *full_y, *full_v, *full_a, *defect, *end_u, *explicit_y, *explicit_v, *explicit_a;
+};
 
 void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *arena);
 void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena);
+
+/* chooses the method; with another one, what is known about steps has to be forgotten */
+void flex_integrator_use(flex_integrator *integrator, const flex_method *method);
 
 /* begins a motion at the present y and v: forgets history and step size */
 void flex_integrator_start(flex_integrator *integrator);

@@ -11,7 +11,8 @@ typedef enum {
   FLEX_TOO_SINGULAR,   /* the margin of the mechanism is violated */
   FLEX_TOO_MANY_STEPS, /* the end of the communication step is out of reach */
   FLEX_NO_EQUILIBRIUM, /* Newton's method found no static equilibrium */
-  FLEX_BAD_SCALE       /* the error norm of the model is unusable */
+  FLEX_BAD_SCALE,      /* the error norm of the model is unusable */
+  FLEX_STEP_TOO_LONG   /* the equations could not be solved with the fixed step */
 } flex_outcome;
 
 /* an outcome with the place where it happened */

@@ -4,15 +4,9 @@
 #include <string.h>
 
 #include "linear_algebra.h"
-#include "tableaus.h"
 
 /* what depends on the point of the motion */
 #define POINT (FLEX_HAVE_ACCELERATION | FLEX_HAVE_OUTPUTS | FLEX_HAVE_FIRST_RATES | FLEX_HAVE_SECOND_RATES)
-
-/* below this tolerance four stages are cheaper than three: measured on the five-bar with 12 coordinates, where three of them
- * need 4000 iterated stages for 1e-5 in free steps against 3000 for four, but communication steps of 0.2 ms are short enough
- * for three down to 1e-7 */
-#define FOUR_STAGES_TOLERANCE 3e-7
 
 // pieces of an instance in memory; the numeric state first
 static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) {
@@ -70,12 +64,14 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
   integrator->stages.position_weight = plant->scale;
   integrator->stages.rate_weight = plant->scale + model->n;
   integrator->floor = plant->scale + 2 * model->n;
+  integrator->fixed_step = &plant->record->fixed_step;
   flex_plant_reset(plant);
   return plant;
 }
 
-static void choose_stages(flex_plant *plant) {
-  flex_stages_use(&plant->integrator.stages, plant->record->tolerance < FOUR_STAGES_TOLERANCE ? &flex_gauss_4 : &flex_gauss_3);
+static void choose_method(flex_plant *plant) {
+  const flex_plant_record *record = plant->record;
+  flex_integrator_use(&plant->integrator, flex_find_method(record->method, record->tolerance));
 }
 
 void flex_plant_reset(flex_plant *plant) {
@@ -83,10 +79,11 @@ void flex_plant_reset(flex_plant *plant) {
   memset(plant->record, 0, plant->state_size);
   plant->record->tolerance = model->default_tolerance;
   plant->record->starts_static = model->static_start;
+  plant->record->method = FLEX_AUTOMATIC;
   for (int i = 0; i < model->n_parameters; i++) plant->p[i] = model->parameter_variables[i].start;
   flex_inputs_clear(&plant->inputs);
   plant->message[0] = '\0';
-  choose_stages(plant);
+  choose_method(plant);
 }
 
 void flex_plant_set_start_time(flex_plant *plant, double time) {
@@ -96,7 +93,7 @@ void flex_plant_set_start_time(flex_plant *plant, double time) {
 }
 
 void flex_plant_restored(flex_plant *plant) {
-  choose_stages(plant);
+  choose_method(plant);
 }
 
 void flex_plant_parameters_changed(flex_plant *plant) {
@@ -217,7 +214,7 @@ static flex_failure need_start(flex_plant *plant) {
   outcome = start_undeformed(plant, &value);
   if (outcome == FLEX_DONE) outcome = start_static(plant, &value);
   if (outcome != FLEX_DONE) return outcome_now(plant, outcome, value);
-  choose_stages(plant);
+  choose_method(plant);
   flex_integrator_start(&plant->integrator);
   record->have = (record->have | FLEX_HAVE_START) & ~POINT;
   return outcome_now(plant, FLEX_DONE, 0.0);

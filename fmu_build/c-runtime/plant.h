@@ -23,7 +23,8 @@ enum {
 
 /* the scalars of the numeric state */
 typedef struct {
-  double time, tolerance;
+  double time, tolerance, fixed_step; /* [s], [1], [s]; fixed_step: 0 = the error decides */
+  int method;        /* FLEX_AUTOMATIC or one of the other methods */
   int starts_static; /* 1 = static equilibrium, 0 = undeformed */
   int is_moving;     /* 1 = initialisation is over */
   int have;          /* FLEX_HAVE_.. */

@@ -36,6 +36,7 @@ flex_backend *flex_backend_create(void *memory) {
   whole->base.time = &plant->record->time;
   whole->base.message = plant->message;
   whole->base.n_settable = (unsigned)(flex_the_model.n_inputs + flex_the_model.n_parameters);
+  whole->base.n_outputs = (unsigned)flex_the_model.n_outputs;
   return &whole->base;
 }
 

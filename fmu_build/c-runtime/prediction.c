@@ -15,9 +15,14 @@ static void interpolate(int n, int n_nodes, const double *nodes, const double *c
   }
 }
 
+// whether the end of a step is a node besides those of the method
+static int adds_end(const flex_tableau *tableau) {
+  return tableau->c[tableau->stages - 1] < 1.0;
+}
+
 void flex_predict(int n, const flex_tableau *tableau, const flex_history *history, double first, double ratio,
                   double *prediction) {
-  int s = tableau->stages, n_nodes = history->end ? s + 2 : s + 1;
+  int s = tableau->stages, n_nodes = history->end && adds_end(tableau) ? s + 2 : s + 1;
   double nodes[FLEX_MAX_STAGES + 2];
   const double *values[FLEX_MAX_STAGES + 2];
   nodes[0] = 0.0;
@@ -32,7 +37,8 @@ void flex_predict(int n, const flex_tableau *tableau, const flex_history *histor
 }
 
 double flex_prediction_reach(const flex_tableau *tableau, double history, double h) {
-  double x = 1.0 + h / history, reach = x * (x - 1.0);
+  int order = tableau->stages + 1 + adds_end(tableau);
+  double x = 1.0 + h / history, reach = adds_end(tableau) ? x * (x - 1.0) : x;
   for (int i = 0; i < tableau->stages; i++) reach *= x - tableau->c[i];
-  return reach * pow(history, tableau->stages + 2);
+  return reach * pow(history, order);
 }

@@ -1,8 +1,8 @@
-/* Gauss collocation methods as data.
+/* Collocation methods as data: nodes c, weights b and the matrix A.
  *
- * Nodes c, weights b and the matrix A are the classical ones (Butcher 1964; Hairer, Norsett, Wanner: Solving Ordinary
- * Differential Equations I, section II.7); a method of s stages has order 2 s, is A-stable and symplectic. For equations
- * of second order the stage positions need A*A and the end position the weights b_i (1 - c_i) (the same book, II.14).
+ * A Gauss method of s stages has order 2 s, is A-stable and symplectic: it damps nothing. Radau IIA has order 2 s - 1 and
+ * is L-stable: it damps what it doesn't resolve. For equations of second order the stage positions need A*A and the end
+ * position the weights b_i (1 - c_i) (Hairer, Norsett, Wanner: Solving Ordinary Differential Equations I, section II.14).
  *
  * A is diagonal in the basis of its eigenvectors, so that Newton's method on s n unknowns splits into one system of n
  * unknowns for every eigenvalue (Butcher 1976; Hairer, Wanner: Solving ODEs II, section IV.8). Only one of two conjugate
@@ -25,7 +25,7 @@ typedef struct {
 } flex_eigenvalue;
 
 typedef struct {
-  int stages, n_blocks;
+  int stages, order, n_blocks;
   double c[FLEX_MAX_STAGES];
   double b[FLEX_MAX_STAGES];
   double b_position[FLEX_MAX_STAGES]; /* b_i (1 - c_i) */
@@ -36,6 +36,6 @@ typedef struct {
   flex_eigenvalue blocks[FLEX_MAX_BLOCKS];
 } flex_tableau;
 
-extern const flex_tableau flex_gauss_2, flex_gauss_3, flex_gauss_4;
+extern const flex_tableau flex_gauss_2, flex_gauss_3, flex_gauss_4, flex_radau_3;
 
 #endif

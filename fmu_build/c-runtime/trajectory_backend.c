@@ -63,6 +63,7 @@ flex_backend *flex_backend_create(void *memory) {
   backend->base.state_size = sizeof *backend->record;
   backend->base.time = &backend->record->time;
   backend->base.message = backend->message;
+  backend->base.n_outputs = (unsigned)(FLEX_KINDS * flex_the_trajectory.n_axes);
   flex_backend_reset(&backend->base);
   return &backend->base;
 }

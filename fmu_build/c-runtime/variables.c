@@ -1,6 +1,7 @@
 #include "variables.h"
 
 #include <limits.h>
+#include <math.h>
 
 #define refuse(plant, ...) flex_refuse((plant)->message, __VA_ARGS__)
 
@@ -41,6 +42,12 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
     case FLEX_BAD_SCALE:
       refuse(plant, "%s: the parameters give an unusable error norm; check masses, lengths and material", what);
       break;
+    case FLEX_STEP_TOO_LONG:
+      refuse(plant,
+             "%s: at %.9g s the equations of motion cannot be solved with the fixed step %.6g s; make integrator.step smaller, "
+             "or 0 for error control",
+             what, t, value);
+      break;
   }
 }
 
@@ -51,9 +58,16 @@ static int failed(flex_plant *plant, const char *what, flex_failure failure) {
   return 1;
 }
 
-static int is_known(flex_plant *plant, unsigned index) {
+/* the real variable that belongs to the integrator, not to the model */
+static const flex_variable fixed_step = {"integrator.step", "s", 0.0, 0.0, HUGE_VAL, 0};
+
+static unsigned fixed_step_index(const flex_plant *plant) {
   const flex_model *model = plant->model;
-  return !flex_refuse_reference(plant->message, index, model->n_inputs + model->n_parameters + model->n_outputs);
+  return (unsigned)(model->n_inputs + model->n_parameters + model->n_outputs);
+}
+
+static int is_known(flex_plant *plant, unsigned index) {
+  return !flex_refuse_reference(plant->message, index, (int)fixed_step_index(plant) + 1);
 }
 
 int flex_get_real(flex_plant *plant, unsigned index, double *value) {
@@ -67,6 +81,8 @@ int flex_get_real(flex_plant *plant, unsigned index, double *value) {
     *value = shown;
   } else if (index < m + p) {
     *value = plant->p[index - m];
+  } else if (index == fixed_step_index(plant)) {
+    *value = plant->record->fixed_step;
   } else {
     if (failed(plant, "computing outputs", flex_plant_need_outputs(plant))) return 1;
     *value = plant->outputs[index - m - p];
@@ -74,14 +90,24 @@ int flex_get_real(flex_plant *plant, unsigned index, double *value) {
   return 0;
 }
 
-static int set_parameter(flex_plant *plant, int index, double value) {
-  const flex_variable *variable = &plant->model->parameter_variables[index];
+static int refuse_parameter(flex_plant *plant, const flex_variable *variable, double value) {
   if (plant->record->is_moving && !variable->tunable)
     return refuse(plant, "parameter %s is fixed once the motion has begun; reset the instance to change it", variable->name);
-  if (flex_refuse_value(plant->message, variable, value)) return 1;
+  return flex_refuse_value(plant->message, variable, value);
+}
+
+static int set_parameter(flex_plant *plant, int index, double value) {
+  if (refuse_parameter(plant, &plant->model->parameter_variables[index], value)) return 1;
   if (plant->p[index] == value) return 0;
   plant->p[index] = value;
   flex_plant_parameters_changed(plant);
+  return 0;
+}
+
+static int set_fixed_step(flex_plant *plant, double value) {
+  if (refuse_parameter(plant, &fixed_step, value)) return 1;
+  plant->record->fixed_step = value;
+  flex_plant_start_changed(plant);
   return 0;
 }
 
@@ -89,6 +115,7 @@ int flex_set_real(flex_plant *plant, unsigned index, double value) {
   const flex_model *model = plant->model;
   unsigned m = (unsigned)model->n_inputs, p = (unsigned)model->n_parameters;
   if (!is_known(plant, index)) return 1;
+  if (index == fixed_step_index(plant)) return set_fixed_step(plant, value);
   if (index >= m + p) return refuse(plant, "%s is an output, it cannot be set", model->output_variables[index - m - p].name);
   if (index >= m) return set_parameter(plant, (int)(index - m), value);
   if (flex_refuse_value(plant->message, &model->input_variables[index], value)) return 1;
@@ -110,22 +137,37 @@ int flex_get_integer(flex_plant *plant, unsigned index, int *value) {
     case FLEX_EVALUATIONS: *value = clamped(record->stages.evaluations); return 0;
     case FLEX_ITERATIONS: *value = clamped(record->stages.iterations); return 0;
     case FLEX_FACTORISATIONS: *value = clamped(record->stages.matrix.factorisations); return 0;
+    case FLEX_INTEGRATOR: *value = record->method; return 0;
   }
   return refuse(plant, "value reference %u of an integer variable is unknown; there are %d", index, FLEX_N_INTEGERS);
 }
 
+static const char integrators[] = "1 (automatic), 2, 3, 4 (Gauss with so many stages), 5 (Radau IIA), 6 (Dormand-Prince) or "
+                                  "7 (classical Runge-Kutta)";
+
+// 0 if a choice may be made now and has one of the values 1 to `last`
+static int refuse_choice(flex_plant *plant, const char *name, int value, int last, const char *meanings) {
+  if (value < 1 || value > last) return refuse(plant, "%s must be %s, got %d", name, meanings, value);
+  if (!plant->record->is_moving) return 0;
+  return refuse(plant, "%s is fixed once the motion has begun; reset the instance to change it", name);
+}
+
 int flex_set_integer(flex_plant *plant, unsigned index, int value) {
-  if (index >= FLEX_N_INTEGERS)
-    return refuse(plant, "value reference %u of an integer variable is unknown; there are %d", index, FLEX_N_INTEGERS);
-  if (index != FLEX_INITIAL)
+  switch (index) {
+    case FLEX_INITIAL:
+      if (refuse_choice(plant, "initial", value, FLEX_UNDEFORMED, "1 (static) or 2 (undeformed)")) return 1;
+      plant->record->starts_static = value == FLEX_STATIC;
+      flex_plant_start_changed(plant);
+      return 0;
+    case FLEX_INTEGRATOR:
+      if (refuse_choice(plant, "integrator", value, FLEX_LAST_INTEGRATOR, integrators)) return 1;
+      plant->record->method = value;
+      flex_plant_start_changed(plant);
+      return 0;
+  }
+  if (index < FLEX_N_INTEGERS)
     return refuse(plant, "integer variable %u counts the integrator's work, it cannot be set", index);
-  if (value != FLEX_STATIC && value != FLEX_UNDEFORMED)
-    return refuse(plant, "initial must be 1 (static) or 2 (undeformed), got %d", value);
-  if (plant->record->is_moving)
-    return refuse(plant, "initial is fixed once the motion has begun; reset the instance to change it");
-  plant->record->starts_static = value == FLEX_STATIC;
-  flex_plant_start_changed(plant);
-  return 0;
+  return refuse(plant, "value reference %u of an integer variable is unknown; there are %d", index, FLEX_N_INTEGERS);
 }
 
 int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, double value) {
@@ -143,7 +185,8 @@ int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, dou
   const flex_model *model = plant->model;
   unsigned first = (unsigned)(model->n_inputs + model->n_parameters);
   if (!is_known(plant, index)) return 1;
-  if (index < first) return refuse(plant, "value reference %u is no output, it has no derivatives", index);
+  if (index < first || index == fixed_step_index(plant))
+    return refuse(plant, "value reference %u is no output, it has no derivatives", index);
   if (order < 1 || order > 2)
     return refuse(plant, "derivatives of %s are of order 1 or 2, got order %d", model->output_variables[index - first].name,
                   order);

@@ -1,4 +1,4 @@
-/* The variables of a plant by index, with checks; reals are numbered inputs | parameters | outputs.
+/* The variables of a plant by index, with checks; reals are numbered inputs | parameters | outputs | fixed step.
  *
  * Every function returns 0, or 1 with a sentence in plant->message and nothing changed. */
 #ifndef FLEXFMU_VARIABLES_H
@@ -6,8 +6,17 @@
 
 #include "plant.h"
 
-/* integers: the choice of the start and the statistics of the integrator */
-enum { FLEX_INITIAL, FLEX_STEPS, FLEX_REJECTIONS, FLEX_EVALUATIONS, FLEX_ITERATIONS, FLEX_FACTORISATIONS, FLEX_N_INTEGERS };
+/* integers: the choices of the start and the integrator, and what that has done */
+enum {
+  FLEX_INITIAL,
+  FLEX_STEPS,
+  FLEX_REJECTIONS,
+  FLEX_EVALUATIONS,
+  FLEX_ITERATIONS,
+  FLEX_FACTORISATIONS,
+  FLEX_INTEGRATOR,
+  FLEX_N_INTEGERS
+};
 
 /* values of `initial` */
 enum { FLEX_STATIC = 1, FLEX_UNDEFORMED = 2 };

@@ -8,8 +8,8 @@
 #include "models.h"
 #include "tests.h"
 
-enum { FORCE, LIMIT, LOAD, POSITION };
-enum { INITIAL, STEPS };
+enum { FORCE, LIMIT, LOAD, POSITION, FIXED_STEP };
+enum { INITIAL, STEPS, INTEGRATOR = 6 };
 
 /* what the importer hears and gives, per instance */
 typedef struct {
@@ -270,8 +270,11 @@ void test_fmi_values_are_checked(void) {
   CHECK(strstr(ear.message, "load must be in -5 .. 5 N, got -5.5") != NULL);
   CHECK(set(c, POSITION, 0.0) == fmi2Error);
   CHECK(strstr(ear.message, "position is an output") != NULL);
-  CHECK(set(c, 4, 0.0) == fmi2Error);
-  CHECK(strstr(ear.message, "value reference 4") != NULL);
+  CHECK(set(c, FIXED_STEP, -1e-3) == fmi2Error);
+  CHECK(strstr(ear.message, "integrator.step must be in 0 .. inf s, got -0.001") != NULL);
+  CHECK(set(c, FIXED_STEP, 1e-3) == fmi2OK && get(c, FIXED_STEP) == 1e-3);
+  CHECK(set(c, FIXED_STEP + 1, 0.0) == fmi2Error);
+  CHECK(strstr(ear.message, "value reference 5") != NULL);
   double value;
   const fmi2ValueReference position = POSITION;
   CHECK(fmi2GetReal(c, &position, 1, &value) == fmi2Error);
@@ -282,12 +285,16 @@ void test_fmi_values_are_checked(void) {
   CHECK(set_derivative(c, 1, NAN) == fmi2Error);
   CHECK(get(c, FORCE) == 0.0 && get(c, LOAD) == 0.0);
 
-  const fmi2ValueReference initial = INITIAL, steps = STEPS, unknown = 6, text = 0;
-  const fmi2Integer three = 3, two = 2;
+  const fmi2ValueReference initial = INITIAL, steps = STEPS, unknown = 7, text = 0;
+  const fmi2ValueReference integrator = INTEGRATOR;
+  const fmi2Integer three = 3, two = 2, eight = 8;
   fmi2Boolean truth = 0;
   CHECK(fmi2SetInteger(c, &initial, 1, &three) == fmi2Error);
   CHECK(strstr(ear.message, "1 (static) or 2 (undeformed), got 3") != NULL);
   CHECK(fmi2SetInteger(c, &steps, 1, &two) == fmi2Error);
+  CHECK(fmi2SetInteger(c, &integrator, 1, &eight) == fmi2Error);
+  CHECK(strstr(ear.message, "integrator must be 1 (automatic), 2") != NULL);
+  CHECK(fmi2SetInteger(c, &integrator, 1, &two) == fmi2OK && get_integer(c, INTEGRATOR) == 2);
   CHECK(fmi2SetInteger(c, &unknown, 1, &two) == fmi2Error);
   CHECK(fmi2SetInteger(c, &initial, 1, &two) == fmi2OK && get_integer(c, INITIAL) == 2);
   CHECK(fmi2SetBoolean(c, &text, 1, &truth) == fmi2Error);

@@ -4,6 +4,7 @@
 #include "check.h"
 #include "inputs.h"
 #include "linear_algebra.h"
+#include "explicit_tableaus.h"
 #include "tableaus.h"
 #include "tests.h"
 
@@ -84,21 +85,21 @@ void test_linear_solvers_refuse_singular_matrices(void) {
   CHECK(flex_cholesky_factor(1, poisoned_again) == 1);
 }
 
-static const flex_tableau *const tableaus[] = {&flex_gauss_2, &flex_gauss_3, &flex_gauss_4};
+static const flex_tableau *const tableaus[] = {&flex_gauss_2, &flex_gauss_3, &flex_gauss_4, &flex_radau_3};
 
 // a wrong digit in a table costs orders of convergence
 void test_tableaus_meet_the_order_conditions(void) {
-  for (int t = 0; t < 3; t++) {
+  for (int t = 0; t < 4; t++) {
     const flex_tableau *m = tableaus[t];
     int s = m->stages;
-    CHECK(s == t + 2);
+    CHECK(m->order == (t == 3 ? 5 : 2 * s));
 
-    // quadrature of order 2 s, positions of order 2 s
-    for (int k = 0; k < 2 * s; k++) {
+    // quadrature and positions of the method's order
+    for (int k = 0; k < m->order; k++) {
       double rate = 0.0, position = 0.0;
       for (int i = 0; i < s; i++) rate += m->b[i] * pow(m->c[i], k), position += m->b_position[i] * pow(m->c[i], k);
       CHECK_CLOSE(rate, 1.0 / (k + 1), 1e-15);
-      if (k < 2 * s - 1) CHECK_CLOSE(position, 1.0 / ((k + 1) * (k + 2.0)), 1e-15);
+      if (k < m->order - 1) CHECK_CLOSE(position, 1.0 / ((k + 1) * (k + 2.0)), 1e-15);
     }
 
     // stages integrate polynomials up to degree s - 1 once, up to s - 2 twice; the polynomial through them reaches both ends
@@ -127,9 +128,53 @@ void test_tableaus_are_symplectic(void) {
   }
 }
 
+// conditions up to order 5 for the rooted trees (Hairer, Norsett, Wanner: Solving ODEs I, table II.2.2)
+static void check_order_conditions(const flex_explicit_tableau *m, const double *b, int order) {
+  const int orders[] = {1, 2, 3, 3, 4, 4, 4, 4, 5, 5, 5, 5, 5, 5, 5, 5, 5};
+  const double densities[] = {1, 2, 3, 6, 4, 8, 12, 24, 5, 10, 15, 30, 20, 20, 40, 60, 120};
+  double sums[17] = {0.0};
+  for (int i = 0; i < m->stages; i++) {
+    // what each node of a tree contributes: sums over a of powers of c, once, twice and three times
+    double c = m->c[i], ac = 0.0, ac2 = 0.0, ac3 = 0.0, aac = 0.0, aac2 = 0.0, acac = 0.0, aaac = 0.0;
+    for (int j = 0; j < i; j++) {
+      double cj = m->c[j], inner = 0.0, inner2 = 0.0, inner3 = 0.0;
+      for (int k = 0; k < j; k++) {
+        double innermost = 0.0;
+        for (int l = 0; l < k; l++) innermost += m->a[k][l] * m->c[l];
+        inner += m->a[j][k] * m->c[k], inner2 += m->a[j][k] * m->c[k] * m->c[k], inner3 += m->a[j][k] * innermost;
+      }
+      ac += m->a[i][j] * cj, ac2 += m->a[i][j] * cj * cj, ac3 += m->a[i][j] * cj * cj * cj;
+      aac += m->a[i][j] * inner, aac2 += m->a[i][j] * inner2, acac += m->a[i][j] * cj * inner, aaac += m->a[i][j] * inner3;
+    }
+    const double trees[17] = {1,     c,           c * c,   ac,       c * c * c, c * ac, ac2,  aac, c * c * c * c, c * c * ac,
+                              c * ac2, c * aac, ac * ac, ac3, acac,     aac2,   aaac};
+    for (int t = 0; t < 17; t++) sums[t] += b[i] * trees[t];
+  }
+  for (int t = 0; t < 17; t++)
+    if (orders[t] <= order) CHECK_CLOSE(sums[t], 1.0 / densities[t], 1e-14);
+}
+
+// a wrong fraction in a published table would still integrate, only worse
+void test_explicit_tableaus_meet_the_order_conditions(void) {
+  const flex_explicit_tableau *const explicits[] = {&flex_dormand_prince, &flex_runge_kutta_4};
+  for (int t = 0; t < 2; t++) {
+    const flex_explicit_tableau *m = explicits[t];
+    double embedded[FLEX_MAX_EXPLICIT_STAGES];
+    for (int i = 0; i < m->stages; i++) {
+      double sum = 0.0;
+      for (int j = 0; j < i; j++) sum += m->a[i][j];
+      CHECK_CLOSE(sum, m->c[i], 1e-14);
+      embedded[i] = m->b[i] - m->b_error[i];
+      if (m->ends_last) CHECK(m->a[m->stages - 1][i] == m->b[i]);
+    }
+    check_order_conditions(m, m->b, m->order);
+    if (m->is_embedded) check_order_conditions(m, embedded, m->order - 1);
+  }
+}
+
 // Newton's method is solved in the eigenvectors: A and A A must come back from them
 void test_tableaus_are_diagonal_in_their_eigenvectors(void) {
-  for (int t = 0; t < 3; t++) {
+  for (int t = 0; t < 4; t++) {
     const flex_tableau *m = tableaus[t];
     for (int i = 0; i < m->stages; i++)
       for (int j = 0; j < m->stages; j++) {

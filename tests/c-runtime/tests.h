@@ -7,6 +7,7 @@
   X(linear_solvers_refuse_singular_matrices)    \
   X(tableaus_meet_the_order_conditions)         \
   X(tableaus_are_symplectic)                    \
+  X(explicit_tableaus_meet_the_order_conditions) \
   X(tableaus_are_diagonal_in_their_eigenvectors) \
   X(inputs_are_polynomials)                     \
   X(inputs_forget_derivatives_when_set)         \
@@ -19,6 +20,11 @@
   X(forced_motion_is_exact)                     \
   X(jumps_of_the_input_are_met)                 \
   X(jerks_are_noticed)                          \
+  X(every_method_has_its_order)                 \
+  X(every_method_meets_the_tolerance)           \
+  X(radau_damps_and_gauss_does_not)             \
+  X(fixed_steps_that_are_too_long_are_explained) \
+  X(every_method_rolls_back)                    \
   X(energy_stays_over_many_steps)               \
   X(energy_stays_in_nonlinear_motion)           \
   X(orbit_keeps_energy_and_momentum)            \

@@ -2,9 +2,10 @@
 
 // clang-format off
 
-/* order 4 */
+/* Gauss methods, order 2 s (Kuntzmann 1961, Butcher 1964; Hairer, Norsett, Wanner: Solving ODEs I, section II.7) */
+
 const flex_tableau flex_gauss_2 = {
-  .stages = 2, .n_blocks = 1,
+  .stages = 2, .order = 4, .n_blocks = 1,
   .c = {0.21132486540518711775, 0.78867513459481288225},
   .b = {0.5, 0.5},
   .b_position = {0.39433756729740644113, 0.10566243270259355887},
@@ -23,9 +24,8 @@ const flex_tableau flex_gauss_2 = {
   },
 };
 
-/* order 6 */
 const flex_tableau flex_gauss_3 = {
-  .stages = 3, .n_blocks = 2,
+  .stages = 3, .order = 6, .n_blocks = 2,
   .c = {0.11270166537925831148, 0.5, 0.88729833462074168852},
   .b = {0.27777777777777777778, 0.44444444444444444444, 0.27777777777777777778},
   .b_position = {0.24647175961687269125, 0.22222222222222222222, 0.031306018160905086523},
@@ -55,9 +55,8 @@ const flex_tableau flex_gauss_3 = {
   },
 };
 
-/* order 8 */
 const flex_tableau flex_gauss_4 = {
-  .stages = 4, .n_blocks = 2,
+  .stages = 4, .order = 8, .n_blocks = 2,
   .c = {0.069431844202973712388, 0.3300094782075718676, 0.6699905217924281324, 0.93056815579702628761},
   .b = {0.17392742256872692869, 0.32607257743127307131, 0.32607257743127307131, 0.17392742256872692869},
   .b_position = {0.16185132086231030665, 0.2184655362953805703, 0.10760704113589250101, 0.012076101706416622036},

@@ -1,0 +1,202 @@
+/* Steps of collocation methods. */
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "integration_step.h"
+#include "prediction.h"
+
+/* share of the local error that unfinished Newton iterations may use. What they leave drives stiff modes without damping
+ * step by step: with 0.01 these rang so loudly after 10^4 steps that they had to be resolved, at six times the cost */
+#define NEWTON_SHARE 0.001
+
+/* the cheap estimate: weights of the defect at the start of a step in the rates (times h) and the positions (times h^2);
+ * their size hardly matters, since calibration finds what they are worth */
+#define DEFECT_RATE 0.2
+#define DEFECT_POSITION 0.05
+
+// prediction from the last step, shifted by the jump of the acceleration at the present time
+static void predict_from_history(flex_integrator *integrator, double h) {
+  const flex_history history = {integrator->start_a, integrator->stage_a, integrator->end_a};
+  int n = integrator->n, s = integrator->stages.tableau->stages;
+  double *a = integrator->stages.acceleration;
+  if (integrator->record->history_step == 0.0) {
+    for (int i = 0; i < s; i++) memcpy(a + i * n, integrator->a, (size_t)n * sizeof *a);
+    return;
+  }
+  flex_predict(n, integrator->stages.tableau, &history, 1.0, h / integrator->record->history_step, a);
+  for (int i = 0; i < s; i++)
+    for (int c = 0; c < n; c++) a[i * n + c] += integrator->a[c] - integrator->end_a[c];
+}
+
+// what the prediction missed for its reach: a high derivative of the motion, which jumps where one of the inputs does
+static double bend(const flex_integrator *integrator, double h) {
+  double history = integrator->record->history_step;
+  if (history == 0.0) return HUGE_VAL;
+  return integrator->stages.record->misprediction / (h * flex_prediction_reach(integrator->stages.tableau, history, h));
+}
+
+// change of position and rate over a step
+static void step_increment(const flex_integrator *integrator, double h, int c, double *dy, double *dv) {
+  const flex_tableau *tableau = integrator->stages.tableau;
+  const double *a = integrator->stages.acceleration + c;
+  double position = 0.0, rate = 0.0;
+  for (int i = 0; i < tableau->stages; i++) {
+    position += tableau->b_position[i] * a[i * integrator->n];
+    rate += tableau->b[i] * a[i * integrator->n];
+  }
+  *dy = h * integrator->v[c] + h * h * position;
+  *dv = h * rate;
+}
+
+// moves on to the end of a step whose stages are solved
+static flex_outcome finish(flex_integrator *integrator, double t, double h, double *margin) {
+  flex_integrator_record *record = integrator->record;
+  int n = integrator->n, s = integrator->stages.tableau->stages;
+  size_t size = (size_t)n * sizeof(double);
+
+  // end of the quadrature
+  for (int c = 0; c < n; c++) {
+    double dy, dv;
+    step_increment(integrator, h, c, &dy, &dv);
+    flex_step_move(integrator, c, dy, dv);
+  }
+
+  // polynomial of this step, and its value at the end as first guess
+  memcpy(integrator->start_a, integrator->a, size);
+  memcpy(integrator->stage_a, integrator->stages.acceleration, (size_t)s * size);
+  memset(integrator->a, 0, size);
+  for (int i = 0; i < s; i++)
+    for (int c = 0; c < n; c++) integrator->a[c] += integrator->stages.tableau->at_end[i] * integrator->stage_a[i * n + c];
+
+  // acceleration at the end
+  flex_inputs_evaluate(integrator->stages.inputs, t, h, integrator->end_u);
+  flex_outcome outcome = flex_integrator_accelerate(integrator, integrator->end_u);
+  if (outcome == FLEX_DONE) outcome = flex_step_check_margin(integrator, integrator->end_u, margin);
+  memcpy(integrator->end_a, integrator->a, size);
+  record->history_step = h;
+  flex_step_count(integrator);
+  return outcome;
+}
+
+// solves the stages of a step, to a part of the local error that it may make
+static flex_outcome solve(flex_integrator *integrator, double t, double h, double allowed) {
+  const flex_integrator_record *record = integrator->record;
+  double share = record->step > h ? h / record->step : 1.0;
+  return flex_stages_solve(&integrator->stages, t, h, integrator->y, integrator->v, integrator->a, record->scale,
+                           NEWTON_SHARE * share * allowed);
+}
+
+// the cheap estimate: acceleration at the start against the polynomial of the stages, without what stiff modes add
+static double cheap_error(flex_integrator *integrator, double h) {
+  const flex_tableau *tableau = integrator->stages.tableau;
+  int n = integrator->n;
+  double *defect = integrator->defect;
+  for (int c = 0; c < n; c++) {
+    double value = integrator->a[c];
+    for (int i = 0; i < tableau->stages; i++) value -= tableau->at_start[i] * integrator->stages.acceleration[i * n + c];
+    defect[c] = value;
+  }
+  flex_newton_filter(&integrator->stages.matrix, defect);
+  double rate = DEFECT_RATE * h, position = DEFECT_POSITION * h * h, sum = 0.0;
+  for (int c = 0; c < n; c++) {
+    double of_rate = rate * rate * integrator->stages.rate_weight[c];
+    double of_position = position * position * integrator->stages.position_weight[c];
+    sum += (of_rate + of_position) * defect[c] * defect[c];
+  }
+  return sqrt(sum);
+}
+
+// two steps of half the size, predicted by the full step
+static flex_outcome take_halves(flex_integrator *integrator, double t, double h, double allowed, double *value) {
+  const flex_history full = {integrator->saved + (integrator->a - integrator->y), integrator->full_a, NULL};
+  for (int half = 0; half < 2; half++) {
+    double start = t + half * 0.5 * h;
+    flex_predict(integrator->n, integrator->stages.tableau, &full, 0.5 * half, 0.5, integrator->stages.acceleration);
+    flex_outcome outcome = solve(integrator, start, 0.5 * h, 0.5 * allowed);
+    if (outcome == FLEX_DONE) outcome = finish(integrator, start, 0.5 * h, value);
+    if (outcome != FLEX_DONE) return outcome;
+  }
+  return FLEX_DONE;
+}
+
+// one step, whose stages are solved, against two halves; the halves are kept
+static flex_outcome calibrate(flex_integrator *integrator, const flex_integrator_record *before, double t,
+                              const flex_evidence *evidence, double allowed, double *value) {
+  flex_integrator_record *record = integrator->record;
+  int n = integrator->n, s = integrator->stages.tableau->stages, order = integrator->method->order;
+  double h = evidence->step;
+
+  // result of the full step
+  for (int c = 0; c < n; c++) {
+    double dy, dv;
+    step_increment(integrator, h, c, &dy, &dv);
+    integrator->full_y[c] = integrator->y[c] + dy;
+    integrator->full_v[c] = integrator->v[c] + dv;
+  }
+  memcpy(integrator->full_a, integrator->stages.acceleration, (size_t)(s * n) * sizeof(double));
+  flex_outcome outcome = take_halves(integrator, t, h, allowed, value);
+  if (outcome != FLEX_DONE) return flex_step_reject(integrator, before, FLEX_FAILED_SHRINK * h, outcome);
+
+  // difference of the results = error of the full step, but for a factor 1 - 2^-order
+  for (int c = 0; c < n; c++) {
+    integrator->full_y[c] -= integrator->y[c];
+    integrator->full_v[c] -= integrator->v[c];
+  }
+  double error = flex_error_norm(&integrator->stages, integrator->full_y, integrator->full_v);
+  if (!isfinite(error)) return flex_step_reject(integrator, before, FLEX_FAILED_SHRINK * h, FLEX_NOT_FINITE);
+  double fitting = flex_fitting_step(h, error, allowed, integrator->method->local_order);
+  double halves_error = error / (ldexp(1.0, order) - 1.0);
+  if (halves_error > allowed) {
+    *value = halves_error / record->scale;
+    return flex_step_reject(integrator, before, flex_smaller_step(h, fitting, FLEX_HALVED_SHRINK), FLEX_INACCURATE);
+  }
+  flex_accuracy_calibrate(&record->accuracy, evidence, error);
+  record->step = flex_next_step(h, record->step, fitting);
+  return FLEX_DONE;
+}
+
+// one step whose stages are solved, or two of half its size, as the error asks for
+static flex_outcome control(flex_integrator *integrator, const flex_integrator_record *before, double t, double h,
+                            double allowed, double *value) {
+  flex_integrator_record *record = integrator->record;
+  const flex_method *method = integrator->method;
+  int s = method->collocation->stages;
+
+  // the cheap estimate alone is enough where it is small
+  double cheap = flex_accuracy_hold(&record->accuracy, s, cheap_error(integrator, h), h);
+  const flex_evidence evidence = {h, cheap, bend(integrator, h)};
+  int is_small = evidence.error <= allowed, applies = flex_accuracy_applies(&record->accuracy, &evidence);
+  if (!is_small && !applies) return calibrate(integrator, before, t, &evidence, allowed, value);
+
+  // step size that would fit, by the better one of the two estimates
+  double fitting = flex_fitting_step(h, evidence.error, allowed, s + 1);
+  if (applies) {
+    double error = flex_accuracy_error(&record->accuracy, method->local_order - (s + 1), &evidence);
+    double sharp_fitting = flex_fitting_step(h, error, allowed, method->local_order);
+    *value = error / record->scale;
+    if (!is_small && error > allowed) {
+      double smaller = flex_smaller_step(h, sharp_fitting, FLEX_INACCURATE_SHRINK);
+      return flex_step_reject(integrator, before, smaller, FLEX_INACCURATE);
+    }
+    fitting = fmax(fitting, sharp_fitting);
+  }
+
+  // on to the end of the step
+  flex_outcome outcome = finish(integrator, t, h, value);
+  if (outcome != FLEX_DONE) return flex_step_reject(integrator, before, FLEX_FAILED_SHRINK * h, outcome);
+  record->accuracy.age++;
+  record->step = flex_next_step(h, record->step, fitting);
+  return FLEX_DONE;
+}
+
+flex_outcome flex_collocation_step(flex_integrator *integrator, double t, double h, double allowed, double *value) {
+  const flex_integrator_record before = *integrator->record;
+  int is_fixed = *integrator->fixed_step > 0.0;
+  flex_step_save(integrator);
+  predict_from_history(integrator, h);
+  flex_outcome outcome = solve(integrator, t, h, allowed);
+  if (outcome == FLEX_DONE && !is_fixed) return control(integrator, &before, t, h, allowed, value);
+  if (outcome == FLEX_DONE) outcome = finish(integrator, t, h, value);
+  return outcome == FLEX_DONE ? outcome : flex_step_reject(integrator, &before, FLEX_FAILED_SHRINK * h, outcome);
+}

@@ -1,0 +1,19 @@
+#include "explicit_tableaus.h"
+
+// clang-format off
+
+/* order 5 with an embedded method of order 4 (Dormand, Prince: A family of embedded Runge-Kutta formulae, J. Comp. Appl.
+ * Math. 6, 1980, table 2; Hairer, Norsett, Wanner: Solving ODEs I, table II.5.2) */
+const flex_explicit_tableau flex_dormand_prince = {
+  .stages = 7, .order = 5, .is_embedded = 1, .ends_last = 1,
+  .c = {0.0, 1.0 / 5, 3.0 / 10, 4.0 / 5, 8.0 / 9, 1.0, 1.0},
+  .b = {35.0 / 384, 0.0, 500.0 / 1113, 125.0 / 192, -2187.0 / 6784, 11.0 / 84, 0.0},
+  .b_error = {71.0 / 57600, 0.0, -71.0 / 16695, 71.0 / 1920, -17253.0 / 339200, 22.0 / 525, -1.0 / 40},
+  .a = {{0.0},
+        {1.0 / 5},
+        {3.0 / 40, 9.0 / 40},
+        {44.0 / 45, -56.0 / 15, 32.0 / 9},
+        {19372.0 / 6561, -25360.0 / 2187, 64448.0 / 6561, -212.0 / 729},
+        {9017.0 / 3168, -355.0 / 33, 46732.0 / 5247, 49.0 / 176, -5103.0 / 18656},
+        {35.0 / 384, 0.0, 500.0 / 1113, 125.0 / 192, -2187.0 / 6784, 11.0 / 84}},
+};

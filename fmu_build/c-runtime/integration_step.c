@@ -1,0 +1,72 @@
+#include "integration_step.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "linear_algebra.h"
+
+void flex_step_save(flex_integrator *integrator) {
+  memcpy(integrator->saved, integrator->y, integrator->motion_count * sizeof(double));
+}
+
+flex_outcome flex_step_reject(flex_integrator *integrator, const flex_integrator_record *before, double step,
+                              flex_outcome outcome) {
+  flex_integrator_record *record = integrator->record;
+  memcpy(integrator->y, integrator->saved, integrator->motion_count * sizeof(double));
+  long long rejections = record->rejections + 1;
+  *record = *before;
+  record->rejections = rejections;
+  record->step = step;
+  record->accuracy.sharpness = 0.0;
+  return outcome;
+}
+
+// x + dx with the rounding error kept in rest (Knuth's two-sum)
+static void add_compensated(double *x, double *rest, double dx) {
+  double increment = dx + *rest, sum = *x + increment;
+  double back = sum - *x;
+  *rest = (*x - (sum - back)) + (increment - back);
+  *x = sum;
+}
+
+void flex_step_move(flex_integrator *integrator, int coordinate, double dy, double dv) {
+  add_compensated(integrator->y + coordinate, integrator->y_rest + coordinate, dy);
+  add_compensated(integrator->v + coordinate, integrator->v_rest + coordinate, dv);
+}
+
+static double sum_of(const double *x, int count) {
+  double sum = 0.0;
+  for (int i = 0; i < count; i++) sum += x[i];
+  return sum;
+}
+
+flex_outcome flex_step_accelerate(flex_integrator *integrator, const double *y, const double *v, const double *u, double *a) {
+  flex_equations *equations = integrator->stages.equations;
+  int n = integrator->n;
+  if (n == 0) return FLEX_DONE;
+
+  // M a = -b by one correction of the guess: r(a) = M a + b
+  double *r = integrator->defect;
+  if (flex_mass_matrix(equations, y, u, integrator->mass_factor)) return FLEX_NOT_FINITE;
+  if (flex_residual(equations, y, v, a, u, r)) return FLEX_NOT_FINITE;
+  if (!isfinite(sum_of(integrator->mass_factor, n * n))) return FLEX_NOT_FINITE;
+  if (flex_cholesky_factor(n, integrator->mass_factor)) return FLEX_NOT_DEFINITE;
+  flex_cholesky_solve(n, integrator->mass_factor, r);
+
+  // a correction that is no number must not spoil the next attempt
+  if (!isfinite(sum_of(r, n))) return FLEX_NOT_FINITE;
+  for (int i = 0; i < n; i++) a[i] -= r[i];
+  return FLEX_DONE;
+}
+
+flex_outcome flex_step_check_margin(flex_integrator *integrator, const double *u, double *margin) {
+  const flex_model *model = integrator->stages.equations->model;
+  if (flex_margin(integrator->stages.equations, integrator->y, u, margin)) return FLEX_NOT_FINITE;
+  return *margin >= model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR;
+}
+
+void flex_step_count(flex_integrator *integrator) {
+  flex_integrator_record *record = integrator->record;
+  record->scale = fmax(record->scale, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
+  record->steps++;
+}

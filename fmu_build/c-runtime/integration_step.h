@@ -1,0 +1,37 @@
+/* What the methods share in making one step of the integrator. */
+#ifndef FLEXFMU_INTEGRATION_STEP_H
+#define FLEXFMU_INTEGRATION_STEP_H
+
+#include "integrator.h"
+
+/* steps of the two families of methods */
+flex_outcome flex_collocation_step(flex_integrator *integrator, double t, double h, double allowed, double *value);
+flex_outcome flex_explicit_step(flex_integrator *integrator, double t, double h, double allowed, double *value);
+
+/* step after one whose equations could not be solved */
+#define FLEX_FAILED_SHRINK 0.3
+
+/* least shrinking of a step that was too inaccurate, and of one that two halves could not save */
+#define FLEX_INACCURATE_SHRINK 0.9
+#define FLEX_HALVED_SHRINK 0.5
+
+/* keeps the motion at the start of a step */
+void flex_step_save(flex_integrator *integrator);
+
+/* back to what was saved, with a smaller step to come; returns the outcome */
+flex_outcome flex_step_reject(flex_integrator *integrator, const flex_integrator_record *before, double step,
+                              flex_outcome outcome);
+
+/* adds the change over a step to one coordinate, without losing what rounding leaves of it */
+void flex_step_move(flex_integrator *integrator, int coordinate, double dy, double dv);
+
+/* acceleration a for positions y, rates v and inputs u; a: a guess before */
+flex_outcome flex_step_accelerate(flex_integrator *integrator, const double *y, const double *v, const double *u, double *a);
+
+/* margin of the mechanism at the present position for the inputs u */
+flex_outcome flex_step_check_margin(flex_integrator *integrator, const double *u, double *margin);
+
+/* counts a step whose end was reached with everything belonging to it, and follows the size of the motion */
+void flex_step_count(flex_integrator *integrator);
+
+#endif
