@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.model.scene import Effects, Link, ModalDamping, Scene, StiffnessDamping
+from flexfmu.model.scene import Effects, Link, MassDamping, ModalDamping, RayleighDamping, Scene, StiffnessDamping
 
 
 def scene_parameters(scene: Scene) -> dict[str, float]:
@@ -21,11 +21,14 @@ def scene_parameters(scene: Scene) -> dict[str, float]:
         **_link("distal", mechanism.distal),
         "material.density": mechanism.material.density,
         "material.youngs_modulus": mechanism.material.youngs_modulus,
+        "material.poissons_ratio": mechanism.material.poissons_ratio,
         "payload.mass": scene.payload.mass,
+        "payload.inertia": scene.payload.inertia,
         "gravity.x": scene.effects.gravity[0],
         "gravity.y": scene.effects.gravity[1],
         "damping.ratio": damping.ratio if isinstance(damping, ModalDamping) else 0.0,
-        "damping.time": damping.time if isinstance(damping, StiffnessDamping) else 0.0,
+        "damping.rate": damping.rate if isinstance(damping, MassDamping | RayleighDamping) else 0.0,
+        "damping.time": damping.time if isinstance(damping, StiffnessDamping | RayleighDamping) else 0.0,
         **_drives(scene.effects),
         "start.x": scene.trajectory.start[0],
         "start.y": scene.trajectory.start[1],
@@ -34,9 +37,11 @@ def scene_parameters(scene: Scene) -> dict[str, float]:
 
 EFFECTS = (
     "payload.mass",
+    "payload.inertia",
     "gravity.x",
     "gravity.y",
     "damping.ratio",
+    "damping.rate",
     "damping.time",
     "motor_inertia",
     "joint_friction.viscous",

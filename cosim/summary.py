@@ -25,6 +25,9 @@ _FAMILIES: Mapping[str, str] = {
     "distal_axial": "Stretching of the distal links",
 }
 
+_SHAPES = {"assumed-modes": "assumed mode", "craig-bampton": "static or fixed-interface shape"}
+"""Basis → what it calls a shape."""
+
 
 def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
     """Everything that ``summary.json`` says about a run, as plain data in SI units.
@@ -53,11 +56,17 @@ def describe_effects(scene: Scene) -> dict[str, str]:
     for key, what in _FAMILIES.items():
         modes = getattr(effects, key)
         if modes:
-            found[key] = f"{what}: {modes} assumed mode{'s' if modes > 1 else ''} each"
+            found[key] = f"{what}: {modes} {_SHAPES[effects.basis]}{'s' if modes > 1 else ''} each"
+    if effects.beam == "timoshenko":
+        found["beam"] = "Shear and rotary inertia of the links (Timoshenko)"
+    if effects.foreshortening:
+        found["foreshortening"] = "Foreshortening of links that bend (geometric stiffening)"
     found |= _damping(effects)
     found |= _drives(effects)
     if any(effects.gravity):
         found["gravity"] = "Gravity of ({:g}, {:g}) m/s2".format(*effects.gravity)
+    if scene.payload.inertia:
+        found["payload_inertia"] = f"Rotary inertia of the payload of {scene.payload.inertia:g} kg m2, on link 12"
     if scene.payload.mass:
         found["payload"] = f"Point mass of {scene.payload.mass:g} kg at the end effector"
     return found or {"rigid": "Rigid links without gravity and payload"}
@@ -77,6 +86,10 @@ def _damping(effects: Effects) -> dict[str, str]:
         return {"damping": f"Modal damping of every link mode, ratio {damping.ratio:g}"}
     if damping.kind == "stiffness":
         return {"damping": f"Damping proportional to the stiffness, time constant {damping.time:g} s"}
+    if damping.kind == "mass":
+        return {"damping": f"Damping proportional to the mass, rate {damping.rate:g} 1/s"}
+    if damping.kind == "rayleigh":
+        return {"damping": f"Damping {damping.rate:g} 1/s times the mass and {damping.time:g} s times the stiffness"}
     return {}
 
 

@@ -14,6 +14,7 @@ import casadi
 
 from flexfmu.model.dynamics import RedundantState
 from flexfmu.model.robot import LEGS, Direction, Robot
+from flexfmu.model.tips import TipMap
 
 
 @dataclass(frozen=True)
@@ -49,31 +50,6 @@ def _normal(direction: casadi.SX) -> casadi.SX:
     return casadi.vertcat(-direction[1], direction[0])
 
 
-class TipMap:
-    """Displacements of link tips as linear maps of the elastic coordinates."""
-
-    def __init__(self, robot: Robot) -> None:
-        self._gains: dict[tuple[str, Direction], casadi.DM] = {}
-        n = robot.q_e.numel()
-        start = 0
-        for link, part in robot.elastic:
-            stop = start + part.q.numel()
-            gain = casadi.DM.zeros(n, 1)
-            gain[start:stop] = part.family.tips
-            self._gains[link.name, part.family.direction] = casadi.sparsify(gain)
-            start = stop
-        self._none = casadi.DM(n, 1)
-        self.twist = robot.twist_selection
-
-    def gain(self, link: str, direction: Direction) -> casadi.DM:
-        """phi(1) of the link's family within q_e, shape (n, 1)."""
-        return self._gains.get((link, direction), self._none)
-
-    def displacement(self, link: str, direction: Direction, coordinates: casadi.SX) -> casadi.SX:
-        """u(1) [m], or its rate, for q_e or its rate."""
-        return casadi.dot(self.gain(link, direction), coordinates) if coordinates.numel() else casadi.SX(0)
-
-
 class Closure:
     """The assembled motion as expressions of the independent one.
 
@@ -92,9 +68,9 @@ class Closure:
         self.q_a = motion.q_a + self._twist(motion.q_e)
         self._bases = [robot.links[f"link{leg}1"].base for leg in LEGS]
         self.e_a = [casadi.vertcat(casadi.cos(self.q_a[i]), casadi.sin(self.q_a[i])) for i in range(2)]
-        self.reach = [proximal + self._tip(i, 1, "axial", motion.q_e) for i in range(2)]
-        self.sag = [self._tip(i, 1, "bending", motion.q_e) for i in range(2)]
-        self.length = [distal + self._tip(i, 2, "axial", motion.q_e) for i in range(2)]
+        self.reach = [proximal + self._tip(i, 1, "axial") for i in range(2)]
+        self.sag = [self._tip(i, 1, "bending") for i in range(2)]
+        self.length = [distal + self._tip(i, 2, "axial") for i in range(2)]
         self.elbows = [
             b + e * r + _normal(e) * s for b, e, r, s in zip(self._bases, self.e_a, self.reach, self.sag, strict=True)
         ]
@@ -104,8 +80,15 @@ class Closure:
         self._move()
         self._accelerate()
 
-    def _tip(self, leg: int, link: int, direction: Direction, coordinates: casadi.SX) -> casadi.SX:
-        return self._tips.displacement(f"link{leg + 1}{link}", direction, coordinates)
+    def _tip(self, leg: int, link: int, direction: Direction) -> casadi.SX:
+        return self._tips.displacement(f"link{leg + 1}{link}", direction, self._motion.q_e)
+
+    def _tip_rate(self, leg: int, link: int, direction: Direction) -> casadi.SX:
+        return self._tips.rate(f"link{leg + 1}{link}", direction, self._motion.q_e, self._motion.v_e)
+
+    def _tip_acceleration(self, leg: int, link: int, direction: Direction) -> casadi.SX:
+        m = self._motion
+        return self._tips.acceleration(f"link{leg + 1}{link}", direction, m.q_e, m.v_e, m.a_e)
 
     def _twist(self, coordinates: casadi.SX) -> casadi.SX:
         """Link minus motor angles (2, 1), or their rates, for q_e or its rate."""
@@ -137,9 +120,9 @@ class Closure:
         m = self._motion
         w_a = m.v_a + self._twist(m.v_e)
         self.w_a = [w_a[i] for i in range(2)]
-        reach = [self._tip(i, 1, "axial", m.v_e) for i in range(2)]
-        sag = [self._tip(i, 1, "bending", m.v_e) for i in range(2)]
-        self.length_rate = [self._tip(i, 2, "axial", m.v_e) for i in range(2)]
+        reach = [self._tip_rate(i, 1, "axial") for i in range(2)]
+        sag = [self._tip_rate(i, 1, "bending") for i in range(2)]
+        self.length_rate = [self._tip_rate(i, 2, "axial") for i in range(2)]
         # components of the elbow velocity along and across the proximal link
         self._along = [reach[i] - self.w_a[i] * self.sag[i] for i in range(2)]
         self._across = [sag[i] + self.w_a[i] * self.reach[i] for i in range(2)]
@@ -155,9 +138,9 @@ class Closure:
     def _accelerate(self) -> None:
         m, w, wp = self._motion, self.w_a, self.w_p
         self.wd_a = m.a_a + self._twist(m.a_e)
-        reach = [self._tip(i, 1, "axial", m.a_e) for i in range(2)]
-        sag = [self._tip(i, 1, "bending", m.a_e) for i in range(2)]
-        length = [self._tip(i, 2, "axial", m.a_e) for i in range(2)]
+        reach = [self._tip_acceleration(i, 1, "axial") for i in range(2)]
+        sag = [self._tip_acceleration(i, 1, "bending") for i in range(2)]
+        length = [self._tip_acceleration(i, 2, "axial") for i in range(2)]
         along = [reach[i] - self.wd_a[i] * self.sag[i] - w[i] * (self._sag_rate[i] + self._across[i]) for i in range(2)]
         across = [
             sag[i] + self.wd_a[i] * self.reach[i] + w[i] * (self._reach_rate[i] + self._along[i]) for i in range(2)
@@ -208,7 +191,7 @@ class Closure:
             joints.append(turning_a[i] + across * self.reach[i] - along * self.sag[i])
             if elastic.numel():
                 for link, direction, component in ((1, "axial", along), (1, "bending", across), (2, "axial", axial[i])):
-                    elastic += self._tips.gain(f"link{i + 1}{link}", direction) * component  # type: ignore[arg-type]
+                    elastic += self._tips.gain(f"link{i + 1}{link}", direction, self._motion.q_e) * component  # type: ignore[arg-type]
         motors = casadi.vertcat(*joints)
         if elastic.numel():
             elastic += self._tips.twist @ motors

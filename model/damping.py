@@ -50,28 +50,36 @@ class ModalDamping(StructuralDamping):
         return total
 
 
-class StiffnessDamping(StructuralDamping):
-    """Stiffness-proportional damping C = time * K on the elastic coordinates."""
+class ProportionalDamping(StructuralDamping):
+    """Damping C = rate * M + time * K on the elastic coordinates, with the links' own modal masses (Rayleigh)."""
 
-    def __init__(self, registry: ParameterRegistry, time: float) -> None:
-        self._registry = registry
-        self._time = registry.parameter(
-            Variable(
-                "damping.time",
-                "s",
-                "Stiffness-proportional damping time",
-                "parameter",
-                start=time,
-                minimum=0.0,
-                maximum=1e3,
-            )
-        )
+    def __init__(self, registry: ParameterRegistry, rate: float, time: float) -> None:
+        """A factor of zero leaves its term out."""
+        self._registry, self._has_rate, self._has_time = registry, bool(rate), bool(time)
+        if rate:
+            self._rate = registry.parameter(_factor("damping.rate", "1/s", "Mass-proportional damping rate", rate, 1e6))
+        if time:
+            text = "Stiffness-proportional damping time"
+            self._time = registry.parameter(_factor("damping.time", "s", text, time, 1e3))
 
     def _power(self, family: Family, v: casadi.SX) -> casadi.SX:
-        prefix, stiffness = f"{family.group}_{family.direction}_c", family.stiffness
-        damping = symmetric(
+        damping = casadi.SX(*family.stiffness.shape)
+        if self._has_rate:
+            damping += self._rate * family.mass
+        if self._has_time:
+            damping += self._time * family.stiffness
+        prefix = f"{family.group}_{family.direction}_c"
+        derived = symmetric(
             v.numel(),
-            lambda i, j: self._registry.derived(f"{prefix}_{i}_{j}", self._time * stiffness[i, j]),
-            np.array(casadi.DM(stiffness.sparsity(), 1.0).full()),
+            lambda i, j: self._registry.derived(f"{prefix}_{i}_{j}", damping[i, j]),
+            np.array(casadi.DM(damping.sparsity(), 1.0).full()),
         )
-        return 0.5 * form(damping, v, v)
+        return 0.5 * form(derived, v, v)
+
+    def title(self) -> str:
+        kinds = [("mass", self._has_rate), ("stiffness", self._has_time)]
+        return " and ".join(kind for kind, there in kinds if there) + " proportional damping"
+
+
+def _factor(name: str, unit: str, text: str, start: float, maximum: float) -> Variable:
+    return Variable(name, unit, text, "parameter", start=start, minimum=0.0, maximum=maximum)

@@ -45,6 +45,10 @@ class Effect(ABC):  # noqa: B024 - every hook has a neutral default
         """Whether the effect makes the joints' transmissions elastic."""
         return False
 
+    def shortening(self, family: Family) -> casadi.SX | None:
+        """Matrix S (K, K) [1/m] if the family's links become shorter by q' S q / 2; None if they don't."""
+        return None
+
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
         """T [J]."""
         return casadi.SX(0)

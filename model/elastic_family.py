@@ -8,12 +8,13 @@ import casadi
 import numpy as np
 
 from flexfmu.model.algebra import column, form, symmetric
-from flexfmu.model.beams import Shape
+from flexfmu.model.beams import Array, Evaluate, Shape
 from flexfmu.model.effects import Effect, Output
 from flexfmu.model.link_properties import LinkProperties
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Direction, Family, LinkGroup, Robot
-from flexfmu.model.shape_integrals import integrate_shapes
+from flexfmu.model.rotary_inertia import ThickBeam
+from flexfmu.model.shape_integrals import gram, integrate_shapes
 
 
 class ElasticFamily(Effect):
@@ -26,26 +27,29 @@ class ElasticFamily(Effect):
         group: LinkGroup,
         direction: Direction,
         shapes: tuple[Shape, ...],
+        thick: ThickBeam | None = None,
     ) -> None:
+        """`thick` adds the strain energy of shear to bending, and rotary inertia to the modal masses."""
         integrals = integrate_shapes(shapes)
         rigidity = (
             properties.youngs_modulus * properties.second_moment / properties.length**3
             if direction == "bending"
             else properties.youngs_modulus * properties.area / properties.length
         )
+        stiffness, mass = [(rigidity, integrals.strain_gram)], [(properties.mass, integrals.gram)]
+        if thick is not None:
+            stiffness.append((thick.shear_rigidity, gram(shapes, _shear)))
+            mass.append((properties.mass * thick.gyration, gram(shapes, lambda shape: shape.rotation)))
 
-        def matrix(name: str, factor: casadi.SX, gram: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> casadi.SX:
-            prefix = f"{group}_{direction}_{name}"
-            return symmetric(len(shapes), lambda i, j: registry.derived(f"{prefix}_{i}_{j}", factor * gram[i, j]), gram)
+        def matrix(name: str, terms: Sequence[tuple[casadi.SX, Array]]) -> casadi.SX:
+            def entry(i: int, j: int) -> casadi.SX:
+                value = sum((factor * products[i, j] for factor, products in terms), casadi.SX(0))
+                return registry.derived(f"{group}_{direction}_{name}_{i}_{j}", value)
+
+            return symmetric(len(shapes), entry, np.add.reduce([np.abs(products) for _, products in terms]))
 
         self._registry, self._properties = registry, properties
-        self._family = Family(
-            group,
-            direction,
-            shapes,
-            matrix("k", rigidity, integrals.strain_gram),
-            matrix("m", properties.mass, integrals.gram),
-        )
+        self._family = Family(group, direction, shapes, matrix("k", stiffness), matrix("m", mass))
 
     def families(self) -> tuple[Family, ...]:
         return (self._family,)
@@ -87,6 +91,11 @@ class ElasticFamily(Effect):
     def sentence(self) -> str:
         family = self._family
         return f"Elasticity of the {family.group} links, {family.direction}, with {len(family.shapes)} mode(s)."
+
+
+def _shear(shape: Shape) -> Evaluate:
+    """Shear angle times the length: what of the slope isn't turning of the sections."""
+    return lambda xi: shape.slope(xi) - shape.rotation(xi)
 
 
 _TIP_NAMES: dict[Direction, tuple[str, str]] = {

@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi
 
-from flexfmu.model import scene as keys
-from flexfmu.model.bases import family_shapes
+from flexfmu.model.chosen_effects import chosen_effects
 from flexfmu.model.closure import Closure, IndependentMotion, ProjectedForces
-from flexfmu.model.damping import ModalDamping, StiffnessDamping
-from flexfmu.model.drive_effects import CoulombFriction, ElasticTransmission, MotorInertia, ViscousFriction
 from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
-from flexfmu.model.effects import Effect, Output
-from flexfmu.model.elastic_family import ElasticFamily
-from flexfmu.model.link_inertia import LinkInertia
+from flexfmu.model.effects import Output
 from flexfmu.model.link_properties import LinkProperties, link_properties
-from flexfmu.model.loads import Gravity, PointPayload
 from flexfmu.model.parameters import ParameterRegistry
-from flexfmu.model.robot import Direction, LinkGroup, Robot, make_robot
+from flexfmu.model.robot import LinkGroup, Robot, make_robot
 from flexfmu.model.scene import Mechanism, Scene
 from flexfmu.model.symbolic import Variable
-
-FAMILIES: tuple[tuple[LinkGroup, Direction], ...] = (
-    ("proximal", "axial"),
-    ("proximal", "bending"),
-    ("distal", "axial"),
-    ("distal", "bending"),
-)
 
 POSITIVE = 1e-9
 """Smallest admissible value of a length, density or modulus in its SI unit."""
@@ -71,7 +58,14 @@ def assemble(scene: Scene) -> FiveBar:
     effects = chosen_effects(scene, registry, properties)
     families = [family for effect in effects for family in effect.families()]
     twists = any(effect.twists_joints() for effect in effects)
-    robot = make_robot(families, registry.derived("base_half_distance", parameters["base_half_distance"]), twists)
+    shortening = {
+        family.group: matrix
+        for effect in effects
+        for family in families
+        if (matrix := effect.shortening(family)) is not None
+    }
+    base = registry.derived("base_half_distance", parameters["base_half_distance"])
+    robot = make_robot(families, base, twists, shortening)
     outputs = tuple(output for effect in effects for output in effect.outputs(robot))
     dynamics = derive_dynamics(robot, effects, registry)
     motion = _independent_motion(robot)
@@ -89,42 +83,6 @@ def assemble(scene: Scene) -> FiveBar:
         outputs=outputs,
         sentences={effect.title(): effect.sentence() for effect in effects},
     )
-
-
-def chosen_effects(
-    scene: Scene, registry: ParameterRegistry, properties: Mapping[LinkGroup, LinkProperties]
-) -> list[Effect]:
-    """The effects that a scene asks for; what it leaves out isn't constructed."""
-    effects: list[Effect] = [LinkInertia(registry, properties)]
-    for group, direction in FAMILIES:
-        modes: int = getattr(scene.effects, f"{group}_{direction}")
-        if modes:
-            shapes = family_shapes(scene.effects.basis, group, direction, modes)
-            effects.append(ElasticFamily(registry, properties[group], group, direction, shapes))
-    if scene.payload.mass:
-        effects.append(PointPayload(registry, scene.payload.mass))
-    if any(scene.effects.gravity):
-        effects.append(Gravity(registry, scene.effects.gravity))
-    damping = scene.effects.damping
-    if isinstance(damping, keys.ModalDamping) and damping.ratio:
-        effects.append(ModalDamping(registry, damping.ratio))
-    if isinstance(damping, keys.StiffnessDamping) and damping.time:
-        effects.append(StiffnessDamping(registry, damping.time))
-    effects.extend(_drive_effects(scene.effects, registry))
-    return effects
-
-
-def _drive_effects(chosen: keys.Effects, registry: ParameterRegistry) -> Iterator[Effect]:
-    """The effects of the drives that a scene asks for."""
-    friction, transmission = chosen.joint_friction, chosen.transmission
-    if chosen.motor_inertia:
-        yield MotorInertia(registry, chosen.motor_inertia)
-    if friction.viscous:
-        yield ViscousFriction(registry, friction.viscous)
-    if friction.coulomb:
-        yield CoulombFriction(registry, friction.coulomb, friction.velocity)
-    if transmission is not None:
-        yield ElasticTransmission(registry, transmission.stiffness, transmission.damping)
 
 
 def _independent_motion(robot: Robot) -> IndependentMotion:

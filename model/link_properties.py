@@ -13,11 +13,12 @@ from flexfmu.model.robot import LinkGroup
 
 @dataclass(frozen=True)
 class LinkProperties:
-    """Mass [kg], length, outer diameter [m], area [m²] and second moment of area [m⁴] of a link group, in symbols."""
+    """Mass [kg], length, outer and inner diameter [m], area [m²] and second moment of area [m⁴] of a link group, in symbols."""
 
     mass: casadi.SX
     length: casadi.SX
     outer_diameter: casadi.SX
+    inner_diameter: casadi.SX
     area: casadi.SX
     second_moment: casadi.SX
     youngs_modulus: casadi.SX
@@ -31,6 +32,7 @@ def link_properties(registry: ParameterRegistry, group: LinkGroup, parameters: d
         mass=registry.derived(f"{group}_mass", parameters["material.density"] * area * length),
         length=registry.derived(f"{group}_length", length),
         outer_diameter=outer,
+        inner_diameter=inner,
         area=area,
         second_moment=math.pi / 64 * (outer**4 - inner**4),
         youngs_modulus=parameters["material.youngs_modulus"],

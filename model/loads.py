@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import casadi
+import numpy as np
 
+from flexfmu.model.algebra import dot
 from flexfmu.model.effects import Effect
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Robot
@@ -34,6 +36,29 @@ class PointPayload(Effect):
 
     def first_moment(self, robot: Robot) -> casadi.SX:
         return self._mass * robot.position
+
+
+class PayloadInertia(Effect):
+    """Rotary inertia of the payload, which turns with the last cross section of link 12.
+
+    The end effector is a point where two links meet; the payload is taken to be mounted on the distal link of leg 1, as a
+    gripper is. A payload that keeps its orientation, as a fourth leg or a parallelogram makes it, has no such effect.
+    """
+
+    def __init__(self, registry: ParameterRegistry, inertia: float, length: casadi.SX) -> None:
+        """`length` of the distal links [m]."""
+        text = "Rotary inertia of the payload about the end effector, turning with link 12"
+        variable = Variable("payload.inertia", "kg.m2", text, "parameter", start=inertia, minimum=0.0, maximum=1e6)
+        self._inertia = registry.derived("payload_inertia", registry.parameter(variable))
+        self._length = length
+
+    def kinetic_energy(self, robot: Robot) -> casadi.SX:
+        link = robot.links["link12"]
+        rate, bending = link.turning_rate, link.family("bending")
+        if bending is not None:
+            turning = [float(shape.rotation(np.ones(1))[0]) for shape in bending.family.shapes]
+            rate += dot(casadi.SX(turning), bending.v) / self._length
+        return 0.5 * self._inertia * rate**2
 
 
 class Gravity(Effect):

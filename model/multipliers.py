@@ -21,9 +21,9 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.model.closure import TipMap
 from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.scene import Scene
+from flexfmu.model.tips import TipMap
 
 Array = NDArray[np.float64]
 

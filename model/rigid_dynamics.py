@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import casadi
 
-from flexfmu.model.five_bar import FAMILIES, assemble
+from flexfmu.model.chosen_effects import FAMILIES
+from flexfmu.model.five_bar import assemble
 from flexfmu.model.scene import Scene
 
 

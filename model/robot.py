@@ -103,6 +103,7 @@ class Robot:
         links: by name, in the order of q_e.
         position, velocity: of the end effector, (2, 1) [m, m/s].
         twist, twist_rate: (2, 1) [rad, rad/s], or empty where the transmissions are rigid.
+        shortening: for link groups whose bending q makes them shorter by q' S q / 2, the matrix S (K, K) [1/m].
     """
 
     links: Mapping[str, Link]
@@ -110,6 +111,7 @@ class Robot:
     velocity: casadi.SX
     twist: casadi.SX
     twist_rate: casadi.SX
+    shortening: Mapping[LinkGroup, casadi.SX]
 
     @property
     def motor_rates(self) -> tuple[casadi.SX, casadi.SX]:
@@ -166,13 +168,18 @@ class Robot:
         return ("m",) * (self.q_e.numel() - twists) + ("rad",) * twists
 
 
-def make_robot(families: Sequence[Family], base_half_distance: casadi.SX, elastic_joints: bool = False) -> Robot:
+def make_robot(
+    families: Sequence[Family],
+    base_half_distance: casadi.SX,
+    elastic_joints: bool,
+    shortening: Mapping[LinkGroup, casadi.SX],
+) -> Robot:
     """Symbols of a robot whose links carry the given families, and whose transmissions twist if the joints are elastic."""
     twists = 2 if elastic_joints else 0
     bases = {1: casadi.vertcat(-base_half_distance, 0.0), 2: casadi.vertcat(base_half_distance, 0.0)}
     links = {name: _make_link(name, group, leg, bases[leg], families) for name, group, leg in LINK_ORDER}
     twist, twist_rate = casadi.SX.sym("twist", twists), casadi.SX.sym("twist_rate", twists)
-    return Robot(links, casadi.SX.sym("X", 2), casadi.SX.sym("Xd", 2), twist, twist_rate)
+    return Robot(links, casadi.SX.sym("X", 2), casadi.SX.sym("Xd", 2), twist, twist_rate, shortening)
 
 
 def _make_link(name: str, group: LinkGroup, leg: int, base: casadi.SX, families: Sequence[Family]) -> Link:

@@ -41,6 +41,7 @@ class Material(Section):
 
     density: Annotated[float, quantity("kg/m3", gt=0.0)]
     youngs_modulus: Annotated[float, quantity("Pa", gt=0.0)]
+    poissons_ratio: Annotated[float, quantity("1", gt=-1.0, le=0.5)] = 0.33
 
 
 class Mechanism(Section):
@@ -55,9 +56,10 @@ class Mechanism(Section):
 
 
 class Payload(Section):
-    """Point mass at the end effector; zero is valid and leaves the payload out of the model."""
+    """Point mass at the end effector, and rotary inertia that turns with link 12; zero leaves each out of the model."""
 
     mass: Annotated[float, quantity("kg", ge=0.0)]
+    inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0
 
 
 class NoDamping(Section):
@@ -80,7 +82,24 @@ class StiffnessDamping(Section):
     time: Annotated[float, quantity("s", ge=0.0)]
 
 
-Damping = Annotated[NoDamping | ModalDamping | StiffnessDamping, Field(discriminator="kind")]
+class MassDamping(Section):
+    """C = rate * M on the elastic coordinates, with the link's own modal mass M."""
+
+    kind: Literal["mass"]
+    rate: Annotated[float, quantity("1/s", ge=0.0)]
+
+
+class RayleighDamping(Section):
+    """C = rate * M + time * K on the elastic coordinates, with the link's own modal mass M."""
+
+    kind: Literal["rayleigh"]
+    rate: Annotated[float, quantity("1/s", ge=0.0)]
+    time: Annotated[float, quantity("s", ge=0.0)]
+
+
+Damping = Annotated[
+    NoDamping | ModalDamping | StiffnessDamping | MassDamping | RayleighDamping, Field(discriminator="kind")
+]
 
 
 class JointFriction(Section):
@@ -107,6 +126,8 @@ class Effects(Section):
     proximal_axial: ModeCount = 0
     distal_bending: ModeCount = 0
     distal_axial: ModeCount = 0
+    beam: Literal["euler-bernoulli", "timoshenko"] = "euler-bernoulli"
+    foreshortening: bool = False
     damping: Damping = NoDamping()
     motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0
     joint_friction: JointFriction = JointFriction()

@@ -51,6 +51,14 @@ def gram(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate], weight: Ev
     return np.where(np.abs(products) > INTEGRAL_ROUNDING * np.outer(norms, norms), products, 0.0)
 
 
+def mean(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate]) -> Array:
+    """∫ f_k of a field f of the shapes, shape (K,), exact zeros where it averages out."""
+    xi, weights = _quadrature(shapes)
+    values = np.array([field(shape)(xi) for shape in shapes]).reshape(len(shapes), len(xi))
+    means = values @ weights
+    return np.where(np.abs(means) > INTEGRAL_ROUNDING * np.sqrt(values**2 @ weights), means, 0.0)
+
+
 def _quadrature(shapes: Sequence[Shape]) -> tuple[Array, Array]:
     """Gauss-Legendre nodes and weights on [0, 1]."""
     count = 40 + int(max((shape.wave_number for shape in shapes), default=0.0))

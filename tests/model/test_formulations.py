@@ -24,6 +24,19 @@ VARIANTS = {
         "effects.distal_bending": 2,
         "effects.damping": {"kind": "stiffness", "time": 1e-4},
     },
+    "foreshortening, payload that turns, Rayleigh damping": {
+        "payload.inertia": 0.05,
+        "effects.foreshortening": True,
+        "effects.distal_bending": 2,
+        "effects.damping": {"kind": "rayleigh", "rate": 20.0, "time": 1e-5},
+    },
+    "thick tubes, static shapes first": {
+        "mechanism.proximal": {"length": 0.24, "diameter": 0.05, "inner_diameter": 0.03},
+        "effects.beam": "timoshenko",
+        "effects.basis": "craig-bampton",
+        "effects.distal_bending": 1,
+        "effects.proximal_axial": 1,
+    },
     "elbows in, right assembly, no payload": {
         "mechanism.working_mode": "elbows-in",
         "mechanism.assembly_mode": "right",

@@ -92,9 +92,20 @@ def test_equilibrium_has_no_residual_force(heavy: Scene) -> None:
     assert np.abs(residual).max() < 1e-10
 
 
+EVERYTHING = {
+    "payload.inertia": 0.05,
+    "effects.beam": "timoshenko",
+    "effects.foreshortening": True,
+    "effects.distal_bending": 1,
+    "effects.damping": {"kind": "rayleigh", "rate": 20.0, "time": 1e-5},
+}
+
+
+@pytest.mark.parametrize("changes", [{}, EVERYTHING], ids=["the paper's", "everything"])
 @pytest.mark.parametrize("seed", range(10))
-def test_power_balance(heavy: Scene, seed: int) -> None:
+def test_power_balance(heavy: Scene, seed: int, changes: dict[str, object]) -> None:
     """dE/dt = tau·w - 2 R at random states: the torques are consistent with the energies."""
+    heavy = heavy.replace(changes)
     model = numeric_model(heavy)
     undamped = numeric_model(heavy.replace({"effects.damping": {"kind": "none"}}))
     rng = np.random.default_rng(seed)

@@ -1,0 +1,102 @@
+"""Timoshenko's beam theory as an effect: rotary inertia of all links, with the material's and the sections' properties."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi
+
+from flexfmu.model.algebra import column, dot, form, symmetric
+from flexfmu.model.beams import Evaluate, Shape
+from flexfmu.model.effects import Effect
+from flexfmu.model.link_properties import LinkProperties
+from flexfmu.model.parameters import ParameterRegistry
+from flexfmu.model.robot import Link, LinkGroup, Robot
+from flexfmu.model.scene import Link as LinkKeys
+from flexfmu.model.scene import Mechanism
+from flexfmu.model.shape_integrals import gram, mean
+from flexfmu.model.symbolic import Variable
+from flexfmu.model.timoshenko import Slenderness, shear_coefficient
+
+
+@dataclass(frozen=True)
+class ThickBeam:
+    """What Timoshenko's theory needs of a link group beyond `LinkProperties`, in symbols.
+
+    Attributes:
+        shear_rigidity: k G A / l [N/m].
+        gyration: I/A / l², square of the radius of gyration over the length [1].
+    """
+
+    shear_rigidity: casadi.SX
+    gyration: casadi.SX
+
+
+def thick_beams(
+    registry: ParameterRegistry, properties: Mapping[LinkGroup, LinkProperties], mechanism: Mechanism
+) -> dict[LinkGroup, ThickBeam]:
+    """Shear and rotary inertia of both link groups; registers Poisson's ratio."""
+    nu = registry.parameter(
+        Variable(
+            "material.poissons_ratio",
+            "1",
+            "Poisson's ratio of the links",
+            "parameter",
+            start=mechanism.material.poissons_ratio,
+            minimum=-0.99,
+            maximum=0.5,
+        )
+    )
+    return {group: _thick_beam(part, nu) for group, part in properties.items()}
+
+
+def _thick_beam(part: LinkProperties, nu: casadi.SX) -> ThickBeam:
+    shear_modulus = part.youngs_modulus / (2.0 * (1.0 + nu))
+    k = shear_coefficient(part.outer_diameter, part.inner_diameter, nu)
+    return ThickBeam(k * shear_modulus * part.area / part.length, part.second_moment / part.area / part.length**2)
+
+
+def slenderness(mechanism: Mechanism, group: LinkGroup) -> Slenderness:
+    """The scene's numbers, for the mode shapes."""
+    link: LinkKeys = getattr(mechanism, group)
+    nu = mechanism.material.poissons_ratio
+    rotary = (link.diameter**2 + link.inner_diameter**2) / (16.0 * link.length**2)
+    k = shear_coefficient(link.diameter, link.inner_diameter, nu)
+    return Slenderness(rotary, 2.0 * (1.0 + nu) / k * rotary)
+
+
+class RotaryInertia(Effect):
+    """Rotary inertia of the links' cross sections and shear in their bending, after Timoshenko."""
+
+    def __init__(
+        self,
+        registry: ParameterRegistry,
+        properties: Mapping[LinkGroup, LinkProperties],
+        beams: Mapping[LinkGroup, ThickBeam],
+    ) -> None:
+        self._registry, self._properties, self._beams = registry, properties, beams
+
+    def kinetic_energy(self, robot: Robot) -> casadi.SX:
+        return sum((self._link_energy(link) for link in robot.links.values()), casadi.SX(0))
+
+    def _link_energy(self, link: Link) -> casadi.SX:
+        """Half of ∫ rho I (w + psi')² dx, with the sections' turning psi against the link's frame."""
+        length, w, group = self._properties[link.group].length, link.turning_rate, link.group
+        inertia = self._properties[group].mass * self._beams[group].gyration
+        derived = self._registry.derived
+        energy = 0.5 * derived(f"{group}_rotary", inertia * length**2) * w**2
+        bending = link.family("bending")
+        if bending is None:
+            return energy
+        shapes = bending.family.shapes
+        products, means = gram(shapes, _rotation), mean(shapes, _rotation)
+        first = column([derived(f"{group}_rotary_{k}", inertia * length * m) for k, m in enumerate(means)])
+        matrix = symmetric(
+            len(shapes), lambda i, j: derived(f"{group}_rotary_{i}_{j}", inertia * products[i, j]), products
+        )
+        return energy + w * dot(first, bending.v) + 0.5 * form(matrix, bending.v, bending.v)
+
+
+def _rotation(shape: Shape) -> Evaluate:
+    return shape.rotation

@@ -1,0 +1,242 @@
+"""Each effect alone against its closed form or a published table."""
+
+from __future__ import annotations
+
+import casadi
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from scipy.optimize import brentq
+
+from flexfmu.model.assembly import elbow as elbow_of
+from flexfmu.model.assembly import elbows, motor_angles
+from flexfmu.model.bases import family_shapes
+from flexfmu.model.modes import damped_modes, natural_frequencies
+from flexfmu.model.numeric import numeric_model, standstill
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.statics import static_equilibrium
+
+POSE = (0.05, 0.3)
+BASES = ("assumed-modes", "craig-bampton")
+ALONE = {
+    "effects.gravity": [0.0, 0.0],
+    "effects.damping": {"kind": "none"},
+    "effects.proximal_bending": 0,
+    "effects.distal_axial": 0,
+    "payload.mass": 0.0,
+}
+WEIGHTLESS_DISTAL = {"mechanism.distal": {"length": 0.38079, "diameter": 1e-7}}
+"""Distal links of no mass leave the proximal links to themselves."""
+
+
+def alone(changes: dict[str, object]) -> Scene:
+    """The paper's mechanism with nothing but the effects in `changes`."""
+    return load_scene("barnard2012-6kg").replace(ALONE | changes)
+
+
+def wave_speeds(scene: Scene, group: str) -> tuple[float, float, float]:
+    """sqrt(EI/(rho A l⁴)) of a solid rod [rad/s], I/(A l²) and EI/(k G A l²) with Cowper's k, from textbook formulas."""
+    link, material = getattr(scene.mechanism, group), scene.mechanism.material
+    area, second = np.pi * link.diameter**2 / 4, np.pi * link.diameter**4 / 64
+    nu = material.poissons_ratio
+    k, shear_modulus = 6 * (1 + nu) / (7 + 6 * nu), material.youngs_modulus / (2 * (1 + nu))
+    rigidity = material.youngs_modulus * second
+    rate = np.sqrt(rigidity / (material.density * area)) / link.length**2
+    return rate, second / (area * link.length**2), rigidity / (k * shear_modulus * area * link.length**2)
+
+
+def frequencies(scene: Scene) -> np.ndarray:
+    """Angular frequencies [rad/s] with the motors locked."""
+    return 2 * np.pi * natural_frequencies(scene, motor_angles(scene.mechanism, POSE))
+
+
+def roots(function, count: int, last: float) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """The first roots of a function above zero."""
+    grid = np.linspace(1e-3, last, 20001)
+    values = np.array([function(x) for x in grid])
+    signs = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    return np.array([brentq(function, grid[i], grid[i + 1], xtol=1e-14) for i in signs[:count]])
+
+
+@pytest.mark.parametrize(("basis", "modes", "tolerance"), [("assumed-modes", 3, 1e-8), ("craig-bampton", 14, 1e-5)])
+def test_proximal_links_vibrate_as_cantilevers(basis: str, modes: int, tolerance: float) -> None:
+    """cos(beta) cosh(beta) = -1, Blevins (1979), table 8-1: both legs alone, so every frequency twice."""
+    scene = alone({"effects.proximal_bending": modes, "effects.basis": basis, **WEIGHTLESS_DISTAL})
+    beta = np.array([1.87510407, 4.69409113, 7.85475744])
+    expected = np.repeat(wave_speeds(scene, "proximal")[0] * beta**2, 2)
+    np.testing.assert_allclose(frequencies(scene)[:6], expected, rtol=tolerance)
+
+
+@pytest.mark.parametrize("basis", BASES)
+def test_distal_links_vibrate_as_pinned_beams(basis: str) -> None:
+    """(k pi)² sqrt(EI/(rho A l⁴)), Blevins (1979), table 8-1: elbows and end effector don't move."""
+    scene = alone({"effects.distal_bending": 3, "effects.basis": basis})
+    expected = np.repeat(wave_speeds(scene, "distal")[0] * (np.arange(1, 4) * np.pi) ** 2, 2)
+    np.testing.assert_allclose(frequencies(scene), expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("basis", "modes", "tolerance"), [("assumed-modes", 3, 1e-8), ("craig-bampton", 12, 1e-3)])
+def test_proximal_links_stretch_as_rods(basis: str, modes: int, tolerance: float) -> None:
+    """(2k - 1) pi/2 sqrt(E/rho)/l, Blevins (1979), table 8-16."""
+    scene = alone({"effects.proximal_axial": modes, "effects.basis": basis, **WEIGHTLESS_DISTAL})
+    material, length = scene.mechanism.material, scene.mechanism.proximal.length
+    speed = np.sqrt(material.youngs_modulus / material.density) / length
+    expected = np.repeat((np.arange(1, 4) - 0.5) * np.pi * speed, 2)
+    np.testing.assert_allclose(frequencies(scene)[:6], expected, rtol=tolerance)
+
+
+@pytest.mark.parametrize(("basis", "modes", "tolerance"), [("assumed-modes", 4, 1e-7), ("craig-bampton", 14, 3e-4)])
+def test_thick_proximal_links_vibrate_as_timoshenko_cantilevers(basis: str, modes: int, tolerance: float) -> None:
+    """Han, Benaroya and Wei (1999): characteristic equation of the clamped-free Timoshenko beam."""
+    scene = alone(
+        {"effects.proximal_bending": modes, "effects.basis": basis, "effects.beam": "timoshenko", **WEIGHTLESS_DISTAL}
+    )
+    rate, r, s = wave_speeds(scene, "proximal")
+
+    def characteristic(square_root: float) -> float:
+        w = square_root**2
+        half = w * w * (r + s) / 2
+        spread = np.sqrt((w * w * (r - s) / 2) ** 2 + w * w)
+        a, b = np.sqrt(spread + half), np.sqrt(spread - half)
+        g = s / r  # E/(k G)
+        cosines = (a**4 + a**4 * g**2 + 4 * g * a**2 * b**2 + b**4 + g**2 * b**4) / (
+            (b**2 + g * a**2) * (a**2 + g * b**2)
+        )
+        growth = np.exp(-b)
+        return float(
+            ((a**2 - b**2) * np.sin(a) * np.sinh(b) - a * b * cosines * np.cos(a) * np.cosh(b) - 2 * a * b) * growth
+        )
+
+    expected = np.repeat(rate * roots(characteristic, 3, 9.0) ** 2, 2)
+    np.testing.assert_allclose(frequencies(scene)[:6], expected, rtol=tolerance)
+    slender = frequencies(scene.replace({"effects.beam": "euler-bernoulli"}))
+    assert slender[4] / frequencies(scene)[4] > 1.1
+
+
+def test_thick_distal_links_vibrate_as_pinned_timoshenko_beams() -> None:
+    """Han, Benaroya and Wei (1999): (k pi)⁴ - w² (1 + (k pi)² (r² + s²)) + w⁴ r² s² = 0 for pinned ends."""
+    scene = alone({"effects.distal_bending": 3, "effects.beam": "timoshenko"})
+    rate, r, s = wave_speeds(scene, "distal")
+    k = np.arange(1, 4) * np.pi
+    expected = [rate * np.sqrt(min(np.roots([r * s, -(1 + n**2 * (r + s)), n**4]).real)) for n in k]
+    np.testing.assert_allclose(frequencies(scene), np.repeat(expected, 2), rtol=1e-10)
+
+
+SOUTHWELL = {3.0: (4.7973, 23.3203, 62.9850), 6.0: (7.3604, 26.8091, 66.6839), 12.0: (13.1702, 37.6031, 79.6145)}
+"""Dimensionless rate of turning → flapping frequencies of a uniform cantilever without a hub.
+
+Wright, Smith, Thresher and Wang, Vibration modes of centrifugally stiffened beams, J. Appl. Mech. 49 (1982), table 1.
+"""
+
+
+@pytest.mark.parametrize("rate", SOUTHWELL)
+def test_turning_cantilevers_stiffen(rate: float) -> None:
+    """Frequencies in the plane of turning are those of flapping less the rate: w² = w_flap² - rate²."""
+    scene = alone({"effects.proximal_bending": 12, "effects.foreshortening": True, **WEIGHTLESS_DISTAL})
+    unit = wave_speeds(scene, "proximal")[0]
+    model = numeric_model(scene)
+    u = np.concatenate([motor_angles(scene.mechanism, POSE), [rate * unit, rate * unit], [0.0, 0.0]])
+    q = casadi.SX.sym("q", model.n)
+    zeros = np.zeros(model.n)
+    force = casadi.Function("stiffness", [q], [casadi.jacobian(model.elastic_forces(q, zeros, zeros, u), q)])
+    squares = eigh(force(zeros).full(), model.mass_matrix(zeros, u).full(), eigvals_only=True) / unit**2
+    expected = np.repeat(SOUTHWELL[rate], 2)
+    np.testing.assert_allclose(np.sqrt(squares[:6] + rate**2), expected, rtol=2e-5)
+
+
+def test_distal_links_buckle_under_eulers_load() -> None:
+    """K_k = K_k0 (1 - P/P_k) with P_k = (k pi)² EI/l² (Euler): the payload's weight presses or pulls the distal links."""
+    weight = {"effects.gravity": [0.0, -9.81], "payload.mass": 50.0, "mechanism.material.density": 1e-6}
+    scene = alone({"effects.distal_bending": 2, "effects.foreshortening": True, **weight})
+    joints = motor_angles(scene.mechanism, (0.0, 0.3))
+    position, (elbow, _) = np.array((0.0, 0.3)), elbows(scene.mechanism, (0.0, 0.3))
+    line = (position - elbow) / np.hypot(*(position - elbow))
+    # both legs carry half of the weight along their lines; it presses where they come from below
+    press = 50.0 * 9.81 / (2.0 * line[1])
+    link = scene.mechanism.distal
+    euler = np.pi**3 * scene.mechanism.material.youngs_modulus * link.diameter**4 / 64 / link.length**2
+    loaded = numeric_model(scene).static_stiffness(np.zeros(4), standstill(joints)).full()
+    free_scene = scene.replace({"effects.gravity": [0.0, 0.0]})
+    free = numeric_model(free_scene).static_stiffness(np.zeros(4), standstill(joints)).full()
+    factor = 1.0 - press / (euler * np.array([1.0, 4.0, 1.0, 4.0]))
+    np.testing.assert_allclose(np.diag(loaded), np.diag(free) * factor, rtol=1e-10)
+    assert abs(factor[0] - 1.0) > 1e-3
+
+
+def test_a_bent_link_of_constant_length_pulls_the_end_effector_with_it() -> None:
+    """A bent link's chord is shorter than its axis: arc length less chord of sin(pi xi) is q² pi²/(4 l) to second order."""
+    scene = alone({"effects.distal_bending": 1, "effects.foreshortening": True})
+    model, u = numeric_model(scene), standstill(motor_angles(scene.mechanism, POSE))
+    q = np.array([3e-3, 0.0])
+    moved = model.motion(q, np.zeros(2), np.zeros(2), u)[0].full().ravel()
+    elbow, _ = elbows(scene.mechanism, POSE)
+    length = scene.mechanism.distal.length
+    assert length - np.hypot(*(moved - elbow)) == pytest.approx(q[0] ** 2 * np.pi**2 / (4 * length), rel=1e-9)
+
+
+@pytest.mark.parametrize(("basis", "modes", "tolerance"), [("assumed-modes", 20, 1e-5), ("craig-bampton", 1, 1e-9)])
+def test_cantilevers_sag_under_their_weight(basis: str, modes: int, tolerance: float) -> None:
+    """Tip deflection w l⁴/(8 EI); the static shape alone gives it exactly, by Betti's reciprocity."""
+    changes = {"effects.proximal_bending": modes, "effects.basis": basis, "effects.gravity": [0.0, -9.81]}
+    scene = alone(changes | WEIGHTLESS_DISTAL)
+    joints = motor_angles(scene.mechanism, POSE)
+    tips = [shape.tip for shape in family_shapes(scene.effects.basis, "proximal", "bending", modes)]
+    sag = static_equilibrium(scene, joints).elastic.reshape(2, modes) @ tips
+    rate = wave_speeds(scene, "proximal")[0]
+    np.testing.assert_allclose(sag, -9.81 * np.cos(joints) / (8.0 * rate**2), rtol=tolerance)
+
+
+def test_a_payload_with_rotary_inertia_slows_the_pinned_link_that_carries_it() -> None:
+    """2 = j beta³ (coth beta - cot beta) with j = J/(m l²): a pinned beam with a rotary inertia at one end.
+
+    From w = sin(beta xi) - sin(beta)/sinh(beta) sinh(beta xi) and EI w'' = w² J w' at the end (Blevins 1979, section 8.1.3).
+    """
+    few, scene = (alone({"effects.distal_bending": modes, "payload.inertia": 2e-3}) for modes in (20, 40))
+    link, material = scene.mechanism.distal, scene.mechanism.material
+    mass = material.density * np.pi * link.diameter**2 / 4 * link.length
+    ratio = 2e-3 / (mass * link.length**2)
+    (beta,) = roots(lambda b: 2.0 * np.sin(b) - ratio * b**3 * (np.sin(b) / np.tanh(b) - np.cos(b)), 1, 3.1)
+    expected = wave_speeds(scene, "distal")[0] * beta**2
+    # no shape has a moment at the end, so the error falls like the rest of sum 1/k², which is 1/(modes + 1/2)
+    found = [frequencies(few)[0], frequencies(scene)[0]]
+    assert expected < found[1] < found[0]
+    limit = found[1] + (found[1] - found[0]) * 20.5 / 20.0
+    assert limit == pytest.approx(expected, rel=5e-6)
+    assert frequencies(scene)[1] == pytest.approx(wave_speeds(scene, "distal")[0] * np.pi**2, rel=1e-8)
+
+
+def test_a_payload_with_rotary_inertia_turns_with_link_12() -> None:
+    """Its energy on the rigid robot is J w12²/2, and the torque that it takes follows by virtual power."""
+    scene = alone({"payload.inertia": 0.3})
+    joints, rates = np.array(motor_angles(scene.mechanism, POSE)), np.array([2.0, -1.0])
+    u = np.concatenate([joints, rates, np.zeros(2)])
+    energy = [numeric_model(s).energy([], [], u).full()[0, 0] for s in (scene, alone({}))]
+
+    def angle(time: float) -> float:
+        moved = joints + time * rates
+        tip = numeric_model(scene).motion([], [], [], standstill(moved))[0].full().ravel()
+        base = elbow_of((-scene.mechanism.base_half_distance, 0.0), moved[0], scene.mechanism.proximal.length)
+        return float(np.arctan2(*(tip - base)[::-1]))
+
+    turning = (angle(1e-5) - angle(-1e-5)) / 2e-5
+    assert energy[0] - energy[1] == pytest.approx(0.15 * turning**2, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    "damping",
+    [
+        {"kind": "mass", "rate": 40.0},
+        {"kind": "stiffness", "time": 1e-5},
+        {"kind": "rayleigh", "rate": 40.0, "time": 1e-5},
+    ],
+)
+@pytest.mark.parametrize("basis", BASES)
+def test_proportional_damping_gives_rayleighs_ratios(damping: dict[str, object], basis: str) -> None:
+    """zeta = rate/(2 w) + time w/2 for every mode of a link alone, in any basis (Clough and Penzien, section 12-3)."""
+    beams = {"effects.proximal_bending": 3, "effects.basis": basis, **WEIGHTLESS_DISTAL}
+    scene = alone(beams | {"effects.damping": damping})
+    modes = damped_modes(scene, motor_angles(scene.mechanism, POSE))
+    omega = 2 * np.pi * modes.frequencies
+    expected = float(damping.get("rate", 0.0)) / (2 * omega) + float(damping.get("time", 0.0)) * omega / 2  # type: ignore[arg-type]
+    np.testing.assert_allclose(modes.ratios, expected, rtol=1e-6)
