@@ -130,7 +130,7 @@ def _zig_compiler(platform: Platform) -> Compiler | None:
     if spec is None or not spec.submodule_search_locations:
         return None
     command = (sys.executable, "-m", "ziglang", "cc", "-target", platform.zig_target)
-    flags = (*platform.link_flags, *platform.zig_link_flags)
+    flags = (*platform.link_flags, "-O2", *platform.zig_link_flags)  # also how zig compiles its own parts of a library
     return Compiler(command, Path(spec.submodule_search_locations[0]), replace(platform, link_flags=flags))
 
 
