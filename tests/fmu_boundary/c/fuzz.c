@@ -56,16 +56,17 @@ static void replay(fuzzed *one, tape *tape) {
   if (again == &other) fuzzed_end(&other);
 }
 
-// hash of a plain run; the instance must be in the state "instantiated"
+// hash of a plain run without fmi2SetupExperiment, beyond the stop times of fuzzed_calls.c; the instance must be in the state "instantiated"
 static uint64_t reference_run(fuzzed *one) {
   importer_doing = "making the reference run";
   fmi2Component c = one->component;
   const fmi2ValueReference input = 0;
   const fmi2Integer order = 1;
   const double rate = 0.25;
+  fmi2Status last = fmi2Fatal;
   one->trace = 0;
-  CHECK(fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0) == fmi2OK);
   CHECK(fmi2EnterInitializationMode(c) == fmi2OK && fmi2ExitInitializationMode(c) == fmi2OK);
+  CHECK(fmi2GetStatus(c, fmi2DoStepStatus, &last) == fmi2OK && last == fmi2OK);
   for (int k = 0; k < REFERENCE_STEPS; k++) {
     if (N_INPUTS > 0 && k == 1) CHECK(fmi2SetRealInputDerivatives(c, &input, 1, &order, &rate) == fmi2OK);
     CHECK(fmi2DoStep(c, 2e-3 * k, 2e-3, fmi2True) == fmi2OK);

@@ -157,7 +157,7 @@ static void serve_setup(fuzzed *one, tape *tape) {
   unsigned choice = tape_byte(tape);
   int is_plain = choice % 4 != 0;
   double tolerance = is_plain ? 1e-6 : fabs(tape_real(tape)), start = is_plain ? 0.0 : tape_real(tape);
-  double stop = choice & 16 ? 0.5 : tape_real(tape);
+  double stop = choice & 16 ? 0.006 : tape_real(tape);
   fmi2Status status = fmi2SetupExperiment(one->component, choice & 32, tolerance, start, (choice & 64) != 0, stop);
   fuzzed_judge(one, call_fmi2SetupExperiment, status);
   if (status <= fmi2Warning) one->now.time = start;
