@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import cast
 
+import numpy as np
+
 from flexfmu.cosim.slave import (
     BindsBuffers,
     Call,
@@ -20,11 +22,11 @@ def bind_set(slave: Slave, indices: Indices, signals: RealArray) -> Call:
     values, derivatives = signals[0], signals[1:]
     if isinstance(slave, BindsBuffers):
         set_values = slave.bind_set(indices, values)
-        return both(set_values, slave.bind_set_derivatives(indices, derivatives)) if len(derivatives) else set_values
+        return Both(set_values, slave.bind_set_derivatives(indices, derivatives)) if len(derivatives) else set_values
     if not len(derivatives):
         return lambda: slave.set(indices, values)
     taker = cast(TakesInputDerivatives, slave)
-    return both(lambda: slave.set(indices, values), lambda: taker.set_derivatives(indices, derivatives))
+    return Both(lambda: slave.set(indices, values), lambda: taker.set_derivatives(indices, derivatives))
 
 
 def bind_get(slave: Slave, indices: Indices, signals: RealArray) -> Call:
@@ -32,21 +34,49 @@ def bind_get(slave: Slave, indices: Indices, signals: RealArray) -> Call:
     values, derivatives = signals[0], signals[1:]
     if isinstance(slave, BindsBuffers):
         get_values = slave.bind_get(indices, values)
-        return both(get_values, slave.bind_get_derivatives(indices, derivatives)) if len(derivatives) else get_values
+        return Both(get_values, slave.bind_get_derivatives(indices, derivatives)) if len(derivatives) else get_values
     if not len(derivatives):
         return lambda: slave.get(indices, values)
     giver = cast(GivesOutputDerivatives, slave)
-    return both(lambda: slave.get(indices, values), lambda: giver.get_derivatives(indices, derivatives))
+    return Both(lambda: slave.get(indices, values), lambda: giver.get_derivatives(indices, derivatives))
 
 
-def both(first: Call, second: Call) -> Call:
+class Both:
     """One call after the other."""
 
-    def call() -> None:
-        first()
-        second()
+    __slots__ = ("first", "second")
 
-    return call
+    def __init__(self, first: Call, second: Call) -> None:
+        self.first, self.second = first, second
+
+    def __call__(self) -> None:
+        self.first()
+        self.second()
+
+
+class Copy:
+    """A call that copies ``source`` (n,) to the places ``indices`` of ``target``.
+
+    Attributes:
+        source, target: the buffers.
+        place: where it goes, a slice where the indices follow one another.
+        is_contiguous: whether both ends are blocks without gaps.
+    """
+
+    __slots__ = ("is_contiguous", "place", "source", "target")
+
+    def __init__(self, source: RealArray, target: RealArray, indices: Indices) -> None:
+        self.source, self.target = source, target
+        self.place = slice(int(indices[0]), int(indices[-1]) + 1) if is_range(indices) else indices
+        self.is_contiguous = is_range(indices) and source.flags.c_contiguous and target.flags.c_contiguous
+
+    def __call__(self) -> None:
+        self.target[self.place] = self.source
+
+
+def is_range(indices: Indices) -> bool:
+    """Whether indices follow one another without gap."""
+    return bool(indices.size and (np.diff(indices) == 1).all())
 
 
 def nothing() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import casadi
 import numpy as np
 
+from flexfmu.cosim.binding import Copy, is_range
 from flexfmu.cosim.block_code import block_function
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.slave import Call, Indices, RealArray, SlaveVariable
@@ -107,6 +108,10 @@ class BlockSlave:
     def step(self, time: float, step: float) -> None:
         """Nothing happens between the sample instants: the outputs are held."""
 
+    def terminate(self) -> None:
+        """End the run: inputs go back to their starts, so that the next run repeats this one to the last bit."""
+        self._memory[: self._inputs] = [each.start or 0.0 for each in self.block.inputs]
+
     def save(self) -> RealArray:
         """Inputs, parameters, outputs and states."""
         return self._memory.copy()
@@ -129,13 +134,13 @@ class BlockSlave:
         """
         if (indices >= self._inputs).any():
             raise InputError(f"{self.name}: only inputs can be connected; set parameters before the run")
-        return _copy(values, self._memory, indices)
+        return Copy(values, self._memory, indices)
 
     def bind_get(self, indices: Indices, values: RealArray) -> Call:
         """A call that writes variables into ``values`` (n,)."""
         memory = self._memory
-        if _is_range(indices):
-            return _copy(memory[indices[0] : indices[-1] + 1], values, np.arange(indices.size))
+        if is_range(indices):
+            return Copy(memory[indices[0] : indices[-1] + 1], values, np.arange(indices.size))
 
         def read() -> None:
             memory.take(indices, None, values, "clip")
@@ -184,18 +189,3 @@ def _slave_variable(variable: Variable) -> SlaveVariable:
     """As the master sees it; no unit fits every unit, as in an FMU."""
     unit = "" if variable.unit == "1" else variable.unit
     return SlaveVariable(variable.name, variable.causality, unit, variable.start)
-
-
-def _is_range(indices: Indices) -> bool:
-    """Whether indices follow one another without gap."""
-    return bool(indices.size and (np.diff(indices) == 1).all())
-
-
-def _copy(source: RealArray, target: RealArray, indices: Indices) -> Call:
-    """A call that copies ``source`` (n,) to the places ``indices`` of ``target``."""
-    place = slice(int(indices[0]), int(indices[-1]) + 1) if _is_range(indices) else indices
-
-    def copy() -> None:
-        target[place] = source
-
-    return copy

@@ -89,12 +89,7 @@ class FmuInstance:
 
     def checked(self, what: str, call: StatusCall) -> Call:
         """The call as one that raises what the FMU says if it fails."""
-
-        def checked() -> None:
-            if (status := call()) > fmi2.WARNING:
-                raise self.error(what, status)
-
-        return checked
+        return Checked(self, what, call)
 
     def error(self, what: str, status: int, time: float | None = None) -> SlaveError:
         """The error with the FMU's own words, or what there is without any."""
@@ -121,3 +116,25 @@ class FmuInstance:
     def initialized(self) -> bool:
         """Whether the FMU has been initialised and may still be called."""
         return self._initialized and not self._fatal
+
+
+class Checked:
+    """A call that raises what the FMU says if it fails.
+
+    Attributes:
+        call: the FMI call.
+    """
+
+    __slots__ = ("_instance", "_what", "call")
+
+    def __init__(self, instance: FmuInstance, what: str, call: StatusCall) -> None:
+        self.call = call
+        self._instance, self._what = instance, what
+
+    def __call__(self) -> None:
+        if (status := self.call()) > fmi2.WARNING:
+            raise self.error(status)
+
+    def error(self, status: int) -> SlaveError:
+        """What the FMU says about a failure."""
+        return self._instance.error(self._what, status)

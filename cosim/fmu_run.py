@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from ctypes import byref, c_double, c_int, c_void_p
 from functools import partial
 
@@ -24,7 +24,7 @@ class FmuRun:
     def __init__(self, instance: FmuInstance) -> None:
         self.instance = instance
         self.transfers = Transfers(instance.fmi, instance.component)
-        self.do_step: Callable[[float, float, int], int] = partial(instance.fmi["fmi2DoStep"], instance.component)
+        self.do_step: partial[int] = partial(instance.fmi["fmi2DoStep"], instance.component)
         self.no_rollback = 1
         self._states: list[c_void_p] = []
         self._spare: list[c_void_p] = []

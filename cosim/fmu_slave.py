@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,11 @@ class FmuSlave:
         run = self._running()
         if (status := run.do_step(time, step, run.no_rollback)) > fmi2.WARNING:
             raise run.step_error(status, time, step)
+
+    def bound_step(self) -> tuple[partial[int], int, Callable[[int, float, float], BaseException]]:
+        """fmi2DoStep of the present run, noSetFMUStatePriorToCurrentPoint, and what makes the error of a failed step."""
+        run = self._running()
+        return run.do_step, run.no_rollback, run.step_error
 
     def set(self, indices: Indices, values: RealArray) -> None:
         """Set inputs; before initialisation they are kept for it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from flexfmu.cosim.algorithms import Algorithm, GaussSeidel
+from flexfmu.cosim.compiled.library import load
 from flexfmu.cosim.coupling_error import CouplingError
 from flexfmu.cosim.delays import signal_delays
 from flexfmu.cosim.errors import LoopError, NotFiniteError, SlaveError, StepSizeError
@@ -32,6 +33,7 @@ def simulate(
     progress: Progress | None = None,
     algorithm: Algorithm | None = None,
     step_control: StepDoubling | None = None,
+    compiled: bool | None = None,
 ) -> Simulation:
     """Co-simulate a system from ``start`` to ``stop`` [s].
 
@@ -52,6 +54,8 @@ def simulate(
         progress: called now and then with the simulated fraction.
         algorithm: how slaves are coupled over a step: `GaussSeidel` (when None), `Jacobi` or `Implicit`.
         step_control: chooses the communication steps; None for a constant step.
+        compiled: True or None to run the loop over the points in C where the system allows it (no steps are repeated)
+            and there is a C compiler, False for Python; the numbers are the same.
 
     Raises:
         InputError: the time grid makes no sense, a sample time doesn't fit it, or a slave would have to be taken back to
@@ -62,7 +66,7 @@ def simulate(
     marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
     grid = time_grid(start, stop, step, marks, clocks, ticks=step_control is None)
     schedule = Schedule(system, grid, chosen)
-    run = Run(schedule, grid, progress)
+    run = Run(schedule, grid, progress, None if compiled is False else load())
     if step_control is not None:
         check_can_save(revocable(system.slaves), "step control")
         error = CouplingError(system, schedule.outputs, schedule.couplings, step_control, stop - start)

@@ -26,6 +26,7 @@ class OutputPort:
         indices: (n,) its outputs.
         signals: (orders + 1, n) values in row 0, derivatives below.
         recorded: how many rows of ``signals`` go into the recording.
+        transfer, read_announced: calls that fill ``signals`` with what has been reached, and with what is announced.
     """
 
     def __init__(self, slave: Slave, coupling_order: int) -> None:
@@ -35,7 +36,7 @@ class OutputPort:
         self.recorded = 1 + min(output_order(slave), RECORDED_ORDER)
         self.signals = np.zeros((max(self.recorded, 1 + coupling_order), self.indices.size))
         self._finite = np.ones(self.signals.shape, dtype=np.bool_)
-        self._read = self.read_announced = nothing
+        self.transfer = self.read_announced = nothing
 
     def bind(self) -> None:
         """Prepare the transfers, once the slave has been initialised.
@@ -44,8 +45,13 @@ class OutputPort:
         """
         if self.indices.size:
             rows = self.recorded if isinstance(self.slave, KnowsItsFuture) else self.signals.shape[0]
-            self._read = bind_get(self.slave, self.indices, self.signals[:rows])
+            self.transfer = bind_get(self.slave, self.indices, self.signals[:rows])
             self.read_announced = bind_get(self.slave, self.indices, self.signals)
+
+    @property
+    def reads_all(self) -> bool:
+        """Whether the slave has outputs alone."""
+        return self.indices.size == len(self.slave.variables)
 
     def read(self, time: float) -> None:
         """Read what the slave has reached at ``time``.
@@ -53,12 +59,12 @@ class OutputPort:
         Raises:
             NotFiniteError: an output or one of its derivatives is infinite or not a number.
         """
-        self._read()
+        self.transfer()
         np.isfinite(self.signals, self._finite)
         if not self._finite.all():
-            raise self._not_finite(time)
+            raise self.not_finite(time)
 
-    def _not_finite(self, time: float) -> NotFiniteError:
+    def not_finite(self, time: float) -> NotFiniteError:
         """The error that names the first offending output."""
         order, column = np.argwhere(~np.isfinite(self.signals))[0]
         name = self.slave.variables[self.indices[column]].name
@@ -73,6 +79,7 @@ class InputPort:
         slave: the slave.
         links: where the inputs come from.
         fed: (orders + 1, n) values in row 0, derivatives below.
+        send: a call that hands ``fed`` to the slave.
     """
 
     def __init__(self, slave: Slave, indices: Indices, links: Sequence[Link]) -> None:
@@ -82,12 +89,12 @@ class InputPort:
         self.interpolating = tuple(link for link in links if link.interpolates)
         self._begins: list[RealArray] = []
         self._indices = indices
-        self._send = nothing
+        self.send = nothing
 
     def bind(self) -> None:
         """Prepare the transfers, once the slave has been initialised."""
         if self.links:
-            self._send = bind_set(self.slave, self._indices, self.fed)
+            self.send = bind_set(self.slave, self._indices, self.fed)
 
     def preset(self, ready: Collection[OutputPort]) -> None:
         """Set values before the slave is initialised, those whose sources are ready; the others keep their starts."""
@@ -100,7 +107,7 @@ class InputPort:
         """Set the inputs from the outputs at the current instant."""
         for link in self.links:
             link.extrapolate(self.fed)
-        self._send()
+        self.send()
 
     def remember(self) -> None:
         """Keep the interpolated signals at the beginning of a step."""
@@ -110,4 +117,4 @@ class InputPort:
         """Set the inputs whose sources have already been advanced over the step."""
         for link, begin in zip(self.interpolating, self._begins, strict=True):
             link.interpolate(begin, step, self.fed)
-        self._send()
+        self.send()

@@ -16,28 +16,36 @@ class Recorder:
     Args:
         ports: what to record.
         capacity: expected number of instants; more are possible.
+
+    Attributes:
+        time: (capacity,) recorded instants [s].
+        blocks: for each port its present signals (orders + 1, n) and the recorded ones (capacity, orders + 1, n).
     """
 
     def __init__(self, ports: Sequence[OutputPort], capacity: int) -> None:
         self._ports = tuple(ports)
         self._count = 0
-        self._time = np.empty(max(capacity, 1))
-        self._rows = [np.empty((self._time.size, port.recorded, port.indices.size)) for port in ports]
-        self._blocks = [(port.signals[: port.recorded], rows) for port, rows in zip(ports, self._rows, strict=True)]
+        self.time = np.empty(max(capacity, 1))
+        self._rows = [np.empty((self.time.size, port.recorded, port.indices.size)) for port in ports]
+        self.blocks = [(port.signals[: port.recorded], rows) for port, rows in zip(ports, self._rows, strict=True)]
 
     def append(self, time: float) -> None:
         """Record the current signals of all ports."""
-        if self._count == self._time.size:
+        if self._count == self.time.size:
             self._grow()
-        for signals, rows in self._blocks:
+        for signals, rows in self.blocks:
             rows[self._count] = signals
-        self._time[self._count] = time
+        self.time[self._count] = time
         self._count += 1
 
     @property
     def count(self) -> int:
         """How many instants have been recorded."""
         return self._count
+
+    def advance(self, count: int) -> None:
+        """Take note of ``count`` instants in all, which somebody has put into ``time`` and ``blocks``."""
+        self._count = count
 
     def rewind(self, count: int) -> None:
         """Forget all instants but the first ``count``, of a step that was rejected."""
@@ -50,13 +58,13 @@ class Recorder:
             for port, rows in zip(self._ports, self._rows, strict=True)
             for name, column in _columns(port, rows[: self._count])
         }
-        return Recording(self._time[: self._count].copy(), columns)
+        return Recording(self.time[: self._count].copy(), columns)
 
     def _grow(self) -> None:
         """Double the capacity."""
-        self._time = np.concatenate([self._time, np.empty_like(self._time)])
+        self.time = np.concatenate([self.time, np.empty_like(self.time)])
         self._rows = [np.concatenate([rows, np.empty_like(rows)]) for rows in self._rows]
-        self._blocks = [(signals, rows) for (signals, _), rows in zip(self._blocks, self._rows, strict=True)]
+        self.blocks = [(signals, rows) for (signals, _), rows in zip(self.blocks, self._rows, strict=True)]
 
 
 def _columns(port: OutputPort, rows: RealArray) -> Iterator[tuple[str, Column]]:

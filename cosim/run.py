@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flexfmu.cosim.compiled.library import RunProgram
+from flexfmu.cosim.compiled.program import can_compile
+from flexfmu.cosim.compiled.run import CompiledRun
 from flexfmu.cosim.controlled_steps import ControlledSteps
 from flexfmu.cosim.coupling_error import CouplingError
 from flexfmu.cosim.grid import TimeGrid
@@ -41,15 +44,24 @@ class Reached:
 class Run:
     """Goes from point to point of a grid and records them.
 
+    Args:
+        schedule: whose turn it is.
+        grid: the points.
+        progress: told now and then.
+        library: the C side of the loop, used where the schedule allows it; None for Python.
+
     Attributes:
         recorder: what has been recorded.
         initialized: whether all slaves have been initialised.
     """
 
-    def __init__(self, schedule: Schedule, grid: TimeGrid, progress: Progress | None) -> None:
+    def __init__(
+        self, schedule: Schedule, grid: TimeGrid, progress: Progress | None, library: RunProgram | None = None
+    ) -> None:
         self.recorder = Recorder(schedule.outputs, grid.times.size + int(grid.marked.sum()))
         self.initialized = False
-        self._schedule = schedule
+        self._schedule, self._grid = schedule, grid
+        self._library = library if library is not None and can_compile(schedule) else None
         self._cross = schedule.advance
         self._controlled: ControlledSteps | None = None
         self._times: list[float] = grid.times.tolist()
@@ -71,6 +83,25 @@ class Run:
         self._schedule.initialize(tolerance)
         self.initialized = True
         self._start()
+        if self._library is not None and self._controlled is None:
+            self._go_in_c(self._library)
+        else:
+            self._go_in_python()
+
+    def _go_in_c(self, library: RunProgram) -> None:
+        """A piece of the way at a time, between which progress is told and the user can interrupt."""
+        compiled = CompiledRun(library, self._schedule, self.recorder, self._grid.times, self._marked)
+        count = len(self._times) - 1
+        pieces = min(PROGRESS_CALLS, count)
+        try:
+            for piece in range(1, pieces + 1):
+                compiled.go(count * piece // pieces)
+                if self._progress is not None:
+                    self._progress(piece / pieces)
+        finally:
+            self._passed = compiled.points
+
+    def _go_in_python(self) -> None:
         times, marked, cross = self._times, self._marked, self._cross
         exchange, record = self._schedule.exchange, self.recorder.append
         count = len(times) - 1

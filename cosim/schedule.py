@@ -31,7 +31,10 @@ class Schedule:
         outputs: output ports, in the order of `System.slaves`; their signals are those of the current instant.
         couplings: (source, target) → how its signals get there.
         activity: which slave is, or was last, at work.
-        advance: steps all slaves from one communication point to the next [s] and reads them.
+        turns, updating: who has a turn in an exchange, and who moves on to the next state at its end.
+        futures: slaves that announce what comes, with their ports.
+        rounds: further rounds of an exchange where signals may jump.
+        stepping, advance: steps all slaves from one communication point to the next [s] and reads them.
     """
 
     def __init__(self, system: System, grid: TimeGrid, algorithm: Algorithm) -> None:
@@ -42,16 +45,17 @@ class Schedule:
         self._grid = grid
         stale = stale_after_step(system, self.couplings)
         visits = plan_visits(system, self._inputs, self.outputs, grid, stale)
-        self._turns = self._with_loops(visits)
-        self._updating = [visit for visit in visits if visit.update is not None]
-        self._futures = [
+        self.turns = self._with_loops(visits)
+        self.updating = [visit for visit in visits if visit.update is not None]
+        self.futures = [
             (slave, port)
             for slave, port in zip(system.slaves, self.outputs, strict=True)
             if isinstance(slave, KnowsItsFuture)
         ]
-        self._rounds = loop_order(system, self.couplings)
+        self.rounds = loop_order(system, self.couplings)
         ports = self._inputs, self.outputs
-        self.advance = Stepping(system, algorithm, ports, self.couplings, self.activity).advance
+        self.stepping = Stepping(system, algorithm, ports, self.couplings, self.activity)
+        self.advance = self.stepping.advance
 
     def initialize(self, tolerance: float | None) -> None:
         """Initialise the slaves, each with the outputs of those before it, and read them."""
@@ -77,7 +81,7 @@ class Schedule:
             time: its time [s].
             jump: whether signals may jump, as they may at the start: all outputs are read anew.
         """
-        for future, port in self._futures:
+        for future, port in self.futures:
             self.activity.name = future.name
             future.announce(time)
             port.read_announced()
@@ -85,9 +89,9 @@ class Schedule:
         if jump:
             # the k-th derivative of an output depends on derivatives of the inputs up to the k-th: round closed loops
             # one more is right after each round
-            for _ in range(self._rounds):
+            for _ in range(self.rounds):
                 self._pass_on(OFF_GRID, time, True)
-            for visit in self._updating:
+            for visit in self.updating:
                 if visit.due[point] and visit.update is not None:
                     self.activity.name = visit.slave.name
                     visit.update(time)
@@ -95,7 +99,7 @@ class Schedule:
     def _pass_on(self, point: int, time: float, jump: bool) -> None:
         """Everybody's turn."""
         activity = self.activity
-        for turn in self._turns:
+        for turn in self.turns:
             if isinstance(turn, InstantLoop):
                 turn.solve(point, time)
                 continue
@@ -112,7 +116,7 @@ class Schedule:
 
     def begin(self, times: RealArray) -> None:
         """Choose the coming communication points, from the current or an earlier one on, and begin the first step."""
-        for future, _ in self._futures:
+        for future, _ in self.futures:
             self.activity.name = future.name
             future.prepare(times)
         self.exchange(OFF_GRID, float(times[0]), False)

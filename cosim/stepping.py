@@ -33,6 +33,10 @@ class Stepper:
 class Stepping:
     """Advances all slaves that are stepped.
 
+    Attributes:
+        single: the slaves in order.
+        iterates: whether some of them repeat steps until they agree.
+
     Raises:
         InputError: a slave would have to be repeated but can't go back.
     """
@@ -52,7 +56,8 @@ class Stepping:
             for i, slave in enumerate(system.slaves)
         ]
         groups = step_groups(system, algorithm)
-        single = [steppers[i] for group in groups for i in group.slaves]
+        self.single = single = [steppers[i] for group in groups for i in group.slaves]
+        self.iterates = any(group.solver for group in groups)
         self._interpolating = [each.inputs for each in single if each.interpolating]
         # bound once: this is what a run spends its time with
         self._calls = [
@@ -65,7 +70,7 @@ class Stepping:
             for each in single
         ]
         self._groups = [self._group(system, group, steppers, coupled) for group in groups]
-        self.advance = self._advance_groups if any(group.solver for group in groups) else self._advance
+        self.advance = self._advance_groups if self.iterates else self._advance
 
     def _advance(self, begin: float, end: float) -> None:
         """Step all slaves from one communication point to the next and read them."""

@@ -77,6 +77,16 @@ class TrajectorySlave:
         """No inputs, no feedthrough."""
         return {variable.name: () for variable in self.variables}
 
+    @property
+    def announced(self) -> RealArray:
+        """(N, orders, variables): the polynomial of the step that begins at each prepared point."""
+        return self._polynomials
+
+    @property
+    def ended(self) -> RealArray:
+        """(N, orders, variables): the left limits at each prepared point."""
+        return self._ends
+
     def prepare(self, times: RealArray) -> None:
         """Calculate the polynomials of all steps, and begin with the left limits at the first point."""
         first, last = self._landings(times)

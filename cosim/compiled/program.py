@@ -1,0 +1,209 @@
+"""A schedule as a list of operations for the C side: the same turns in the same order as `Schedule` and `Stepping`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from flexfmu.cosim.activity import Activity
+from flexfmu.cosim.binding import Both, Copy
+from flexfmu.cosim.compiled.operations import (
+    Operation,
+    When,
+    copy,
+    finite,
+    flags,
+    fmi_step,
+    fmi_transfer,
+    gather,
+    outside,
+    table_row,
+)
+from flexfmu.cosim.fmu_instance import Checked
+from flexfmu.cosim.instant_loop import InstantLoop
+from flexfmu.cosim.links import Link
+from flexfmu.cosim.ports import InputPort, OutputPort
+from flexfmu.cosim.schedule import Schedule
+from flexfmu.cosim.slave import Call, KnowsItsFuture, RealArray, Slave
+from flexfmu.cosim.visit import Visit
+
+
+@runtime_checkable
+class HasTables(Protocol):
+    """Knows its future, all of it: what `announce` and `step` change over to is in tables, a row for each point.
+
+    Attributes:
+        announced: (N, orders, n) value and derivatives after `announce` at each communication point.
+        ended: (N, orders, n) value and derivatives after the `step` that ends at each communication point.
+    """
+
+    @property
+    def announced(self) -> RealArray: ...
+    @property
+    def ended(self) -> RealArray: ...
+
+
+@runtime_checkable
+class StepsInC(Protocol):
+    """Is stepped by fmi2DoStep."""
+
+    def bound_step(self) -> tuple[partial[int], int, Callable[[int, float, float], BaseException]]:
+        """The function with its component bound, noSetFMUStatePriorToCurrentPoint, and what makes the error."""
+
+
+def can_compile(schedule: Schedule) -> bool:
+    """Whether the schedule is the same at every point: nothing is repeated until it agrees."""
+    loops = any(isinstance(turn, InstantLoop) for turn in schedule.turns)
+    return not loops and not schedule.stepping.iterates
+
+
+def advance_operations(schedule: Schedule) -> list[Operation]:
+    """Over a step: what `Stepping.advance` does."""
+    operations = [
+        _call(each.slave.name, each.inputs.remember, schedule)
+        for each in schedule.stepping.single
+        if each.interpolating
+    ]
+    for stepper in schedule.stepping.single:
+        slave, port, inputs = stepper.slave, stepper.outputs, stepper.inputs
+        if stepper.interpolating:
+            operations.append(outside(_interpolation(inputs, slave.name, schedule.activity), When.ALWAYS, slave.name))
+        if isinstance(slave, HasTables) and port.reads_all:
+            operations.append(table_row(slave.ended, port.signals, slave.name, port.recorded))
+            continue
+        operations += [_step(stepper.slave, schedule.activity), *_read(port, When.ALWAYS, schedule.activity)]
+    return operations
+
+
+def exchange_operations(schedule: Schedule) -> list[Operation]:
+    """At a communication point: what `Schedule.exchange` does."""
+    operations: list[Operation] = []
+    for slave, port in schedule.futures:
+        operations += _announcement(slave, port, schedule.activity)
+    operations += _turns(schedule, When.ALWAYS)
+    for _ in range(schedule.rounds):
+        operations += _turns(schedule, When.AT_JUMPS)
+    for visit in schedule.updating:
+        if visit.update is not None:
+            operations.append(_sampling(visit, visit.update, schedule.activity))
+    return operations
+
+
+def _turns(schedule: Schedule, when: When) -> Iterator[Operation]:
+    """Everybody's turn: inputs, samples (not in further rounds), outputs."""
+    for visit in schedule.turns:
+        if not isinstance(visit, Visit):
+            continue
+        yield from _feed(visit.inputs, when, schedule.activity)
+        if visit.sample is not None and when is When.ALWAYS:
+            yield _sampling(visit, visit.sample, schedule.activity)
+        yield from _read(visit.outputs, when if visit.stale else When.AT_JUMPS, schedule.activity)
+
+
+def _announcement(slave: KnowsItsFuture, port: OutputPort, activity: Activity) -> list[Operation]:
+    """Change over to the polynomial of the coming step."""
+    rows = len(port.signals)
+    if isinstance(slave, HasTables) and port.reads_all and slave.announced.shape[1] >= rows:
+        return [table_row(slave.announced, port.signals, port.slave.name, rows)]
+
+    def announce(point: int, begin: float, end: float) -> None:
+        activity.name = port.slave.name
+        slave.announce(begin)
+        port.read_announced()
+
+    return [outside(announce, When.ALWAYS, port.slave.name)]
+
+
+def _feed(port: InputPort, when: When, activity: Activity) -> Iterator[Operation]:
+    """Set a slave's inputs from the outputs that feed them."""
+    name = port.slave.name
+    for link in port.links:
+        if link.transformation is None:
+            yield _gather(link, port.fed, when, name)
+        else:
+            yield outside(_extrapolation(link, port.fed), when, name)
+    yield from _transfer(port.send, when, name, activity)
+
+
+def _gather(link: Link, fed: RealArray, when: When, name: str) -> Operation:
+    """What `Link.extrapolate` does; rows beyond stay zero."""
+    rows = np.arange(link.coupling.order + 1)[:, None]
+    columns = rows * link.source.signals.shape[1] + link.columns
+    places = rows * fed.shape[1] + np.arange(fed.shape[1])[link.slots]
+    integers = [np.ascontiguousarray(each.ravel(), dtype=np.int64) for each in (columns, places)]
+    return gather(link.source.signals, integers[0], fed, integers[1], when, name)
+
+
+def _read(port: OutputPort, when: When, activity: Activity) -> Iterator[Operation]:
+    """Read a slave's outputs and look at them."""
+    if not port.indices.size:
+        return
+    yield from _transfer(port.transfer, when, port.slave.name, activity)
+    yield finite(port.signals, when, port.slave.name, lambda status, begin, end: port.not_finite(end))
+
+
+def _transfer(call: Call, when: When, name: str, activity: Activity) -> Iterator[Operation]:
+    """A bound call, in C where it is known what it does."""
+    if isinstance(call, Both):
+        yield from _transfer(call.first, when, name, activity)
+        yield from _transfer(call.second, when, name, activity)
+    elif isinstance(call, Checked) and isinstance(call.call, partial):
+        checked = call
+        yield fmi_transfer(call.call, when, name, lambda status, begin, end: checked.error(status))
+    elif isinstance(call, Copy) and call.is_contiguous:
+        yield copy(call.source, call.target[call.place], when, name)
+    else:
+        yield outside(_named(call, name, activity), when, name)
+
+
+def _step(slave: Slave, activity: Activity) -> Operation:
+    """Advance one slave."""
+    name = slave.name
+    if isinstance(slave, StepsInC):
+        call, no_rollback, failure = slave.bound_step()
+        return fmi_step(call, no_rollback, name, lambda status, begin, end: failure(status, begin, end - begin))
+
+    def step(point: int, begin: float, end: float) -> None:
+        activity.name = name
+        slave.step(begin, end - begin)
+
+    return outside(step, When.ALWAYS, name)
+
+
+def _sampling(visit: Visit, sample: Callable[[float], None], activity: Activity) -> Operation:
+    """Let a slave sample where it is due."""
+
+    def take(point: int, begin: float, end: float) -> None:
+        activity.name = visit.slave.name
+        sample(end)
+
+    operation = outside(take, When.ALWAYS, visit.slave.name)
+    operation.due(flags(visit.due))
+    return operation
+
+
+def _call(name: str, function: Call, schedule: Schedule) -> Operation:
+    return outside(_named(function, name, schedule.activity), When.ALWAYS, name)
+
+
+def _named(call: Call, name: str, activity: Activity) -> Callable[[int, float, float], None]:
+    def named(point: int, begin: float, end: float) -> None:
+        activity.name = name
+        call()
+
+    return named
+
+
+def _extrapolation(link: Link, fed: RealArray) -> Callable[[int, float, float], None]:
+    return lambda point, begin, end: link.extrapolate(fed)
+
+
+def _interpolation(inputs: InputPort, name: str, activity: Activity) -> Callable[[int, float, float], None]:
+    def interpolate(point: int, begin: float, end: float) -> None:
+        activity.name = name
+        inputs.interpolate(end - begin)
+
+    return interpolate

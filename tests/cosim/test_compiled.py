@@ -1,0 +1,130 @@
+"""The loop over the communication points in C does what the loop in Python does, number by number and error by error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.compiled import library
+from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.loop import Loop
+from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.master import Outcome, Simulation, simulate
+from flexfmu.cosim.planning import plan
+from flexfmu.cosim.scene_system import scene_system
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.system import connect
+from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+SCENE = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.2, "trajectory.dwell": 0.02})
+
+CONTROLLED = SCENE.replace(
+    {
+        "cosimulation.drive": "torque",
+        "effects.motor_inertia": 0.1,
+        "controller": [
+            {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 5e-4},
+            {"kind": "feedforward", "sample_time": 1e-3},
+        ],
+        "shaper": [{"kind": "zv", "apply": "sampled", "sample_time": 1e-3, "modes": [{"frequency": 58.0}]}],
+        "imperfection": [
+            {"kind": "encoder", "counts_per_turn": 1e6},
+            {"kind": "noise", "signal": "torque", "standard_deviation": 0.1},
+        ],
+    }
+)
+
+
+def both(scene: Scene, loop: Loop | None = None) -> tuple[Simulation, Simulation]:
+    """The scene in C and in Python."""
+    loop = loop_of(scene, plan(scene)) if loop is None else loop
+    parts = scene_system(scene, loop, build_scene(scene).path)
+    system = connect(parts.slaves, parts.wiring.connections)
+    runs = [simulate(system, loop.motion.stop_time, 5e-4, tolerance=1e-6, compiled=each) for each in (True, False)]
+    return runs[0], runs[1]
+
+
+def assert_identical(first: Simulation, second: Simulation) -> None:
+    """To the last bit."""
+    assert (first.outcome, first.message) == (second.outcome, second.message)
+    assert np.array_equal(first.recording.time, second.recording.time)
+    assert list(first.recording.columns) == list(second.recording.columns)
+    for name, column in first.recording.columns.items():
+        other = second.recording[name]
+        for mine, its in ((column.values, other.values), (column.first, other.first), (column.second, other.second)):
+            assert (mine is None) == (its is None)
+            if mine is not None and its is not None:
+                assert np.array_equal(mine, its), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [SCENE, CONTROLLED], ids=["motion-driven", "controlled"])
+def test_the_same_numbers(scene: Scene) -> None:
+    """Every signal and derivative at every instant, with streamed references and with sampled slaves of all kinds; it is
+    also the second run of the same slaves, which repeats the first to the last bit."""
+    compiled, interpreted = both(scene)
+    assert compiled.outcome is Outcome.COMPLETED
+    assert compiled.recording.time.size > 400
+    assert_identical(compiled, interpreted)
+
+
+class Tripping:
+    """A slave in Python that puts out a sine and fails at 50 ms, one way or another."""
+
+    variables = (SlaveVariable("x", "output"), SlaveVariable("u", "input", start=0.0))
+
+    def __init__(self, fail: Callable[[], float]) -> None:
+        self.name = "tripping"
+        self.feedthrough: dict[str, tuple[str, ...]] = {"x": ()}
+        self._fail, self._time = fail, 0.0
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self._time = start_time
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = np.sin(self._time) if self._time < 0.05 else self._fail()
+
+    def step(self, time: float, step: float) -> None:
+        self._time = time + step
+
+
+def stumble() -> float:
+    raise SlaveError("tripping", "stumbled over nothing")
+
+
+@pytest.mark.parametrize(
+    ("fail", "outcome"),
+    [(lambda: np.nan, Outcome.NOT_FINITE), (stumble, Outcome.STEP_FAILED), (lambda: 1 / 0, Outcome.STEP_FAILED)],
+    ids=["nan", "slave error", "exception"],
+)
+def test_failures_end_the_run_the_same_way(fail: Callable[[], float], outcome: Outcome) -> None:
+    """Outcome, sentence and recording up to there."""
+    runs = [simulate(connect([Tripping(fail)], []), 0.1, 1e-3, compiled=compiled) for compiled in (True, False)]
+    assert runs[0].outcome is outcome
+    assert runs[0].recording.time[-1] == pytest.approx(0.049)
+    assert_identical(runs[0], runs[1])
+
+
+def test_interruption_keeps_what_was_recorded() -> None:
+    """Ctrl-C between two points ends the run like in Python."""
+
+    def interrupt(fraction: float) -> None:
+        if fraction >= 0.5:
+            raise KeyboardInterrupt
+
+    run = simulate(connect([Tripping(lambda: 0.0)], []), 0.1, 1e-3, progress=interrupt)
+    assert run.outcome is Outcome.INTERRUPTED
+    assert run.recording.time[-1] == pytest.approx(0.05)
+
+
+def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
+    """The run goes on in Python."""
+    monkeypatch.setenv("CC", "there-is-no-such-compiler")
+    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path))
+    assert library.load.__wrapped__() is None
