@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.fmu_file import open_fmu
 from flexfmu.cosim.fmu_variables import Value
+from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.scene_parameters import scene_with_parameters
 from flexfmu.cosim.slave_export import ExportedSlave, ExportedSystem, Progress, export_slaves
 from flexfmu.cosim.ssp.archive import DESCRIPTION
 from flexfmu.cosim.ssp.structure import (
@@ -69,14 +71,25 @@ def export_ssp(
         BuildError: an FMU can't be built, or the file can't be written.
     """
     target = Path(path)
+    loop = loop_of(scene) if loop is None else loop
+    robot = _robot(scene, loop)
     with tempfile.TemporaryDirectory(prefix="flexfmu-") as folder:
-        system = export_slaves(scene, Path(folder), loop=loop, platforms=platforms, cache=cache, progress=progress)
+        system = export_slaves(robot, Path(folder), loop=loop, platforms=platforms, cache=cache, progress=progress)
         files = {_source(slave): slave.path.read_bytes() for slave in system.slaves}
         structure = describe(scene.name, system)
     for binding in structure.bindings:
         files[PARAMETERS] = ssv_xml(binding.values, TOOL)
     write_atomically(target, pack({**files, DESCRIPTION: ssd_xml(structure, TOOL)}))
     return target
+
+
+def _robot(scene: Scene, loop: Loop) -> Scene:
+    """The scene with the parameters that the robot has, for importers that ignore parameter sets.
+
+    Torques that hold the start pose come from the scene's own parameters, so that it stays as it is where they act.
+    """
+    holds = scene.cosimulation.drive == "torque" and not loop.controllers
+    return scene if holds else scene_with_parameters(scene, loop.parameters)
 
 
 def describe(name: str, system: ExportedSystem) -> Structure:

@@ -23,7 +23,7 @@ _NAMESPACES = {
     "ssm": f"{NAMESPACE}SystemStructureParameterMapping",
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
 }
-"""Prefixes; some importers look for them literally."""
+"""Prefixes; some importers look for them literally, and libcosim takes declarations below the root for elements."""
 
 OSP_ANNOTATION = "com.opensimulationplatform"
 """Type of the annotation with the communication step, as libcosim reads it."""
@@ -36,8 +36,7 @@ def ssd_xml(structure: Structure, tool: str) -> bytes:
         structure: the system; parameter sets with a source are referred to, the others are written inline.
         tool: name of the program that wrote it.
     """
-    used = {prefix: _NAMESPACES[prefix] for prefix in ("ssc", "ssd", "ssv", "ssm")}
-    root = etree.Element(_tag("ssd:SystemStructureDescription"), nsmap=used)
+    root = etree.Element(_tag("ssd:SystemStructureDescription"), nsmap=_NAMESPACES)
     _set(root, version=VERSION, name=structure.name, description=structure.description, generationTool=tool)
     system = _add(root, "ssd:System", name=structure.name, description=structure.description)
     _connectors(system, structure.connectors)
@@ -137,9 +136,8 @@ def _experiment(root: Any, structure: Structure) -> None:
     node = _add(root, "ssd:DefaultExperiment", **{k: None if v is None else repr(v) for k, v in times.items()})
     if structure.step is not None:
         annotation = _add(_add(node, "ssd:Annotations"), "ssc:Annotation", type=OSP_ANNOTATION)
-        algorithm = etree.SubElement(annotation, _tag("osp:Algorithm"), nsmap={"osp": _NAMESPACES["osp"]})
         element, attribute = OSP_STEP
-        _add(algorithm, f"osp:{element}", **{attribute: repr(structure.step)})
+        _add(_add(annotation, "osp:Algorithm"), f"osp:{element}", **{attribute: repr(structure.step)})
 
 
 def _add(parent: Any, tag: str, **attributes: str | None) -> Any:
