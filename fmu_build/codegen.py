@@ -13,6 +13,7 @@ from typing import Any
 import casadi
 
 from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.states import find_states
 from flexfmu.fmu_build.templating import render
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
 
@@ -68,6 +69,7 @@ def generate_description(
     return render(
         DESCRIPTION_FILE + ".j2",
         model=model,
+        states=find_states(model),
         functions=functions,
         guid=guid,
         tolerance=tolerance,

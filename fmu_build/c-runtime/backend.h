@@ -13,12 +13,24 @@ typedef struct {
   size_t state_size;
   const double *time;  /* present time [s], within the state */
   const char *message; /* why the last call was refused */
+  unsigned n_inputs;   /* real variables below this value reference are inputs */
   unsigned n_settable; /* real variables below this value reference are inputs and parameters */
   unsigned n_outputs;  /* so many after them are outputs */
 } flex_backend;
 
+/* what changes of known variables make of unknown ones */
+typedef struct {
+  size_t n_known, n_unknown;
+  const unsigned *known, *unknown; /* value references */
+  const double *change;            /* of the known variables */
+  double *result;                  /* changes of the unknown ones */
+} flex_direction;
+
 /* identity of the model description that belongs to this binary */
 const char *flex_backend_guid(void);
+
+/* whether an importer may integrate it itself, by the functions of model_exchange.h */
+int flex_backend_has_model_exchange(void);
 
 /* bytes of memory that an instance needs, zeroed by the caller before flex_backend_create */
 size_t flex_backend_size(void);
@@ -47,6 +59,9 @@ int flex_backend_get_integer(flex_backend *backend, unsigned index, int *value);
 int flex_backend_set_integer(flex_backend *backend, unsigned index, int value);
 int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int order, double value);
 int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, int order, double *value);
+
+/* directional derivatives */
+int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction);
 
 /* the work done since initialisation, a sentence for the log */
 void flex_backend_summarise(const flex_backend *backend, char *text, size_t size);

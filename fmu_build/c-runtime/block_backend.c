@@ -21,6 +21,10 @@ const char *flex_backend_guid(void) {
   return flex_the_block.guid;
 }
 
+int flex_backend_has_model_exchange(void) {
+  return 0;
+}
+
 size_t flex_backend_size(void) {
   flex_arena arena = {NULL, 0};
   flex_take(&arena, sizeof(block_backend));
@@ -36,6 +40,7 @@ flex_backend *flex_backend_create(void *memory) {
   whole->base.state_size = block->state_size;
   whole->base.time = &block->record->time;
   whole->base.message = block->message;
+  whole->base.n_inputs = (unsigned)flex_the_block.n_inputs;
   whole->base.n_settable = (unsigned)(flex_the_block.n_inputs + flex_the_block.n_parameters);
   whole->base.n_outputs = (unsigned)flex_the_block.n_outputs;
   return &whole->base;
@@ -143,6 +148,11 @@ int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int
 int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, int order, double *value) {
   (void)index, (void)order, (void)value;
   return flex_refuse(block_of(backend)->message, "outputs are held between samples and jump there, they have no derivatives");
+}
+
+int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction) {
+  (void)direction;
+  return flex_refuse(block_of(backend)->message, "this FMU provides no directional derivatives, as its model description says");
 }
 
 void flex_backend_summarise(const flex_backend *backend, char *text, size_t size) {

@@ -9,9 +9,9 @@ const char *const flex_log_categories[N_LOG_CATEGORIES] = {"logStatusError", "lo
 
 static const struct {
   const char *name;
-  int phases;
+  int kinds, phases;
 } calls[] = {
-#define X(function, phases) {#function, phases},
+#define X(function, kinds, phases) {#function, kinds, phases},
     FLEX_FMI2_CALLS(X)
 #undef X
 };
@@ -23,6 +23,8 @@ static const char *phase_name(flex_phase phase) {
     case STEP_COMPLETE: return "step complete";
     case STEP_FAILED: return "step failed";
     case TERMINATED: return "terminated";
+    case EVENT_MODE: return "event mode";
+    case CONTINUOUS_TIME_MODE: return "continuous-time mode";
   }
   return "unknown";
 }
@@ -62,6 +64,11 @@ void flex_enter_phase(flex_instance *instance, flex_phase phase) {
 flex_instance *flex_checked(fmi2Component component, flex_call_id call) {
   flex_instance *instance = component;
   if (!instance) return NULL;
+  if (!(calls[call].kinds & instance->session.kind)) {
+    flex_log(instance, fmi2Error, LOG_ERROR, "%s must not be called: this instance was made for %s", calls[call].name,
+             instance->session.kind == EXCHANGE ? "model exchange" : "co-simulation");
+    return NULL;
+  }
   if (calls[call].phases & (int)flex_phase_of(instance)) return instance;
   flex_log(instance, fmi2Error, LOG_ERROR, "%s must not be called in the state '%s'", calls[call].name,
            phase_name(flex_phase_of(instance)));

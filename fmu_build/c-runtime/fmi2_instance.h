@@ -19,7 +19,7 @@ typedef struct {
   int has_stop_time;
   int phase;
   int last_step; /* status of the last fmi2DoStep */
-  int unused;
+  int kind;      /* what the instance was made for */
 } flex_session;
 
 typedef struct {

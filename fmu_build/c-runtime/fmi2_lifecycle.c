@@ -13,7 +13,7 @@ const char *fmi2GetVersion(void) {
 }
 
 // instance, name and backend in one block of memory
-static flex_instance *create(const char *name, const fmi2CallbackFunctions *callbacks) {
+static flex_instance *create(const char *name, flex_kind kind, const fmi2CallbackFunctions *callbacks) {
   flex_arena measure = {NULL, 0};
   size_t name_size = strlen(name) + 1;
   flex_take(&measure, sizeof(flex_instance));
@@ -30,6 +30,7 @@ static flex_instance *create(const char *name, const fmi2CallbackFunctions *call
   instance->name = kept_name;
   instance->callbacks = *callbacks;
   instance->backend = flex_backend_create(block + arena.used);
+  instance->session.kind = kind;
   flex_enter_phase(instance, INSTANTIATED);
   return instance;
 }
@@ -38,7 +39,9 @@ static flex_instance *create(const char *name, const fmi2CallbackFunctions *call
 static const char *obstacle(fmi2String name, fmi2Type type, fmi2String guid, const fmi2CallbackFunctions *functions) {
   if (!functions) return "fmi2Instantiate needs callback functions, got none";
   if (!name || !*name) return "fmi2Instantiate needs an instance name, got an empty one";
-  if (type != fmi2CoSimulation) return "this FMU supports co-simulation only, not model exchange";
+  if (type != fmi2CoSimulation && type != fmi2ModelExchange) return "fmi2Instantiate got a type that FMI 2.0 doesn't have";
+  if (type == fmi2ModelExchange && !flex_backend_has_model_exchange())
+    return "this FMU supports co-simulation only, not model exchange";
   if (!guid || strcmp(guid, flex_backend_guid()) != 0)
     return "the GUID differs from that of the binary; modelDescription.xml and binary do not belong together";
   return NULL;
@@ -49,7 +52,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
   (void)fmuResourceLocation;
   (void)visible;
   const char *why_not = obstacle(instanceName, fmuType, fmuGUID, functions);
-  flex_instance *instance = why_not ? NULL : create(instanceName, functions);
+  flex_kind kind = fmuType == fmi2ModelExchange ? EXCHANGE : STEPPING;
+  flex_instance *instance = why_not ? NULL : create(instanceName, kind, functions);
   if (!why_not && !instance) why_not = "out of memory";
   if (why_not) {
     if (functions && functions->logger)
@@ -125,7 +129,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
   flex_instance *instance = flex_checked(c, call_fmi2ExitInitializationMode);
   if (!instance) return fmi2Error;
   if (flex_backend_begin(instance->backend)) return flex_log_refusal(instance);
-  flex_enter_phase(instance, STEP_COMPLETE);
+  flex_enter_phase(instance, instance->session.kind == EXCHANGE ? EVENT_MODE : STEP_COMPLETE);
   return fmi2OK;
 }
 
@@ -143,7 +147,9 @@ fmi2Status fmi2Reset(fmi2Component c) {
   flex_instance *instance = flex_checked(c, call_fmi2Reset);
   if (!instance) return fmi2Error;
   flex_backend_reset(instance->backend);
+  const int kind = instance->session.kind;
   memset(&instance->session, 0, sizeof instance->session);
+  instance->session.kind = kind;
   instance->reason[0] = '\0';
   flex_enter_phase(instance, INSTANTIATED);
   return fmi2OK;

@@ -39,8 +39,15 @@ static void *content(flex_snapshot *snapshot) {
 // a snapshot that another model or another version has made would be nonsense here
 static int fits(const flex_instance *instance, const flex_snapshot *snapshot) {
   const flex_backend *backend = instance->backend;
-  if (snapshot && snapshot->signature == signature_of(backend) && snapshot->size == backend->state_size) return 1;
-  flex_log(instance, fmi2Error, LOG_ERROR, "the FMU state does not belong to this FMU or has been freed, it cannot be used");
+  int is_ours = snapshot && snapshot->signature == signature_of(backend) && snapshot->size == backend->state_size;
+  if (is_ours && snapshot->session.kind == instance->session.kind) return 1;
+  if (is_ours)
+    flex_log(instance, fmi2Error, LOG_ERROR, "the FMU state belongs to an instance for %s, this one is for %s",
+             snapshot->session.kind == EXCHANGE ? "model exchange" : "co-simulation",
+             instance->session.kind == EXCHANGE ? "model exchange" : "co-simulation");
+  else
+    flex_log(instance, fmi2Error, LOG_ERROR,
+             "the FMU state does not belong to this FMU or has been freed, it cannot be used");
   return 0;
 }
 

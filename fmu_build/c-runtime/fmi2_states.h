@@ -1,4 +1,5 @@
-/* Which FMI function may be called in which state of an instance: the table of FMI 2.0.4, section 4.2.4.
+/* Which FMI function may be called in which state of an instance: the tables of FMI 2.0.4, sections 3.2.3 (model
+ * exchange) and 4.2.4 (co-simulation).
  *
  * There are no asynchronous steps, so that the states "step in progress" and "step canceled" do not exist. Beyond the
  * table, inputs may be set and a step may be tried after a failed one: the instance is at the last successful time then. */
@@ -10,50 +11,67 @@ typedef enum {
   INITIALISATION_MODE = 1 << 1,
   STEP_COMPLETE = 1 << 2,
   STEP_FAILED = 1 << 3,
-  TERMINATED = 1 << 4
+  TERMINATED = 1 << 4,
+  EVENT_MODE = 1 << 5,
+  CONTINUOUS_TIME_MODE = 1 << 6
 } flex_phase;
 
-#define ANY_PHASE (INSTANTIATED | INITIALISATION_MODE | STEP_COMPLETE | STEP_FAILED | TERMINATED)
-#define SETTABLE_PHASE (INSTANTIATED | INITIALISATION_MODE | STEP_COMPLETE | STEP_FAILED)
-#define READABLE_PHASE (INITIALISATION_MODE | STEP_COMPLETE | STEP_FAILED | TERMINATED)
-#define STEPPED_PHASE (STEP_COMPLETE | STEP_FAILED | TERMINATED)
+/* which instances have a function: those for co-simulation, those for model exchange, or both */
+typedef enum { STEPPING = 1 << 0, EXCHANGE = 1 << 1, BOTH = STEPPING | EXCHANGE } flex_kind;
 
-/* X(function, phases) */
-#define FLEX_FMI2_CALLS(X)                              \
-  X(fmi2SetDebugLogging, ANY_PHASE)                     \
-  X(fmi2SetupExperiment, INSTANTIATED)                  \
-  X(fmi2EnterInitializationMode, INSTANTIATED)          \
-  X(fmi2ExitInitializationMode, INITIALISATION_MODE)    \
-  X(fmi2Terminate, STEP_COMPLETE | STEP_FAILED)         \
-  X(fmi2Reset, ANY_PHASE)                               \
-  X(fmi2GetReal, ANY_PHASE)                             \
-  X(fmi2GetInteger, ANY_PHASE)                          \
-  X(fmi2GetBoolean, READABLE_PHASE)                     \
-  X(fmi2GetString, READABLE_PHASE)                      \
-  X(fmi2SetReal, SETTABLE_PHASE)                        \
-  X(fmi2SetInteger, SETTABLE_PHASE)                     \
-  X(fmi2SetBoolean, SETTABLE_PHASE)                     \
-  X(fmi2SetString, SETTABLE_PHASE)                      \
-  X(fmi2GetFMUstate, ANY_PHASE)                         \
-  X(fmi2SetFMUstate, ANY_PHASE)                         \
-  X(fmi2FreeFMUstate, ANY_PHASE)                        \
-  X(fmi2SerializedFMUstateSize, ANY_PHASE)              \
-  X(fmi2SerializeFMUstate, ANY_PHASE)                   \
-  X(fmi2DeSerializeFMUstate, ANY_PHASE)                 \
-  X(fmi2GetDirectionalDerivative, READABLE_PHASE)       \
-  X(fmi2SetRealInputDerivatives, SETTABLE_PHASE)        \
-  X(fmi2GetRealOutputDerivatives, READABLE_PHASE)       \
-  X(fmi2DoStep, STEP_COMPLETE | STEP_FAILED)            \
-  X(fmi2CancelStep, 0)                                  \
-  X(fmi2GetStatus, STEPPED_PHASE)                       \
-  X(fmi2GetRealStatus, STEPPED_PHASE)                   \
-  X(fmi2GetIntegerStatus, STEPPED_PHASE)                \
-  X(fmi2GetBooleanStatus, STEPPED_PHASE)                \
-  X(fmi2GetStringStatus, STEPPED_PHASE)
+#define STEPPED_PHASE (STEP_COMPLETE | STEP_FAILED | TERMINATED)
+#define SOLVED_PHASE (EVENT_MODE | CONTINUOUS_TIME_MODE)
+#define RUNNING_PHASE (STEP_COMPLETE | STEP_FAILED | SOLVED_PHASE)
+#define SETTABLE_PHASE (INSTANTIATED | INITIALISATION_MODE | STEP_COMPLETE | STEP_FAILED | EVENT_MODE)
+#define READABLE_PHASE (INITIALISATION_MODE | RUNNING_PHASE | TERMINATED)
+#define ANY_PHASE (INSTANTIATED | READABLE_PHASE)
+
+/* X(function, kinds, phases) */
+#define FLEX_FMI2_CALLS(X)                                       \
+  X(fmi2SetDebugLogging, BOTH, ANY_PHASE)                        \
+  X(fmi2SetupExperiment, BOTH, INSTANTIATED)                     \
+  X(fmi2EnterInitializationMode, BOTH, INSTANTIATED)             \
+  X(fmi2ExitInitializationMode, BOTH, INITIALISATION_MODE)       \
+  X(fmi2Terminate, BOTH, RUNNING_PHASE)                          \
+  X(fmi2Reset, BOTH, ANY_PHASE)                                  \
+  X(fmi2GetReal, BOTH, ANY_PHASE)                                \
+  X(fmi2GetInteger, BOTH, ANY_PHASE)                             \
+  X(fmi2GetBoolean, BOTH, READABLE_PHASE)                        \
+  X(fmi2GetString, BOTH, READABLE_PHASE)                         \
+  X(fmi2SetReal, BOTH, SETTABLE_PHASE | CONTINUOUS_TIME_MODE)    \
+  X(fmi2SetInteger, BOTH, SETTABLE_PHASE)                        \
+  X(fmi2SetBoolean, BOTH, SETTABLE_PHASE)                        \
+  X(fmi2SetString, BOTH, SETTABLE_PHASE)                         \
+  X(fmi2GetFMUstate, BOTH, ANY_PHASE)                            \
+  X(fmi2SetFMUstate, BOTH, ANY_PHASE)                            \
+  X(fmi2FreeFMUstate, BOTH, ANY_PHASE)                           \
+  X(fmi2SerializedFMUstateSize, BOTH, ANY_PHASE)                 \
+  X(fmi2SerializeFMUstate, BOTH, ANY_PHASE)                      \
+  X(fmi2DeSerializeFMUstate, BOTH, ANY_PHASE)                    \
+  X(fmi2GetDirectionalDerivative, BOTH, READABLE_PHASE)          \
+  X(fmi2EnterEventMode, EXCHANGE, SOLVED_PHASE)                  \
+  X(fmi2NewDiscreteStates, EXCHANGE, EVENT_MODE)                 \
+  X(fmi2EnterContinuousTimeMode, EXCHANGE, EVENT_MODE)           \
+  X(fmi2CompletedIntegratorStep, EXCHANGE, CONTINUOUS_TIME_MODE) \
+  X(fmi2SetTime, EXCHANGE, SOLVED_PHASE)                         \
+  X(fmi2SetContinuousStates, EXCHANGE, CONTINUOUS_TIME_MODE)     \
+  X(fmi2GetDerivatives, EXCHANGE, READABLE_PHASE)                \
+  X(fmi2GetEventIndicators, EXCHANGE, READABLE_PHASE)            \
+  X(fmi2GetContinuousStates, EXCHANGE, READABLE_PHASE)           \
+  X(fmi2GetNominalsOfContinuousStates, EXCHANGE, ANY_PHASE)      \
+  X(fmi2SetRealInputDerivatives, STEPPING, SETTABLE_PHASE)       \
+  X(fmi2GetRealOutputDerivatives, STEPPING, READABLE_PHASE)      \
+  X(fmi2DoStep, STEPPING, STEP_COMPLETE | STEP_FAILED)           \
+  X(fmi2CancelStep, STEPPING, 0)                                 \
+  X(fmi2GetStatus, STEPPING, STEPPED_PHASE)                      \
+  X(fmi2GetRealStatus, STEPPING, STEPPED_PHASE)                  \
+  X(fmi2GetIntegerStatus, STEPPING, STEPPED_PHASE)               \
+  X(fmi2GetBooleanStatus, STEPPING, STEPPED_PHASE)               \
+  X(fmi2GetStringStatus, STEPPING, STEPPED_PHASE)
 
 /* call_fmi2DoStep and so on */
 typedef enum {
-#define X(function, phases) call_##function,
+#define X(function, kinds, phases) call_##function,
   FLEX_FMI2_CALLS(X)
 #undef X
 } flex_call_id;

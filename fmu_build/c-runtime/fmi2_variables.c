@@ -24,6 +24,10 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
   flex_instance *instance = flex_checked(c, call_fmi2SetReal);
   if (!instance || lacks_arrays(instance, call_fmi2SetReal, vr, value, nvr)) return fmi2Error;
   for (size_t i = 0; i < nvr; i++)
+    if (flex_phase_of(instance) == CONTINUOUS_TIME_MODE && vr[i] >= instance->backend->n_inputs)
+      return flex_log(instance, fmi2Error, LOG_ERROR,
+                      "value reference %u is no input, it cannot be set in continuous-time mode", vr[i]);
+  for (size_t i = 0; i < nvr; i++)
     if (flex_backend_set_real(instance->backend, vr[i], value[i])) return flex_log_refusal(instance);
   return fmi2OK;
 }
@@ -94,9 +98,13 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
                                         const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
                                         fmi2Real dvUnknown[]) {
-  (void)vUnknown_ref, (void)nUnknown, (void)vKnown_ref, (void)nKnown, (void)dvKnown, (void)dvUnknown;
-  flex_instance *instance = flex_checked(c, call_fmi2GetDirectionalDerivative);
-  if (!instance) return fmi2Error;
-  return flex_log(instance, fmi2Error, LOG_ERROR,
-                  "this FMU provides no directional derivatives, as its model description says");
+  const flex_call_id call = call_fmi2GetDirectionalDerivative;
+  flex_instance *instance = flex_checked(c, call);
+  if (!instance || flex_lacks(instance, call, "unknown value references", vUnknown_ref, nUnknown) ||
+      flex_lacks(instance, call, "known value references", vKnown_ref, nKnown) ||
+      flex_lacks(instance, call, "changes of the known variables", dvKnown, nKnown) ||
+      flex_lacks(instance, call, "a place for the derivatives", dvUnknown, nUnknown))
+    return fmi2Error;
+  const flex_direction direction = {nKnown, nUnknown, vKnown_ref, vUnknown_ref, dvKnown, dvUnknown};
+  return flex_backend_differentiate(instance->backend, &direction) ? flex_log_refusal(instance) : fmi2OK;
 }

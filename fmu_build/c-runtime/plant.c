@@ -35,7 +35,8 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->u1 = flex_take_doubles(arena, m);
   plant->u2 = flex_take_doubles(arena, m);
   plant->shown_u = flex_take_doubles(arena, m);
-  plant->zero = flex_take_doubles(arena, n + (size_t)model->n_derived);
+  plant->zero = flex_take_doubles(arena, n + m + (size_t)model->n_derived);
+  flex_tangent_take(&plant->tangent, model, arena);
 }
 
 size_t flex_plant_size(const flex_model *model) {
@@ -104,6 +105,10 @@ void flex_plant_parameters_changed(flex_plant *plant) {
 void flex_plant_inputs_changed(flex_plant *plant) {
   plant->record->inputs_changed = 1;
   if (!plant->record->is_moving) flex_plant_start_changed(plant);
+}
+
+void flex_plant_moved(flex_plant *plant) {
+  plant->record->have &= ~POINT;
 }
 
 void flex_plant_start_changed(flex_plant *plant) {
@@ -188,24 +193,30 @@ static int needs_holding(const flex_plant *plant) {
   return 0;
 }
 
+int flex_plant_rests(const flex_plant *plant) {
+  return plant->record->starts_static || needs_holding(plant);
+}
+
+flex_outcome flex_plant_rest(flex_plant *plant, double *y, double *value) {
+  const flex_integrator *integrator = &plant->integrator;
+  const double *u = inputs_at_rest(plant);
+  memcpy(y, integrator->y, (size_t)plant->model->n * sizeof *y);
+  return flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *integrator->floor, u, y, value);
+}
+
 // deflection under the static loads, where the motion starts from it or somebody must hold it
 static flex_outcome start_static(flex_plant *plant, double *value) {
-  flex_integrator *integrator = &plant->integrator;
-  int holds = needs_holding(plant);
-  if (!plant->record->starts_static && !holds) return FLEX_DONE;
-  size_t size = (size_t)plant->model->n * sizeof(double);
-  const double *u = inputs_at_rest(plant);
-  double *y = integrator->full_y;
-  memcpy(y, integrator->y, size);
-  flex_outcome outcome =
-      flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *integrator->floor, u, y, value);
-  if (outcome == FLEX_DONE && holds) outcome = hold_locked(plant, u, y);
-  if (outcome == FLEX_DONE && plant->record->starts_static) memcpy(integrator->y, y, size);
+  double *y = plant->integrator.full_y;
+  if (!flex_plant_rests(plant)) return FLEX_DONE;
+  flex_outcome outcome = flex_plant_rest(plant, y, value);
+  if (outcome == FLEX_DONE && needs_holding(plant)) outcome = hold_locked(plant, plant->u2, y);
+  if (outcome == FLEX_DONE && plant->record->starts_static)
+    memcpy(plant->integrator.y, y, (size_t)plant->model->n * sizeof *y);
   return outcome;
 }
 
 // state at the start of the motion
-static flex_failure need_start(flex_plant *plant) {
+flex_failure flex_plant_need_start(flex_plant *plant) {
   flex_plant_record *record = plant->record;
   double value = 0.0;
   flex_outcome outcome = need_derived(plant);
@@ -223,15 +234,15 @@ static flex_failure need_start(flex_plant *plant) {
 flex_failure flex_plant_need_inputs(flex_plant *plant) {
   flex_outcome outcome = FLEX_DONE;
   if (!plant->record->is_moving)
-    outcome = plant->model->n_locked > 0 ? need_start(plant).outcome : need_start_inputs(plant);
+    outcome = plant->model->n_locked > 0 ? flex_plant_need_start(plant).outcome : need_start_inputs(plant);
   flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->shown_u);
   return outcome_now(plant, outcome, 0.0);
 }
 
 // acceleration for the present inputs, right-sided where they jump
-static flex_failure need_acceleration(flex_plant *plant) {
+flex_failure flex_plant_need_acceleration(flex_plant *plant) {
   flex_plant_record *record = plant->record;
-  flex_failure failure = need_start(plant);
+  flex_failure failure = flex_plant_need_start(plant);
   if (failure.outcome != FLEX_DONE) return failure;
   if ((record->have & FLEX_HAVE_ACCELERATION) && !record->inputs_changed) return failure;
 
@@ -253,8 +264,17 @@ static flex_failure need_acceleration(flex_plant *plant) {
   return outcome_now(plant, outcome, 0.0);
 }
 
+flex_failure flex_plant_need_admissible(flex_plant *plant) {
+  double margin = 0.0;
+  flex_failure failure = flex_plant_need_acceleration(plant);
+  if (failure.outcome != FLEX_DONE) return failure;
+  if (flex_margin(&plant->equations, plant->integrator.y, plant->u, &margin))
+    return outcome_now(plant, FLEX_NOT_FINITE, 0.0);
+  return outcome_now(plant, margin >= plant->model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR, margin);
+}
+
 flex_failure flex_plant_begin(flex_plant *plant) {
-  flex_failure failure = need_acceleration(plant);
+  flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome == FLEX_DONE) plant->record->is_moving = 1;
   return failure;
 }
@@ -267,7 +287,7 @@ flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
     if (plant->inputs.base[i] == record->time) plant->inputs.base[i] = t0;
   record->time = t0;
 
-  flex_failure failure = need_acceleration(plant);
+  flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
   failure = flex_integrator_advance(&plant->integrator, t0, t1, record->tolerance);
   if (failure.time > t0) {
@@ -287,7 +307,7 @@ static int is_current(const flex_plant *plant, int results) {
 flex_failure flex_plant_need_outputs(flex_plant *plant) {
   const flex_integrator *integrator = &plant->integrator;
   if (is_current(plant, FLEX_HAVE_OUTPUTS)) return outcome_now(plant, FLEX_DONE, 0.0);
-  flex_failure failure = need_acceleration(plant);
+  flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE || (plant->record->have & FLEX_HAVE_OUTPUTS)) return failure;
   const double *const arguments[] = {integrator->y, integrator->v, integrator->a, plant->u, plant->d};
   if (flex_call(&plant->equations, &plant->model->outputs, 5, arguments, plant->outputs) ||
@@ -337,7 +357,7 @@ flex_failure flex_plant_need_rates(flex_plant *plant, int order) {
   flex_plant_record *record = plant->record;
   if (is_current(plant, FLEX_HAVE_FIRST_RATES | (order > 1 ? FLEX_HAVE_SECOND_RATES : 0)))
     return outcome_now(plant, FLEX_DONE, 0.0);
-  flex_failure failure = need_acceleration(plant);
+  flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
   flex_inputs_rates(&plant->inputs, record->time, plant->u1, plant->u2);
   if (!(record->have & FLEX_HAVE_FIRST_RATES)) {

@@ -10,6 +10,7 @@
 #include "outcome.h"
 #include "refusal.h"
 #include "statics.h"
+#include "tangent.h"
 
 /* what has been computed for the present values of everything that it depends on */
 enum {
@@ -47,6 +48,7 @@ typedef struct {
   flex_equations equations;
   flex_statics statics;
   double *u1, *u2, *zero;
+  flex_tangent tangent;
   double *shown_u; /* inputs at the present time, after flex_plant_need_inputs */
 
   char message[FLEX_MESSAGE_SIZE]; /* why the last call was refused */
@@ -70,11 +72,23 @@ void flex_plant_parameters_changed(flex_plant *plant);
 void flex_plant_inputs_changed(flex_plant *plant);
 void flex_plant_start_changed(flex_plant *plant);
 
+/* somebody else has moved coordinates and rates */
+void flex_plant_moved(flex_plant *plant);
+
 /* ends initialisation at the given time */
 flex_failure flex_plant_begin(flex_plant *plant);
 
 /* integrates from t0 to t1; the plant is left at the time that was reached */
 flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1);
+
+/* whether the start of the motion depends on a static equilibrium; that equilibrium y, with the inputs at rest in u2 */
+int flex_plant_rests(const flex_plant *plant);
+flex_outcome flex_plant_rest(flex_plant *plant, double *y, double *value);
+
+/* make valid: coordinates and rates at the start; accelerations; accelerations at a point that is not too singular */
+flex_failure flex_plant_need_start(flex_plant *plant);
+flex_failure flex_plant_need_acceleration(flex_plant *plant);
+flex_failure flex_plant_need_admissible(flex_plant *plant);
 
 /* make valid: inputs at the present time (also those that nobody set), outputs, their rates up to order 1 or 2 */
 flex_failure flex_plant_need_inputs(flex_plant *plant);

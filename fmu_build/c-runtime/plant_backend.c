@@ -2,6 +2,9 @@
 #include <stdio.h>
 
 #include "backend.h"
+#include "directional.h"
+#include "model_exchange.h"
+#include "state_space.h"
 #include "variables.h"
 
 /* smallest relative tolerance: below it the rounding errors of the equations decide */
@@ -20,6 +23,10 @@ const char *flex_backend_guid(void) {
   return flex_the_model.guid;
 }
 
+int flex_backend_has_model_exchange(void) {
+  return 1;
+}
+
 size_t flex_backend_size(void) {
   flex_arena arena = {NULL, 0};
   flex_take(&arena, sizeof(plant_backend));
@@ -35,6 +42,7 @@ flex_backend *flex_backend_create(void *memory) {
   whole->base.state_size = plant->state_size;
   whole->base.time = &plant->record->time;
   whole->base.message = plant->message;
+  whole->base.n_inputs = (unsigned)flex_the_model.n_inputs;
   whole->base.n_settable = (unsigned)(flex_the_model.n_inputs + flex_the_model.n_parameters);
   whole->base.n_outputs = (unsigned)flex_the_model.n_outputs;
   return &whole->base;
@@ -92,6 +100,38 @@ int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int
 
 int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, int order, double *value) {
   return flex_get_output_derivative(plant_of(backend), index, order, value);
+}
+
+int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction) {
+  return flex_differentiate(plant_of(backend), direction);
+}
+
+size_t flex_backend_states(void) {
+  return 2 * (size_t)flex_the_model.n;
+}
+
+void flex_backend_set_time(flex_backend *backend, double time) {
+  flex_state_space_set_time(plant_of(backend), time);
+}
+
+void flex_backend_set_states(flex_backend *backend, const double *x) {
+  flex_state_space_set(plant_of(backend), x);
+}
+
+int flex_backend_get_states(flex_backend *backend, double *x) {
+  return explained(backend, "computing the states", flex_state_space_get(plant_of(backend), x));
+}
+
+int flex_backend_get_state_rates(flex_backend *backend, double *rates) {
+  return explained(backend, "computing state derivatives", flex_state_space_rates(plant_of(backend), rates));
+}
+
+double flex_backend_state_nominal(size_t index) {
+  return flex_the_model.state_nominals ? flex_the_model.state_nominals[index] : 1.0;
+}
+
+int flex_backend_check_point(flex_backend *backend) {
+  return explained(backend, "end of an integrator step", flex_plant_need_admissible(plant_of(backend)));
 }
 
 void flex_backend_summarise(const flex_backend *backend, char *text, size_t size) {

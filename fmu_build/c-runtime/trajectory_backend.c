@@ -50,6 +50,10 @@ const char *flex_backend_guid(void) {
   return flex_the_trajectory.guid;
 }
 
+int flex_backend_has_model_exchange(void) {
+  return 0;
+}
+
 size_t flex_backend_size(void) {
   flex_arena arena = {NULL, 0};
   take(&arena);
@@ -166,6 +170,11 @@ int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, in
                        flex_the_trajectory.output_variables[index].name, FLEX_END_ORDER, order);
   *value = signal(whole(backend), order, index);
   return 0;
+}
+
+int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction) {
+  (void)direction;
+  return flex_refuse(whole(backend)->message, "this FMU provides no directional derivatives, as its model description says");
 }
 
 void flex_backend_summarise(const flex_backend *backend, char *text, size_t size) {

@@ -505,6 +505,7 @@ static int margin_below_two(in arg, out res, int *iw, double *w, int mem) {
 static const flex_variable fragile_parameters[] = {{"limit", "m", 10.0, -HUGE_VAL, 100.0, 0},
                                                    {"load", "N", 0.0, -5.0, 5.0, 1}};
 static const flex_variable force_input[] = {{"force", "N", 0.0, -100.0, 100.0, 0}};
+static const int position_alone[] = {0, -1};
 static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS, 0}};
 
 // also the one that the FMI functions find
@@ -520,6 +521,7 @@ static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS
    .input_variables = force_input,                     \
    .parameter_variables = fragile_parameters,          \
    .output_variables = position_output,                \
+   .state_outputs = position_alone,                    \
    .static_start = 1,                                  \
    .default_tolerance = 1e-6,                          \
    .minimum_margin = 0.5,                              \

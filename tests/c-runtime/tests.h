@@ -40,6 +40,10 @@
   X(unsolvable_equations_are_given_up)          \
   X(blow_up_is_reported)                        \
   X(bad_inputs_leave_no_trace)                  \
+  X(fmi_model_exchange)                         \
+  X(fmi_model_exchange_is_checked)              \
+  X(fmi_model_exchange_states_are_restored)     \
+  X(fmi_directional_derivatives)                \
   X(fmi_life_cycle)                             \
   X(fmi_calls_out_of_place_are_refused)         \
   X(fmi_instantiation_is_checked)               \

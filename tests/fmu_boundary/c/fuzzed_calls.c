@@ -7,9 +7,9 @@ enum { MOST_VALUES = 4 };
 
 static const struct {
   const char *name;
-  int phases;
+  int kinds, phases;
 } calls[] = {
-#define X(function, phases) {#function, phases},
+#define X(function, kinds, phases) {#function, kinds, phases},
     FLEX_FMI2_CALLS(X)
 #undef X
 };
@@ -321,7 +321,8 @@ static flex_call_id choose(tape *tape) {
                                        call_fmi2SetReal, call_fmi2GetReal, call_fmi2SetRealInputDerivatives,
                                        call_fmi2DoStep,  call_fmi2GetReal};
   unsigned choice = tape_byte(tape);
-  return choice < 128 ? usual[choice % 8] : (flex_call_id)(choice % N_CALLS);
+  flex_call_id any = (flex_call_id)(choice % N_CALLS);
+  return choice < 128 || !(calls[any].kinds & STEPPING) ? usual[choice % 8] : any;
 }
 
 void fuzzed_call(fuzzed *one, tape *tape, int is_numeric) {

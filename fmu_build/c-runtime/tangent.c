@@ -1,0 +1,32 @@
+#include "tangent.h"
+
+#include <string.h>
+
+void flex_tangent_take(flex_tangent *tangent, const flex_model *model, flex_arena *arena) {
+  size_t n = (size_t)model->n, m = (size_t)model->n_inputs, derived = (size_t)model->n_derived;
+  tangent->p = flex_take_doubles(arena, (size_t)model->n_parameters);
+  tangent->d = flex_take_doubles(arena, derived);
+  tangent->y = flex_take_doubles(arena, n);
+  tangent->v = flex_take_doubles(arena, n);
+  tangent->a = flex_take_doubles(arena, n);
+  tangent->u = flex_take_doubles(arena, m);
+  tangent->outputs = flex_take_doubles(arena, (size_t)model->n_outputs);
+  tangent->start = flex_take_doubles(arena, derived + n + m);
+  tangent->rest_u = flex_take_doubles(arena, m);
+  tangent->rest_y = flex_take_doubles(arena, n);
+  tangent->residual = flex_take_doubles(arena, n);
+}
+
+static void clear(double *x, int count) {
+  memset(x, 0, (size_t)count * sizeof *x);
+}
+
+void flex_tangent_clear(flex_tangent *tangent, const flex_model *model) {
+  clear(tangent->p, model->n_parameters);
+  clear(tangent->d, model->n_derived);
+  clear(tangent->y, model->n);
+  clear(tangent->v, model->n);
+  clear(tangent->a, model->n);
+  clear(tangent->u, model->n_inputs);
+  clear(tangent->start, model->n_derived + model->n + model->n_inputs);
+}

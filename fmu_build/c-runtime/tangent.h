@@ -1,0 +1,21 @@
+/* Room for the directional derivatives of a plant: changes of everything that its outputs depend on. */
+#ifndef FLEXFMU_TANGENT_H
+#define FLEXFMU_TANGENT_H
+
+#include "memory.h"
+#include "model.h"
+
+typedef struct {
+  double *p, *d, *y, *v, *a, *u, *outputs; /* changes, named like what changes */
+  double *start;    /* changes of derived parameters, coordinates and inputs with p, one after the other */
+  double *rest_u;   /* changes of the inputs of the robot at rest */
+  double *rest_y;   /* changes of its static equilibrium */
+  double *residual; /* changes of the residual */
+} flex_tangent;
+
+void flex_tangent_take(flex_tangent *tangent, const flex_model *model, flex_arena *arena);
+
+/* nothing changes */
+void flex_tangent_clear(flex_tangent *tangent, const flex_model *model);
+
+#endif
