@@ -253,9 +253,9 @@ def _shift(u: Jet, constant: Array) -> Jet:
 def _multiply(u: Jet, w: Jet) -> Jet:
     order = min(u.order, w.order)
     a, b = _aligned(u, w.coefficients.ndim), _aligned(w, u.coefficients.ndim)
-    v = np.empty((order + 1, *np.broadcast_shapes(u.shape, w.shape)))
-    for k in range(order + 1):
-        v[k] = _convolve(a[: k + 1], b[: k + 1])
+    v = a[0] * b[: order + 1]
+    for k in range(1, order + 1):
+        v[k:] += a[k] * b[: order + 1 - k]
     return Jet(v)
 
 
@@ -274,10 +274,7 @@ def _convolve(a: Array, b: Array) -> Array | float:
     """Σ a_j b_(n-1-j) over the first axis of two arrays of n rows; 0 where there are no rows."""
     if len(a) == 0:
         return 0.0
-    total = a[0] * b[-1]
-    for first, second in zip(a[1:], b[-2::-1], strict=True):
-        total = total + first * second
-    return np.asarray(total)
+    return np.asarray((a * b[::-1]).sum(axis=0))
 
 
 def _slopes(coefficients: Array) -> Array:

@@ -24,7 +24,7 @@ LARGEST_TURN = 1.0
 more, next to a base, samples are added."""
 
 REFINEMENTS = 24
-"""Rounds in which the neighbourhood of a smallest margin shrinks to a quarter: its time is exact to 1e-14 of the
+"""Rounds in which the neighbourhood of a critical margin shrinks to a quarter: its time is exact to 1e-14 of the
 interval, which is below the rounding of the margin itself."""
 
 
@@ -128,7 +128,7 @@ def check_margins(task: Trajectory, kinematics: InverseKinematics) -> None:
     time = _sample_times(task)
     violations = []
     for index, margin in enumerate(kinematics.margins(_positions(task, time))):
-        worst_time, worst = _smallest(task, kinematics, index, time, _defined(margin.values))
+        worst_time, worst = _smallest(task, kinematics, index, time, _defined(margin.values), margin.required)
         if worst < margin.required:
             violations.append((not np.isfinite(worst), index, margin, worst_time, worst))
     if violations:
@@ -146,9 +146,13 @@ def _violation(margin: Margin, value: float, time: float, position: Array) -> st
 
 
 def _smallest(
-    task: Trajectory, kinematics: InverseKinematics, index: int, time: Array, values: Array
+    task: Trajectory, kinematics: InverseKinematics, index: int, time: Array, values: Array, required: float
 ) -> tuple[float, float]:
-    """Time [s] and value of the smallest margin number ``index``, refined around the samples' local minima."""
+    """Time [s] and value of the smallest margin number ``index``, refined around the samples' local minima.
+
+    Around a minimum the margin rises by more than it may still fall between the points looked at; where that is less than
+    what is left above ``required``, it won't get there.
+    """
     padded = np.concatenate([[np.inf], values, [np.inf]])
     minima = np.flatnonzero((values <= padded[:-2]) & (values < padded[2:]))
     low, high = time[np.maximum(minima - 1, 0)], time[np.minimum(minima + 1, len(time) - 1)]
@@ -158,6 +162,10 @@ def _smallest(
         found = _defined(kinematics.margins(_positions(task, grid.ravel()))[index].values).reshape(grid.shape)
         at = np.argmin(found, axis=0), np.arange(len(minima))
         best = grid[at], found[at]
+        with np.errstate(invalid="ignore"):
+            spread = np.max(found, axis=0) - best[1]
+        if np.all(spread < best[1] - required):
+            break
         quarter = 0.125 * (high - low)
         low, high = np.maximum(low, best[0] - quarter), np.minimum(high, best[0] + quarter)
     worst = int(np.argmin(best[1]))
