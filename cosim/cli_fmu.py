@@ -35,11 +35,12 @@ def build_command(source: str, output: Path | None, platforms: list[str], as_jso
 
 
 def validate_command(fmu: Path, as_json: bool) -> int:
-    """Check an FMU and print the findings; the exit status.
+    """Check an FMU and print the findings, one a line; the exit status: mere notes leave it at 0.
 
     Raises:
         FmuFileError: there is no FMU at this path.
     """
+    from flexfmu.fmu_build.finding import Severity
     from flexfmu.fmu_build.validate import validate_fmu
 
     try:
@@ -51,7 +52,7 @@ def validate_command(fmu: Path, as_json: bool) -> int:
     if as_json:
         print_text(to_json({"fmu": str(fmu), "findings": [asdict(finding) for finding in findings]}))
     elif findings:
-        print_rich(*(Text(f"{finding.check}: {finding.message}") for finding in findings))
+        print_rich(*(Text(str(finding)) for finding in findings))
     else:
         print_text(f"{fmu}: no findings\n")
-    return FAILURE if findings else 0
+    return FAILURE if any(finding.severity is not Severity.NOTE for finding in findings) else 0

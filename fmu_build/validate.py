@@ -1,37 +1,83 @@
-"""Is this FMU sound? Static checks of description and binary, then a short life of it in another process."""
+"""Is this FMU sound? Static checks of description and binaries, then a short life of it in another process."""
 
 from __future__ import annotations
 
 import io
-import json
-import subprocess
-import sys
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import fmpy
 
 from flexfmu.fmu_build.errors import ArchiveError
-from flexfmu.fmu_build.finding import REPORT, Finding
-from flexfmu.fmu_build.static_checks import check_statically
+from flexfmu.fmu_build.finding import Finding, Severity
 
-DYNAMIC_TIMEOUT = 300.0
-"""Longest wait for the FMU's life in another process [s]; the paper's scene needs less than one."""
+TIMEOUT = 300.0
+"""Longest time for what runs the FMU [s]; the paper's scene needs a few seconds."""
 
 
-def validate_fmu(path: Path) -> list[Finding]:
-    """Check an FMU 2.0 for co-simulation; an empty list says that nothing was found.
+def validate_fmu(path: Path, timeout: float = TIMEOUT) -> list[Finding]:
+    """Check any FMU 2.0, for co-simulation, model exchange or both; an empty list says that nothing was found.
 
-    Static: archive, `fmpy.validation.validate_fmu`, GUID, start values, binary and its exported functions.
-    Dynamic, in a process of its own so that a crash is a finding too: instantiation, refusal of a wrong GUID, the default
-    experiment with finite outputs, the same results after a reset, from a saved state and with two instances at once.
-    An FMU that fails the static checks of description or binary is not run.
+    Static: archive, `fmpy.validation.validate_fmu`, GUID, start values, the binaries' names, exports and dependencies.
+    Dynamic, in processes of their own so that a crash is a finding too, and each claim of the description tried for real:
+    the catalogue in `flexfmu.fmu_build.checks.catalogue`.
+
+    Args:
+        path: the FMU.
+        timeout: longest time for the dynamic checks of one interface [s].
 
     Raises:
         ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
     """
+    from flexfmu.fmu_build.checks.archive import check_archive
+    from flexfmu.fmu_build.checks.binaries import check_binaries, library_name
+    from flexfmu.fmu_build.checks.description import check_description, interfaces, read_description
+
     files = _read(path)
-    findings = check_statically(path, files)
-    return findings if findings else _run_apart(path)
+    description, findings = read_description(path)
+    if description is None:
+        return findings
+    findings += [*check_description(description), *check_archive(files)]
+    if not interfaces(description) or description.fmiVersion != "2.0":
+        return findings
+    findings += check_binaries(description, files)
+    if library_name(description, fmpy.platform) in files:
+        findings += _check_dynamically(path, description, timeout)
+    return findings
+
+
+def _check_dynamically(path: Path, description: Any, timeout: float) -> list[Finding]:
+    from flexfmu.fmu_build.checks.catalogue import CHECKS
+    from flexfmu.fmu_build.checks.fmu import Kind
+    from flexfmu.fmu_build.checks.parent import check_in_child
+
+    elements = {Kind.COSIMULATION: description.coSimulation, Kind.EXCHANGE: description.modelExchange}
+    found: dict[str, list[Finding]] = {}
+    for kind, element in elements.items():
+        if element is not None:
+            found[kind.value] = check_in_child(path, kind, tuple(CHECKS), timeout)
+            if element.needsExecutionTool and any(finding.check == "instantiation" for finding in found[kind.value]):
+                found[kind.value] = [_no_tool(kind.value)]
+    return _merged(found)
+
+
+def _no_tool(interface: str) -> Finding:
+    message = f"for {interface} the FMU needs its own tool (needsExecutionTool) and makes no instance here"
+    return Finding("instantiation", message, "run this where the tool is", Severity.NOTE)
+
+
+def _merged(found: dict[str, list[Finding]]) -> list[Finding]:
+    """Findings of all interfaces: what both show once, the rest with the interface's name."""
+    common = set.intersection(*(set(findings) for findings in found.values()))
+    named = (
+        finding if finding in common or len(found) == 1 else replace(finding, message=f"{name}: {finding.message}")
+        for name, findings in found.items()
+        for finding in findings
+    )
+    return list(dict.fromkeys(named))
 
 
 def _read(path: Path) -> dict[str, bytes]:
@@ -52,17 +98,3 @@ def _read(path: Path) -> dict[str, bytes]:
     if "modelDescription.xml" not in files:
         raise ArchiveError(f"{path} is a zip archive but no FMU: modelDescription.xml is missing")
     return files
-
-
-def _run_apart(path: Path) -> list[Finding]:
-    command = (sys.executable, "-m", "flexfmu.fmu_build.dynamic_checks", str(path))
-    try:
-        outcome = subprocess.run(command, capture_output=True, text=True, timeout=DYNAMIC_TIMEOUT, check=False)
-    except subprocess.TimeoutExpired:
-        return [Finding("simulation", f"the FMU did not finish within {DYNAMIC_TIMEOUT:.0f} s")]
-    if outcome.returncode != 0:
-        how = f"signal {-outcome.returncode}" if outcome.returncode < 0 else f"exit status {outcome.returncode}"
-        last = (outcome.stderr.strip().splitlines() or ["no message"])[-1]
-        return [Finding("simulation", f"the process that ran the FMU ended with {how}: {last}")]
-    report = next(line for line in reversed(outcome.stdout.splitlines()) if line.startswith(REPORT))
-    return [Finding(**finding) for finding in json.loads(report.removeprefix(REPORT))]

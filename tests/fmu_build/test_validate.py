@@ -83,7 +83,7 @@ def test_foreign_guid_is_found(broken: Callable[[Change], Path]) -> None:
     def exchange(files: dict[str, bytes]) -> None:
         files["modelDescription.xml"] = re.sub(rb'guid="[^"]*"', b'guid="{1}"', files["modelDescription.xml"])
 
-    assert "instantiation: Failed to instantiate" in _findings(broken(exchange))
+    assert "instantiation: fmi2Instantiate returns no instance" in _findings(broken(exchange))
 
 
 def test_start_outside_its_range_is_found(broken: Callable[[Change], Path]) -> None:
@@ -153,7 +153,7 @@ DEADLY = FORGETFUL.replace("calls += 1.0", "__builtin_trap()")
 def test_hidden_state_is_found(sources: Sources, tmp_path: Path) -> None:
     """Memory outside the instance shows after a reset, in saved states and between instances."""
     findings = validate_fmu(_recompiled(sources, tmp_path, "model_outputs.c", FORGETFUL))
-    assert {finding.check for finding in findings} == {"reset", "state", "serialisation", "instances"}
+    assert {finding.check for finding in findings} >= {"reset", "state", "serialisation", "instances"}
 
 
 def test_infinite_output_is_found(sources: Sources, tmp_path: Path) -> None:

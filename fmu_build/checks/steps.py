@@ -1,0 +1,89 @@
+"""Whether communication steps may be of any size, as claimed, and whether inputs are interpolated, as claimed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.fmu_build.checks.fmu import EXCITATION, FmuUnderTest, size_of
+from flexfmu.fmu_build.finding import Finding, Severity
+
+SPLIT = 3
+"""Parts of a split step."""
+
+SPLIT_TOLERANCE = 0.05
+"""What splitting steps may change, relative to an output's largest value: far more than any solver's error.
+
+It tells an FMU that advances by a step size of its own, whatever it is asked for.
+"""
+
+STAIRS = 16
+"""Parts of a step over which a ramp is replaced by stairs."""
+
+MOST_INPUTS = 8
+_SIGNIFICANT = 1e-9
+
+
+def splits_steps(fmu: FmuUnderTest) -> Finding | None:
+    """Three small steps take the FMU about as far as a large one."""
+    if not fmu.has_variable_step or not fmu.outputs:
+        return None
+    with fmu.instance("whole") as whole, fmu.instance("split") as split:
+        whole.initialize()
+        split.initialize()
+        rows = [(_step(whole, fmu, n, 1), _step(split, fmu, n, SPLIT)) for n in range(fmu.steps)]
+    first, second = (np.array(side) for side in zip(*rows, strict=True))
+    scale = np.maximum(np.abs(first).max(axis=0), 1e-12)
+    apart = np.median(np.abs(first - second), axis=0) / scale
+    worst = int(np.argmax(apart))
+    if not apart[worst] > SPLIT_TOLERANCE:
+        return None
+    return Finding(
+        "variable step",
+        f"{fmu.outputs[worst].name} changes by {apart[worst]:.0%} of its largest value where each step is split in "
+        f"{SPLIT}",
+        "advance by communicationStepSize, or don't claim canHandleVariableCommunicationStepSize",
+        Severity.WARNING,
+    )
+
+
+def interpolates_inputs(fmu: FmuUnderTest) -> Finding | None:
+    """A ramp given by its derivative does what the same ramp does in small stairs."""
+    if not fmu.has_variable_step or not fmu.element.canInterpolateInputs or not fmu.can_have_two:
+        return None
+    for variable in fmu.inputs[:MOST_INPUTS]:
+        exact, ramp, held = (_ramp(fmu, variable, how) for how in ("stairs", "derivative", "held"))
+        missed, ignored = (float(np.abs(values - exact).max(initial=0.0)) for values in (ramp, held))
+        if ignored > _SIGNIFICANT * float(np.abs(exact).max(initial=0.0)) and missed > 0.5 * ignored:
+            return Finding(
+                "input derivatives",
+                f"with a derivative of {variable.name} the outputs are {missed:.3g} off, with a constant input {ignored:.3g}",
+                "use fmi2SetRealInputDerivatives within the step, or don't claim canInterpolateInputs",
+            )
+    return None
+
+
+def _step(instance: Any, fmu: FmuUnderTest, n: int, parts: int) -> NDArray[np.float64]:
+    """Outputs after a step in so many parts."""
+    instance.set(fmu.inputs, fmu.input_values(n))
+    for part in range(parts):
+        instance.step(n + part / parts, parts)
+    return np.asarray(instance.get(fmu.outputs))
+
+
+def _ramp(fmu: FmuUnderTest, variable: Any, how: str) -> NDArray[np.float64]:
+    """Outputs after a step over which one input rises from its start, given in one way or another."""
+    rise = EXCITATION * size_of(variable)
+    start = float(variable.start or 0.0)
+    with fmu.instance(how) as instance:
+        instance.initialize()
+        parts = STAIRS if how == "stairs" else 1
+        for part in range(parts):
+            middle = start if how != "stairs" else start + rise * (part + 0.5) / STAIRS
+            instance.set([variable], np.array([middle]))
+            if how == "derivative":
+                instance.library.setRealInputDerivatives([variable.valueReference], [1], [rise / fmu.step])
+            instance.step(part / parts, parts)
+        return np.asarray(instance.get(fmu.outputs))
