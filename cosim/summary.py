@@ -57,6 +57,8 @@ def describe_effects(scene: Scene) -> dict[str, str]:
         modes = getattr(effects, key)
         if modes:
             found[key] = f"{what}: {modes} {_SHAPES[effects.basis]}{'s' if modes > 1 else ''} each"
+        if key in effects.quasi_static:
+            found[key] += ", deflecting statically"
     if effects.beam == "timoshenko":
         found["beam"] = "Shear and rotary inertia of the links (Timoshenko)"
     if effects.foreshortening:

@@ -67,12 +67,14 @@ def _link_effects(
         modes: int = getattr(chosen, f"{group}_{direction}")
         if not modes:
             continue
-        if thick and direction == "bending":
-            shapes = timoshenko_shapes(chosen.basis, group, modes, slenderness(mechanism, group))
-            yield ElasticFamily(registry, properties[group], group, direction, shapes, thick[group])
-        else:
-            shapes = family_shapes(chosen.basis, group, direction, modes)
-            yield ElasticFamily(registry, properties[group], group, direction, shapes)
+        beam = thick.get(group) if direction == "bending" else None
+        shapes = (
+            timoshenko_shapes(chosen.basis, group, modes, slenderness(mechanism, group))
+            if beam is not None
+            else family_shapes(chosen.basis, group, direction, modes)
+        )
+        static = f"{group}_{direction}" in chosen.quasi_static
+        yield ElasticFamily(registry, properties[group], group, direction, shapes, beam, static)
     if chosen.foreshortening:
         yield Foreshortening(registry, properties)
 

@@ -8,7 +8,7 @@ map projects forces onto the independent coordinates and yields the joint reacti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi
 
@@ -64,6 +64,7 @@ class Closure:
         self, robot: Robot, motion: IndependentMotion, lengths: tuple[casadi.SX, casadi.SX], side: int
     ) -> None:
         self._tips, self._motion, self._side = TipMap(robot), motion, side
+        self._robot, self._lengths = robot, lengths
         proximal, distal = lengths
         self.q_a = motion.q_a + self._twist(motion.q_e)
         self._bases = [robot.links[f"link{leg}1"].base for leg in LEGS]
@@ -160,6 +161,10 @@ class Closure:
             / self.length[i]
             for i in range(2)
         ]
+
+    def position_at(self, q_e: casadi.SX) -> casadi.SX:
+        """End effector (2, 1) [m] for other elastic coordinates (n, 1)."""
+        return Closure(self._robot, replace(self._motion, q_e=q_e), self._lengths, self._side).position
 
     def redundant(self) -> RedundantState:
         """The motion in redundant coordinates."""

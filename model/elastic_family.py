@@ -28,8 +28,10 @@ class ElasticFamily(Effect):
         direction: Direction,
         shapes: tuple[Shape, ...],
         thick: ThickBeam | None = None,
+        quasi_static: bool = False,
     ) -> None:
-        """`thick` adds the strain energy of shear to bending, and rotary inertia to the modal masses."""
+        """`thick` adds the strain energy of shear to bending, and rotary inertia to the modal masses; `quasi_static`
+        takes the modes' own dynamics away."""
         integrals = integrate_shapes(shapes)
         rigidity = (
             properties.youngs_modulus * properties.second_moment / properties.length**3
@@ -49,7 +51,9 @@ class ElasticFamily(Effect):
             return symmetric(len(shapes), entry, np.add.reduce([np.abs(products) for _, products in terms]))
 
         self._registry, self._properties = registry, properties
-        self._family = Family(group, direction, shapes, matrix("k", stiffness), matrix("m", mass))
+        springs = matrix("k", stiffness)
+        compliance = _inverse(registry, f"{group}_{direction}_compliance", springs) if quasi_static else None
+        self._family = Family(group, direction, shapes, springs, matrix("m", mass), compliance)
 
     def families(self) -> tuple[Family, ...]:
         return (self._family,)
@@ -90,7 +94,18 @@ class ElasticFamily(Effect):
 
     def sentence(self) -> str:
         family = self._family
-        return f"Elasticity of the {family.group} links, {family.direction}, with {len(family.shapes)} mode(s)."
+        how = "that deflect statically under the present loads" if family.quasi_static else "with their vibrations"
+        return f"Elasticity of the {family.group} links, {family.direction}: {len(family.shapes)} mode(s) {how}."
+
+
+def _inverse(registry: ParameterRegistry, prefix: str, stiffness: casadi.SX) -> casadi.SX:
+    """Inverse of a stiffness matrix (K, K), as derived values."""
+    count = stiffness.shape[0]
+    if stiffness.sparsity().is_diag():
+        entries = [registry.derived(f"{prefix}_{i}", 1 / stiffness[i, i]) for i in range(count)]
+        return casadi.diag(column(entries))
+    inverse = casadi.inv(casadi.densify(stiffness))
+    return symmetric(count, lambda i, j: registry.derived(f"{prefix}_{i}_{j}", inverse[i, j]), np.ones((count, count)))
 
 
 def _shear(shape: Shape) -> Evaluate:

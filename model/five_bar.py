@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi
 
@@ -13,6 +13,7 @@ from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
 from flexfmu.model.effects import Output
 from flexfmu.model.link_properties import LinkProperties, link_properties
 from flexfmu.model.parameters import ParameterRegistry
+from flexfmu.model.quasi_static import Partition, static_deflections
 from flexfmu.model.robot import LinkGroup, Robot, make_robot
 from flexfmu.model.scene import Mechanism, Scene
 from flexfmu.model.symbolic import Variable
@@ -29,10 +30,13 @@ class FiveBar:
         robot: symbols of the redundant coordinates.
         registry: parameters and derived values.
         dynamics: equations of motion in redundant coordinates.
-        motion: symbols of the independent motion.
-        closure: the assembled motion as expressions of the independent one.
+        motion: symbols of the independent motion, whose elastic coordinates are the states.
+        partition: which elastic coordinates are states, and which deflect statically.
+        closure: the assembled motion as expressions of the independent one, without static deflections.
         redundant_force: generalised forces that the motion needs in redundant coordinates, (10 + n, 1).
-        forces: the same, projected: motor torques, forces on q_e (zero in a free motion), joint reactions.
+        forces: the same, projected: motor torques, forces on the states (zero in a free motion), joint reactions.
+        elastic: all elastic coordinates (n, 1), static deflections under these forces included.
+        position: end effector (2, 1) [m] with these elastic coordinates.
         outputs: watched scalars of the effects.
         sentences: effect → sentence, for documentation.
     """
@@ -41,11 +45,19 @@ class FiveBar:
     registry: ParameterRegistry
     dynamics: RedundantDynamics
     motion: IndependentMotion
+    partition: Partition
     closure: Closure
     redundant_force: casadi.SX
     forces: ProjectedForces
+    elastic: casadi.SX
+    position: casadi.SX
     outputs: tuple[Output, ...]
     sentences: Mapping[str, str]
+
+    def with_forces(self, redundant_force: casadi.SX) -> FiveBar:
+        """The same robot under other forces, (10 + n, 1) in redundant coordinates."""
+        forces, elastic, position = _respond(self.robot, self.partition, self.closure, redundant_force)
+        return replace(self, redundant_force=redundant_force, forces=forces, elastic=elastic, position=position)
 
 
 def assemble(scene: Scene) -> FiveBar:
@@ -68,26 +80,45 @@ def assemble(scene: Scene) -> FiveBar:
     robot = make_robot(families, base, twists, shortening)
     outputs = tuple(output for effect in effects for output in effect.outputs(robot))
     dynamics = derive_dynamics(robot, effects, registry)
-    motion = _independent_motion(robot)
+    partition = Partition.of(robot)
+    motion = _independent_motion(robot, partition)
+    everything = replace(motion, **{name: partition.fill(getattr(motion, name)) for name in ("q_e", "v_e", "a_e")})
     side = 1 if scene.mechanism.assembly_mode == "left" else -1
-    closure = Closure(robot, motion, (properties["proximal"].length, properties["distal"].length), side)
+    closure = Closure(robot, everything, (properties["proximal"].length, properties["distal"].length), side)
     force = dynamics.force(*closure.redundant().arguments(), registry.d)
+    forces, elastic, position = _respond(robot, partition, closure, force)
     return FiveBar(
         robot=robot,
         registry=registry,
         dynamics=dynamics,
         motion=motion,
+        partition=partition,
         closure=closure,
         redundant_force=force,
-        forces=closure.project(force),
+        forces=forces,
+        elastic=elastic,
+        position=position,
         outputs=outputs,
         sentences={effect.title(): effect.sentence() for effect in effects},
     )
 
 
-def _independent_motion(robot: Robot) -> IndependentMotion:
+def _respond(
+    robot: Robot, partition: Partition, closure: Closure, force: casadi.SX
+) -> tuple[ProjectedForces, casadi.SX, casadi.SX]:
+    """Forces on the states, elastic coordinates with static deflections, and where these put the end effector."""
+    forces = closure.project(force)
+    if not partition.statics:
+        return forces, robot.q_e, closure.position
+    deflections = static_deflections(robot, forces.elastic)
+    elastic = partition.fill(partition.states_of(robot.q_e), deflections)
+    return replace(forces, elastic=partition.states_of(forces.elastic)), elastic, closure.position_at(elastic)
+
+
+def _independent_motion(robot: Robot, partition: Partition) -> IndependentMotion:
     q_a, v_a, a_a = (casadi.SX.sym(name, 2) for name in ("q_a", "v_a", "a_a"))
-    return IndependentMotion(q_a, v_a, a_a, robot.q_e, robot.v_e, casadi.SX.sym("a_e", robot.q_e.numel()))
+    q_e, v_e = partition.states_of(robot.q_e), partition.states_of(robot.v_e)
+    return IndependentMotion(q_a, v_a, a_a, q_e, v_e, casadi.SX.sym("a_e", q_e.numel()))
 
 
 def _mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> dict[str, casadi.SX]:

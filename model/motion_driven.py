@@ -13,6 +13,7 @@ from flexfmu.model.plant_functions import (
     OutputRow,
     PlantEquations,
     compliance,
+    elastic_names,
     elastic_scale,
     make_plant,
     moving_mass,
@@ -55,7 +56,7 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
         five_bar,
         equations,
         description="Flexible five-bar robot, motion-driven: joint references in, torques and end-effector motion out",
-        unknowns=five_bar.robot.elastic_names,
+        unknowns=elastic_names(five_bar),
         inputs=inputs,
         rate_inputs=4,
     )

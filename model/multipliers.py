@@ -65,8 +65,12 @@ class ConstrainedMotion:
 
 @lru_cache(maxsize=8)
 def constrained_model(scene: Scene) -> ConstrainedModel:
-    """The index-1 form of a scene's five-bar, with its parameter values filled in."""
-    five_bar = assemble(scene)
+    """The index-1 form of a scene's five-bar, with its parameter values filled in.
+
+    Families that deflect statically have no part in the dynamics and are left out.
+    """
+    rigid = {f"effects.{family}": 0 for family in scene.effects.quasi_static}
+    five_bar = assemble(scene.replace(rigid | {"effects.quasi_static": []}) if rigid else scene)
     registry, n = five_bar.registry, five_bar.robot.q_e.numel()
     derive = casadi.Function("derive", [registry.p], [registry.resolved()])
     d = derive([registry.starts[variable.name] for variable in registry.variables])

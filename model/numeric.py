@@ -60,7 +60,7 @@ def numeric_model(scene: Scene) -> NumericModel:
         motion=function(
             "motion",
             [m.q_e, m.v_e, m.a_e, u],
-            [closure.position, closure.velocity, closure.acceleration, five_bar.forces.motors],
+            [five_bar.position, closure.velocity, closure.acceleration, five_bar.forces.motors],
         ),
         energy=function("energy", [m.q_e, m.v_e, u], [energy]),
     )

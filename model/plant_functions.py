@@ -9,7 +9,9 @@ import casadi
 
 from flexfmu.model.assembly import WORKING_MODES
 from flexfmu.model.closure import ProjectedForces
+from flexfmu.model.effects import Output
 from flexfmu.model.five_bar import FiveBar
+from flexfmu.model.robot import Family
 from flexfmu.model.scene import Scene
 from flexfmu.model.symbolic import SymbolicModel, Variable
 from flexfmu.model.time_derivatives import Motion, along_motion, forward
@@ -139,23 +141,35 @@ def robot_outputs(five_bar: FiveBar) -> list[OutputRow]:
     closure, motion = five_bar.closure, five_bar.motion
     rows: list[OutputRow] = []
     for kind, unit, vector in (
-        ("position", "m", closure.position),
+        ("position", "m", five_bar.position),
         ("velocity", "m/s", closure.velocity),
         ("acceleration", "m/s2", closure.acceleration),
     ):
         rows += _components(f"end_effector.{kind}", unit, f"End effector, {{}} of the {kind}", vector)
-    rows += [
-        (output(o.name, o.unit, o.description[0].upper() + o.description[1:]), casadi.dot(o.gain, o.coordinates))
-        for o in five_bar.outputs
-    ]
-    robot = five_bar.robot
-    names = robot.elastic_names, robot.elastic_units, robot.elastic_texts
-    for k, (name, unit, text) in enumerate(zip(*names, strict=True)):
+    rows += [_watched(five_bar, watched) for watched in five_bar.outputs]
+    robot, states = five_bar.robot, five_bar.partition.states
+    units, texts = robot.elastic_units, robot.elastic_texts
+    for k, (name, i) in enumerate(zip(elastic_names(five_bar), states, strict=True)):
+        unit, text = units[i], texts[i]
         rate, acceleration = f"der({name})", f"der({name},2)"
         rows.append((output(name, unit, text), motion.q_e[k]))
         rows.append((output(rate, f"{unit}/s", f"Rate of {name}", of=name), motion.v_e[k]))
         rows.append((output(acceleration, f"{unit}/s2", f"Acceleration of {name}", of=rate), motion.a_e[k]))
     return rows
+
+
+def _watched(five_bar: FiveBar, watched: Output) -> OutputRow:
+    """A scalar of an effect, with static deflections put in."""
+    value = casadi.dot(watched.gain, watched.coordinates)
+    if five_bar.partition.statics:
+        value = casadi.substitute(value, five_bar.robot.q_e, five_bar.elastic)
+    description = watched.description[0].upper() + watched.description[1:]
+    return output(watched.name, watched.unit, description), value
+
+
+def elastic_names(five_bar: FiveBar) -> tuple[str, ...]:
+    """Names of the elastic coordinates that are states."""
+    return tuple(five_bar.robot.elastic_names[i] for i in five_bar.partition.states)
 
 
 def reaction_outputs(forces: ProjectedForces) -> list[OutputRow]:
@@ -189,7 +203,7 @@ def _feedthrough(equations: PlantEquations, inputs: Sequence[Variable]) -> Mappi
 
 def elastic_scale(five_bar: FiveBar) -> tuple[list[casadi.SX], list[casadi.SX]]:
     """Modal stiffnesses and masses of the elastic coordinates, (n, 1) in pieces, for the error norm."""
-    families = [part.family for _, part in five_bar.robot.elastic]
+    families = _vibrating(five_bar)
     kappa = [casadi.diag(family.stiffness) for family in families]
     mu = [casadi.diag(family.mass) for family in families]
     if five_bar.robot.twist.numel():
@@ -197,6 +211,11 @@ def elastic_scale(five_bar: FiveBar) -> tuple[list[casadi.SX], list[casadi.SX]]:
         kappa.append(casadi.repmat(find("transmission_stiffness"), 2, 1))
         mu.append(casadi.repmat(find("proximal_m_l2_3"), 2, 1))
     return kappa, mu
+
+
+def _vibrating(five_bar: FiveBar) -> list[Family]:
+    """Family by family of every link, but for those that deflect statically."""
+    return [part.family for _, part in five_bar.robot.elastic if not part.family.quasi_static]
 
 
 def moving_mass(five_bar: FiveBar) -> casadi.SX:
@@ -207,7 +226,7 @@ def moving_mass(five_bar: FiveBar) -> casadi.SX:
 
 def compliance(five_bar: FiveBar) -> casadi.SX:
     """Sum of the tips' static compliances [m/N]; zero for a rigid robot."""
-    families = [part.family for _, part in five_bar.robot.elastic]
+    families = _vibrating(five_bar)
     total = sum((casadi.sum1(f.tips**2 / casadi.diag(f.stiffness)) for f in families), casadi.SX(0))
     if five_bar.robot.twist.numel():
         find = five_bar.registry.find_derived

@@ -12,7 +12,7 @@ from flexfmu.model.scene import Scene
 def rigid_scene(scene: Scene) -> Scene:
     """The scene with rigid links and rigid transmissions."""
     stiff = {f"effects.{group}_{direction}": 0 for group, direction in FAMILIES}
-    return scene.replace(stiff | {"effects.transmission": None})
+    return scene.replace(stiff | {"effects.transmission": None, "effects.quasi_static": []})
 
 
 def inverse_dynamics(scene: Scene) -> casadi.Function:

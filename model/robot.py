@@ -39,6 +39,8 @@ class Family:
         shapes: K mode shapes.
         stiffness: modal stiffness matrix K (K, K) [N/m].
         mass: modal mass matrix of the link alone (K, K) [kg].
+        compliance: inverse of the stiffness (K, K) [m/N] where the modes are no states, but deflect statically under the
+            present loads; None where they vibrate.
     """
 
     group: LinkGroup
@@ -46,6 +48,12 @@ class Family:
     shapes: tuple[Shape, ...]
     stiffness: casadi.SX
     mass: casadi.SX
+    compliance: casadi.SX | None = None
+
+    @property
+    def quasi_static(self) -> bool:
+        """Whether the modes deflect statically instead of being states."""
+        return self.compliance is not None
 
     @property
     def tips(self) -> casadi.DM:

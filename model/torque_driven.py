@@ -13,6 +13,7 @@ from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.plant_functions import (
     OutputRow,
     PlantEquations,
+    elastic_names,
     elastic_scale,
     make_plant,
     output,
@@ -48,7 +49,8 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
     )
     loaded = casadi.SX(five_bar.redundant_force)
     loaded[8:10] -= force
-    forces = five_bar.closure.project(loaded)
+    five_bar = five_bar.with_forces(loaded)
+    forces = five_bar.forces
     inputs = _inputs(scene)
     outputs = _joint_outputs(five_bar) + robot_outputs(five_bar)
     if scene.effects.reactions:
@@ -66,7 +68,7 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
         five_bar,
         equations,
         description="Flexible five-bar robot, torque-driven: motor torques in, joint and end-effector motion out",
-        unknowns=("joint1.position", "joint2.position", *five_bar.robot.elastic_names),
+        unknowns=("joint1.position", "joint2.position", *elastic_names(five_bar)),
         inputs=inputs,
         locked=2,
     )
