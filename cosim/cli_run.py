@@ -81,6 +81,7 @@ def _print_summary(summary: Mapping[str, Any], folder: Path) -> None:
     if health["outcome"] == "completed":
         parts.append(_metrics_table(name, metrics))
     parts.append(Text(_health_line(health, summary["timing"])))
+    parts += _learning_line(summary.get("learning"))
     late = [delay for delay in summary["delays"] if delay["seconds"] > 0.0]
     if late:
         parts.append(Text("late: " + "; ".join(delay["description"] for delay in late)))
@@ -105,6 +106,14 @@ def _health_line(health: Mapping[str, Any], timing: Mapping[str, float]) -> str:
         f"{health['outcome']}: {health['end_time'] or 0.0:g} s simulated in {timing['simulate']:.3f} s "
         f"(FMU ready in {timing['build']:.3f} s)" + (f"; {statistics}" if statistics else "")
     )
+
+
+def _learning_line(learning: Mapping[str, Any] | None) -> list[RenderableType]:
+    """The tracking error of the cycles, where a motion is repeated."""
+    if learning is None:
+        return []
+    errors = [1e3 * max(each["rms"]) for each in learning["tracking_errors"]]
+    return [Text("tracking error of the cycles, mrad RMS: " + ", ".join(f"{error:.4g}" for error in errors))]
 
 
 def _warning_line(health: Mapping[str, Any]) -> str:

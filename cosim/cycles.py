@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from flexfmu.cosim.bernstein import Array
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.planning import MotionPlan
+from flexfmu.cosim.planning import MotionPlan, Repetition
 from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
 
@@ -78,8 +79,43 @@ class ThereAndBack:
         return self.motion.duration + self.dwell
 
 
-def repeated(plan: MotionPlan, cycles: int) -> MotionPlan:
-    """A scene's motion there and back, its dwell between, again and again."""
+def repeated(plan: MotionPlan, cycles: int, sample_time: float | None = None) -> MotionPlan:
+    """A scene's motion there and back, its dwell between, again and again.
+
+    Args:
+        plan: the motion.
+        cycles: how often.
+        sample_time: [s]; the dwell is lengthened to make each motion with its dwell a whole number of samples. None to
+            leave it.
+
+    Raises:
+        InputError: the number of cycles isn't a positive whole number.
+    """
     dwell = plan.scene.trajectory.dwell
+    if sample_time is not None:
+        samples = ceil((plan.duration + dwell) / sample_time * (1.0 - 1e-9))
+        dwell = max(samples * sample_time - plan.duration, 0.0)
     task, joints = (ThereAndBack(motion, dwell, cycles) for motion in (plan.task, plan.joints))
-    return replace(plan, task=task, joints=joints)
+    return replace(plan, task=task, joints=joints, repetition=Repetition(plan, cycles, joints.period))
+
+
+def samples_in_a_cycle(plan: MotionPlan, sample_time: float) -> int:
+    """Samples in a cycle of a repeated motion.
+
+    Args:
+        plan: a motion that `repeated` has made.
+        sample_time: [s].
+
+    Raises:
+        InputError: the motion isn't repeated, or a cycle isn't a whole number of samples.
+    """
+    if plan.repetition is None:
+        raise InputError("learning needs a motion that is repeated: flexfmu.cosim.cycles.repeated(plan, cycles)")
+    period = plan.repetition.period
+    samples = round(period / sample_time)
+    if abs(samples * sample_time - period) > SAME_TIME * period:
+        raise InputError(
+            f"a cycle of {period} s isn't a whole number of samples of {sample_time} s; choose another dwell, or "
+            "repeated(.., sample_time=..), which lengthens it"
+        )
+    return samples

@@ -8,6 +8,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TypedDict
 
+from flexfmu.cosim.coupling import coupling_of
 from flexfmu.cosim.delays import SignalDelay
 from flexfmu.cosim.loop import Loop
 from flexfmu.cosim.loop_recording import SlaveFacts, plain_names, slave_facts, with_constants
@@ -160,11 +161,20 @@ def run_scene(
     path = fmu_path if fmu_path is not None else build_scene(scene).path
     loading = perf_counter()
     parts = scene_system(scene, loop, path, parameters=parameters, initial=initial, input_order=input_order)
-    system = connect(parts.slaves, parts.wiring.connections)
+    coupling = coupling_of(scene.cosimulation)
+    system = connect(parts.slaves, parts.wiring.connections, loops=coupling.loops)
     step = scene.cosimulation.step if communication_step is None else communication_step
     relative = scene.cosimulation.tolerance if tolerance is None else tolerance
     simulating = perf_counter()
-    simulation = simulate(system, loop.motion.stop_time, step, tolerance=relative, progress=progress)
+    simulation = simulate(
+        system,
+        loop.motion.stop_time,
+        step,
+        tolerance=relative,
+        progress=progress,
+        algorithm=coupling.algorithm,
+        step_control=coupling.step_control,
+    )
     done = perf_counter()
     return Run(
         plan=loop.motion,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,13 +77,27 @@ class Loop:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Course:
+    """A motion with its shapers.
+
+    Attributes:
+        motion: with all shapers.
+        driving: joint trajectory that is streamed; that of the motion but for sampled shapers.
+        inserts: the sampled shapers, and others that are slaves.
+    """
+
+    motion: MotionPlan
+    driving: Trajectory
+    inserts: tuple[Insert, ...] = ()
+
+
 def make_loop(
     motion: MotionPlan,
     controllers: Iterable[Any] = (),
     shapers: Iterable[Any] = (),
     imperfections: Iterable[Any] = (),
     connect: Mapping[str, str] | None = None,
-    names: Names | None = None,
 ) -> Loop:
     """A loop of blocks, slaves, python-control systems and FMU files.
 
@@ -93,33 +107,56 @@ def make_loop(
         shapers: `Shaper`, a bare `ImpulseSequence` for the joint references, or what else references may pass.
         imperfections: what signals pass on their way, in this order, or `PayloadError`.
         connect: ``slave.input`` → source, beyond equal names.
-        names: names given so far.
 
     Raises:
         InputError: something is of a kind that can't be a slave.
         TrajectoryError: a shaper can't act on this motion.
     """
-    names = names or Names()
-    motion, driving, inserts = _shape(motion, list(shapers), names)
-    parameters: dict[str, float] = {}
+    names = Names()
+    return close_loop(shape(motion, list(shapers), names), controllers, imperfections, connect or {}, names)
+
+
+def close_loop(
+    course: Course, controllers: Iterable[Any], imperfections: Iterable[Any], connect: Mapping[str, str], names: Names
+) -> Loop:
+    """A loop about a motion whose shapers have acted; otherwise as `make_loop`.
+
+    Args:
+        course: the motion with its shapers.
+        controllers, imperfections, connect: as for `make_loop`.
+        names: names given so far.
+    """
     acting = tuple(as_slave(each, names) for each in controllers)
+    inserts, parameters = list(course.inserts), dict[str, float]()
     for each in imperfections:
         if isinstance(each, PayloadError):
-            parameters |= _payload(motion, each)
+            parameters |= _payload(course.motion, each)
         else:
             inserts.append(passing(as_slave(each, names)))
-    return Loop(motion, driving, acting, tuple(inserts), dict(connect or {}), parameters)
+    return Loop(course.motion, course.driving, acting, tuple(inserts), dict(connect), parameters)
 
 
-def _shape(motion: MotionPlan, shapers: Sequence[Any], names: Names) -> tuple[MotionPlan, Trajectory, list[Insert]]:
+def shape(
+    motion: MotionPlan,
+    shapers: Sequence[Any],
+    names: Names,
+    repeat: Callable[[MotionPlan], MotionPlan] = lambda motion: motion,
+) -> Course:
     """Let the shapers act, those along the path first, sampled ones as slaves.
 
-    Returns:
-        The motion with all shapers, the joint trajectory that is streamed, and the slaves.
+    Args:
+        motion: the planned motion.
+        shapers: as for `make_loop`.
+        names: names given so far.
+        repeat: repeats the motion that is streamed.
+
+    Raises:
+        InputError: something is of a kind that can't be a slave.
+        TrajectoryError: a shaper can't act on this motion.
     """
     if not shapers:
-        return motion, motion.joints, []
-    from flexfmu.cosim.shaper_block import shaper_block
+        motion = repeat(motion)
+        return Course(motion, motion.joints)
     from flexfmu.cosim.shaper_plan import APPLICATIONS
     from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
@@ -128,15 +165,33 @@ def _shape(motion: MotionPlan, shapers: Sequence[Any], names: Names) -> tuple[Mo
         for each in chosen:
             if isinstance(each, Shaper) and each.apply == place:
                 motion = APPLICATIONS[place](motion, each.sequence)
+    motion = repeat(motion)
     driving, inserts = motion.joints, []
     for each in chosen:
         if not isinstance(each, Shaper):
             inserts.append(passing(as_slave(each, names)))
         elif each.sample_time is not None:
-            block = shaper_block(each.sequence, each.sample_time, offset=each.offset, name=each.name)
-            inserts.append(passing(as_slave(block, names)))
-            motion = APPLICATIONS["joints"](motion, each.sequence.split(each.sample_time))
-    return motion, driving, inserts
+            inserts.append(_sampled_shaper(each, each.sample_time, names))
+            motion = _shaped_on_the_way(motion, each.sequence.split(each.sample_time))
+    return Course(motion, driving, tuple(inserts))
+
+
+def _sampled_shaper(shaper: Shaper, sample_time: float, names: Names) -> Insert:
+    """The slave of a sampled shaper."""
+    from flexfmu.cosim.shaper_block import shaper_block
+
+    block = shaper_block(shaper.sequence, sample_time, offset=shaper.offset, name=shaper.name)
+    return passing(as_slave(block, names))
+
+
+def _shaped_on_the_way(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
+    """The motion that a sampled shaper makes of the streamed one, in all its repetitions."""
+    from flexfmu.cosim.shaper_plan import shape_joints
+
+    shaped = shape_joints(motion, sequence)
+    if motion.repetition is None:
+        return shaped
+    return replace(shaped, repetition=replace(motion.repetition, once=shape_joints(motion.once, sequence)))
 
 
 def _payload(motion: MotionPlan, error: PayloadError) -> Mapping[str, float]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from flexfmu.cosim.loop import Loop, Names, make_loop
+from flexfmu.cosim.cycles import repeated
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.loop import Loop, Names, close_loop, shape
 from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.model.controller_sections import LearningSection
 from flexfmu.model.scene import Scene
 
 
@@ -28,14 +31,29 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None) -> Loop:
 
     names = Names()
     builder = LoopBuilder(scene, planned, names)
-    return make_loop(
-        planned,
-        [builder.controller(each) for each in scene.controller],
-        [builder.shaper(each) for each in shapers],
-        [builder.imperfection(each) for each in scene.imperfection],
-        builder.connect,
-        names,
-    )
+    course = shape(planned, [builder.shaper(each) for each in shapers], names, lambda shaped: _repeated(scene, shaped))
+    controllers = [builder.controller(each, course.motion) for each in scene.controller]
+    imperfections = [builder.imperfection(each) for each in scene.imperfection]
+    return close_loop(course, controllers, imperfections, builder.connect, names)
+
+
+def _repeated(scene: Scene, motion: MotionPlan) -> MotionPlan:
+    """The motion, repeated where a controller learns.
+
+    Raises:
+        InputError: controllers learn over different numbers of cycles, or at different sample times.
+    """
+    learning = [each for each in scene.controller if isinstance(each, LearningSection)]
+    if not learning or motion.repetition is not None:
+        return motion
+    first = learning[0]
+    for key in ("cycles", "sample_time"):
+        values = [getattr(each, key) for each in learning]
+        if len(set(values)) > 1:
+            raise InputError(
+                f"all learning controllers of a scene share one motion: give them the same `{key}`, got {values}"
+            )
+    return repeated(motion, first.cycles, first.sample_time)
 
 
 def holding_torques(scene: Scene) -> Mapping[str, float]:

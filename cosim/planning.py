@@ -24,6 +24,21 @@ BLENDS: Mapping[str, Callable[[float, float], Blend]] = {
 
 
 @dataclass(frozen=True)
+class Repetition:
+    """A motion that is made there and back, again and again.
+
+    Attributes:
+        once: the motion.
+        cycles: how often.
+        period: length of a cycle [s].
+    """
+
+    once: MotionPlan
+    cycles: int
+    period: float
+
+
+@dataclass(frozen=True)
 class MotionPlan:
     """The motion that a scene asks for; standstill at the end point during the dwell.
 
@@ -33,6 +48,7 @@ class MotionPlan:
         kinematics: the mechanism's rigid inverse kinematics.
         task: end-effector trajectory of the rigid mechanism in x, y [m].
         joints: joint trajectory in q11, q21 [rad].
+        repetition: what is repeated, and how often; None for a motion that is made once.
     """
 
     scene: Scene
@@ -40,6 +56,12 @@ class MotionPlan:
     kinematics: RigidKinematics
     task: Trajectory
     joints: Trajectory
+    repetition: Repetition | None = None
+
+    @property
+    def once(self) -> MotionPlan:
+        """The motion itself, without its repetitions."""
+        return self if self.repetition is None else self.repetition.once
 
     @property
     def duration(self) -> float:

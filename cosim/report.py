@@ -62,6 +62,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         tables=_filled(
             {
                 "Shaping": _shaping_rows(summary.get("shaping")),
+                "Learning": _learning_rows(summary.get("learning")),
                 "Health": _health_rows(health),
                 "Slaves": _slave_rows(summary["slaves"]),
                 "Signals": _delay_rows(summary["delays"]),
@@ -142,6 +143,20 @@ def _shaping_rows(shaping: Mapping[str, float] | None) -> dict[str, str]:
         "added time": f"{1e3 * shaping['added_time']:.4g} ms",
         "path deviation": f"{1e3 * shaping['path_deviation']:.4g} mm",
     }
+
+
+def _learning_rows(learning: Mapping[str, Any] | None) -> dict[str, str]:
+    """Tracking error of both joints, cycle by cycle."""
+    if learning is None:
+        return {}
+    return {
+        f"cycle {number}": f"{_milliradians(each['rms'])} mrad RMS, {_milliradians(each['largest'])} mrad at most"
+        for number, each in enumerate(learning["tracking_errors"], start=1)
+    }
+
+
+def _milliradians(values: Iterable[float]) -> str:
+    return " / ".join(f"{1e3 * value:.4g}" for value in values)
 
 
 def _delay_rows(delays: Iterable[Mapping[str, Any]]) -> dict[str, str]:

@@ -35,7 +35,8 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
     Keys: ``scene`` (the scene file with its defaults), ``effects`` (effect → sentence), ``metrics`` (name → number or
     None), ``health`` (outcome, integrator statistics, interpolation errors, warnings), ``slaves`` (name, description, sample
     time), ``delays`` (for each connection how late it is), ``timing`` [s], ``versions``; with shapers also ``shaping`` (the
-    time that they add [s], how far they lead the rigid end effector off its path [m]).
+    time that they add [s], how far they lead the rigid end effector off its path [m]), and with a motion that is repeated
+    ``learning`` (period [s] and for each cycle the tracking error of both joints [rad]).
     """
     return {
         "scene": run.scene.model_dump(mode="json", exclude_none=True),
@@ -43,6 +44,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         "metrics": {name: measurement.value for name, measurement in measurements.items()},
         "health": _health(run, measurements),
         **_shaping(run),
+        **_learning(run),
         "slaves": [asdict(slave) for slave in run.slaves],
         "delays": [_delay(delay) for delay in run.delays],
         "timing": _timing(run),
@@ -139,13 +141,23 @@ def _warning(run: Run, name: str, measurement: Measurement) -> dict[str, Any]:
 
 def _shaping(run: Run) -> dict[str, Any]:
     """What shapers cost: the time that they add [s], and how far they lead the rigid end effector off its path [m]."""
-    motion = run.plan
+    motion = run.plan.once
     if motion.task is motion.along_path:
         return {}
     from flexfmu.cosim.shaper_plan import deviation
 
     added = motion.duration - motion.along_path.duration
     return {"shaping": {"added_time": added, "path_deviation": deviation(motion)}}
+
+
+def _learning(run: Run) -> dict[str, Any]:
+    """How a repeated motion is followed, cycle by cycle: root mean square and largest error of both joints [rad]."""
+    if run.plan.repetition is None:
+        return {}
+    from flexfmu.cosim.cycle_errors import cycle_errors
+
+    cycles = [asdict(each) for each in cycle_errors(run.plan, run.recording)]
+    return {"learning": {"period": run.plan.repetition.period, "tracking_errors": cycles}}
 
 
 def _delay(delay: SignalDelay) -> dict[str, Any]:

@@ -7,8 +7,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from flexfmu.model.scene_sections import ControllerSection, ImperfectionSection, ShaperSection
+from flexfmu.model.controller_sections import ControllerSection
+from flexfmu.model.cosimulation_section import Cosimulation
+from flexfmu.model.imperfection_sections import ImperfectionSection
 from flexfmu.model.section import Seconds, SecondsOrZero, Section, as_tuple, quantity
+from flexfmu.model.shaper_sections import ShaperSection
 
 MAXIMUM_MODES = 40
 """Largest number of modes of one family; far above what the 1e-10 orthogonality of the shapes has been tested for."""
@@ -117,9 +120,6 @@ class Transmission(Section):
     damping: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
 
 
-FamilyName = Literal["proximal_bending", "proximal_axial", "distal_bending", "distal_axial"]
-
-
 class Effects(Section):
     """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code."""
 
@@ -131,21 +131,11 @@ class Effects(Section):
     distal_axial: ModeCount = 0
     beam: Literal["euler-bernoulli", "timoshenko"] = "euler-bernoulli"
     foreshortening: bool = False
-    quasi_static: Annotated[tuple[FamilyName, ...], BeforeValidator(as_tuple)] = ()
     damping: Damping = NoDamping()
     motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0
     joint_friction: JointFriction = JointFriction()
     transmission: Transmission | None = None
     reactions: bool = False
-
-    @model_validator(mode="after")
-    def _static_families_have_modes(self) -> Self:
-        for family in self.quasi_static:
-            if not getattr(self, family):
-                raise ValueError(
-                    f"`quasi_static` names {family}, which has no modes: give `{family}` at least 1, or take it from the list"
-                )
-        return self
 
 
 class Blend(Section):
@@ -196,16 +186,6 @@ class TrajectorySection(Section):
         if self.blend.width > self.width / 2:
             raise ValueError(f"`blend.width` must be at most `width`/2 = {self.width / 2} m, got {self.blend.width} m")
         return self
-
-
-class Cosimulation(Section):
-    """How the scene is run."""
-
-    drive: Literal["motion", "torque"] = "motion"
-    step: Seconds
-    tolerance: Annotated[float, quantity("1", gt=0.0, le=0.1)]
-    initial: Literal["static", "undeformed"] = "static"
-    settling_band: Length = 1e-5
 
 
 class Scene(Section):

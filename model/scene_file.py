@@ -12,6 +12,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from flexfmu.model.errors import SceneError
+from flexfmu.model.loop_section import FOLDER
 from flexfmu.model.scene import Scene
 
 ErrorDetails = dict[str, Any]
@@ -33,22 +34,27 @@ def load_scene(source: str | Path) -> Scene:
     Raises:
         SceneError: no such scene, not TOML, or a key or value that can't be right.
     """
-    text, label = _read(source)
+    text, label, folder = _read(source)
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"not a TOML file: {error} ({label})") from error
-    return parse_scene(data, label)
+    return parse_scene(data, label, folder)
 
 
-def parse_scene(data: dict[str, Any], source: str) -> Scene:
-    """A validated scene from plain data; `source` names the origin in messages.
+def parse_scene(data: dict[str, Any], source: str, folder: Path | None = None) -> Scene:
+    """A validated scene from plain data.
+
+    Args:
+        data: sections and keys.
+        source: names the origin in messages.
+        folder: what paths in the scene count from; None leaves them as they are.
 
     Raises:
         SceneError: names each wrong key with its value, unit and remedy.
     """
     try:
-        return Scene.model_validate(data)
+        return Scene.model_validate(data, context={FOLDER: folder})
     except ValidationError as error:
         sentences = [_sentence(dict(details)) for details in error.errors()]
         raise SceneError(f"{'; '.join(sentences)} ({source})") from None
@@ -58,12 +64,13 @@ def _scene_folder() -> Any:
     return files("flexfmu.cosim").joinpath("scenes")
 
 
-def _read(source: str | Path) -> tuple[str, str]:
+def _read(source: str | Path) -> tuple[str, str, Path | None]:
+    """Text, name for messages, and folder of a scene file."""
     path = Path(source)
     if path.suffix != ".toml" and str(source) in shipped_scenes():
-        return _scene_folder().joinpath(f"{source}.toml").read_text(encoding="utf-8"), f"shipped scene {source}"
+        return _scene_folder().joinpath(f"{source}.toml").read_text(encoding="utf-8"), f"shipped scene {source}", None
     try:
-        return path.read_text(encoding="utf-8"), str(path)
+        return path.read_text(encoding="utf-8"), str(path), path.resolve().parent
     except FileNotFoundError:
         raise SceneError(
             f"no scene file '{source}': give a path, or one of the shipped scenes {_listed(shipped_scenes())}"

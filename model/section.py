@@ -23,6 +23,11 @@ def as_tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
+def named_kind(value: Any) -> Any:
+    """A table with nothing but a `kind` may be written as that word."""
+    return {"kind": value} if isinstance(value, str) else value
+
+
 def for_both(value: Any) -> Any:
     """One number stands for both joints."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):

@@ -10,7 +10,7 @@ from flexfmu.fmu_build.scene_build import scene_key
 from flexfmu.model.errors import SceneError
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
-from flexfmu.model.scene_sections import ShaperKind
+from flexfmu.model.shaper_sections import ShaperKind
 from flexfmu.trajectories.shapers.catalogue import SHAPERS
 
 PD = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
@@ -45,6 +45,33 @@ WRONG = {
     "sampled without a sample time": ("shaper", {"kind": "zv", "apply": "sampled"}, "`sample_time` in s goes with"),
     "analytic with a sample time": ("shaper", {"kind": "zv", "sample_time": 1e-3}, "`sample_time` in s goes with"),
     "less than no payload": ("imperfection", {"kind": "payload-error", "relative": -2.0}, "at least -1"),
+    "two kinds of limits": (
+        "imperfection",
+        {"kind": "saturation", "limit": 1.0, "lower": -1.0, "upper": 1.0},
+        "either `limit`, which holds both ways, or `lower` and `upper`",
+    ),
+    "one limit of two": ("imperfection", {"kind": "saturation", "lower": -1.0}, "or `lower` and `upper`"),
+    "limits the wrong way round": (
+        "imperfection",
+        {"kind": "saturation", "lower": 1.0, "upper": -1.0},
+        r"`lower` must be below `upper`, got \[1.0, 1.0\]",
+    ),
+    "noise of no strength": ("imperfection", {"kind": "noise"}, "either `standard_deviation`, for normal noise"),
+    "interpolation": (
+        "imperfection",
+        {"kind": "delay", "time": 1e-3, "interpolation": "cubic"},
+        r"`imperfection\[0\].interpolation.kind` must be one of 'linear', 'lagrange', 'thiran', got 'cubic'",
+    ),
+    "anti-windup": (
+        "controller",
+        PD | {"kind": "pid", "integral": 1.0, "anti_windup": "back-calculation"},
+        r"tracking_time` is missing: add it \(in s\)",
+    ),
+    "no cycles": (
+        "controller",
+        {"kind": "learning", "gain": 1.0, "cycles": 0, "sample_time": 1e-3},
+        r"`controller\[0\].cycles` must be at least 1 cycles",
+    ),
     "signal": ("imperfection", {"kind": "delay", "time": 1e-3, "signal": "volume"}, "'torque', 'position'"),
 }
 
@@ -62,6 +89,25 @@ def test_mistakes_are_named(scene: Scene, mistake: str) -> None:
     with pytest.raises(SceneError, match=message) as error:
         scene.replace({section: [content]})
     assert "\n" not in str(error.value)
+
+
+COUPLING = {
+    "algorithm": ({"algorithm": "seidel"}, "'gauss-seidel', 'jacobi' or 'implicit', got 'seidel'"),
+    "tolerance": ({"step_control": {"tolerance": 0.0}}, "`cosimulation.step_control.tolerance` must be above 0.0"),
+    "steps": (
+        {"step_control": {"tolerance": 1e-3, "minimum": 1.0, "maximum": 0.1}},
+        "`minimum` must be at most `maximum` = 0.1 s, got 1.0 s",
+    ),
+    "solver": ({"loop_solver": {"kind": "newton"}}, "must be one of 'fixed-point', 'anderson', got 'newton'"),
+}
+
+
+@pytest.mark.parametrize("mistake", COUPLING)
+def test_mistakes_in_the_coupling_are_named(scene: Scene, mistake: str) -> None:
+    """Key, value and what there is."""
+    changes, message = COUPLING[mistake]
+    with pytest.raises(SceneError, match=message):
+        scene.replace({f"cosimulation.{key}": value for key, value in changes.items()})
 
 
 def test_a_single_table_is_explained(scene: Scene) -> None:

@@ -1,0 +1,63 @@
+"""The section of the scene file that says how a scene is run."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from flexfmu.model.section import Seconds, Section, quantity
+
+Tolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
+
+
+class StepControl(Section):
+    """Communication steps chosen on the way, so that the error of the coupling over the whole run stays below `tolerance`
+    times the signals' magnitudes; `step` is the first one."""
+
+    tolerance: Tolerance
+    minimum: Seconds | None = None
+    maximum: Seconds | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.minimum is not None and self.maximum is not None and self.minimum > self.maximum:
+            raise ValueError(f"`minimum` must be at most `maximum` = {self.maximum} s, got {self.minimum} s")
+        return self
+
+
+class FixedPoint(Section):
+    """Signals are passed round until they stay; `relaxation` below 1 helps where they grow."""
+
+    kind: Literal["fixed-point"]
+    tolerance: Tolerance = 1e-10
+    iterations: Annotated[int, quantity("iterations", ge=1, le=100_000)] = 100
+    relaxation: Annotated[float, quantity("1", gt=0.0, le=1.0)] = 1.0
+
+
+class Anderson(Section):
+    """A quasi-Newton method that learns from the last iterations."""
+
+    kind: Literal["anderson"]
+    tolerance: Tolerance = 1e-10
+    iterations: Annotated[int, quantity("iterations", ge=1, le=100_000)] = 50
+
+
+LoopSolver = Annotated[FixedPoint | Anderson, Field(discriminator="kind")]
+
+
+class Cosimulation(Section):
+    """How the scene is run.
+
+    `algorithm` couples the slaves over a communication step. `loop_solver` solves algebraic loops, which are refused without
+    one, and the implicit coupling.
+    """
+
+    drive: Literal["motion", "torque"] = "motion"
+    step: Seconds
+    tolerance: Tolerance
+    initial: Literal["static", "undeformed"] = "static"
+    settling_band: Annotated[float, quantity("m", gt=0.0)] = 1e-5
+    algorithm: Literal["gauss-seidel", "jacobi", "implicit"] = "gauss-seidel"
+    step_control: StepControl | None = None
+    loop_solver: LoopSolver | None = None

@@ -1,0 +1,65 @@
+"""What every section of a controller, shaper or imperfection has: a name, connections, a sample time; and slaves of the
+user's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, ValidationInfo
+
+from flexfmu.model.section import Seconds, SecondsOrZero, Section
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
+
+
+FOLDER = "folder"
+"""Under this key the validation context tells the scene file's folder."""
+
+
+def _from_scene_file(path: str, info: ValidationInfo) -> str:
+    """A path that counts from the scene file's folder, in full; as it is where the scene doesn't come from a file."""
+    folder: Path | None = (info.context or {}).get(FOLDER)
+    return path if folder is None else str(folder / path)
+
+
+class LoopSection(Section):
+    """Something with signals: its name in the system, and connections that names alone don't make.
+
+    `connect` maps an input to its source: `{ "error" = "joint1.position" }`, or with the names of the slaves
+    `{ "plant.joint1.torque" = "mine.torque" }`.
+    """
+
+    name: Name | None = None
+    connect: dict[str, str] = Field(default_factory=dict)
+
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())
+
+
+class SampledSection(LoopSection):
+    """Something with a sample time of its own."""
+
+    sample_time: Seconds
+    offset: SecondsOrZero = 0.0
+
+
+class PythonSection(LoopSection):
+    """A slave, block or python-control system that a Python function or class returns.
+
+    `source` is `module:name`; the module is looked for in `folder`, which counts from the scene file's folder and is that
+    folder by default, then among installed modules and in the working directory.
+    """
+
+    kind: Literal["python"]
+    source: Annotated[str, Field(pattern=r"^[\w.]+:[\w.]+$")]
+    folder: Annotated[str, AfterValidator(_from_scene_file)] = Field(default=".", validate_default=True)
+    arguments: dict[str, Any] = Field(default_factory=dict)
+
+
+class FmuSection(LoopSection):
+    """Any FMI 2.0 co-simulation FMU; `path` counts from the scene file's folder."""
+
+    kind: Literal["fmu"]
+    path: Annotated[str, AfterValidator(_from_scene_file)]
+    parameters: dict[str, float | int | bool | str] = Field(default_factory=dict)

@@ -1,0 +1,242 @@
+"""What the keys of controllers, imperfections and co-simulation do, and where files of a scene are looked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.algorithms import GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.coupling import coupling_of
+from flexfmu.cosim.cycle_errors import cycle_errors
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.iteration import Anderson, FixedPoint
+from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.sampled_fmu import SampledFmu
+from flexfmu.cosim.slave import Slave
+from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+PD = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
+SHIPPED = Path(__file__).parents[2] / "cosim" / "scenes" / "barnard2012-6kg.toml"
+
+
+def imperfections(robot: Scene, *sections: dict[str, Any]) -> list[Slave]:
+    """The slaves of imperfections behind a PD controller."""
+    loop = loop_of(robot.replace({"controller": [PD], "imperfection": list(sections)}))
+    return [insert.slave for insert in loop.inserts]
+
+
+def response(slave: Any, signal: Any) -> Any:
+    """(N,) first output to a signal (N,) at the first input, from its initial values on."""
+    output = np.array([next(i for i, each in enumerate(slave.variables) if each.causality == "output")])
+    found, value = [], np.empty(1)
+    slave.initialize(0.0, 1.0, None)
+    for k, u in enumerate(signal):
+        slave.set(np.array([0]), np.array([float(u)]))
+        slave.sample(k * slave.sample_time)
+        slave.get(output, value)
+        found.append(float(value[0]))
+    return np.array(found)
+
+
+def test_noise_sections_have_numbers_of_their_own(robot: Scene) -> None:
+    """Two sections on one signal don't give the same noise twice, but each gives the same in every run."""
+    noise = {"kind": "noise", "signal": "position", "standard_deviation": 1e-3}
+    first, second = imperfections(robot, noise, noise)
+    assert [first.name, second.name] == ["noise", "noise2"]
+    zeros = np.zeros(400)
+    one, other = response(first, zeros), response(second, zeros)
+    assert abs(np.corrcoef(one, other)[0, 1]) < 0.15
+    np.testing.assert_array_equal(response(imperfections(robot, noise)[0], zeros), one)
+    late = {"kind": "jitter", "time": 1e-3}
+    jitters = [response(each, np.arange(200.0)) for each in imperfections(robot, late, late | {"signal": "velocity"})]
+    assert abs(np.corrcoef(*(each[1:] - np.arange(1.0, 200.0) for each in jitters))[0, 1]) < 0.25
+
+
+def test_uniform_noise(robot: Scene) -> None:
+    """With a half width the noise is uniform: it stays within, and has the variance of a uniform one."""
+    (slave,) = imperfections(robot, {"kind": "noise", "half_width": 0.3})
+    found = response(slave, np.zeros(4000))
+    assert 0.299 < abs(found).max() <= 0.3
+    assert found.std() == pytest.approx(0.3 / np.sqrt(3.0), rel=0.02)
+
+
+def test_one_sided_saturation(robot: Scene) -> None:
+    """Lower and upper limits hold each for itself, a single limit both ways."""
+    one_sided, both = imperfections(
+        robot, {"kind": "saturation", "lower": -2.0, "upper": [5.0, 6.0]}, {"kind": "saturation", "limit": 3.0}
+    )
+    np.testing.assert_array_equal(response(one_sided, [-9.0, 1.0, 9.0]), [-2.0, 1.0, 5.0])
+    np.testing.assert_array_equal(response(both, [-9.0, 1.0, 9.0]), [-3.0, 1.0, 3.0])
+
+
+def test_falling_rate(robot: Scene) -> None:
+    """The signal may fall slower than it rises."""
+    (slave,) = imperfections(
+        robot, {"kind": "rate-limit", "signal": "velocity", "rate": 2000.0, "falling_rate": 500.0, "sample_time": 1e-3}
+    )
+    np.testing.assert_allclose(response(slave, [4.0, 4.0, 4.0, 0.0, 0.0]), [2.0, 4.0, 4.0, 3.5, 3.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("interpolation", "error"),
+    [("linear", 3e-2), ({"kind": "lagrange", "order": 3}, 1e-3), ({"kind": "thiran", "order": 3}, 1e-5)],
+)
+def test_interpolation_of_delays(robot: Scene, interpolation: Any, error: float) -> None:
+    """A sine of 20 samples a period comes 3.4 samples later, the better the higher the order."""
+    section = {"kind": "delay", "signal": "velocity", "time": 3.4e-3, "interpolation": interpolation}
+    (slave,) = imperfections(robot, section)
+    k = np.arange(400.0)
+    found = response(slave, np.sin(np.pi / 10.0 * k))[100:]
+    largest = abs(found - np.sin(np.pi / 10.0 * (k[100:] - 3.4))).max()
+    assert 0.05 * error < largest < error
+
+
+@pytest.mark.parametrize(
+    ("anti_windup", "overshoot"),
+    [("clamping", 0), ({"kind": "back-calculation", "tracking_time": 2e-3}, 2), ("none", 100)],
+)
+def test_anti_windup_of_pid(robot: Scene, anti_windup: Any, overshoot: int) -> None:
+    """After a hundred samples in its limit, an integral controller leaves it at once, soon, or after as long again."""
+    section = {
+        "kind": "pid",
+        "proportional": 0.0,
+        "integral": 1e4,
+        "derivative": 0.0,
+        "torque_limit": 1.0,
+        "sample_time": 1e-3,
+        "anti_windup": anti_windup,
+    }
+    (slave,) = loop_of(robot.replace({"controller": [section]})).controllers
+    error = np.repeat([1.0, -1.0], [100, 300])
+    found = response(slave, error)
+    stuck = int(np.argmax(found[100:] < 1.0))
+    assert abs(stuck - overshoot) <= 3, stuck
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({}, (GaussSeidel(), None)),
+        ({"algorithm": "jacobi"}, (Jacobi(), None)),
+        ({"algorithm": "implicit"}, (Implicit(), None)),
+        (
+            {"algorithm": "implicit", "loop_solver": {"kind": "fixed-point", "relaxation": 0.5, "iterations": 7}},
+            (Implicit(FixedPoint(0.5, rounds=7)), FixedPoint(0.5, rounds=7)),
+        ),
+        ({"loop_solver": {"kind": "anderson", "iterations": 9}}, (GaussSeidel(), Anderson(rounds=9))),
+    ],
+)
+def test_coupling_keys(robot: Scene, keys: dict[str, Any], expected: tuple[Any, Any]) -> None:
+    """Algorithm and solver of the master are what the scene names."""
+    found = coupling_of(robot.replace({f"cosimulation.{key}": value for key, value in keys.items()}).cosimulation)
+    assert (found.algorithm, found.loops) == expected
+    assert found.step_control is None
+
+
+def test_step_control_keys(robot: Scene) -> None:
+    """Steps between minimum and maximum that keep the tolerance."""
+    keys = {"tolerance": 1e-3, "minimum": 1e-7, "maximum": 2e-3}
+    control = coupling_of(robot.replace({"cosimulation.step_control": keys}).cosimulation).step_control
+    assert control is not None
+    assert (control.tolerance, control.smallest, control.largest) == (1e-3, 1e-7, 2e-3)
+
+
+def test_a_scene_chooses_its_steps(robot: Scene) -> None:
+    """A controlled robot with step control and Jacobi coupling moves as with short steps, and takes steps that differ."""
+    scene = robot.replace({"controller": [PD], "trajectory.dwell": 0.0})
+    fine = run_scene(scene)
+    chosen = run_scene(
+        scene.replace({"cosimulation.algorithm": "jacobi", "cosimulation.step_control": {"tolerance": 1e-4}})
+    )
+    assert chosen.completed, chosen.message
+    steps = np.diff(np.unique(chosen.recording.time))
+    assert steps.max() > 3.0 * steps.min()
+    angles = [np.interp(0.2, each.recording.time, each.recording["joint1.position"].values) for each in (fine, chosen)]
+    assert angles[0] == pytest.approx(angles[1], abs=1e-5)
+
+
+LEARNING = {"kind": "learning", "gain": 4e3, "lead": 4, "cycles": 2, "sample_time": 1e-3}
+
+
+def test_learning_repeats_the_motion(robot: Scene) -> None:
+    """There and back in cycles of whole samples, however long a shaper makes the motion; the error shrinks, and the
+    results tell it for each cycle."""
+    scene = robot.replace(
+        {
+            "controller": [PD, LEARNING],
+            "shaper": [{"kind": "zv", "modes": [{"frequency": 58.0}]}],
+            "trajectory.duration": 0.5,
+            "cosimulation.step": 1e-3,
+        }
+    )
+    run = run_scene(scene)
+    assert run.completed, run.message
+    repetition = run.plan.repetition
+    assert repetition is not None
+    assert repetition.period / 1e-3 == pytest.approx(round(repetition.period / 1e-3), abs=1e-9)
+    assert 0.0 <= repetition.period / 2.0 - (0.5 + 0.5 / 58.0 + 0.1) < 1e-3
+    first, second = cycle_errors(run.plan, run.recording)
+    assert second.rms[0] < 0.8 * first.rms[0]
+    assert second.rms[1] < 0.8 * first.rms[1]
+    assert max(second.rms) < max(second.largest)
+
+
+def test_learning_controllers_share_their_motion(robot: Scene) -> None:
+    """Different numbers of cycles can't both be."""
+    sections = [PD, LEARNING, LEARNING | {"cycles": 3, "name": "other"}]
+    with pytest.raises(InputError, match=r"the same `cycles`, got \[2, 3\]"):
+        loop_of(robot.replace({"controller": sections}))
+
+
+CONTROLLERS = """
+from flexfmu.cosim.controllers.pd import pd
+
+def damper(gain):
+    return pd(gain, {derivative}, sample_time=1e-3, name="damper")
+"""
+
+
+def scene_in(folder: Path, section: str) -> Scene:
+    """A torque-driven scene in a file of its own."""
+    folder.mkdir(exist_ok=True)
+    text = SHIPPED.read_text(encoding="utf-8").replace('drive = "motion"', 'drive = "torque"')
+    (folder / "scene.toml").write_text(f"{text}\n[[controller]]\n{section}", encoding="utf-8")
+    return load_scene(folder / "scene.toml")
+
+
+def test_fmus_are_found_beside_the_scene(tmp_path: Path) -> None:
+    """Wherever the command is started, and also when values of the scene are replaced afterwards."""
+    build_block_fmu(pd(1e3, 10.0, sample_time=1e-3), tmp_path / "mine" / "pd.fmu")
+    scene = scene_in(tmp_path / "mine", 'kind = "fmu"\npath = "pd.fmu"')
+    (slave,) = loop_of(scene.replace({"payload.mass": 1.0})).controllers
+    assert isinstance(slave, SampledFmu)
+    assert slave.path == tmp_path / "mine" / "pd.fmu"
+
+
+def test_modules_are_found_beside_the_scene(tmp_path: Path) -> None:
+    """Two scenes in different folders have different modules of the same name."""
+    found = []
+    for derivative in (10.0, 20.0):
+        folder = tmp_path / f"scene{derivative:g}"
+        scene = scene_in(folder, 'kind = "python"\nsource = "own_controllers:damper"\narguments = { gain = 5.0 }')
+        (folder / "own_controllers.py").write_text(CONTROLLERS.format(derivative=derivative), encoding="utf-8")
+        (slave,) = loop_of(scene).controllers
+        assert isinstance(slave, BlockSlave)
+        found.append([each.start for each in slave.block.parameters])
+    assert found == [[5.0, 5.0, 10.0, 10.0], [5.0, 5.0, 20.0, 20.0]]
+
+
+def test_broken_modules_are_named(tmp_path: Path) -> None:
+    """A slip in the user's own file is told with its line, not by a traceback."""
+    scene = scene_in(tmp_path, 'kind = "python"\nsource = "broken_controllers:damper"')
+    (tmp_path / "broken_controllers.py").write_text("def damper(:\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"broken_controllers isn't valid Python: .*line 1"):
+        loop_of(scene)
