@@ -120,6 +120,9 @@ class Transmission(Section):
     damping: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
 
 
+FamilyName = Literal["proximal_bending", "proximal_axial", "distal_bending", "distal_axial"]
+
+
 class Effects(Section):
     """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code."""
 
@@ -131,11 +134,21 @@ class Effects(Section):
     distal_axial: ModeCount = 0
     beam: Literal["euler-bernoulli", "timoshenko"] = "euler-bernoulli"
     foreshortening: bool = False
+    quasi_static: Annotated[tuple[FamilyName, ...], BeforeValidator(as_tuple)] = ()
     damping: Damping = NoDamping()
     motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0
     joint_friction: JointFriction = JointFriction()
     transmission: Transmission | None = None
     reactions: bool = False
+
+    @model_validator(mode="after")
+    def _static_families_have_modes(self) -> Self:
+        for family in self.quasi_static:
+            if not getattr(self, family):
+                raise ValueError(
+                    f"`quasi_static` names {family}, which has no modes: give `{family}` at least 1, or take it from the list"
+                )
+        return self
 
 
 class Blend(Section):
