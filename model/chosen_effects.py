@@ -75,7 +75,7 @@ def _link_effects(
         )
         static = f"{group}_{direction}" in chosen.quasi_static
         yield ElasticFamily(registry, properties[group], group, direction, shapes, beam, static)
-    if chosen.foreshortening:
+    if chosen.foreshortening and (chosen.proximal_bending or chosen.distal_bending):
         yield Foreshortening(registry, properties)
 
 
