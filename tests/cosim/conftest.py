@@ -28,11 +28,16 @@ def foreign_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if compiler is None:
         pytest.skip("there is no C compiler")
     folder = tmp_path_factory.mktemp("foreign")
+    return pack(folder / "decay.fmu", (FOREIGN / "modelDescription.xml").read_text(), compiled(folder, compiler))
+
+
+def compiled(folder: Path, compiler: str) -> Path:
+    """The foreign FMU's library."""
     library = folder / f"decay{fmpy.sharedLibraryExtension}"
     with as_file(files("flexfmu.fmu_build") / "c-runtime") as headers:
         command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror", f"-I{headers}"]
         subprocess.run([*command, str(FOREIGN / "decay.c"), "-lm", "-o", str(library)], check=True, capture_output=True)
-    return pack(folder / "decay.fmu", (FOREIGN / "modelDescription.xml").read_text(), library)
+    return library
 
 
 def pack(path: Path, description: str, library: Path | None, platform: str = fmpy.platform) -> Path:

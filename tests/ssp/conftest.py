@@ -1,0 +1,126 @@
+"""FMUs that SSP files of the tests hold, and exported scenes."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
+
+from ssp_support.packages import SSD, package
+
+from flexfmu.cosim.ssp.export import export_ssp
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+
+@pytest.fixture(scope="session")
+def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., bytes]:
+    """Makes a plain FMU of another tool's kind, x' = rate (u - x), its description changed: make_decay(("m", "mm"))."""
+    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("there is no C compiler")
+    foreign = _module(Path(__file__).parents[1] / "cosim" / "conftest.py")
+    folder = tmp_path_factory.mktemp("foreign")
+    library = foreign.compiled(folder, compiler)
+    description = (foreign.FOREIGN / "modelDescription.xml").read_text()
+
+    def make(*changes: tuple[str, str]) -> bytes:
+        text = description
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        content: bytes = foreign.pack(folder / "decay.fmu", text, library).read_bytes()
+        return content
+
+    return make
+
+
+def _module(path: Path) -> Any:
+    """A module by its path."""
+    spec = spec_from_file_location("foreign", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def make_ssp(make_decay: Callable[..., bytes], tmp_path: Path) -> Callable[..., Path]:
+    """Makes an SSP file of two foreign FMUs: make_ssp(ssd=SSD, **further files by name)."""
+
+    def make(ssd: str | bytes = SSD, files: dict[str, bytes | str] | None = None) -> Path:
+        content = {"SystemStructure.ssd": ssd, "resources/decay.fmu": make_decay(), **(files or {})}
+        return package(tmp_path / "decays.ssp", content)
+
+    return make
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ssp_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of all caches of this session."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def cache_folder(ssp_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No test writes into the user's own cache."""
+    monkeypatch.setenv("FLEXFMU_CACHE", str(ssp_cache))
+
+
+PD = {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 1e-3}
+
+
+@pytest.fixture(scope="session")
+def motion_scene() -> Scene:
+    """The paper's robot, driven by its motion."""
+    return load_scene("barnard2012-6kg").replace({"name": "motion", "trajectory.dwell": 0.0})
+
+
+@pytest.fixture(scope="session")
+def controlled_scene() -> Scene:
+    """The same, driven by torques: PD and feedforward, a sampled shaper, an encoder, an amplifier, a wrong payload."""
+    return load_scene("barnard2012-6kg").replace(
+        {
+            "name": "controlled",
+            "cosimulation.drive": "torque",
+            "effects.motor_inertia": 0.1,
+            "trajectory.dwell": 0.0,
+            "controller": [PD, {"kind": "feedforward", "sample_time": 1e-3}],
+            "shaper": [
+                {"kind": "zv", "modes": [{"frequency": 58.0, "ratio": 0.1}], "apply": "sampled", "sample_time": 1e-3}
+            ],
+            "imperfection": [
+                {"kind": "encoder", "counts_per_turn": 1e6, "window": 1},
+                {"kind": "lag", "time_constant": 1e-4, "sample_time": 1e-4},
+                {"kind": "payload-error", "relative": 0.1},
+            ],
+        }
+    )
+
+
+@pytest.fixture(scope="session")
+def motion_ssp(motion_scene: Scene, ssp_cache: Path) -> Path:
+    """The motion-driven scene as an SSP file."""
+    return _exported(motion_scene, ssp_cache)
+
+
+@pytest.fixture(scope="session")
+def controlled_ssp(controlled_scene: Scene, ssp_cache: Path) -> Path:
+    """The controlled scene as an SSP file."""
+    return _exported(controlled_scene, ssp_cache)
+
+
+def _exported(scene: Scene, folder: Path) -> Path:
+    """A scene as an SSP file, built in the session's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FLEXFMU_CACHE", str(folder))
+        return export_ssp(scene, folder / f"{scene.name}.ssp")

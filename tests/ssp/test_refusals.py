@@ -1,0 +1,215 @@
+"""What can't be run is refused in one line that names file, element and remedy; nothing in a file is trusted."""
+
+from __future__ import annotations
+
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from ssp_support.packages import (
+    CONNECTION,
+    NAMESPACES,
+    SSD,
+    binding,
+    inline,
+    of_second,
+    of_system,
+    package,
+    parameter_set,
+)
+
+from flexfmu.cosim.errors import FmuFileError, InputError
+from flexfmu.cosim.ssp.loading import load_ssp
+
+MakeSsp = Callable[..., Path]
+
+
+def refusal(path: Path, **options: float) -> str:
+    """The one line with which a file is refused."""
+    with pytest.raises(InputError) as caught:
+        load_ssp(path, **{"step": 0.125, **options})
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def changed(old: str, new: str) -> str:
+    """The description with a change."""
+    assert old in SSD
+    return SSD.replace(old, new)
+
+
+def connected(inner: str = "", attributes: str = "", **ends: str) -> str:
+    """The description with another connection."""
+    found = {"startElement": "first", "startConnector": "x", "endElement": "second", "endConnector": "u"} | ends
+    named = " ".join(f'{name}="{value}"' for name, value in found.items() if value)
+    return changed(CONNECTION, f"<ssd:Connection {named} {attributes}>{inner}</ssd:Connection>")
+
+
+MAPPED = f'<ssm:ParameterMapping {NAMESPACES} version="1.0"><ssm:MappingEntry source="a" target="rate"><ssc:BooleanMappingTransformation/></ssm:MappingEntry></ssm:ParameterMapping>'
+
+WRONG: dict[str, tuple[str, str]] = {
+    "no XML": ("<ssd:System", "is no XML"),
+    "another root": ("<a/>", "must begin with <SystemStructureDescription>"),
+    "version": (changed('version="1.0" name', 'version="2.0" name'), "is of SSP 2.0"),
+    "no system": (f'<ssd:SystemStructureDescription {NAMESPACES} version="1.0" name="x"/>', "has no System"),
+    "nested system": (changed("<ssd:Elements>", '<ssd:Elements><ssd:System name="inner"/>'), "'inner'> is a nested system"),
+    "dictionary": (
+        changed("<ssd:Elements>", '<ssd:Elements><ssd:SignalDictionaryReference name="d" dictionary="e"/>'),
+        "<SignalDictionaryReference name='d'> is not supported",
+    ),
+    "package in package": (
+        changed('name="first"', 'name="first" type="application/x-ssp-package"'),
+        "has the type 'application/x-ssp-package'",
+    ),
+    "model exchange": (changed('name="first"', 'name="first" implementation="ModelExchange"'), "is for model exchange"),
+    "no name": (changed('name="first"', 'id="first"'), "lacks the attribute 'name'"),
+    "same name": (changed('name="first"', 'name="second"'), "another component has the same name"),
+    "missing file": (changed("resources/decay.fmu", "resources/decoy.fmu"), "isn't in decays.ssp; it holds"),
+    "from the net": (changed("resources/decay.fmu", "http://localhost/decay.fmu"), "only files within the archive"),
+    "absolute": (changed("resources/decay.fmu", "/etc/passwd"), "relative to SystemStructure.ssd"),
+    "upwards": (changed("resources/decay.fmu", "../decay.fmu"), "leads out of the archive"),
+    "upwards, hidden": (changed("resources/decay.fmu", "resources/%2e%2e/%2E%2E/decay.fmu"), "leads out of the archive"),
+    "backslash": (changed("resources/decay.fmu", "resources\\decay.fmu"), "with slashes"),
+    "unknown variable": (changed('name="steps"', 'name="step"'), "has no variable 'step'; did you mean 'steps'?"),
+    "wrong direction": (changed('name="u" kind="input"', 'name="u" kind="output"'), "is of kind output; in resources/decay.fmu it is input"),
+    "wrong type": (changed("<ssc:Integer/>", "<ssc:Real/>"), "is Real; in resources/decay.fmu it is Integer"),
+    "unknown kind": (changed('kind="input"', 'kind="inlet"'), "has the kind 'inlet'"),
+    "two connectors": (changed('name="steps" kind="output"', 'name="x" kind="output"'), "two connectors named 'x'"),
+    "wrong unit": (changed('<ssc:Real unit="m"/>', '<ssc:Real unit="mm"/>'), "is in mm; in resources/decay.fmu it is in m"),
+    "binary": (changed("<ssc:Integer/>", "<ssc:Binary/>"), "is Binary"),
+    "unknown element": (connected(startElement="furst"), "names the element 'furst', which doesn't exist; did you mean 'first'?"),
+    "unknown connector": (connected(startConnector="y"), "names the connector 'y', which 'first' doesn't have"),
+    "unknown system connector": (connected(startElement=""), "names the system's connector 'x', which doesn't exist"),
+    "two outputs": (connected(endConnector="x"), "joins output and output"),
+    "types": (connected(endConnector="inverted"), "feeds Boolean 'inverted' from Real 'x'"),
+    "transformation": (connected("<ssc:IntegerMappingTransformation/>"), "<IntegerMappingTransformation> is not supported"),
+    "factor": (connected('<ssc:LinearTransformation factor="two"/>'), "has factor='two', which must be a number"),
+    "not finite": (connected('<ssc:LinearTransformation offset="INF"/>'), "has offset='INF', which must be finite"),
+    "suppress": (connected("", 'suppressUnitConversion="maybe"'), "must be true or false"),
+    "connected twice": (changed(CONNECTION, CONNECTION * 2), "second.u is connected twice"),
+    "stop time": (changed('stopTime="1"', 'stopTime="soon"'), "has stopTime='soon', which must be a number"),
+    "unit factor": (changed('factor="0.001"', 'factor="0"'), "has factor='0'"),
+    "unit exponent": (changed('s="1"', 's="half"'), "must be an integer"),
+    "no binding": (of_second(binding()), "has neither a source nor a ParameterSet"),
+    "missing set": (of_second(binding('source="values.ssv"')), "names 'values.ssv', which isn't in decays.ssp"),
+    "set of another kind": (of_second(binding('type="text/csv" source="a.csv"')), "has the type 'text/csv'"),
+    "set in an FMU": (of_second(binding('sourceBase="component" source="a.ssv"')), "from within an FMU"),
+    "no value": (of_second(inline(parameter_set(rate="Real"))), "<Real> lacks the attribute 'value'"),
+    "value": (of_second(inline(parameter_set(rate='Real value="fast"'))), "value='fast', which must be a number"),
+    "value not finite": (of_second(inline(parameter_set(rate='Real value="NaN"'))), "must be finite"),
+    "type of a value": (of_second(inline(parameter_set(rate='Boolean value="true"'))), "is Boolean; 'rate' of resources/decay.fmu is Real"),
+    "calculated": (of_second(inline(parameter_set(steps='Integer value="1"'))), "which the FMU calculates"),
+    "unit of a value": (of_system(inline(parameter_set(second__x='Real value="1" unit="furlong"'))), "the unit 'furlong' isn't defined"),
+    "item": (of_second(inline(parameter_set(trouble='Enumeration value="maybe"'))), "trouble must be one of none, fails, discards, forgets"),
+    "mapping": (
+        of_second(inline(parameter_set(a='Real value="1"'), mapping=f"<ssd:ParameterMapping>{MAPPED}</ssd:ParameterMapping>")),
+        "<BooleanMappingTransformation> is not supported",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_one_line(name: str, make_ssp: MakeSsp) -> None:
+    """File, line and element are there where there is an element, and what is wrong with it."""
+    ssd, problem = WRONG[name]
+    message = refusal(make_ssp(ssd))
+    assert problem in message
+    if "<" in message and name not in ("another root",):
+        assert "decays.ssp, SystemStructure.ssd, line " in message
+
+
+def test_units_that_measure_different_things(make_ssp: MakeSsp, make_decay: Callable[..., bytes]) -> None:
+    """Metres can't become seconds, unless the file says that nothing is to be converted."""
+    seconds = make_decay(
+        ('<Unit name="m"><BaseUnit m="1"/></Unit>', '<Unit name="s"><BaseUnit s="1"/></Unit>'), ('unit="m"', 'unit="s"')
+    )
+    ssd = changed('name="second" source="resources/decay.fmu"', 'name="second" source="resources/s.fmu"')
+    message = refusal(make_ssp(ssd, {"resources/s.fmu": seconds}))
+    assert "from 'x' to 'u': m can't be converted to s" in message
+    load_ssp(make_ssp(ssd.replace(CONNECTION, CONNECTION.replace("/>", ' suppressUnitConversion="true"/>')), {"resources/s.fmu": seconds}), step=1.0)  # fmt: skip
+
+
+def test_files_that_are_none(tmp_path: Path, make_ssp: MakeSsp) -> None:
+    """No file, no zip, a zip of something else, an FMU that is none, one of another platform."""
+    assert "can't read" in refusal(tmp_path / "nowhere.ssp")
+    text = tmp_path / "text.ssp"
+    text.write_text("hello")
+    assert "not a zip file" in refusal(text)
+    assert "holds no SystemStructure.ssd" in refusal(package(tmp_path / "empty.ssp", {"a": "b"}))
+    with pytest.raises(FmuFileError, match="is no FMU: not a zip file"):
+        load_ssp(make_ssp(files={"resources/decay.fmu": "hello"}))
+
+
+def test_no_components(make_ssp: MakeSsp) -> None:
+    """There is nothing to run."""
+    empty = f'<ssd:SystemStructureDescription {NAMESPACES} version="1.0" name="x"><ssd:System name="s"/></ssd:SystemStructureDescription>'
+    assert "has no components" in refusal(make_ssp(empty))
+
+
+def test_times_that_nobody_names(make_ssp: MakeSsp) -> None:
+    """A step isn't guessed."""
+    with pytest.raises(
+        InputError, match=r"names no step time, nor does any FMU in it; say it: load_ssp\(path, step=...\)"
+    ):
+        load_ssp(make_ssp())
+
+
+ENTITY = '<!DOCTYPE r [<!ENTITY secret SYSTEM "{uri}">]>'
+LAUGHS = (
+    "<!DOCTYPE r [<!ENTITY a0 'ha'>" + "".join(f"<!ENTITY a{i} '{f'&a{i - 1};' * 10}'>" for i in range(1, 10)) + "]>"
+)
+
+
+@pytest.mark.parametrize("reference", ["&secret;", ""])
+def test_external_entities_are_not_read(reference: str, make_ssp: MakeSsp, tmp_path: Path) -> None:
+    """Neither files nor the net are touched, and the secret is in no message."""
+    secret = tmp_path / "secret"
+    secret.write_text("xyzzy")
+    declared = SSD.replace("?>", "?>" + ENTITY.format(uri=secret.as_uri())).replace(
+        'name="row"', f'name="row{reference}"'
+    )
+    message = refusal(make_ssp(declared))
+    assert "xyzzy" not in message
+    assert "is no XML" in message or "has a document type declaration" in message
+
+
+def test_entities_do_not_grow(make_ssp: MakeSsp) -> None:
+    """A billion laughs end before they begin."""
+    begin = time.perf_counter()
+    message = refusal(make_ssp(SSD.replace("?>", "?>" + LAUGHS).replace("</ssd:Elements>", "&a9;</ssd:Elements>")))
+    assert "is no XML" in message or "has a document type declaration" in message
+    assert time.perf_counter() - begin < 5.0
+
+
+def test_nothing_leaves_the_archive(make_ssp: MakeSsp, make_decay: Callable[..., bytes], tmp_path: Path) -> None:
+    """Entries with names that lead elsewhere are never unpacked under these names."""
+    evil = {
+        "../evil.fmu": make_decay(),
+        "/tmp/evil-flexfmu.fmu": make_decay(),
+        "resources/../../evil2.fmu": make_decay(),
+    }
+    path = make_ssp(changed("resources/decay.fmu", "resources/../../evil2.fmu"), evil)
+    assert "leads out of the archive" in refusal(path)
+    load_ssp(make_ssp(files=evil), step=1.0)
+    assert not any(tmp_path.parent.rglob("evil*.fmu"))
+    assert not Path("/tmp/evil-flexfmu.fmu").exists()
+
+
+def test_bombs_are_not_unpacked(tmp_path: Path) -> None:
+    """An SSD that unpacks to a hundred megabytes is refused by its stated size."""
+    path = tmp_path / "bomb.ssp"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("SystemStructure.ssd", b" " * 100_000_000)
+    assert "at most 64000000 are read" in refusal(path)
+
+
+def test_a_damaged_archive(make_ssp: MakeSsp) -> None:
+    """Flipped bits in an entry are found."""
+    path = make_ssp()
+    content = bytearray(path.read_bytes())
+    content[200] ^= 0xFF
+    path.write_bytes(content)
+    assert refusal(path)

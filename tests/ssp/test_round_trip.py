@@ -1,0 +1,111 @@
+"""A scene that left as an SSP file comes back as the same system, and the file conforms to SSP 1.0."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy import read_model_description
+from fmpy.ssp.ssd import read_ssd, read_ssv
+
+from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.loop_recording import plain_names
+from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.results import Column
+from flexfmu.cosim.ssp.export import PARAMETERS, export_ssp
+from flexfmu.cosim.ssp.loading import load_ssp
+from flexfmu.model.scene import Scene
+
+TIGHT = 1e-11
+"""Of the magnitude of a signal: what passes between the slaves, torques and the end effector's motion differ by what the
+trajectory's FMU differs from the trajectory, 1e-12 or so."""
+
+LOOSE = 1e-6
+"""Of the magnitude of elastic coordinates and of all derivatives: the robot's integrator chooses its steps by estimates of its
+error, which magnify rounding in stiff coordinates, far below its tolerance, which is this."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["motion", "controlled"])
+def test_the_file_runs_as_its_scene_does(name: str, request: pytest.FixtureRequest) -> None:
+    """Same instants, same signals: derivatives are streamed, blocks are sampled at their own instants, the payload error
+    and the shaper are there."""
+    scene, path = (request.getfixturevalue(f"{name}_{kind}") for kind in ("scene", "ssp"))
+    loaded, expected = load_ssp(path), run_scene(scene)
+    assert loaded.ignored == ()
+    simulation = loaded.simulate()
+    assert simulation.outcome is expected.outcome is Outcome.COMPLETED, simulation.message
+    feeding = {
+        each.end[1]: ".".join(map(str, each.start)) for each in loaded.structure.connections if each.end[0] == "plant"
+    }
+    found = plain_names(simulation.recording, "plant", "trajectory", feeding)
+    np.testing.assert_allclose(found.time, expected.recording.time, rtol=0.0, atol=1e-12)
+    assert len(found.columns) > 50
+    for signal, column in found.columns.items():
+        reference = expected.recording[signal]
+        assert column.unit == reference.unit
+        pairs = zip(derivatives(column), derivatives(reference), strict=True)
+        for order, (again, values) in enumerate(pairs):
+            relative = TIGHT if order == 0 and "link" not in signal else LOOSE
+            np.testing.assert_allclose(
+                again, values, rtol=0.0, atol=relative * max(abs(values).max(), 1e-9), err_msg=signal
+            )
+
+
+def derivatives(column: Column) -> list[np.ndarray]:
+    """The values, and the derivatives that were recorded."""
+    return [each for each in (column.values, column.first, column.second) if each is not None]
+
+
+@pytest.mark.parametrize("name", ["motion", "controlled"])
+def test_fmpy_finds_nothing_to_complain_about(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    """SSD and SSV are valid against the standard's schemas, the FMUs within are valid too."""
+    path = request.getfixturevalue(f"{name}_ssp")
+    structure = read_ssd(path, validate=True)
+    values = read_ssv(path, resource=PARAMETERS, validate=True)
+    assert len(values.parameters) > 10
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(tmp_path)
+    for component in structure.system.elements:
+        assert read_model_description(str(tmp_path / component.source), validate=True).coSimulation is not None
+
+
+def test_parameters_are_the_robots(controlled_ssp: Path) -> None:
+    """The payload error reaches the robot, in the parameter set and in the FMU itself, and nothing else."""
+    values = {each.name: each for each in read_ssv(controlled_ssp, resource=PARAMETERS).parameters}
+    payload = values["plant.payload.mass"]
+    assert (payload.type, float(payload.value), payload.unit) == ("Real", pytest.approx(6.6), "kg")
+    loaded = load_ssp(controlled_ssp)
+    start = {each.name: each.start for each in loaded.system.slaves[1].variables}
+    assert start["payload.mass"] == pytest.approx(6.6)
+
+
+def test_the_same_scene_gives_the_same_bytes(motion_scene: Scene, motion_ssp: Path, tmp_path: Path) -> None:
+    """Neither times nor folders get in."""
+    again = export_ssp(motion_scene, tmp_path / "deep" / "er" / "again.ssp")
+    assert again.read_bytes() == motion_ssp.read_bytes()
+    with zipfile.ZipFile(again) as archive:
+        assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+def test_times_come_with_the_file(motion_scene: Scene, motion_ssp: Path) -> None:
+    """Stop time and communication step are the scene's; others can be asked for."""
+    loaded = load_ssp(motion_ssp)
+    assert (loaded.start, loaded.stop, loaded.step) == (
+        0.0,
+        motion_scene.trajectory.duration,
+        motion_scene.cosimulation.step,
+    )
+    other = load_ssp(motion_ssp, start=0.1, stop=0.2, step=1e-3)
+    assert (other.start, other.stop, other.step) == (0.1, 0.2, 1e-3)
+
+
+def test_a_torque_driven_robot_without_controller_is_held(controlled_scene: Scene, tmp_path: Path) -> None:
+    """The torques that hold the start pose are in the parameter set: inputs that nothing feeds keep them."""
+    scene = controlled_scene.replace({"controller": [], "shaper": [], "imperfection": []})
+    simulation = load_ssp(export_ssp(scene, tmp_path / "held.ssp"), stop=0.02).simulate()
+    x = simulation.recording["plant.end_effector.position.x"].values
+    assert simulation.outcome is Outcome.COMPLETED
+    assert np.ptp(x) < 1e-9

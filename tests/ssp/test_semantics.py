@@ -1,0 +1,153 @@
+"""What an SSP file of others means: units, transformations, parameter sets, against the closed form of two FMUs in a row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import exp
+from pathlib import Path
+
+import pytest
+from ssp_support.packages import CONNECTION, NAMESPACES, SSD, binding, inline, of_second, of_system, parameter_set
+
+from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.ssp.loading import load_ssp
+
+MakeSsp = Callable[..., Path]
+STEP, COUNT = 0.125, 8
+
+
+def closed_form(
+    factor: float = 1.0, offset: float = 0.0, rates: tuple[float, float] = (1.0, 1.0), start: float = 1.0
+) -> float:
+    """x2 at the end: x1 decays to zero; x2 follows factor x1 + offset, held over each step."""
+    first, second = 1.0, start
+    for _ in range(COUNT):
+        fed = factor * first + offset
+        second = fed + (second - fed) * exp(-rates[1] * STEP)
+        first *= exp(-rates[0] * STEP)
+    return second
+
+
+def end(path: Path) -> float:
+    """x2 at the end, in our master."""
+    loaded = load_ssp(path, step=STEP)
+    simulation = loaded.simulate()
+    assert simulation.outcome is Outcome.COMPLETED, simulation.message
+    return float(simulation.recording["second.x"].values[-1])
+
+
+def test_two_foreign_fmus(make_ssp: MakeSsp) -> None:
+    """FMUs that know nothing of ours, wired, with the file's stop time; integers are recorded too."""
+    loaded = load_ssp(make_ssp(), step=STEP)
+    simulation = loaded.simulate()
+    assert simulation.recording["second.x"].values[-1] == pytest.approx(closed_form(), rel=1e-12)
+    assert simulation.recording["first.x"].values[-1] == pytest.approx(exp(-1.0), rel=1e-12)
+    assert simulation.recording["first.steps"].values[-1] == COUNT
+
+
+def test_start_and_end_say_nothing_about_the_direction(make_ssp: MakeSsp) -> None:
+    """The kinds of the connectors do."""
+    turned = '<ssd:Connection startElement="second" startConnector="u" endElement="first" endConnector="x"/>'
+    assert end(make_ssp(SSD.replace(CONNECTION, turned))) == pytest.approx(closed_form(), rel=1e-12)
+
+
+def test_linear_transformation(make_ssp: MakeSsp) -> None:
+    """target = factor * source + offset."""
+    linear = CONNECTION.replace("/>", '><ssc:LinearTransformation factor="-3" offset="0.5"/></ssd:Connection>')
+    assert end(make_ssp(SSD.replace(CONNECTION, linear))) == pytest.approx(closed_form(-3.0, 0.5), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "inner", "factor", "offset"),
+    [
+        ("", "", 1e3, 0.0),
+        ('suppressUnitConversion="true"', "", 1.0, 0.0),
+        ("", '<ssc:LinearTransformation factor="2" offset="0.5"/>', 2e3, 0.5),
+        ('suppressUnitConversion="true"', '<ssc:LinearTransformation factor="2"/>', 2.0, 0.0),
+    ],
+)
+def test_units_are_converted(
+    make_ssp: MakeSsp, make_decay: Callable[..., bytes], attributes: str, inner: str, factor: float, offset: float
+) -> None:
+    """From metres to an FMU in millimetres, before the transformation, or in its place."""
+    unit = ('<Unit name="m"><BaseUnit m="1"/></Unit>', '<Unit name="mm"><BaseUnit m="1" factor="0.001"/></Unit>')
+    millimetres = make_decay(unit, ('unit="m"', 'unit="mm"'))
+    connection = CONNECTION.replace("/>", f" {attributes}>{inner}</ssd:Connection>")
+    ssd = SSD.replace(CONNECTION, connection).replace(
+        'name="second" source="resources/decay.fmu"', 'name="second" source="resources/small.fmu"'
+    )
+    assert end(make_ssp(ssd, {"resources/small.fmu": millimetres})) == pytest.approx(
+        closed_form(factor, offset), rel=1e-12
+    )
+
+
+SET = parameter_set(
+    rate='Real value="2.5"', x='Integer value="4"', label='String value="tired"', nobody='Real value="1"'
+)
+
+
+@pytest.mark.parametrize(
+    "ssd",
+    [
+        of_second(inline(SET)),
+        of_second(binding('source="resources/values.ssv"')),
+        of_system(inline(SET, 'prefix="second."')),
+        of_system(inline(SET.replace('name="', 'name="second.'), 'type="application/x-ssp-parameter-set"')),
+    ],
+    ids=["component", "external", "prefix", "hierarchical"],
+)
+def test_parameter_sets(make_ssp: MakeSsp, ssd: str) -> None:
+    """Parameters and start values of states arrive, inline or not, at the component or at the system; what fits nothing is
+    left out, as the standard has it, but told."""
+    path = make_ssp(ssd, {"resources/values.ssv": SET})
+    assert end(path) == pytest.approx(closed_form(rates=(1.0, 2.5), start=4.0), rel=1e-12)
+    assert [name.rpartition(".")[2] for name in load_ssp(path, step=STEP).ignored if "set" not in name] == ["nobody"]
+
+
+def test_the_system_outranks_its_components_and_later_sets_earlier_ones(make_ssp: MakeSsp) -> None:
+    """As SSP 1.0 says of parameter bindings."""
+    two, three = (parameter_set(rate=f'Real value="{rate}"') for rate in (2, 3))
+    inner = inline(two) + inline(three)
+    both = of_second(inner.replace("</ssd:ParameterBindings><ssd:ParameterBindings>", ""))
+    assert end(make_ssp(both)) == pytest.approx(closed_form(rates=(1.0, 3.0)), rel=1e-12)
+    outer = of_system(inline(parameter_set(second__rate='Real value="4"')), both)
+    assert end(make_ssp(outer)) == pytest.approx(closed_form(rates=(1.0, 4.0)), rel=1e-12)
+
+
+@pytest.mark.parametrize("external", [False, True])
+def test_mapping(make_ssp: MakeSsp, external: bool) -> None:
+    """Only mapped values count, transformed."""
+    values = parameter_set(speed='Real value="2"', x='Real value="9"')
+    entry = '<ssm:MappingEntry source="speed" target="rate"><ssc:LinearTransformation factor="3" offset="-1"/></ssm:MappingEntry>'
+    mapping = f'<ssm:ParameterMapping {NAMESPACES} version="1.0">{entry}</ssm:ParameterMapping>'
+    named = '<ssd:ParameterMapping source="resources/map.ssm"/>'
+    held = named if external else f"<ssd:ParameterMapping>{mapping}</ssd:ParameterMapping>"
+    path = make_ssp(of_second(inline(values, mapping=held)), {"resources/map.ssm": mapping})
+    assert end(path) == pytest.approx(closed_form(rates=(1.0, 5.0)), rel=1e-12)
+
+
+def test_units_of_parameters(make_ssp: MakeSsp) -> None:
+    """A start value in millimetres for a state in metres."""
+    units = '<ssv:Units><ssc:Unit name="mm"><ssc:BaseUnit m="1" factor="0.001"/></ssc:Unit></ssv:Units>'
+    values = parameter_set(x='Real value="2000" unit="mm"').replace("</ssv:Parameters>", f"</ssv:Parameters>{units}")
+    assert end(make_ssp(of_second(inline(values)))) == pytest.approx(closed_form(start=2.0), rel=1e-12)
+
+
+def test_the_systems_own_connectors(make_ssp: MakeSsp) -> None:
+    """Outputs to the outside are no matter; an input from the outside stays at the value that its parameter set says."""
+    outer = '<ssd:Connectors><ssd:Connector name="reference" kind="input"/><ssd:Connector name="result" kind="output"/></ssd:Connectors>'
+    wires = (
+        '<ssd:Connection startConnector="reference" endElement="second" endConnector="u"/>'
+        '<ssd:Connection startElement="second" startConnector="x" endConnector="result"/>'
+    )
+    values = inline(parameter_set(reference='Real value="0.25"'))
+    ssd = SSD.replace(CONNECTION, wires).replace("<ssd:Elements>", f"{outer}{values}<ssd:Elements>", 1)
+    assert end(make_ssp(ssd)) == pytest.approx(closed_form(0.0, 0.25), rel=1e-12)
+
+
+def test_times_where_the_file_says_none(make_ssp: MakeSsp, make_decay: Callable[..., bytes]) -> None:
+    """The FMUs' default experiments stand in."""
+    experiment = ("<ModelVariables>", '<DefaultExperiment stopTime="0.5" stepSize="0.125"/><ModelVariables>')
+    ssd = SSD.replace('<ssd:DefaultExperiment startTime="0" stopTime="1"/>', "")
+    loaded = load_ssp(make_ssp(ssd, {"resources/decay.fmu": make_decay(experiment)}))
+    assert (loaded.start, loaded.stop, loaded.step) == (0.0, 0.5, 0.125)
