@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flexfmu.cosim.fmu_file import open_fmu
@@ -15,6 +15,7 @@ from flexfmu.cosim.scene_parameters import parameters_for
 from flexfmu.cosim.slave import Slave
 from flexfmu.cosim.trajectory_slave import HERMITE_ORDER, TrajectorySlave
 from flexfmu.cosim.wiring import Wiring, wire
+from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR
 from flexfmu.model.scene import Scene
 
 PLANT, REFERENCES = "plant", "trajectory"
@@ -30,21 +31,39 @@ class SceneSystem:
         plant: the robot.
         others: controllers, shapers and imperfections.
         wiring: who feeds whom.
-        changes: parameters of the robot that differ from the scene's.
-        constants: inputs of the robot that nothing feeds, with the values that they keep.
+        settings: start values of the robot by the scene.
+        changes: parameters of the robot that differ from these.
+        unfed: values of the robot's inputs where nothing feeds them.
     """
 
     references: TrajectorySlave
     plant: FmuSlave
     others: tuple[Slave, ...]
     wiring: Wiring
+    settings: Mapping[str, Value]
     changes: Mapping[str, float]
-    constants: Mapping[str, float]
+    unfed: Mapping[str, float]
 
     @property
     def slaves(self) -> tuple[Slave, ...]:
         """All slaves: planned motion, robot, and what stands between them."""
         return (self.references, self.plant, *self.others)
+
+    @property
+    def constants(self) -> Mapping[str, float]:
+        """Inputs of the robot that nothing feeds, with the values that they keep."""
+        feeding = self.wiring.feeding
+        return {name: self.changes.get(name, value) for name, value in self.unfed.items() if name not in feeding}
+
+    def with_parameters(self, parameters: Mapping[str, float]) -> SceneSystem:
+        """The same slaves, the robot with further changed parameters in its next run.
+
+        Raises:
+            InputError: a parameter doesn't exist or is out of range.
+        """
+        changes = {**self.changes, **parameters}
+        self.plant.configure({**self.settings, **self.unfed, **changes})
+        return replace(self, changes=changes)
 
 
 def scene_system(
@@ -70,18 +89,29 @@ def scene_system(
         InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
             slaves can't be wired.
     """
-    changes = {**loop.parameters, **(parameters or {})}
+    settings = _parameters(scene, fmu_path, initial)
     unfed = {} if loop.controllers else holding_torques(scene)
-    plant = FmuSlave(fmu_path, PLANT, {**_parameters(scene, fmu_path, initial), **unfed, **changes}, input_order)
+    plant = FmuSlave(fmu_path, PLANT, input_order=input_order)
     order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
     references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
     others = (*loop.controllers, *(insert.slave for insert in loop.inserts))
     wiring = wire(references, plant, loop.controllers, loop.inserts, loop.connect)
-    constants = {name: changes.get(name, value) for name, value in unfed.items() if name not in wiring.feeding}
-    return SceneSystem(references, plant, others, wiring, changes, constants)
+    parts = SceneSystem(references, plant, others, wiring, settings, loop.parameters, unfed)
+    return parts.with_parameters(parameters or {})
 
 
 def _parameters(scene: Scene, path: Path, initial: str | None) -> dict[str, Value]:
     """All parameters that the FMU has, from the scene."""
     available = parameter_names(open_fmu(path).description)
-    return {**parameters_for(scene, available), "initial": initial or scene.cosimulation.initial}
+    start: dict[str, Value] = {"initial": initial or scene.cosimulation.initial}
+    return {**parameters_for(scene, available), **start, **_integrator(scene)}
+
+
+def _integrator(scene: Scene) -> dict[str, Value]:
+    """How the scene wants its FMU to integrate, where it doesn't leave that to the FMU."""
+    section, chosen = scene.cosimulation, dict[str, Value]()
+    if section.integrator != "automatic":
+        chosen[INTEGRATOR] = section.integrator
+    if section.integrator_step > 0.0:
+        chosen[FIXED_STEP] = section.integrator_step
+    return chosen

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER, identifier
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.interface import INITIAL_TYPE, EnumerationType, Interface, build_interface
+from flexfmu.fmu_build.interface import INITIAL_TYPE, INTEGRATOR_TYPE, EnumerationType, Interface, build_interface
 from flexfmu.fmu_build.licences import AUTHOR, LICENSE, copyright_line
 from flexfmu.fmu_build.quantities import RealType, real_types
 from flexfmu.fmu_build.templating import render
@@ -87,7 +87,7 @@ def plant_description(model: SymbolicModel) -> Description:
         text=f"{model.description.rstrip('.')}. Inputs may carry derivatives up to order {MAX_INPUT_ORDER} "
         f"(fmi2SetRealInputDerivatives); output derivatives of orders 1 to {MAX_OUTPUT_DERIVATIVE_ORDER} are exact.",
         interface=build_interface(model),
-        types=(INITIAL_TYPE,),
+        types=(INITIAL_TYPE, INTEGRATOR_TYPE),
         max_input_order=MAX_INPUT_ORDER,
         max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
         has_tolerance=True,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from flexfmu.fmu_build.errors import ModelError, StartError
+from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR, INTEGRATORS, VALUE_REFERENCE
 from flexfmu.fmu_build.quantities import quantity
 from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit
 
@@ -49,6 +50,7 @@ class EnumerationType:
 
 
 INITIAL_TYPE = EnumerationType("Initial", "Elastic state at the start", INITIAL_STATES)
+INTEGRATOR_TYPE = EnumerationType("Integrator", "Integration method", INTEGRATORS)
 
 
 @dataclass(frozen=True)
@@ -115,11 +117,12 @@ def build_interface(model: SymbolicModel) -> Interface:
         ModelError: a name is given twice or unknown, or a start value is missing or out of range.
     """
     scalars = (*model.inputs, *model.parameters, *model.outputs)
-    check_names([*(variable.name for variable in scalars), INITIAL, *STATISTICS])
+    check_names([*(variable.name for variable in scalars), INITIAL, *STATISTICS, INTEGRATOR, FIXED_STEP])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
     reals = tuple(real_variable(variable, index_of) for variable in scalars)
     integers = _integer_variables(first_index=len(reals) + 1, static_start=model.static_start)
-    variables = reals + integers
+    integrator = _integrator_variables(first_index=len(reals) + len(integers) + 1, value_reference=len(reals))
+    variables = reals + integers + integrator
 
     states = tuple(sorted({variable.derivative for variable in reals if variable.derivative is not None}))
     feedthrough = _feedthrough(model, index_of)
@@ -129,7 +132,7 @@ def build_interface(model: SymbolicModel) -> Interface:
         if output.causality == "output"
     )
     derivative_indices = {variable.index for variable in reals if variable.derivative is not None}
-    known = tuple(variable.index for variable in variables if variable.causality in ("input", "parameter"))
+    known = tuple(variable.index for variable in reals + integers if variable.causality in ("input", "parameter"))
     return Interface(
         variables=variables,
         outputs=outputs,
@@ -251,3 +254,35 @@ def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariabl
         for count, (name, description) in enumerate(STATISTICS.items(), start=1)
     )
     return (initial, *counters)
+
+
+def _integrator_variables(first_index: int, value_reference: int) -> tuple[FmiVariable, ...]:
+    """The choice of the method, and of a fixed step as the last of the real variables; initialisation needs neither."""
+    method = FmiVariable(
+        index=first_index,
+        value_reference=VALUE_REFERENCE,
+        kind="Enumeration",
+        name=INTEGRATOR,
+        description="Integration method",
+        causality="parameter",
+        variability="fixed",
+        initial="exact",
+        start=INTEGRATORS["automatic"][0],
+        declared_type=INTEGRATOR_TYPE.name,
+    )
+    step = FmiVariable(
+        index=first_index + 1,
+        value_reference=value_reference,
+        kind="Real",
+        name=FIXED_STEP,
+        description="Fixed step of the integrator; 0 = the step follows from the tolerance",
+        causality="parameter",
+        variability="fixed",
+        initial="exact",
+        start=0.0,
+        declared_type=quantity("s"),
+        unit="s",
+        display_unit=display_unit("s"),
+        minimum=0.0,
+    )
+    return method, step

@@ -13,7 +13,16 @@ if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
 
 _PATH_KEYS = {"lift", "height", "width", "blend", "profile", "duration", "dwell"}
-_RUN_KEYS = {"step", "tolerance", "settling_band", "algorithm", "step_control", "loop_solver"}
+_RUN_KEYS = {
+    "step",
+    "tolerance",
+    "settling_band",
+    "integrator",
+    "integrator_step",
+    "algorithm",
+    "step_control",
+    "loop_solver",
+}
 _LOOP = dict.fromkeys(("controller", "shaper", "imperfection"), True)
 _WITHOUT_INFLUENCE: Any = {"trajectory": _PATH_KEYS, "cosimulation": _RUN_KEYS, **_LOOP}
 """Keys of the scene that the model never sees; whatever is not listed here counts."""

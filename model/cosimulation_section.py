@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from flexfmu.model.section import Seconds, Section, quantity
+from flexfmu.model.section import Seconds, SecondsOrZero, Section, quantity
 
 Tolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
 
@@ -49,6 +49,7 @@ LoopSolver = Annotated[FixedPoint | Anderson, Field(discriminator="kind")]
 class Cosimulation(Section):
     """How the scene is run.
 
+    `integrator` is the FMU's method, `integrator_step` its fixed step; 0 lets the tolerance choose the steps.
     `algorithm` couples the slaves over a communication step. `loop_solver` solves algebraic loops, which are refused without
     one, and the implicit coupling.
     """
@@ -57,6 +58,8 @@ class Cosimulation(Section):
     step: Seconds
     tolerance: Tolerance
     initial: Literal["static", "undeformed"] = "static"
+    integrator: Literal["automatic", "gauss2", "gauss3", "gauss4", "radau3", "dopri5", "rk4"] = "automatic"
+    integrator_step: SecondsOrZero = 0.0
     settling_band: Annotated[float, quantity("m", gt=0.0)] = 1e-5
     algorithm: Literal["gauss-seidel", "jacobi", "implicit"] = "gauss-seidel"
     step_control: StepControl | None = None

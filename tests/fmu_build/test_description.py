@@ -67,11 +67,11 @@ def test_value_references_count_inputs_parameters_outputs(make_oscillators: Make
     variables = read(model).modelVariables
     reals = [variable for variable in variables if variable.type == "Real"]
     names = [variable.name for variable in (*model.inputs, *model.parameters, *model.outputs)]
-    assert [variable.name for variable in reals] == names
-    assert [variable.valueReference for variable in reals] == list(range(len(names)))
+    assert [variable.name for variable in reals] == [*names, "integrator.step"]
+    assert [variable.valueReference for variable in reals] == list(range(len(names) + 1))
     others = [(v.name, v.type, v.valueReference) for v in variables if v.type != "Real"]
     counters = [(name, "Integer", count) for count, name in enumerate(STATISTICS, start=1)]
-    assert others == [("initial", "Enumeration", 0), *counters]
+    assert others == [("initial", "Enumeration", 0), *counters, ("integrator", "Enumeration", len(counters) + 1)]
 
 
 def test_tunable_parameters_say_so(make_oscillators: MakeModel, read: Any) -> None:

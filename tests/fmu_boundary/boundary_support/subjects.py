@@ -20,7 +20,7 @@ from flexfmu.model.scene_file import load_scene
 
 HAND_WRITTEN = Path(__file__).parents[2] / "c-runtime" / "models.c"
 EXPERIMENT = DefaultExperiment()
-N_STATISTICS = 6
+N_STATISTICS = 7
 
 
 @dataclass(frozen=True)

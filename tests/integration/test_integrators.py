@@ -1,0 +1,149 @@
+"""Every integration method, chosen as a parameter of the robot's FMU, does on the shipped scenes what its tolerance says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.experiment import Run, run_scene
+from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.fmu_build.integrators import INTEGRATORS
+from flexfmu.model.errors import SceneError
+from flexfmu.model.plants import build_model
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+SHIPPED = ("barnard2012-6kg", "barnard2012-0.1kg")
+METHODS = tuple(INTEGRATORS)
+EXPLICIT = ("dopri5", "rk4")
+"""They step along the edge of their stability, where modes of 2 kHz ring within the tolerance of the energy norm: invisible in
+positions and torques, but not in accelerations, where their share is larger by the square of their frequency."""
+STEP = 1e-3
+SMALL = {"effects.proximal_bending": 1, "effects.distal_axial": 0, "trajectory.dwell": 0.0}
+"""A robot of two coordinates, both bending: steps of a millisecond resolve their vibration. With axial modes of 2 kHz, which
+they don't, every implicit method falls back towards the order of its stages and an explicit one is unstable."""
+FINE = {"gauss2": 4, "gauss3": 2, "gauss4": 2, "radau3": 4, "dopri5": 8, "rk4": 8}
+"""Steps in a communication step of 5 ms at which the asymptotic range has begun and rounding errors are still far."""
+ORDERS = {"gauss2": 4, "gauss3": 6, "gauss4": 8, "radau3": 5, "dopri5": 5, "rk4": 4}
+"""Orders of the methods (Hairer, Norsett, Wanner: Solving ODEs I, tables II.1.2, II.5.2 and II.7; II, table IV.5.6)."""
+
+
+def simulate(scene: Scene, method: str, tolerance: float, step: float = STEP, fixed: float = 0.0) -> Run:
+    chosen = scene.replace({"cosimulation.integrator": method, "cosimulation.integrator_step": fixed})
+    run = run_scene(chosen, tolerance=tolerance, communication_step=step)
+    assert run.outcome is Outcome.COMPLETED, run.message
+    return run
+
+
+def elastic_state(run: Run) -> np.ndarray:
+    """Elastic coordinates and rates at all communication points in the energy norm's scale, shape (N, 2 n)."""
+    model = build_model(run.scene)
+    derived = model.functions["derive"]([variable.start for variable in model.parameters])
+    weights = np.asarray(model.functions["error_scale"](derived).full()).ravel()[:-1]
+    columns = [run.recording.columns[name].values for name in (*model.unknowns, *(f"der({n})" for n in model.unknowns))]
+    return np.stack(columns, axis=-1) * np.sqrt(weights)
+
+
+@cache
+def reference(name: str) -> Run:
+    return simulate(load_scene(name), "gauss4", 1e-12)
+
+
+def metric_errors(run: Run, exact: Run) -> Mapping[str, float]:
+    """Errors of the metrics, relative to the peak of the quantity that each is about; without the settling time, an instant
+    that moves by any amount where the vibration just touches the band."""
+    values = {name: each.value for name, each in measure_run(run).items()}
+    errors = {}
+    for name, each in measure_run(exact).items():
+        value = values[name]
+        if name != "settling_time" and value is not None and each.value is not None:
+            errors[name] = abs(value - each.value) / max(peaks(exact).get(deviation_of(name), 0.0), abs(each.value))
+    return errors
+
+
+def deviation_of(name: str) -> str:
+    """Which deviation of the end effector a metric is about."""
+    return next((kind for kind in ("velocity", "acceleration") if kind in name), "position")
+
+
+def peaks(run: Run) -> Mapping[str, float]:
+    """Largest deviation of the end effector from its rigid motion: position [m], velocity [m/s], acceleration [m/s²]."""
+    found = {}
+    for kind in ("position", "velocity", "acceleration"):
+        parts = [
+            run.recording[f"end_effector.{kind}.{axis}"].values
+            - run.recording[f"end_effector.reference.{kind}.{axis}"].values
+            for axis in "xy"
+        ]
+        found[kind] = float(np.max(np.hypot(*parts)))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_achieves_the_tolerance(name: str, method: str) -> None:
+    """Whoever asks for 1e-5 gets 1e-5, on the whole way, at the end and in the metrics, whatever integrates."""
+    exact = reference(name)
+    states = elastic_state(exact)
+    scale = np.linalg.norm(states, axis=1).max()
+    for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
+        run = simulate(load_scene(name), method, tolerance)
+        errors = np.linalg.norm(elastic_state(run) - states, axis=1) / scale
+        assert errors.max() <= 10.0 * tolerance
+        assert errors[-1] <= 10.0 * tolerance
+        metrics = metric_errors(run, exact)
+        if method in EXPLICIT:
+            metrics = {name: error for name, error in metrics.items() if "acceleration" not in name}
+        assert max(metrics.values()) <= 10.0 * tolerance, metrics
+
+
+@cache
+def small_reference() -> np.ndarray:
+    return elastic_state(simulate(load_scene("barnard2012-6kg").replace(SMALL), "gauss4", 1e-13, 5e-3, 5e-3 / 16))
+
+
+@pytest.mark.parametrize("method", METHODS[1:])
+def test_every_method_has_its_order_on_the_robot(method: str) -> None:
+    """Halving fixed steps divides the error by two to the order; inputs are the same polynomials on every communication step."""
+    scene, exact = load_scene("barnard2012-6kg").replace(SMALL), small_reference()
+    counts = FINE[method], 2 * FINE[method]
+    runs = [simulate(scene, method, 1e-13, 5e-3, 5e-3 / count) for count in counts]
+    coarse, fine = (np.linalg.norm(elastic_state(run) - exact, axis=1).max() for run in runs)
+    assert abs(np.log2(coarse / fine) - ORDERS[method]) <= 0.3
+
+
+def test_fixed_steps_are_made_as_they_are_asked_for() -> None:
+    """The paper's integration had fixed steps: every communication step is divided into as many as it takes."""
+    scene = load_scene("barnard2012-6kg").replace(SMALL | {"trajectory.dwell": 0.01})
+    for method, fixed in (("rk4", 1e-5), ("gauss3", 5e-4), ("gauss3", 1.0)):
+        run = simulate(scene, method, 1e-6, 5e-3, fixed)
+        spans = np.diff(np.unique(run.recording.time))
+        assert run.health.statistics["steps"] == np.ceil(spans / fixed * (1.0 - 1e-9)).sum()
+        assert run.health.statistics["rejections"] == 0
+
+
+def test_an_explicit_method_with_steps_too_long_says_so() -> None:
+    """An unstable run ends with a sentence and what was recorded before, not with numbers that look like results."""
+    scene = load_scene("barnard2012-6kg").replace(
+        {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": 1e-3, "trajectory.dwell": 0.0}
+    )
+    run = run_scene(scene, communication_step=5e-3)
+    assert run.outcome is not Outcome.COMPLETED
+    assert "cannot be solved with the fixed step 0.001 s; make integrator.step smaller" in run.message
+    assert all(np.isfinite(each.values).all() for each in run.recording.columns.values())
+
+
+def test_scene_and_fmu_name_the_same_methods() -> None:
+    """The scene file's words are the FMU's items; a wrong one is answered with all that there are."""
+    scene = load_scene("barnard2012-6kg")
+    for method in METHODS:
+        assert scene.replace({"cosimulation.integrator": method}).cosimulation.integrator == method
+    with pytest.raises(SceneError, match=r"`cosimulation.integrator` must be 'automatic', 'gauss2'.* got 'euler'"):
+        scene.replace({"cosimulation.integrator": "euler"})
+    with pytest.raises(SceneError, match=r"`cosimulation.integrator_step` must be at least 0.0 s, got -0.001 s"):
+        scene.replace({"cosimulation.integrator_step": -1e-3})
