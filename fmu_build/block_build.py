@@ -71,6 +71,8 @@ def generate_block_sources(
     from flexfmu.fmu_build.block_codegen import generate_block, generate_block_description
     from flexfmu.fmu_build.block_description import block_description, block_documentation, with_starts
     from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
+    from flexfmu.fmu_build.icon import ICON_SIZE, png
+    from flexfmu.fmu_build.picture import block_picture
     from flexfmu.fmu_build.sources import assemble_sources
 
     progress("generating C")
@@ -80,5 +82,6 @@ def generate_block_sources(
     def code(guid: str) -> dict[str, str]:
         return functions | {DESCRIPTION_FILE: generate_block_description(block, facts, guid)}
 
-    pages = block_documentation(block, experiment)
-    return assemble_sources("block", block_description(block), experiment, code, pages)
+    description = block_description(block)
+    pages = block_documentation(block, description, experiment)
+    return assemble_sources("block", description, experiment, code, pages, png(block_picture(ICON_SIZE, ICON_SIZE)))

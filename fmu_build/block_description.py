@@ -7,11 +7,12 @@ from dataclasses import replace
 
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER
 from flexfmu.fmu_build.description import Description
+from flexfmu.fmu_build.documentation_files import documentation_files
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.icon import ICON_SIZE
 from flexfmu.fmu_build.interface import FmiVariable, Interface, Unknown, check_names, real_variable
-from flexfmu.fmu_build.licences import licence_files
-from flexfmu.fmu_build.templating import render
+from flexfmu.fmu_build.picture import block_picture
 from flexfmu.model.block import SymbolicBlock
 
 SAMPLES = "statistics.samples"
@@ -75,11 +76,12 @@ def block_interface(block: SymbolicBlock) -> Interface:
     )
 
 
-def block_documentation(block: SymbolicBlock, experiment: DefaultExperiment) -> dict[str, str]:
+def block_documentation(
+    block: SymbolicBlock, description: Description, experiment: DefaultExperiment
+) -> dict[str, str]:
     """Files of the folder ``documentation/``: path below the FMU's root → text."""
-    variables = block_interface(block).variables
-    page = render("block.html.j2", model=block, experiment=experiment, variables=variables)
-    return {"documentation/index.html": page, **licence_files()}
+    picture = block_picture(ICON_SIZE, ICON_SIZE)
+    return documentation_files("block.html.j2", description, experiment, picture=picture, model=block)
 
 
 def _feedthrough(block: SymbolicBlock, output: str, index_of: Mapping[str, int]) -> tuple[int, ...]:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Literal
 from flexfmu.fmu_build.build_description import BUILD_DESCRIPTION, build_description
 from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, generate_description, generate_functions, identifier
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
-from flexfmu.fmu_build.documentation import documentation
+from flexfmu.fmu_build.documentation import documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.hashing import content_hash
+from flexfmu.fmu_build.icon import ICON_FILE, png
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
@@ -39,6 +40,7 @@ class Sources:
         generated: C files of the model, name → text.
         runtime: C files and headers of the runtime, name → text.
         documentation: path below the FMU's root → text.
+        icon: small picture, a PNG file; may be empty.
     """
 
     model_identifier: str
@@ -47,6 +49,7 @@ class Sources:
     generated: dict[str, str]
     runtime: dict[str, str]
     documentation: dict[str, str]
+    icon: bytes = b""
 
     @property
     def generated_bytes(self) -> int:
@@ -58,7 +61,7 @@ class Sources:
         code = {f"sources/{name}": text for name, text in (self.generated | self.runtime).items()}
         built = {BUILD_DESCRIPTION: build_description(self.model_identifier, c_files((*self.generated, *self.runtime)))}
         texts = {"modelDescription.xml": self.description} | code | built | self.documentation
-        return {path: text.encode() for path, text in texts.items()}
+        return {path: text.encode() for path, text in texts.items()} | ({ICON_FILE: self.icon} if self.icon else {})
 
 
 def generate_sources(model: SymbolicModel, experiment: DefaultExperiment) -> Sources:
@@ -72,7 +75,9 @@ def generate_sources(model: SymbolicModel, experiment: DefaultExperiment) -> Sou
     def code(guid: str) -> dict[str, str]:
         return functions | {DESCRIPTION_FILE: generate_description(model, facts, guid, experiment.tolerance)}
 
-    return assemble_sources("plant", plant_description(model), experiment, code, documentation(model, experiment))
+    description = plant_description(model)
+    pages = documentation(model, description, experiment)
+    return assemble_sources("plant", description, experiment, code, pages, png(plant_picture(model)))
 
 
 def assemble_sources(
@@ -81,6 +86,7 @@ def assemble_sources(
     experiment: DefaultExperiment,
     code: Callable[[str], dict[str, str]],
     pages: dict[str, str],
+    icon: bytes,
 ) -> Sources:
     """All parts of an FMU together.
 
@@ -90,6 +96,7 @@ def assemble_sources(
         experiment: default experiment.
         code: the generated C files for a GUID, name → text.
         pages: documentation, path below the FMU's root → text.
+        icon: small picture, a PNG file.
     """
     runtime = runtime_sources(kind)
     blank = code("")
@@ -97,7 +104,7 @@ def assemble_sources(
     blank_text = description_xml(description, "", experiment, names)
     guid = _guid((blank_text, *_flatten(blank), *_flatten(runtime)))
     text = description_xml(description, guid, experiment, names)
-    return Sources(identifier(description.name), guid, text, code(guid), runtime, pages)
+    return Sources(identifier(description.name), guid, text, code(guid), runtime, pages, icon)
 
 
 def runtime_sources(kind: Kind = "plant") -> dict[str, str]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from importlib.resources import files
 from typing import Any
 
 import jinja2
+from markupsafe import Markup, escape
 
 from flexfmu.fmu_build.errors import ModelError
 
@@ -33,6 +35,11 @@ def c_double(value: float | None, missing: str = "0.0") -> str:
     return repr(float(value))
 
 
+def subscripts(formula: str) -> Markup:
+    """A formula for HTML: ``K_kk`` becomes K with a lowered kk."""
+    return Markup(re.sub(r"_([A-Za-z0-9]+)", r"<sub>\1</sub>", str(escape(formula))))
+
+
 def _c_character(byte: int) -> str:
     plain = 0x20 <= byte < 0x7F and chr(byte) not in '"\\?'
     return chr(byte) if plain else f"\\{byte:03o}"
@@ -48,5 +55,5 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"c_string": c_string, "c_double": c_double}
+    environment.filters |= {"c_string": c_string, "c_double": c_double, "subscripts": subscripts}
     return environment

@@ -77,9 +77,15 @@ def generate_trajectory_sources(
     """
     from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
     from flexfmu.fmu_build.errors import ModelError
+    from flexfmu.fmu_build.icon import png
     from flexfmu.fmu_build.sources import assemble_sources
     from flexfmu.fmu_build.templating import render
-    from flexfmu.fmu_build.trajectory_description import TableMotion, trajectory_description, trajectory_documentation
+    from flexfmu.fmu_build.trajectory_description import (
+        TableMotion,
+        motion_picture,
+        trajectory_description,
+        trajectory_documentation,
+    )
     from flexfmu.fmu_build.trajectory_table import tabulate
 
     progress("placing knots")
@@ -96,5 +102,6 @@ def generate_trajectory_sources(
             )
         }
 
-    pages = trajectory_documentation(motion, experiment)
-    return assemble_sources("trajectory", trajectory_description(motion), experiment, code, pages)
+    description = trajectory_description(motion)
+    pages = trajectory_documentation(motion, description, experiment)
+    return assemble_sources("trajectory", description, experiment, code, pages, png(motion_picture(motion)))

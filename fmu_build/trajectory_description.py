@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from flexfmu.fmu_build.description import Description
+from flexfmu.fmu_build.documentation_files import documentation_files
 from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.icon import ICON_SIZE
 from flexfmu.fmu_build.interface import EnumerationType, FmiVariable, Interface, Unknown, check_names, real_variable
-from flexfmu.fmu_build.licences import licence_files
-from flexfmu.fmu_build.templating import render
+from flexfmu.fmu_build.picture import Picture, curves_picture
 from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, TrajectoryTable
 from flexfmu.model.symbolic import Variable
 
@@ -114,20 +115,28 @@ def trajectory_interface(motion: TableMotion) -> Interface:
     )
 
 
-def trajectory_documentation(motion: TableMotion, experiment: DefaultExperiment) -> dict[str, str]:
+def motion_picture(motion: TableMotion) -> Picture:
+    """The positions of the first axes over time."""
+    times, jets = motion.table.times, motion.table.jets
+    curves = [list(zip(times.tolist(), jets[:, 0, axis].tolist(), strict=True)) for axis in range(len(motion.axes))]
+    return curves_picture(curves, ICON_SIZE, ICON_SIZE)
+
+
+def trajectory_documentation(
+    motion: TableMotion, description: Description, experiment: DefaultExperiment
+) -> dict[str, str]:
     """Files of the folder ``documentation/``: path below the FMU's root → text."""
-    page = render(
+    return documentation_files(
         "trajectory.html.j2",
-        model=motion,
-        experiment=experiment,
+        description,
+        experiment,
+        picture=motion_picture(motion),
         table=motion.table,
         breakpoints=motion.breakpoints,
         duration=motion.breakpoints[-1],
         errors=_by_kind(motion.table.errors),
         max_order=END_ORDER,
-        variables=trajectory_interface(motion).variables,
     )
-    return {"documentation/index.html": page, **licence_files()}
 
 
 def _by_kind(errors: Sequence[float]) -> dict[str, float]:

@@ -98,6 +98,12 @@ def display_unit(name: str) -> str | None:
     return _DISPLAY_UNITS[name][0].name if name in _DISPLAY_UNITS and name not in _READ_AS_THEY_ARE else None
 
 
+def displayed(value: float, unit: str) -> str | None:
+    """A value as a person would rather read it, such as ``240 mm``; None where the unit itself does."""
+    name = display_unit(unit)
+    return None if name is None else f"{value * _DISPLAY_UNITS[unit][0].factor:.6g} {name}"
+
+
 def unit_definitions(names: Iterable[str]) -> tuple[Unit, ...]:
     """Definitions of the units in ``names``, each once, sorted; numbers without a unit need none."""
     used = sorted(set(names) - {DIMENSIONLESS})

@@ -49,6 +49,9 @@ class ModalDamping(StructuralDamping):
             total += 0.5 * self._registry.derived(f"{family.group}_{family.direction}_c_{k}", c) * v[k] ** 2
         return total
 
+    def formula(self) -> str:
+        return "R = ½ ∑ 2ζ √(K_kk M_kk) q̇_k²"
+
 
 class ProportionalDamping(StructuralDamping):
     """Damping C = rate * M + time * K on the elastic coordinates, with the links' own modal masses (Rayleigh)."""
@@ -79,6 +82,10 @@ class ProportionalDamping(StructuralDamping):
     def title(self) -> str:
         kinds = [("mass", self._has_rate), ("stiffness", self._has_time)]
         return " and ".join(kind for kind, there in kinds if there) + " proportional damping"
+
+    def formula(self) -> str:
+        terms = [("αM", self._has_rate), ("βK", self._has_time)]
+        return f"R = ½ q̇ᵀ ({' + '.join(term for term, there in terms if there)}) q̇"
 
 
 def _factor(name: str, unit: str, text: str, start: float, maximum: float) -> Variable:

@@ -31,6 +31,9 @@ class MotorInertia(Effect):
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
         return 0.5 * self._inertia * sum(rate**2 for rate in robot.motor_rates)
 
+    def formula(self) -> str:
+        return "T = ½ J (q̇₁² + q̇₂²)"
+
 
 class ViscousFriction(Effect):
     """Viscous friction torque at each motor."""
@@ -42,6 +45,9 @@ class ViscousFriction(Effect):
 
     def dissipation(self, robot: Robot) -> casadi.SX:
         return 0.5 * self._coefficient * sum(rate**2 for rate in robot.motor_rates)
+
+    def formula(self) -> str:
+        return "R = ½ d (q̇₁² + q̇₂²)"
 
 
 class CoulombFriction(Effect):
@@ -58,6 +64,9 @@ class CoulombFriction(Effect):
 
     def dissipation(self, robot: Robot) -> casadi.SX:
         return self._torque * sum(casadi.sqrt(rate**2 + self._velocity**2) for rate in robot.motor_rates)
+
+    def formula(self) -> str:
+        return "R = c ∑ √(w² + q̇_i²)"
 
 
 class ElasticTransmission(Effect):
@@ -81,3 +90,6 @@ class ElasticTransmission(Effect):
 
     def dissipation(self, robot: Robot) -> casadi.SX:
         return 0.5 * self._damping * casadi.dot(robot.twist_rate, robot.twist_rate)
+
+    def formula(self) -> str:
+        return "V = ½ k ∑ ϑ_i², R = ½ d ∑ ϑ̇_i², where ϑ is link angle minus motor angle"

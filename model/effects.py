@@ -15,6 +15,7 @@ import casadi
 import numpy as np
 
 from flexfmu.model.robot import Family, Robot
+from flexfmu.model.symbolic import EffectNote
 
 
 @dataclass(frozen=True)
@@ -76,3 +77,27 @@ class Effect(ABC):  # noqa: B024 - every hook has a neutral default
     def sentence(self) -> str:
         """One sentence for the documentation."""
         return (self.__doc__ or "").split("\n")[0]
+
+    def formula(self) -> str:
+        """Its energy or dissipation as a person writes it, in Unicode; empty where one sentence says all."""
+        return ""
+
+    def note(self) -> EffectNote:
+        """All that the documentation says of the effect."""
+        given = (
+            what for hook, what in _CONTRIBUTIONS.items() if getattr(type(self), hook) is not getattr(Effect, hook)
+        )
+        return EffectNote(self.title(), self.sentence(), self.formula(), tuple(given))
+
+
+_CONTRIBUTIONS = {
+    "families": "elastic coordinates",
+    "twists_joints": "twist of the joints",
+    "shortening": "shortening of links",
+    "kinetic_energy": "kinetic energy T",
+    "first_moment": "weight",
+    "potential_energy": "potential energy V",
+    "dissipation": "dissipation R",
+    "outputs": "outputs",
+}
+"""Hook of an effect → what it contributes if it has one of its own."""

@@ -50,7 +50,7 @@ class ElasticFamily(Effect):
 
             return symmetric(len(shapes), entry, np.add.reduce([np.abs(products) for _, products in terms]))
 
-        self._registry, self._properties = registry, properties
+        self._registry, self._properties, self._is_thick = registry, properties, thick is not None
         springs = matrix("k", stiffness)
         compliance = _inverse(registry, f"{group}_{direction}_compliance", springs) if quasi_static else None
         self._family = Family(group, direction, shapes, springs, matrix("m", mass), compliance)
@@ -91,6 +91,12 @@ class ElasticFamily(Effect):
 
     def title(self) -> str:
         return f"{self._family.group} {'bending' if self._family.direction == 'bending' else 'elongation'}"
+
+    def formula(self) -> str:
+        if self._family.direction == "axial":
+            return "V = ½ qᵀ K q = ½ ∑ ∫ EA u′² dx"
+        energy = "EI ψ′² + kGA (w′ − ψ)²" if self._is_thick else "EI w″²"
+        return f"V = ½ qᵀ K q = ½ ∑ ∫ {energy} dx"
 
     def sentence(self) -> str:
         family = self._family

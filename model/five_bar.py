@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import casadi
@@ -16,7 +15,7 @@ from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.quasi_static import Partition, static_deflections
 from flexfmu.model.robot import LinkGroup, Robot, make_robot
 from flexfmu.model.scene import Mechanism, Scene
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import EffectNote, Variable
 
 POSITIVE = 1e-9
 """Smallest admissible value of a length, density or modulus in its SI unit."""
@@ -38,7 +37,7 @@ class FiveBar:
         elastic: all elastic coordinates (n, 1), static deflections under these forces included.
         position: end effector (2, 1) [m] with these elastic coordinates.
         outputs: watched scalars of the effects.
-        sentences: effect → sentence, for documentation.
+        notes: what the documentation says of each effect.
     """
 
     robot: Robot
@@ -52,7 +51,7 @@ class FiveBar:
     elastic: casadi.SX
     position: casadi.SX
     outputs: tuple[Output, ...]
-    sentences: Mapping[str, str]
+    notes: tuple[EffectNote, ...]
 
     def with_forces(self, redundant_force: casadi.SX) -> FiveBar:
         """The same robot under other forces, (10 + n, 1) in redundant coordinates."""
@@ -99,7 +98,7 @@ def assemble(scene: Scene) -> FiveBar:
         elastic=elastic,
         position=position,
         outputs=outputs,
-        sentences={effect.title(): effect.sentence() for effect in effects},
+        notes=tuple(effect.note() for effect in effects),
     )
 
 

@@ -65,6 +65,9 @@ class Foreshortening(Effect):
             products,
         )
 
+    def formula(self) -> str:
+        return "u = −1/(2l) ∑ ∫ φ_j′ φ_k′ dξ q_j q_k"
+
 
 def _slope(shape: Shape) -> Evaluate:
     return shape.slope

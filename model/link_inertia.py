@@ -43,6 +43,9 @@ class LinkInertia(Effect):
         translation = 0.5 * inertia.mass * casadi.dot(V, V) + casadi.dot(V, relative)
         return translation + inertia.relative_energy(link, w)
 
+    def formula(self) -> str:
+        return "T = ½ ∑ ∫ |Ẋ|² dm, X = B + (x + u) e + w n, u and w the elastic displacements"
+
 
 class _LinkIntegrals:
     """Mass integrals of one link group as derived symbols: m, m l/2, m l²/3 and those with the mode shapes."""

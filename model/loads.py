@@ -37,6 +37,9 @@ class PointPayload(Effect):
     def first_moment(self, robot: Robot) -> casadi.SX:
         return self._mass * robot.position
 
+    def formula(self) -> str:
+        return "T = ½ m |Ẋ|²"
+
 
 class PayloadInertia(Effect):
     """Rotary inertia of the payload, which turns with the last cross section of link 12.
@@ -59,6 +62,9 @@ class PayloadInertia(Effect):
             turning = [float(shape.rotation(np.ones(1))[0]) for shape in bending.family.shapes]
             rate += dot(casadi.SX(turning), bending.v) / self._length
         return 0.5 * self._inertia * rate**2
+
+    def formula(self) -> str:
+        return "T = ½ J ω², where ω is the rate of the section"
 
 
 class Gravity(Effect):
@@ -87,3 +93,6 @@ class Gravity(Effect):
 
     def potential_energy(self, robot: Robot, first_moment: casadi.SX) -> casadi.SX:
         return -casadi.dot(self._gravity, first_moment)
+
+    def formula(self) -> str:
+        return "V = −g · ∑ ∫ X dm"

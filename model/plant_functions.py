@@ -11,6 +11,7 @@ from flexfmu.model.assembly import WORKING_MODES
 from flexfmu.model.closure import ProjectedForces
 from flexfmu.model.effects import Output
 from flexfmu.model.five_bar import FiveBar
+from flexfmu.model.five_bar_drawing import draw_five_bar
 from flexfmu.model.robot import Family
 from flexfmu.model.scene import Scene
 from flexfmu.model.symbolic import SymbolicModel, Variable
@@ -72,7 +73,8 @@ def make_plant(
         minimum_margin=MINIMUM_SINE,
         locked=locked,
         rate_inputs=rate_inputs,
-        effects=five_bar.sentences,
+        effects=five_bar.notes,
+        drawing=draw_five_bar(scene),
     )
 
 

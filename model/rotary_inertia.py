@@ -97,6 +97,9 @@ class RotaryInertia(Effect):
         )
         return energy + w * dot(first, bending.v) + 0.5 * form(matrix, bending.v, bending.v)
 
+    def formula(self) -> str:
+        return "T = ½ ∑ ∫ ρI (θ̇ + ψ̇)² dx, where ψ is the turning of the section against the frame"
+
 
 def _rotation(shape: Shape) -> Evaluate:
     return shape.rotation

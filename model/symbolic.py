@@ -11,10 +11,12 @@ with the inputs ``u`` and the derived parameters ``d``, which follow from the FM
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import casadi
+
+from flexfmu.model.drawing import Drawing
 
 Causality = Literal["input", "parameter", "output"]
 
@@ -66,6 +68,23 @@ class Variable:
 
 
 @dataclass(frozen=True)
+class EffectNote:
+    """What the documentation says of an effect.
+
+    Attributes:
+        title: what it is called.
+        sentence: what it is.
+        formula: its energy or dissipation as a person writes it; may be empty.
+        contributes: to which parts of the model.
+    """
+
+    title: str
+    sentence: str
+    formula: str = ""
+    contributes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class SymbolicModel:
     """A plant as equations and variables; a pure value that `flexfmu.fmu_build` turns into C.
 
@@ -83,7 +102,8 @@ class SymbolicModel:
             the others find their static equilibrium, and each belongs to the input of the same index, a generalised
             force that holds the equilibrium unless somebody sets it.
         rate_inputs: number of trailing inputs that are rates: zero at rest, so the static equilibrium doesn't see them.
-        effects: what the model contains, for documentation: effect → sentence.
+        effects: what the model contains, for documentation.
+        drawing: what the mechanism looks like; None where there is nothing to draw.
     """
 
     name: str
@@ -99,7 +119,8 @@ class SymbolicModel:
     minimum_margin: float
     locked: int = 0
     rate_inputs: int = 0
-    effects: Mapping[str, str] = field(default_factory=dict)
+    effects: tuple[EffectNote, ...] = ()
+    drawing: Drawing | None = None
 
     @property
     def degrees_of_freedom(self) -> int:

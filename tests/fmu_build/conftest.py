@@ -8,7 +8,7 @@ from pathlib import Path
 import casadi
 import pytest
 
-from flexfmu.model.symbolic import SymbolicModel, Variable
+from flexfmu.model.symbolic import EffectNote, SymbolicModel, Variable
 from flexfmu.model.time_derivatives import forward
 
 MakeModel = Callable[..., SymbolicModel]
@@ -109,7 +109,7 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
         static_start=static_start,
         margin_name="distance to nothing",
         minimum_margin=0.5,
-        effects={"springs": "Three linear springs."},
+        effects=(EffectNote("springs", "Three linear springs."),),
     )
 
 
