@@ -1,0 +1,159 @@
+"""What each effect costs in states, parameters, operations and bytes of C, and that it costs nothing where it isn't chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import pytest
+
+from flexfmu.fmu_build.codegen import generate_functions
+from flexfmu.model.plants import build_model
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.symbolic import SymbolicModel
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Size of a model: states, names of parameters, operations of residual and outputs, bytes of generated C."""
+
+    states: int
+    parameters: frozenset[str]
+    residual: int
+    outputs: int
+    code: int
+
+
+def cost(model: SymbolicModel) -> Cost:
+    files, _ = generate_functions(model)
+    return Cost(
+        states=2 * model.degrees_of_freedom,
+        parameters=frozenset(variable.name for variable in model.parameters),
+        residual=model.functions["residual"].n_instructions(),
+        outputs=model.functions["outputs"].n_instructions(),
+        code=sum(len(text.encode()) for text in files.values()),
+    )
+
+
+BARE = {
+    "payload.mass": 0.0,
+    "effects": {"gravity": [0.0, 0.0], "basis": "craig-bampton", "proximal_bending": 1, "distal_axial": 1},
+}
+
+
+@lru_cache
+def bare(drive: str) -> Scene:
+    return load_scene("barnard2012-6kg").replace(BARE | {"cosimulation.drive": drive})
+
+
+@lru_cache
+def bare_cost(drive: str) -> Cost:
+    return cost(build_model(bare(drive)))
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect's keys when it is in, when it is out, and what it adds: states and parameters."""
+
+    on: dict[str, Any]
+    off: dict[str, Any]
+    states: int = 0
+    parameters: frozenset[str] = frozenset()
+
+
+EFFECTS = {
+    "proximal bending": Effect({"effects.proximal_bending": 2}, {}, states=4),
+    "proximal axial": Effect({"effects.proximal_axial": 1}, {"effects.proximal_axial": 0}, states=4),
+    "distal bending": Effect({"effects.distal_bending": 1}, {"effects.distal_bending": 0}, states=4),
+    "distal axial": Effect({"effects.distal_axial": 2}, {}, states=4),
+    "static proximal axial": Effect(
+        {"effects.proximal_axial": 1, "effects.quasi_static": ["proximal_axial"]}, {"effects.quasi_static": []}
+    ),
+    "shear and rotary inertia": Effect(
+        {"effects.beam": "timoshenko"},
+        {"effects.beam": "euler-bernoulli", "mechanism.material.poissons_ratio": 0.1},
+        parameters=frozenset({"material.poissons_ratio"}),
+    ),
+    "foreshortening": Effect({"effects.foreshortening": True}, {"effects.foreshortening": False}),
+    "gravity": Effect(
+        {"effects.gravity": [1.0, 2.0]},
+        {"effects.gravity": [0.0, 0.0]},
+        parameters=frozenset({"gravity.x", "gravity.y"}),
+    ),
+    "point payload": Effect({"payload.mass": 1.0}, {"payload.mass": 0.0}, parameters=frozenset({"payload.mass"})),
+    "payload that turns": Effect(
+        {"payload.inertia": 0.1}, {"payload.inertia": 0.0}, parameters=frozenset({"payload.inertia"})
+    ),
+    "modal damping": Effect(
+        {"effects.damping": {"kind": "modal", "ratio": 0.1}},
+        {"effects.damping": {"kind": "modal", "ratio": 0.0}},
+        parameters=frozenset({"damping.ratio"}),
+    ),
+    "stiffness-proportional damping": Effect(
+        {"effects.damping": {"kind": "stiffness", "time": 1e-4}},
+        {"effects.damping": {"kind": "stiffness", "time": 0.0}},
+        parameters=frozenset({"damping.time"}),
+    ),
+    "mass-proportional damping": Effect(
+        {"effects.damping": {"kind": "mass", "rate": 1.0}},
+        {"effects.damping": {"kind": "mass", "rate": 0.0}},
+        parameters=frozenset({"damping.rate"}),
+    ),
+    "Rayleigh damping": Effect(
+        {"effects.damping": {"kind": "rayleigh", "rate": 1.0, "time": 1e-4}},
+        {"effects.damping": {"kind": "rayleigh", "rate": 0.0, "time": 0.0}},
+        parameters=frozenset({"damping.rate", "damping.time"}),
+    ),
+    "motor inertia": Effect(
+        {"effects.motor_inertia": 0.1}, {"effects.motor_inertia": 0.0}, parameters=frozenset({"motor_inertia"})
+    ),
+    "friction": Effect(
+        {"effects.joint_friction": {"viscous": 0.1}},
+        {"effects.joint_friction": {"viscous": 0.0, "coulomb": 0.0}},
+        parameters=frozenset({"joint_friction.viscous"}),
+    ),
+    "elastic transmissions": Effect(
+        {"effects.transmission": {"stiffness": 1e4}}, {}, states=4, parameters=frozenset({"transmission.stiffness"})
+    ),
+}
+
+
+@pytest.mark.parametrize("drive", ["motion", "torque"])
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS.keys())
+def test_an_effect_costs_what_it_is(effect: Effect, drive: str) -> None:
+    """It adds its states, its parameters, operations and C, which the model without it doesn't have."""
+    without, paid = bare_cost(drive), cost(build_model(bare(drive).replace(effect.on)))
+    assert paid.states == without.states + effect.states
+    assert paid.parameters == without.parameters | effect.parameters
+    assert not without.parameters & effect.parameters
+    assert paid.residual + paid.outputs > without.residual + without.outputs
+    assert paid.code > without.code
+
+
+SWITCHED_OFF = {name: effect.off for name, effect in EFFECTS.items() if effect.off}
+
+
+@pytest.mark.parametrize("off", SWITCHED_OFF.values(), ids=SWITCHED_OFF.keys())
+def test_an_effect_that_is_switched_off_costs_nothing(off: dict[str, Any]) -> None:
+    """Not a state, not an operation, not a byte of C remains of it."""
+    assert cost(build_model(bare("motion").replace(off))) == bare_cost("motion")
+
+
+@pytest.mark.parametrize("drive", ["motion", "torque"])
+def test_a_robot_without_elasticity_has_no_elastic_state(drive: str) -> None:
+    """Rigid links leave the motors' angles alone, and less than half of the operations."""
+    rigid = build_model(bare(drive).replace({"effects.proximal_bending": 0, "effects.distal_axial": 0}))
+    assert rigid.degrees_of_freedom == (2 if drive == "torque" else 0)
+    assert not any("bending" in variable.name or "axial" in variable.name for variable in rigid.outputs)
+    assert rigid.functions["residual"].n_instructions() < 0.5 * bare_cost(drive).residual
+    assert cost(rigid).code < bare_cost(drive).code
+
+
+def test_the_papers_model_stays_small() -> None:
+    """Effects that a scene leaves out don't creep into its equations: 953 operations for the paper's 12 coordinates."""
+    model = build_model(load_scene("barnard2012-6kg"))
+    assert model.functions["residual"].n_instructions() <= 953
+    assert model.functions["mass_matrix"].n_instructions() <= 1195
+    assert model.functions["outputs"].n_instructions() <= 747
