@@ -68,6 +68,15 @@ class FmuSlave:
         self.statistics: Mapping[str, int] = {}
         self.messages: tuple[str, ...] = ()
 
+    def configure(self, parameters: Mapping[str, Value]) -> None:
+        """Start values of parameters and inputs for the runs to come, instead of those given so far.
+
+        Raises:
+            InputError: a parameter doesn't exist or its value doesn't suit its type or range.
+        """
+        self._settings = settings(self._fmu.description, parameters)
+        self.parameters = dict(parameters)
+
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Instantiate, set parameters and inputs, and go through initialisation mode.
 

@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from flexfmu.cosim.planning import MotionPlan
-from flexfmu.cosim.results import Column, Recording
+from flexfmu.cosim.results import Column, RealArray, Recording
 
 KINDS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s2"))
 """Order of the time derivative → its name and unit."""
 
 
-def with_rigid_motion(recording: Recording, motion: MotionPlan) -> Recording:
-    """The recording with ``end_effector.reference.position.x`` and so on, with their derivatives, on both sides of
-    every instant that appears twice."""
-    time = recording.time
-    derivatives = motion.task.evaluate(time, order=4, side="right")
-    left = np.flatnonzero(time[:-1] == time[1:])
-    derivatives[:, left] = motion.task.evaluate(time[left], order=4, side="left")
-    columns = {
-        f"end_effector.reference.{kind}.{axis}": Column(unit, *derivatives[order : order + 3, :, i].copy())
-        for order, (kind, unit) in enumerate(KINDS)
-        for i, axis in enumerate("xy")
-    }
-    return recording.with_columns(columns)
+class RigidMotion:
+    """The rigid end-effector motion of a plan; for the same instants again it is calculated once."""
+
+    def __init__(self, motion: MotionPlan) -> None:
+        self._motion = motion
+        self._time = np.empty(0)
+        self._columns: Mapping[str, Column] = {}
+
+    def beside(self, recording: Recording) -> Recording:
+        """The recording with ``end_effector.reference.position.x`` and so on, with their derivatives, on both sides of
+        every instant that appears twice."""
+        if not np.array_equal(recording.time, self._time):
+            self._time, self._columns = recording.time, self._calculate(recording.time)
+        return recording.with_columns(self._columns)
+
+    def _calculate(self, time: RealArray) -> Mapping[str, Column]:
+        derivatives = self._motion.task.evaluate(time, order=4, side="right")
+        left = np.flatnonzero(time[:-1] == time[1:])
+        derivatives[:, left] = self._motion.task.evaluate(time[left], order=4, side="left")
+        return {
+            f"end_effector.reference.{kind}.{axis}": Column(unit, *derivatives[order : order + 3, :, i].copy())
+            for order, (kind, unit) in enumerate(KINDS)
+            for i, axis in enumerate("xy")
+        }

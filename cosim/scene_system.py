@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flexfmu.cosim.fmu_file import open_fmu
@@ -31,21 +31,39 @@ class SceneSystem:
         plant: the robot.
         others: controllers, shapers and imperfections.
         wiring: who feeds whom.
-        changes: parameters of the robot that differ from the scene's.
-        constants: inputs of the robot that nothing feeds, with the values that they keep.
+        settings: start values of the robot by the scene.
+        changes: parameters of the robot that differ from these.
+        unfed: values of the robot's inputs where nothing feeds them.
     """
 
     references: TrajectorySlave
     plant: FmuSlave
     others: tuple[Slave, ...]
     wiring: Wiring
+    settings: Mapping[str, Value]
     changes: Mapping[str, float]
-    constants: Mapping[str, float]
+    unfed: Mapping[str, float]
 
     @property
     def slaves(self) -> tuple[Slave, ...]:
         """All slaves: planned motion, robot, and what stands between them."""
         return (self.references, self.plant, *self.others)
+
+    @property
+    def constants(self) -> Mapping[str, float]:
+        """Inputs of the robot that nothing feeds, with the values that they keep."""
+        feeding = self.wiring.feeding
+        return {name: self.changes.get(name, value) for name, value in self.unfed.items() if name not in feeding}
+
+    def with_parameters(self, parameters: Mapping[str, float]) -> SceneSystem:
+        """The same slaves, the robot with further changed parameters in its next run.
+
+        Raises:
+            InputError: a parameter doesn't exist or is out of range.
+        """
+        changes = {**self.changes, **parameters}
+        self.plant.configure({**self.settings, **self.unfed, **changes})
+        return replace(self, changes=changes)
 
 
 def scene_system(
@@ -71,15 +89,15 @@ def scene_system(
         InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
             slaves can't be wired.
     """
-    changes = {**loop.parameters, **(parameters or {})}
+    settings = _parameters(scene, fmu_path, initial)
     unfed = {} if loop.controllers else holding_torques(scene)
-    plant = FmuSlave(fmu_path, PLANT, {**_parameters(scene, fmu_path, initial), **unfed, **changes}, input_order)
+    plant = FmuSlave(fmu_path, PLANT, input_order=input_order)
     order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
     references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
     others = (*loop.controllers, *(insert.slave for insert in loop.inserts))
     wiring = wire(references, plant, loop.controllers, loop.inserts, loop.connect)
-    constants = {name: changes.get(name, value) for name, value in unfed.items() if name not in wiring.feeding}
-    return SceneSystem(references, plant, others, wiring, changes, constants)
+    parts = SceneSystem(references, plant, others, wiring, settings, loop.parameters, unfed)
+    return parts.with_parameters(parameters or {})
 
 
 def _parameters(scene: Scene, path: Path, initial: str | None) -> dict[str, Value]:

@@ -88,7 +88,16 @@ class TrajectorySlave:
         return self._ends
 
     def prepare(self, times: RealArray) -> None:
-        """Calculate the polynomials of all steps, and begin with the left limits at the first point."""
+        """Calculate the polynomials of all steps, and begin with the left limits at the first point.
+
+        Points that are those of the run before need no calculation.
+        """
+        if not np.array_equal(times, self._times):
+            self._calculate(times)
+        self._begin()
+
+    def _calculate(self, times: RealArray) -> None:
+        """The polynomials of all steps between these points."""
         first, last = self._landings(times)
         self._polynomials = self._right_limits(last)
         self._times = times
@@ -98,7 +107,6 @@ class TrajectorySlave:
             self._ends[jumps] = self._references(first[jumps], END_ORDER, "left")
         if self.ends_exactly:
             self._polynomials = self._hermite_polynomials(self._polynomials[:, : END_ORDER + 1])
-        self._begin()
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Begin with the left limits at the start."""

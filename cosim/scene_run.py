@@ -1,0 +1,93 @@
+"""What a simulated scene is: the recording and how it came about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from flexfmu.cosim.delays import SignalDelay
+from flexfmu.cosim.loop_recording import SlaveFacts
+from flexfmu.cosim.outcome import Outcome
+from flexfmu.cosim.planning import MotionPlan
+from flexfmu.cosim.results import Recording
+from flexfmu.cosim.scene_parameters import scene_with_parameters
+from flexfmu.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Wall times [s] of planning, building (or finding) the FMU, loading it, and simulating."""
+
+    plan: float
+    build: float
+    load: float
+    simulate: float
+
+
+@dataclass(frozen=True)
+class Health:
+    """How the FMU fared.
+
+    Attributes:
+        statistics: the FMU's Integer variables ``statistics.*`` at the end, without that prefix: steps, rejections,
+            evaluations, iterations, factorisations; empty for an FMU without them.
+        messages: what the FMU logged, in its own words.
+    """
+
+    statistics: Mapping[str, int]
+    messages: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A simulated scene.
+
+    Attributes:
+        plan: the scene and its planned motion.
+        recording: every output of the FMU with first and second derivatives, what acted on it (torques, or joint
+            references ``joint1.reference.position`` and so on) and the rigid end-effector motion
+            (``end_effector.reference.position.x`` and so on: position, velocity, acceleration), over motion and dwell,
+            up to where the run came; what other slaves put out as ``slave.variable``. The first instant appears twice
+            (standstill, motion), so does every breakpoint and every sample instant.
+        outcome: how the run ended; `Outcome.COMPLETED` when all went well.
+        message: what happened, in one line.
+        fmu_path: the FMU that was simulated.
+        communication_step: communication step [s].
+        tolerance: relative tolerance passed to the FMU.
+        input_order: degree of the input polynomials.
+        health: statistics and messages of the FMU.
+        timing: wall times.
+        slaves: all slaves of the system.
+        delays: for each connection how late its signals arrive.
+        parameters: parameters of the robot that differ from the scene's.
+    """
+
+    plan: MotionPlan
+    recording: Recording
+    outcome: Outcome
+    message: str
+    fmu_path: Path
+    communication_step: float
+    tolerance: float
+    input_order: int
+    health: Health
+    timing: Timing
+    slaves: tuple[SlaveFacts, ...] = ()
+    delays: tuple[SignalDelay, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was simulated."""
+        return self.plan.scene
+
+    @property
+    def robot(self) -> Scene:
+        """The scene with the parameters that the robot had."""
+        return scene_with_parameters(self.scene, self.parameters)
+
+    @property
+    def completed(self) -> bool:
+        """Whether the run reached its stop time."""
+        return self.outcome is Outcome.COMPLETED
