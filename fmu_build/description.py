@@ -44,6 +44,7 @@ class Description:
         max_input_order: highest order of an input's derivative that may be set; 0 for none.
         max_output_order: highest order of an output's derivative that can be read; 0 for none.
         has_tolerance: whether the default experiment's tolerance means anything here.
+        has_model_exchange: whether the importer may integrate it; then it has directional derivatives too.
         annotations: what FMI has no place for, for tools that look: element → attributes.
 
     Raises:
@@ -57,6 +58,7 @@ class Description:
     max_input_order: int = 0
     max_output_order: int = 0
     has_tolerance: bool = False
+    has_model_exchange: bool = False
     annotations: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -91,6 +93,7 @@ def plant_description(model: SymbolicModel) -> Description:
         max_input_order=MAX_INPUT_ORDER,
         max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
         has_tolerance=True,
+        has_model_exchange=True,
     )
 
 
@@ -124,6 +127,7 @@ def description_xml(
         log_categories=LOG_CATEGORIES,
         max_input_order=description.max_input_order,
         max_output_order=description.max_output_order,
+        has_model_exchange=description.has_model_exchange,
         annotations=_annotations(description),
         interface=description.interface,
     )

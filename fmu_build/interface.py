@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from flexfmu.fmu_build.errors import ModelError, StartError
 from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR, INTEGRATORS, VALUE_REFERENCE
 from flexfmu.fmu_build.quantities import quantity
+from flexfmu.fmu_build.states import find_states, state_dependencies
 from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class Interface:
     Attributes:
         variables: in the order of the model description: inputs, parameters, outputs, then those of other types.
         outputs: every output, with the inputs and states that it depends on.
-        derivatives: the state derivatives among them.
+        derivatives: the state derivatives among them, in the order of the states.
         initial_unknowns: what initialisation calculates, with the inputs and parameters that it depends on.
     """
 
@@ -116,7 +117,13 @@ def build_interface(model: SymbolicModel) -> Interface:
     Raises:
         ModelError: a name is given twice or unknown, or a start value is missing or out of range.
     """
-    scalars = (*model.inputs, *model.parameters, *model.outputs)
+    states = find_states(model)
+    nominals = dict(zip(states.outputs, states.nominals, strict=True))
+    outputs = [
+        variable if variable.nominal is not None else replace(variable, nominal=nominals.get(position))
+        for position, variable in enumerate(model.outputs)
+    ]
+    scalars = (*model.inputs, *model.parameters, *outputs)
     check_names([*(variable.name for variable in scalars), INITIAL, *STATISTICS, INTEGRATOR, FIXED_STEP])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
     reals = tuple(real_variable(variable, index_of) for variable in scalars)
@@ -124,26 +131,19 @@ def build_interface(model: SymbolicModel) -> Interface:
     integrator = _integrator_variables(first_index=len(reals) + len(integers) + 1, value_reference=len(reals))
     variables = reals + integers + integrator
 
-    states = tuple(sorted({variable.derivative for variable in reals if variable.derivative is not None}))
-    feedthrough = _feedthrough(model, index_of)
-    outputs = tuple(
-        Unknown(output.index, _dependencies(output.index, states, feedthrough))
-        for output in reals
-        if output.causality == "output"
+    first = len(model.inputs) + len(model.parameters) + 1
+    feedthrough, needed = _feedthrough(model, index_of), state_dependencies(model)
+    unknowns = tuple(
+        Unknown(first + k, (*feedthrough[first + k], *sorted(first + states.outputs[state] for state in needed[k])))
+        for k in range(len(model.outputs))
     )
-    derivative_indices = {variable.index for variable in reals if variable.derivative is not None}
     known = tuple(variable.index for variable in reals + integers if variable.causality in ("input", "parameter"))
     return Interface(
         variables=variables,
-        outputs=outputs,
-        derivatives=tuple(output for output in outputs if output.index in derivative_indices),
-        initial_unknowns=tuple(Unknown(output.index, known) for output in outputs),
+        outputs=unknowns,
+        derivatives=tuple(unknowns[position] for position in states.derivatives),
+        initial_unknowns=tuple(Unknown(unknown.index, known) for unknown in unknowns),
     )
-
-
-def _dependencies(output: int, states: tuple[int, ...], feedthrough: Mapping[int, tuple[int, ...]]) -> tuple[int, ...]:
-    """A state depends on itself alone, every other output on all states and on the inputs that feed through."""
-    return (output,) if output in states else (*feedthrough[output], *states)
 
 
 def _feedthrough(model: SymbolicModel, index_of: Mapping[str, int]) -> dict[int, tuple[int, ...]]:

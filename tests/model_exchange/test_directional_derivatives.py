@@ -1,0 +1,114 @@
+"""fmi2GetDirectionalDerivative: against central differences, for every pair that the model structure names and all others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MOTION: dict[str, object] = {}
+TORQUE: dict[str, object] = {"cosimulation.drive": "torque"}
+RIGID = {"effects.proximal_bending": 0, "effects.distal_axial": 0}
+SIXTH_ORDER = dict(zip((-3, -2, -1, 1, 2, 3), (-1 / 60, 3 / 20, -3 / 4, 3 / 4, -3 / 20, 1 / 60), strict=True))
+SCENES = {
+    "motion": MOTION,
+    "torque": TORQUE,
+    "undeformed": TORQUE | {"cosimulation.initial": "undeformed"},
+    "rigid motion": MOTION | RIGID,
+    "rigid torque": TORQUE | RIGID,
+}
+
+
+def differences(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
+    """Central differences of sixth order, times the steps: changes of the results along each coordinate."""
+    columns = []
+    for k, step in enumerate(steps):
+        unit = np.eye(len(at))[k] * step
+        columns.append(sum(weight * function(at + i * unit) for i, weight in SIXTH_ORDER.items()))
+    return np.array(columns).reshape(len(at), -1).T
+
+
+def agree(plant: Any, exact: Array, approximate: Array, tolerance: float = 1e-6) -> None:
+    """Changes of each output agree relative to the largest of them; what is smaller than the output's digits is nothing."""
+    moves = np.array([any(word in name for word in ("velocity", "acceleration", "der(")) for name in plant.outputs])
+    noise = np.maximum(1e-3 * np.abs(plant.get(plant.outputs)), np.where(moves, 1e-3, 0.0))
+    size = np.maximum(np.abs(approximate).max(axis=1, initial=0.0), noise)[:, None] + 1e-300
+    np.testing.assert_allclose(exact / size, approximate / size, rtol=0.0, atol=tolerance)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_agrees_with_differences_in_motion(instantiate: Any, name: str) -> None:
+    """States and inputs of a drawn motion: exact derivatives, and none where the model structure names no dependency."""
+    plant, random = instantiate(SCENES[name]), np.random.default_rng(len(name))
+    plant.initialize()
+    plant.begin()
+    n, nominals = len(plant.states), plant.nominals
+    usual = np.where(nominals == 1.0, 0.02, 3.0 * nominals)
+    for _ in range(2):
+        u = plant.get(plant.inputs) + random.normal(size=len(plant.inputs)) * 0.05
+        at = np.concatenate([plant.x + usual * random.normal(size=n), u])
+
+        def outputs(z: Array) -> Array:
+            plant.x = z[:n]
+            plant.set(plant.inputs, z[n:])
+            return plant.get(plant.outputs)
+
+        steps = np.concatenate([np.where(nominals == 1.0, 1e-3, 0.1 * nominals), np.full(len(plant.inputs), 1e-3)])
+        outputs(at)
+        knowns = [*plant.states, *plant.inputs]
+        exact = plant.jacobian(plant.outputs, knowns) * steps
+        agree(plant, exact, differences(outputs, at, steps))
+        for unknown, row in zip(plant.description.outputs, exact, strict=True):
+            named = {variable.name for variable in unknown.dependencies}
+            assert all(value == 0.0 for known, value in zip(knowns, row, strict=True) if known not in named)
+        outputs(at)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_agrees_with_differences_at_the_start(instantiate: Any, name: str) -> None:
+    """Before the motion states follow from parameters and inputs, and so do holding torques that nobody has set."""
+    plant = instantiate(SCENES[name])
+    plant.initialize()
+    parameters = [name for name in plant.parameters if name != "integrator.step"]
+    start = plant.get(parameters)
+    steps = 1e-3 * np.maximum(np.abs(start), 1e-2)
+    at = np.where(start < 0.0, start, np.maximum(start, 4.0 * steps))
+
+    def outputs(p: Array) -> Array:
+        plant.set(parameters, p)
+        return plant.get(plant.outputs)
+
+    outputs(at)
+    agree(plant, plant.jacobian(plant.outputs, parameters) * steps, differences(outputs, at, steps))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_agrees_with_differences_by_inputs_at_the_start(instantiate: Any, name: str) -> None:
+    """Inputs deflect the static start; rates among them don't, but move the accelerations."""
+    plant = instantiate(SCENES[name])
+    plant.initialize()
+    at = plant.get(plant.inputs)
+    steps = np.full(len(at), 1e-3)
+
+    def outputs(u: Array) -> Array:
+        plant.set(plant.inputs, u)
+        return plant.get(plant.outputs)
+
+    outputs(at)
+    agree(plant, plant.jacobian(plant.outputs, plant.inputs) * steps, differences(outputs, at, steps))
+
+
+def test_co_simulation_differentiates_the_same(instantiate: Any) -> None:
+    """Both kinds of instances ask the same equations: at the same point they give the same numbers to the last bit."""
+    both = [instantiate(TORQUE, kind) for kind in ("exchange", "stepping")]
+    for plant in both:
+        plant.initialize()
+        plant.begin()
+    knowns = [*both[0].states, *both[0].inputs, "payload.mass"]
+    exchange, stepping = (plant.jacobian(plant.outputs, knowns) for plant in both)
+    assert np.array_equal(exchange, stepping)
