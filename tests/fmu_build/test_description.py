@@ -135,7 +135,7 @@ def test_both_interfaces_share_one_binary(make_oscillators: MakeModel, read: Any
     both = description.coSimulation, description.modelExchange
     assert len({each.modelIdentifier for each in both}) == 1
     for each in both:
-        assert each.providesDirectionalDerivative and each.canGetAndSetFMUstate and each.canSerializeFMUstate
+        assert (each.providesDirectionalDerivative, each.canGetAndSetFMUstate, each.canSerializeFMUstate) == (True,) * 3
     assert (description.numberOfContinuousStates, description.numberOfEventIndicators) == (4, 0)
 
 
