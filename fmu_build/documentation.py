@@ -8,6 +8,7 @@ from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.documentation_files import documentation_files
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import ICON_SIZE
+from flexfmu.fmu_build.integrators import INTEGRATORS
 from flexfmu.fmu_build.interface import INITIAL_STATES
 from flexfmu.fmu_build.picture import Picture, block_picture, mechanism_picture
 
@@ -28,6 +29,7 @@ def documentation(model: SymbolicModel, description: Description, experiment: De
         model=model,
         rates={output.derivative_of: output.name for output in model.outputs},
         initial_states=INITIAL_STATES,
+        integrators=INTEGRATORS,
     )
 
 
