@@ -92,3 +92,14 @@ def test_own_trajectory(tmp_path: Path) -> None:
     table = np.array([numbers(line) for line in breakpoints])
     jumps = np.abs(table[:, 2] - table[:, 1]) > 1e-3
     np.testing.assert_allclose(table[jumps, 0], [0.0, 0.1, 0.3, 0.4])
+
+
+@pytest.mark.slow
+def test_ssp_export(tmp_path: Path) -> None:
+    """The file is valid SSP 1.0 with one FMU for each slave, and comes back as the scene."""
+    written, difference, ends = run_example("ssp_export.py", tmp_path).splitlines()
+    assert written.endswith("valid; trajectory, plant, pd, encoder")
+    assert numbers(difference)[0] < 1e-11
+    coarse, exported = numbers(ends)
+    assert coarse == pytest.approx(exported, abs=1e-7)
+    assert exported == pytest.approx(0.175, abs=1e-3)

@@ -1,0 +1,70 @@
+"""`flexfmu export` and `flexfmu run` of SSP files, as they are typed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from ssp_support.packages import SSD, inline, of_second, parameter_set
+from typer.testing import CliRunner, Result
+
+from flexfmu.cosim.cli import app
+from flexfmu.cosim.results import Recording
+
+MakeSsp = Callable[..., Path]
+
+
+def flexfmu(*arguments: str) -> Result:
+    """Run a command."""
+    return CliRunner().invoke(app, list(arguments))
+
+
+@pytest.mark.slow
+def test_export_then_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A shipped scene leaves under its name and runs as it is, with the step that was asked for."""
+    monkeypatch.chdir(tmp_path)
+    exported = flexfmu("export", "barnard2012-6kg", "--json")
+    assert exported.exit_code == 0, exported.output
+    facts = json.loads(exported.stdout)
+    assert Path(facts["path"]).stat().st_size == facts["bytes"]
+    ran = flexfmu("run", facts["path"], "--step", "1e-3", "--json")
+    assert ran.exit_code == 0, ran.output
+    summary = json.loads(ran.stdout)
+    assert summary == json.loads((tmp_path / "results" / "barnard2012-6kg" / "summary.json").read_text())
+    assert (summary["outcome"], summary["communication_step"], summary["end_time"]) == (
+        "completed",
+        1e-3,
+        summary["stop_time"],
+    )
+    recording = Recording.read_csv(tmp_path / "results" / "barnard2012-6kg" / "results.csv")
+    assert recording["plant.end_effector.position.x"].values[-1] == pytest.approx(0.175, abs=1e-3)
+
+
+def test_run_tells_what_it_ignored(make_ssp: MakeSsp, tmp_path: Path) -> None:
+    """A parameter that fits nothing is a warning, in words."""
+    path = make_ssp(of_second(inline(parameter_set(rat='Real value="2"'))))
+    result = flexfmu("run", str(path), "--step", "0.1", "--out", str(tmp_path / "out"))
+    assert result.exit_code == 0, result.output
+    assert "warning: parameters that fit no variable were ignored: rat" in result.stdout
+    assert "second.x [m]" in result.stdout
+    assert {each.name for each in (tmp_path / "out").iterdir()} == {"results.csv", "summary.json"}
+
+
+@pytest.mark.parametrize(
+    ("ssd", "status", "problem"),
+    [
+        (SSD.replace('version="1.0" name', 'version="2.0" name'), 2, "is of SSP 2.0"),
+        (of_second(inline(parameter_set(trouble='Enumeration value="fails"'))), 1, "second is tired"),
+        (SSD.replace('stopTime="1"', 'stopTime="-1"'), 2, "-1"),
+    ],
+    ids=["refused", "fails on the way", "no time"],
+)
+def test_failures_are_one_line(ssd: str, status: int, problem: str, make_ssp: MakeSsp, tmp_path: Path) -> None:
+    """Status 2 for a file that is wrong, 1 for a run that fails, with what was recorded until then."""
+    result = flexfmu("run", str(make_ssp(ssd)), "--step", "0.1", "--out", str(tmp_path / "out"))
+    assert result.exit_code == status, result.output
+    assert problem.split()[-1] in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert (tmp_path / "out" / "results.csv").exists() == (status == 1)
