@@ -23,6 +23,7 @@ from flexfmu.cosim.ssp.reading import read_structure
 from flexfmu.cosim.ssp.structure import SspError, Structure
 from flexfmu.cosim.ssp.variables import ComponentFmu, component_fmu
 from flexfmu.cosim.ssp.wiring import wires
+from flexfmu.cosim.step_control import StepDoubling
 from flexfmu.cosim.system import System, connect
 from flexfmu.cosim.trajectory_slave import REFERENCES, TrajectorySlave
 
@@ -47,12 +48,17 @@ class SspSystem:
     ignored: tuple[str, ...]
 
     def simulate(
-        self, *, tolerance: float | None = None, progress: Progress | None = None, algorithm: Algorithm | None = None
+        self,
+        *,
+        tolerance: float | None = None,
+        progress: Progress | None = None,
+        algorithm: Algorithm | None = None,
+        step_control: StepDoubling | None = None,
     ) -> Simulation:
         """Run it with `flexfmu.cosim.master.simulate`; without a tolerance the FMUs use their own.
 
         Raises:
-            InputError: the times make no sense.
+            InputError: the times make no sense, or a slave would have to go back to an earlier state but can't.
         """
         return simulate(
             self.system,
@@ -62,6 +68,7 @@ class SspSystem:
             tolerance=tolerance,
             progress=progress,
             algorithm=algorithm,
+            step_control=step_control,
         )
 
 
