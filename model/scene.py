@@ -144,6 +144,8 @@ class Effects(Section):
     @model_validator(mode="after")
     def _static_families_have_modes(self) -> Self:
         for family in self.quasi_static:
+            if self.quasi_static.count(family) > 1:
+                raise ValueError(f"`quasi_static` names {family} twice: once is enough")
             if not getattr(self, family):
                 raise ValueError(
                     f"`quasi_static` names {family}, which has no modes: give `{family}` at least 1, or take it from the list"

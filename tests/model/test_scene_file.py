@@ -79,6 +79,24 @@ WRONG_VALUES = {
     "blends that overlap": ({"trajectory.blend.width": 0.2}, r"`blend\.width` must be at most `width`/2 = 0\.175 m"),
     "lift without a direction": ({"trajectory.lift": [0.0, 0.0]}, r"`lift` must be a direction"),
     "tolerance out of range": ({"cosimulation.tolerance": 1.0}, r"`cosimulation\.tolerance` must be at most 0\.1"),
+    "unknown beam theory": ({"effects.beam": "thick"}, r"`effects\.beam` must be 'euler-bernoulli' or 'timoshenko'"),
+    "unknown basis": ({"effects.basis": "finite-elements"}, r"must be 'assumed-modes' or 'craig-bampton'"),
+    "impossible material": (
+        {"mechanism.material.poissons_ratio": 0.6},
+        r"`mechanism\.material\.poissons_ratio` must be at most 0\.5, got 0\.6",
+    ),
+    "negative inertia": (
+        {"payload.inertia": -1.0},
+        r"`payload\.inertia` must be at least 0\.0 kg\.m2, got -1\.0 kg\.m2",
+    ),
+    "damping of another kind": (
+        {"effects.damping": {"kind": "mass", "time": 1e-4}},
+        r"`effects\.damping\.rate` is missing: add it \(in 1/s\)",
+    ),
+    "static family twice": (
+        {"effects.quasi_static": ["distal_axial", "distal_axial"]},
+        r"`quasi_static` names distal_axial twice",
+    ),
     "zero duration": ({"trajectory.duration": 0.0}, r"`trajectory\.duration` must be above 0\.0 s, got 0\.0 s"),
 }
 
