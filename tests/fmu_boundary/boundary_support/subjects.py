@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from export_support.blocks import pd_controller
 from export_support.trajectories import Swing
 
+from boundary_support.raw import DISCARD, OK, RawInstance
 from flexfmu.fmu_build.block_build import build_block_fmu, generate_block_sources
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.scene_build import build_scene
@@ -21,6 +23,7 @@ from flexfmu.model.scene_file import load_scene
 HAND_WRITTEN = Path(__file__).parents[2] / "c-runtime" / "models.c"
 EXPERIMENT = DefaultExperiment()
 N_STATISTICS = 7
+MECHANISM = load_scene("barnard2012-6kg").mechanism
 
 
 @dataclass(frozen=True)
@@ -31,19 +34,19 @@ class Subject:
         own: hand-written and constant files, which must compile without a warning.
         generated: CasADi's.
         guid: of the model description.
-        counts: N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS.
+        counts: N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS, and N_STATES where there is model exchange.
     """
 
     own: dict[str, str]
     generated: dict[str, str]
     guid: str
-    counts: tuple[int, int, int, int]
+    counts: tuple[int, ...]
 
     @property
     def defines(self) -> tuple[str, ...]:
         """For the compiler; steps that have no end are given up early."""
-        names = ("N_INPUTS", "N_SETTABLE", "N_REALS", "N_INTEGERS")
-        numbers = [f"-D{name}={count}" for name, count in zip(names, self.counts, strict=True)]
+        names = ("N_INPUTS", "N_SETTABLE", "N_REALS", "N_INTEGERS", "N_STATES")
+        numbers = [f"-D{name}={count}" for name, count in zip(names, self.counts, strict=False)]
         return (f'-DGUID="{self.guid}"', *numbers, "-DFLEX_MAX_STEPS=3000.0", "-DFLEX_MAX_SAMPLES=3000.0")
 
 
@@ -56,7 +59,9 @@ def scene(drive: str) -> Scene:
 
 def _fragile() -> Subject:
     """One that can fail in every way."""
-    return Subject(runtime_sources("plant") | {"models.c": _adapted_model()}, {}, "{fragile}", (1, 3, 4, N_STATISTICS))
+    return Subject(
+        runtime_sources("plant") | {"models.c": _adapted_model()}, {}, "{fragile}", (1, 3, 4, N_STATISTICS, 2)
+    )
 
 
 def _adapted_model() -> str:
@@ -68,11 +73,11 @@ def _adapted_model() -> str:
 def _robot(drive: str) -> Subject:
     model = build_model(scene(drive))
     inputs, settable = len(model.inputs), len(model.inputs) + len(model.parameters)
-    counts = (inputs, settable, settable + len(model.outputs), N_STATISTICS)
+    counts = (inputs, settable, settable + len(model.outputs), N_STATISTICS, 2 * len(model.unknowns))
     return _subject(generate_sources(model, EXPERIMENT), counts)
 
 
-def _subject(sources: Sources, counts: tuple[int, int, int, int]) -> Subject:
+def _subject(sources: Sources, counts: tuple[int, ...]) -> Subject:
     return Subject(sources.runtime, sources.generated, sources.guid, counts)
 
 
@@ -100,3 +105,19 @@ FILES: dict[str, Callable[[], Path]] = {
     "trajectory": lambda: build_trajectory_fmu(Swing(), axes=["axis"], unit="m").path,  # type: ignore[arg-type]
 }
 """Name → function that builds the FMU, or finds it in the cache."""
+
+
+def fail_a_step(instance: RawInstance, name: str) -> None:
+    """A step at 0 s that is discarded: the robot's elbows meet, the block's input leaves all numbers."""
+    if name == "robot":
+        joints = [instance.references[f"joint{i}.reference.position"] for i in (1, 2)]
+        status, before = instance.get(joints)
+        angle = math.acos(MECHANISM.base_half_distance / MECHANISM.proximal.length)
+        assert (status, instance.set(joints, [angle, math.pi - angle])) == (OK, OK)
+        assert instance.step(0.0, 1e-3) == DISCARD
+        assert instance.set(joints, before) == OK
+        return
+    reference = instance.references[instance.inputs[0]]
+    assert instance.set_derivative(reference, 1, 1.7e308) == OK
+    assert instance.step(0.0, 2.0) == DISCARD
+    assert instance.set_derivative(reference, 1, 0.0) == OK

@@ -73,7 +73,7 @@ static void live(int length) {
   importer ear;
   double outputs[N_REALS + 1];
   fmi2FMUstate state = NULL;
-  fmi2Component c = importer_instantiate(&ear, GUID, fmi2False);
+  fmi2Component c = importer_instantiate(&ear, fmi2CoSimulation, GUID, fmi2False);
   CHECK(c != NULL && importer_live() > 0);
   if (length > 0) CHECK(fmi2EnterInitializationMode(c) == fmi2OK);
   if (length > 1) CHECK(fmi2ExitInitializationMode(c) == fmi2OK);

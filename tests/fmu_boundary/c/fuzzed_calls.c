@@ -21,10 +21,11 @@ void fuzzed_note(fuzzed *one, const void *bytes, size_t size) {
   for (size_t i = 0; i < size; i++) one->trace = (one->trace ^ byte[i]) * 1099511628211ULL;
 }
 
-void fuzzed_begin(fuzzed *one, importer *ear, fmi2Boolean logging) {
+void fuzzed_begin(fuzzed *one, importer *ear, fmi2Type type, fmi2Boolean logging) {
   memset(one, 0, sizeof *one);
   one->ear = ear;
-  one->component = importer_instantiate(ear, GUID, logging);
+  one->type = type;
+  one->component = importer_instantiate(ear, type, GUID, logging);
   CHECK(one->component != NULL);
   one->now.phase = INSTANTIATED;
   for (int i = 0; i < N_LOG_CATEGORIES; i++) one->shown[i] = logging || i != LOG_STATISTICS;
@@ -32,7 +33,8 @@ void fuzzed_begin(fuzzed *one, importer *ear, fmi2Boolean logging) {
 
 static int may_discard(flex_call_id call) {
   return call == call_fmi2DoStep || call == call_fmi2GetStatus || call == call_fmi2GetRealStatus ||
-         call == call_fmi2GetIntegerStatus || call == call_fmi2GetBooleanStatus || call == call_fmi2GetStringStatus;
+         call == call_fmi2GetIntegerStatus || call == call_fmi2GetBooleanStatus || call == call_fmi2GetStringStatus ||
+         call == call_fmi2GetDerivatives;
 }
 
 static int heard(const fuzzed *one, flex_log_category category) {
@@ -42,7 +44,8 @@ static int heard(const fuzzed *one, flex_log_category category) {
 void fuzzed_judge(fuzzed *one, flex_call_id call, fmi2Status status) {
   if (getenv("FUZZ_TRACE")) fprintf(stderr, "%s -> %d  %s\n", calls[call].name, (int)status, one->ear->message);
   fuzzed_note(one, &status, sizeof status);
-  int is_legal = (calls[call].phases & (int)one->now.phase) != 0;
+  int kind = one->type == fmi2CoSimulation ? STEPPING : EXCHANGE;
+  int is_legal = (calls[call].kinds & kind) && (calls[call].phases & (int)one->now.phase);
   CHECK(is_legal || status == fmi2Error);
   CHECK(status == fmi2OK || status == fmi2Warning || status == fmi2Discard || status == fmi2Error);
   CHECK(status != fmi2Warning || call == call_fmi2SetupExperiment);
@@ -209,7 +212,9 @@ static void serve_mode(fuzzed *one, flex_call_id call) {
   flex_phase next = one->now.phase;
   switch (call) {
     case call_fmi2EnterInitializationMode: status = fmi2EnterInitializationMode(c), next = INITIALISATION_MODE; break;
-    case call_fmi2ExitInitializationMode: status = fmi2ExitInitializationMode(c), next = STEP_COMPLETE; break;
+    case call_fmi2ExitInitializationMode:
+      status = fmi2ExitInitializationMode(c), next = one->type == fmi2CoSimulation ? STEP_COMPLETE : EVENT_MODE;
+      break;
     case call_fmi2Terminate: status = fmi2Terminate(c), next = TERMINATED; break;
     case call_fmi2Reset: status = fmi2Reset(c), next = INSTANTIATED; break;
     case call_fmi2CancelStep: status = fmi2CancelStep(c); break;
@@ -218,6 +223,54 @@ static void serve_mode(fuzzed *one, flex_call_id call) {
   fuzzed_judge(one, call, status);
   if (status == fmi2OK) one->now.phase = next;
   if (call == call_fmi2Reset) one->now.time = 0.0;
+}
+
+#ifdef N_STATES
+enum { MOST_STATES = N_STATES + 3 };
+
+// what an integrator of the importer does; arrays may be missing or have another size
+static void serve_exchange(fuzzed *one, tape *tape, flex_call_id call) {
+  fmi2Component c = one->component;
+  unsigned choice = tape_byte(tape);
+  double x[MOST_STATES], time = choice & 16 ? one->now.time + 1e-4 * tape_byte(tape) : tape_real(tape);
+  for (int i = 0; i < MOST_STATES; i++) x[i] = (choice & 32 ? 1e-3 : 1.0) * tape_real(tape);
+  size_t size = choice % 16 ? N_STATES : tape_byte(tape) % (MOST_STATES + 1);
+  int is_lacking = choice > 248, reads = 0;
+  double *states = is_lacking ? NULL : x;
+  fmi2EventInfo info = {9, 9, 9, 9, 9, NAN};
+  fmi2Boolean enters = 9, ends = 9;
+  fmi2Status status = fmi2Fatal;
+  flex_phase next = one->now.phase;
+  switch (call) {
+    case call_fmi2EnterEventMode: status = fmi2EnterEventMode(c), next = EVENT_MODE; break;
+    case call_fmi2EnterContinuousTimeMode: status = fmi2EnterContinuousTimeMode(c), next = CONTINUOUS_TIME_MODE; break;
+    case call_fmi2NewDiscreteStates: status = fmi2NewDiscreteStates(c, is_lacking ? NULL : &info); break;
+    case call_fmi2CompletedIntegratorStep:
+      status = fmi2CompletedIntegratorStep(c, fmi2True, is_lacking ? NULL : &enters, choice == 248 ? NULL : &ends);
+      CHECK(status != fmi2OK || (enters == fmi2False && ends == fmi2False));
+      break;
+    case call_fmi2SetTime: status = fmi2SetTime(c, time); break;
+    case call_fmi2SetContinuousStates: status = fmi2SetContinuousStates(c, states, size); break;
+    case call_fmi2GetContinuousStates: status = fmi2GetContinuousStates(c, states, size), reads = 1; break;
+    case call_fmi2GetDerivatives: status = fmi2GetDerivatives(c, states, size), reads = 1; break;
+    case call_fmi2GetNominalsOfContinuousStates:
+      status = fmi2GetNominalsOfContinuousStates(c, states, size), reads = 1;
+      break;
+    case call_fmi2GetEventIndicators: status = fmi2GetEventIndicators(c, states, choice % 16 ? 0 : size); break;
+    default: CHECK(!"a call of model exchange");
+  }
+  fuzzed_judge(one, call, status);
+  if (status != fmi2OK) return;
+  one->now.phase = next;
+  if (call == call_fmi2SetTime) one->now.time = time;
+  if (call == call_fmi2NewDiscreteStates) CHECK(!info.newDiscreteStatesNeeded && !info.terminateSimulation);
+  if (reads) CHECK(!is_lacking && size == N_STATES);
+  if (reads) note_reals(one, status, x, size);
+}
+#endif
+
+static int concerns_exchange(flex_call_id call) {
+  return call >= call_fmi2EnterEventMode && call <= call_fmi2GetNominalsOfContinuousStates;
 }
 
 // through bytes, which are spoilt now and then
@@ -308,6 +361,12 @@ static void serve(fuzzed *one, tape *tape, flex_call_id call) {
     case call_fmi2GetBooleanStatus:
     case call_fmi2GetStringStatus: serve_status(one, tape, call); break;
     default:
+#ifdef N_STATES
+      if (concerns_exchange(call)) {
+        serve_exchange(one, tape, call);
+        break;
+      }
+#endif
       if (concerns_states(call))
         serve_state(one, tape, call);
       else
@@ -316,18 +375,26 @@ static void serve(fuzzed *one, tape *tape, flex_call_id call) {
 }
 
 // half of the calls are those of an importer that simulates
-static flex_call_id choose(tape *tape) {
+static flex_call_id choose(const fuzzed *one, tape *tape) {
   static const flex_call_id usual[] = {call_fmi2DoStep,  call_fmi2DoStep,  call_fmi2DoStep,
                                        call_fmi2SetReal, call_fmi2GetReal, call_fmi2SetRealInputDerivatives,
                                        call_fmi2DoStep,  call_fmi2GetReal};
+  static const flex_call_id exchanged[] = {call_fmi2EnterContinuousTimeMode, call_fmi2SetTime,
+                                           call_fmi2SetContinuousStates,     call_fmi2GetDerivatives,
+                                           call_fmi2GetReal,                 call_fmi2SetReal,
+                                           call_fmi2CompletedIntegratorStep, call_fmi2GetContinuousStates};
   unsigned choice = tape_byte(tape);
-  flex_call_id any = (flex_call_id)(choice % N_CALLS);
-  return choice < 128 || !(calls[any].kinds & STEPPING) ? usual[choice % 8] : any;
+  if (choice >= 128) return (flex_call_id)(choice % N_CALLS);
+  return one->type == fmi2ModelExchange ? exchanged[choice % 8] : usual[choice % 8];
 }
 
 void fuzzed_call(fuzzed *one, tape *tape, int is_numeric) {
-  flex_call_id call = choose(tape);
+  flex_call_id call = choose(one, tape);
   if (is_numeric && (concerns_states(call) || call == call_fmi2SetDebugLogging)) return;
+
+#ifndef N_STATES
+  if (concerns_exchange(call)) return;
+#endif
 
   // few of them, or the others would never get far
   int is_drastic = call == call_fmi2Reset || call == call_fmi2Terminate;

@@ -1,6 +1,6 @@
 /* Calls of an FMU with arguments from a tape, each judged by what the standard and the FMU promise.
  *
- * The build defines what is fuzzed: GUID, N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS. */
+ * The build defines what is fuzzed: GUID, N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS, and N_STATES if there is model exchange. */
 #ifndef FLEXFMU_TEST_FUZZED_CALLS_H
 #define FLEXFMU_TEST_FUZZED_CALLS_H
 
@@ -18,6 +18,7 @@ typedef struct {
 typedef struct {
   fmi2Component component;
   importer *ear;
+  fmi2Type type;
   expectation now;
   int shown[N_LOG_CATEGORIES];
   int before[N_LOG_CATEGORIES]; /* messages heard before the present call */
@@ -27,7 +28,7 @@ typedef struct {
 } fuzzed;
 
 /* a new instance in the state "instantiated" */
-void fuzzed_begin(fuzzed *one, importer *ear, fmi2Boolean logging);
+void fuzzed_begin(fuzzed *one, importer *ear, fmi2Type type, fmi2Boolean logging);
 
 /* one call that the tape chooses; where `is_numeric`, only calls that depend on nothing but the FMU state */
 void fuzzed_call(fuzzed *one, tape *tape, int is_numeric);

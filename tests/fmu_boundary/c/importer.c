@@ -40,10 +40,10 @@ static void take_back(void *memory) {
   free(memory);
 }
 
-fmi2Component importer_instantiate(importer *ear, const char *guid, fmi2Boolean logging) {
+fmi2Component importer_instantiate(importer *ear, fmi2Type type, const char *guid, fmi2Boolean logging) {
   memset(ear, 0, sizeof *ear);
   const fmi2CallbackFunctions callbacks = {hear, give, take_back, NULL, ear};
-  return fmi2Instantiate("fuzzed", fmi2CoSimulation, guid, "file:///nowhere at all", &callbacks, fmi2False, logging);
+  return fmi2Instantiate("fuzzed", type, guid, "file:///nowhere at all", &callbacks, fmi2False, logging);
 }
 
 void importer_runs_out_of_memory(void) {

@@ -24,7 +24,7 @@ typedef struct {
   char message[1024];
 } importer;
 
-fmi2Component importer_instantiate(importer *ear, const char *guid, fmi2Boolean logging);
+fmi2Component importer_instantiate(importer *ear, fmi2Type type, const char *guid, fmi2Boolean logging);
 
 /* the next allocation gives no memory */
 void importer_runs_out_of_memory(void);
