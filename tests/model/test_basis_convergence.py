@@ -33,6 +33,7 @@ def frequencies(scene: Scene, count: int) -> np.ndarray:
     return np.array([found[:count] for found in poses])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_both_bases_converge_to_the_same_frequencies(name: str) -> None:
     """Two sets of shapes, one robot: both come from above, three static shapes nearer by far than four modes."""

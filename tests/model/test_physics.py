@@ -179,6 +179,10 @@ def scenes(draw: st.DrawFn) -> Scene:
         "effects.distal_bending": draw(st.integers(0, 2)),
         "effects.distal_axial": draw(st.integers(0, 4)),
         "effects.gravity": draw(st.sampled_from([[0.0, 0.0], [9.81, 0.0], [0.0, -9.81]])),
+        "effects.basis": draw(st.sampled_from(["assumed-modes", "craig-bampton"])),
+        "effects.beam": draw(st.sampled_from(["euler-bernoulli", "timoshenko"])),
+        "effects.foreshortening": draw(st.booleans()),
+        "payload.inertia": draw(st.sampled_from([0.0, 0.02])),
     }
     return load_scene("barnard2012-6kg").replace(changes)
 
