@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import subprocess
 from collections.abc import Callable
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.platforms import PLATFORMS
+from flexfmu.fmu_build.platforms import PLATFORMS, native_platform
 from flexfmu.fmu_build.sources import Sources, generate_sources
 from flexfmu.fmu_build.toolchain import find_compiler
 from flexfmu.model.plants import build_model
@@ -19,6 +24,9 @@ from flexfmu.model.scene_file import load_scene
 from flexfmu.model.symbolic import SymbolicModel
 
 LibraryFor = Callable[..., bytes]
+Array = NDArray[np.float64]
+
+STEPS, STEP = 100, 2e-3
 
 
 @pytest.fixture
@@ -68,3 +76,50 @@ def write_library(tmp_path: Path, library_for: LibraryFor, robot_sources: Source
         return path
 
     return write
+
+
+@pytest.fixture
+def run_library(tmp_path: Path, robot: SymbolicModel, robot_sources: Sources) -> Callable[..., Array]:
+    """Function that runs a library of the robot, made for a platform, and gives its outputs, shape (steps, outputs)."""
+
+    def run(library: Path, name: str, emulator: tuple[str, ...] = ()) -> Array:
+        program = tmp_path / f"harness-{name}{'.exe' if name == 'win64' else ''}"
+        _compile_harness(name, program)
+        first = len(robot.inputs) + len(robot.parameters)
+        starts = [repr(variable.start) for variable in robot.inputs[:2]]
+        numbers = (len(robot.outputs), first, STEPS, STEP, *starts)
+        outcome = subprocess.run(
+            [*emulator, program, library.name, robot_sources.guid, *map(str, numbers)],
+            cwd=tmp_path,
+            env=os.environ | {"WINEDEBUG": "-all", "LD_LIBRARY_PATH": str(library.parent)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert outcome.returncode == 0, outcome.stderr
+        return np.array([[float.fromhex(word) for word in line.split()] for line in outcome.stdout.splitlines()])
+
+    return run
+
+
+def _compile_harness(name: str, program: Path) -> None:
+    """With the same flags as the libraries, so that zig builds its parts of the C library once.
+
+    It brings the mathematics library along like every importer that computes: fmpy's own compilation doesn't link it.
+    """
+    compiler = find_compiler(PLATFORMS[name])
+    source = Path(__file__).with_name("harness.c")
+    headers = str(files("flexfmu.fmu_build") / "c-runtime")
+    libraries = ["-ldl", "-Wl,--no-as-needed", "-lm"] if "linux" in name else []
+    flags = ["-std=c99", "-O2", "-s", "-Wl,--gc-sections", "-I", headers]
+    subprocess.run([*compiler.command, *flags, source, "-o", program, *libraries], check=True, capture_output=True)
+
+
+@pytest.fixture
+def native(run_library: Callable[..., Array], write_library: Callable[..., Path]) -> Array:
+    """Outputs of this machine's own binary."""
+    if native_platform().zig_target != PLATFORMS["linux64"].zig_target:
+        pytest.skip(f"the reference is linux64, this is {native_platform().zig_target}")
+    outputs = run_library(write_library("linux64"), "linux64")
+    assert np.ptp(outputs, axis=0).min() > 0.0, "every output should move"
+    return outputs

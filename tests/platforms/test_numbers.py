@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
 from collections.abc import Callable
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flexfmu.fmu_build.platforms import PLATFORMS, native_platform
-from flexfmu.fmu_build.sources import Sources
-from flexfmu.fmu_build.toolchain import find_compiler
 from flexfmu.model.symbolic import SymbolicModel
 
 Array = NDArray[np.float64]
 
-STEPS, STEP = 100, 2e-3
 AGREEMENT = 1e-12
 """Of platforms with different mathematics libraries, relative to each output's natural scale."""
 
@@ -34,40 +27,13 @@ Run = Callable[..., Array]
 
 
 @pytest.fixture
-def run(tmp_path: Path, robot: SymbolicModel, robot_sources: Sources, write_library: Callable[..., Path]) -> Run:
+def run(run_library: Callable[..., Array], write_library: Callable[..., Path]) -> Run:
     """Function that runs the robot's binary of a platform and gives its outputs, shape (steps, outputs)."""
 
     def run_on(name: str, emulator: tuple[str, ...] = (), with_zig: bool = False) -> Array:
-        library, program = (
-            write_library(name, with_zig),
-            tmp_path / f"harness-{name}{'.exe' if name == 'win64' else ''}",
-        )
-        _compile_harness(name, program)
-        first = len(robot.inputs) + len(robot.parameters)
-        starts = [repr(variable.start) for variable in robot.inputs[:2]]
-        numbers = (len(robot.outputs), first, STEPS, STEP, *starts)
-        outcome = subprocess.run(
-            [*emulator, program, library.name, robot_sources.guid, *map(str, numbers)],
-            cwd=tmp_path,
-            env=os.environ | {"WINEDEBUG": "-all", "LD_LIBRARY_PATH": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert outcome.returncode == 0, outcome.stderr
-        return np.array([[float.fromhex(word) for word in line.split()] for line in outcome.stdout.splitlines()])
+        return run_library(write_library(name, with_zig), name, emulator)
 
     return run_on
-
-
-def _compile_harness(name: str, program: Path) -> None:
-    """With the same flags as the libraries, so that zig builds its parts of the C library once."""
-    compiler = find_compiler(PLATFORMS[name])
-    source = Path(__file__).with_name("harness.c")
-    headers = str(files("flexfmu.fmu_build") / "c-runtime")
-    libraries = ["-ldl", "-lm"] if "linux" in name else []
-    flags = ["-std=c99", "-O2", "-s", "-Wl,--gc-sections", "-I", headers]
-    subprocess.run([*compiler.command, *flags, source, "-o", program, *libraries], check=True, capture_output=True)
 
 
 def _natural_scale(model: SymbolicModel, outputs: Array) -> Array:
@@ -91,16 +57,6 @@ def _natural_scale(model: SymbolicModel, outputs: Array) -> Array:
 
 def _difference(model: SymbolicModel, outputs: Array, reference: Array) -> float:
     return float(np.max(np.abs(outputs - reference) / _natural_scale(model, reference)))
-
-
-@pytest.fixture
-def native(run: Run) -> Array:
-    """Outputs of this machine's own binary."""
-    if native_platform().name != "linux64":
-        pytest.skip(f"the reference is linux64, this is {native_platform().name}")
-    outputs = run("linux64")
-    assert np.ptp(outputs, axis=0).min() > 0.0, "every output should move"
-    return outputs
 
 
 @pytest.mark.usefixtures("zig")

@@ -1,0 +1,117 @@
+"""The page that an FMU brings along, and its picture."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from html import unescape
+from html.parser import HTMLParser
+
+import pytest
+
+from flexfmu.fmu_build.description import plant_description
+from flexfmu.fmu_build.documentation import documentation, plant_picture
+from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.icon import png
+from flexfmu.model.plants import build_model
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.symbolic import SymbolicModel
+
+VOID = {"meta", "br", "hr", "img", "input", "link"}
+
+
+class _Page(HTMLParser):
+    """Checks that elements are closed in order, and collects attributes that load or lead elsewhere."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.links: list[str] = []
+        self.text: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.links += [value or "" for name, value in attrs if name in ("src", "href")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        pass
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+@pytest.fixture(params=["motion", "torque"])
+def robot(request: pytest.FixtureRequest) -> SymbolicModel:
+    """Both plants of the paper's robot, with friction and elastic drives."""
+    scene = load_scene("barnard2012-6kg")
+    changes = {"cosimulation.drive": request.param, "effects.joint_friction.viscous": 0.1, "effects.distal_axial": 1}
+    return build_model(scene.replace(changes))
+
+
+def _page(model: SymbolicModel) -> str:
+    return documentation(model, plant_description(model), DefaultExperiment())["documentation/index.html"]
+
+
+def test_page_tells_all_effects_and_variables(robot: SymbolicModel) -> None:
+    """Whoever gets the FMU alone learns what is in it, and what each variable is."""
+    text = "".join(_Page(_page(robot)).text)
+    for effect in robot.effects:
+        assert effect.title in text
+        assert effect.sentence in text
+        assert effect.contributes
+    for variable in (*robot.inputs, *robot.parameters, *robot.outputs):
+        assert variable.name in text
+        assert variable.description in text
+
+
+def test_page_needs_nothing_else(robot: SymbolicModel) -> None:
+    """It reads the same without a network: every element is closed, nothing is loaded."""
+    page = _Page(_page(robot))
+    assert page.open == []
+    assert page.links == []
+
+
+def test_page_shows_values_as_people_read_them(robot: SymbolicModel) -> None:
+    """In the unit of the variable, and in the one that its drawing would have."""
+    assert "0.24 m = 240 mm" in unescape(_page(robot))
+
+
+def test_mechanism_is_drawn_to_scale(robot: SymbolicModel) -> None:
+    """The links of the picture have the ratio of the scene's lengths, and meet at the joints."""
+    lines = plant_picture(robot, 400, 300).lines
+    lengths = [abs(complex(*line.end) - complex(*line.start)) for line in lines]
+    assert lengths[1] / lengths[0] == pytest.approx(0.38079 / 0.24)
+    assert lengths[3] / lengths[2] == pytest.approx(0.38079 / 0.24)
+    assert lines[1].end == pytest.approx(lines[3].end)
+
+
+def test_names_cannot_break_the_page(make_oscillators: Callable[..., SymbolicModel]) -> None:
+    """A model's own words are text, whatever signs they have."""
+    page = _Page(_page(make_oscillators()))
+    assert '"linear" & undamped' in "".join(page.text)
+
+
+def test_icon_is_a_sound_png(robot: SymbolicModel) -> None:
+    """Signature, size, checksums and as many pixels as it says; links in colour on a transparent ground."""
+    image = png(plant_picture(robot))
+    assert image.startswith(b"\x89PNG\r\n\x1a\n")
+    chunks = {}
+    at = 8
+    while at < len(image):
+        (length,), kind = struct.unpack(">I", image[at : at + 4]), image[at + 4 : at + 8]
+        content = image[at + 8 : at + 8 + length]
+        (checksum,) = struct.unpack(">I", image[at + 8 + length : at + 12 + length])
+        assert checksum == zlib.crc32(kind + content)
+        chunks[kind], at = content, at + 12 + length
+    width, height = struct.unpack(">II", chunks[b"IHDR"][:8])
+    pixels = zlib.decompress(chunks[b"IDAT"])
+    assert (width, height, len(pixels)) == (96, 96, 96 * (1 + 4 * 96))
+    opacities = {pixels[row * 385 + 1 + 4 * column + 3] for row in range(96) for column in range(96)}
+    assert {0, 255} <= opacities
