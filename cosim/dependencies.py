@@ -134,19 +134,34 @@ def tear(graph: Graph, outputs: Collection[Variable]) -> tuple[Variable, ...]:
 def visiting_order(graph: Graph, owner: Mapping[Variable, int]) -> tuple[int, ...]:
     """Owners of variables in an order in which everything is up to date when it is needed; neighbours are one visit.
 
-    The graph must have no loop (see `contracted`).
+    Nobody is visited just to be given inputs: an owner has its turn when it has something for others, and once more in the
+    end if inputs were late. The graph must have no loop (see `contracted`).
     """
     sorter: TopologicalSorter[Variable] = TopologicalSorter(graph)
     sorter.prepare()
     order: list[int] = []
+    done: set[Variable] = set()
     ready = list(sorter.get_ready())
     while ready:
         if not order or all(owner[node] != order[-1] for node in ready):
-            order.append(min(owner[node] for node in ready))
+            waiting = sorted({owner[node] for node in ready})
+            order.append(next((each for each in waiting if _has_news(graph, owner, each, done)), waiting[0]))
         visited = [node for node in ready if owner[node] == order[-1]]
         sorter.done(*visited)
+        done.update(visited)
         ready = [node for node in ready if node not in visited] + list(sorter.get_ready())
     return tuple(order)
+
+
+def _has_news(graph: Graph, owner: Mapping[Variable, int], visited: int, done: Collection[Variable]) -> bool:
+    """Whether a visit to an owner would bring a variable up to date that others need."""
+    reached = set(done)
+    waiting = {node for node, its in owner.items() if its == visited} - reached
+    while found := {node for node in waiting if reached.issuperset(graph.get(node, ()))}:
+        reached |= found
+        waiting -= found
+    news = reached.difference(done)
+    return any(owner[node] != visited and news.intersection(needed) for node, needed in graph.items())
 
 
 def contracted(graph: Graph, groups: Iterable[Collection[Variable]]) -> Graph:

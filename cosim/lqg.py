@@ -8,6 +8,7 @@ import numpy as np
 
 from flexfmu.cosim.controllers.from_control import from_control
 from flexfmu.cosim.controllers.limits import Limits
+from flexfmu.cosim.controllers.linear_system import LinearSystem
 from flexfmu.cosim.controllers.state_feedback import (
     Equilibrium,
     InputLimits,
@@ -15,6 +16,7 @@ from flexfmu.cosim.controllers.state_feedback import (
     static_feedforward,
 )
 from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.slave import RealArray
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.scene import Scene
 
@@ -69,23 +71,15 @@ def lqg(
         InputError: python-control is missing.
         EquilibriumError: there is no equilibrium at the pose.
     """
-    try:
-        import control
-    except ImportError:
-        raise InputError("state feedback needs python-control; run: pip install flexfmu[control]") from None
     from flexfmu.model.assembly import motor_angles
     from flexfmu.model.linear import linearize, operating_point
 
-    chosen = weights or LqgWeights()
     robot = linearize(scene, position, (*POSITIONS, *RATES))[:, :2]
     units = dict.fromkeys(TORQUES, "N.m") | dict.fromkeys(POSITIONS, "rad") | dict.fromkeys(RATES, "rad/s")
     full = from_control(
         robot, method="zoh", sample_time=sample_time, inputs=TORQUES, outputs=(*POSITIONS, *RATES), units=units
     )
-    cost = full.C.T @ np.diag(1.0 / np.square([*chosen.position_error, *chosen.velocity_error])) @ full.C
-    K, _, _ = control.dlqr(full.A, full.B, cost, np.diag(1.0 / np.square(chosen.torque_deviation)))
-    noise = chosen.torque_noise**2 * np.eye(2), chosen.measurement_noise**2 * np.eye(2)
-    L, _, _ = control.dlqe(full.A, full.B, full.C[:2], *noise)
+    K, L = _gains(full, weights or LqgWeights())
     measured = from_control(
         robot[:2, :], method="zoh", sample_time=sample_time, inputs=TORQUES, outputs=POSITIONS, units=_only(units)
     )
@@ -104,6 +98,23 @@ def lqg(
         limits=None if limits is None else InputLimits(_pair(limits.lower), _pair(limits.upper)),
         name=name,
     )
+
+
+def _gains(robot: LinearSystem, weights: LqgWeights) -> tuple[RealArray, RealArray]:
+    """Feedback and observer gains for a robot whose outputs are angles, then rates.
+
+    Raises:
+        InputError: python-control is missing.
+    """
+    try:
+        import control
+    except ImportError:
+        raise InputError("state feedback needs python-control; run: pip install flexfmu[control]") from None
+    cost = robot.C.T @ np.diag(1.0 / np.square([*weights.position_error, *weights.velocity_error])) @ robot.C
+    K, _, _ = control.dlqr(robot.A, robot.B, cost, np.diag(1.0 / np.square(weights.torque_deviation)))
+    noise = weights.torque_noise**2 * np.eye(2), weights.measurement_noise**2 * np.eye(2)
+    L, _, _ = control.dlqe(robot.A, robot.B, robot.C[: len(POSITIONS)], *noise)
+    return K, L
 
 
 def _only(units: dict[str, str]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import Literal
 import casadi
 import numpy as np
 
-from flexfmu.cosim.controllers.equations import Vector, block, check_sampling
+from flexfmu.cosim.equations import Vector, block, check_sampling
 from flexfmu.cosim.errors import InputError
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.symbolic import Variable

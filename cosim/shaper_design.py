@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.model.modes import DampedModes, damped_modes
 from flexfmu.model.scene import Scene
@@ -117,10 +117,3 @@ def alternatives(design_for: DesignModes) -> list[Alternative]:
     with suppress(TrajectoryError):  # the band is too wide
         found.append(Alternative("si", specified_insensitivity(*band, ratio=modes[0].ratio)))
     return sorted(found, key=lambda each: each.sequence.duration)
-
-
-def with_payload_error(scene: Scene, error: float) -> Scene:
-    """The scene with a payload that is heavier or lighter by a fraction, -1 exclusive."""
-    if not (math.isfinite(error) and error > -1.0):
-        raise InputError(f"payload error must be above -1 (-0.3 is 30 % lighter), got {error:g}")
-    return scene.replace({"payload.mass": scene.payload.mass * (1.0 + error)}) if error else scene

@@ -11,9 +11,10 @@ import numpy as np
 
 from flexfmu.cosim.errors import CosimError
 from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.shaper_design import Alternative, with_payload_error
+from flexfmu.cosim.shaper_design import Alternative
 from flexfmu.cosim.shaper_plan import APPLICATIONS, deviation
 from flexfmu.model.scene import Scene
 from flexfmu.trajectories.errors import TrajectoryError

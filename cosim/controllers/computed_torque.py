@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import casadi
 
-from flexfmu.cosim.controllers.equations import Vector, block, split
 from flexfmu.cosim.controllers.joints import (
     JOINTS,
     PerJoint,
+    feedforward_outputs,
     feedforwards,
     gains,
     measurements,
@@ -17,6 +17,7 @@ from flexfmu.cosim.controllers.joints import (
     torques,
 )
 from flexfmu.cosim.controllers.limits import Limits, saturate
+from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.cosim.errors import InputError
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.symbolic import Variable
@@ -59,18 +60,12 @@ def computed_torque(
             isn't positive.
     """
     _check(inverse_dynamics, joints, name)
-    parameters = [
-        *gains(joints, "proportional_gain", proportional, "1/s2", "Stiffness per inertia"),
-        *gains(joints, "derivative_gain", derivative, "1/s", "Damping per inertia"),
-        *(limits.parameters(joints) if limits else ()),
-    ]
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         n = len(joints)
         q_r, v_r, a_r, q, v, feedforward = split(u, n)
         k_p, k_d, *bounds = split(p, n)
-        acceleration = a_r + k_d * (v_r - v) + k_p * (q_r - q)
-        torque = inverse_dynamics.call([q, v, acceleration])[0] + feedforward
+        torque = inverse_dynamics.call([q, v, a_r + k_d * (v_r - v) + k_p * (q_r - q)])[0] + feedforward
         return saturate(torque, *bounds) if limits else torque, x
 
     return block(
@@ -79,14 +74,13 @@ def computed_torque(
         equations,
         sample_time=sample_time,
         offset=offset,
-        inputs=[
-            *_reference_motion(joints),
-            *measurements(joints, "position"),
-            *measurements(joints, "velocity"),
-            *feedforwards(joints),
-        ],
+        inputs=[*_reference_motion(joints), *_measured_motion(joints), *feedforwards(joints)],
         outputs=torques(joints),
-        parameters=parameters,
+        parameters=[
+            *gains(joints, "proportional_gain", proportional, "1/s2", "Stiffness per inertia"),
+            *gains(joints, "derivative_gain", derivative, "1/s", "Damping per inertia"),
+            *(limits.parameters(joints) if limits else ()),
+        ],
     )
 
 
@@ -115,10 +109,7 @@ def inverse_dynamics_feedforward(
         sample_time=sample_time,
         offset=offset,
         inputs=_reference_motion(joints),
-        outputs=[
-            Variable(f"{joint}.feedforward", "N.m", f"Rigid torque of the reference motion of {joint}", "output")
-            for joint in joints
-        ],
+        outputs=feedforward_outputs(joints, "Rigid torque of the reference motion"),
     )
 
 
@@ -129,6 +120,11 @@ def _reference_motion(joints: Sequence[str]) -> list[Variable]:
         *references(joints, "velocity"),
         *references(joints, "acceleration"),
     ]
+
+
+def _measured_motion(joints: Sequence[str]) -> list[Variable]:
+    """Measured positions and velocities."""
+    return [*measurements(joints, "position"), *measurements(joints, "velocity")]
 
 
 def _check(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) -> None:

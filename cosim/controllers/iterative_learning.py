@@ -7,11 +7,19 @@ from math import isfinite
 
 import casadi
 
-from flexfmu.cosim.controllers.equations import Vector, block, split
-from flexfmu.cosim.controllers.joints import JOINTS, UNITS, Kind, PerJoint, gains, measurements, references
+from flexfmu.cosim.controllers.joints import (
+    JOINTS,
+    UNITS,
+    Kind,
+    PerJoint,
+    feedforward_outputs,
+    gains,
+    measurements,
+    references,
+)
+from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.cosim.errors import InputError
 from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
 
 MAXIMUM_TABLE = 1_000_000
 """Tables of more samples than this are taken for a mistake in the cycle's unit."""
@@ -40,18 +48,14 @@ def iterative_learning(
     only forgotten.
 
     Every cycle has to start from the same state of the plant, so repeat a motion that comes back, or whose plant is set
-    back. The table of N samples for each joint is kept in states as a queue that moves on by one at each sample.
-
-    Inputs: ``joint1.reference.position`` and ``joint1.position`` (or ``velocity``); output ``joint1.feedforward``, to
-    be added to a controller's torque; it has no direct feedthrough. The learning gain is a tunable parameter
-    ``joint1.learning_gain``.
+    back. Inputs: ``joint1.reference.position`` and ``joint1.position`` (or ``velocity``); output ``joint1.feedforward``,
+    to be added to a controller's torque, without direct feedthrough. The gain is tunable: ``joint1.learning_gain``.
 
     Args:
         gain: learning gain [N.m/rad] (or [N.m.s/rad] for velocities).
         cycle: N, samples in a cycle.
         sample_time, offset: [s].
-        shift: samples from a torque to the error that it causes: the plant's delay, 1 for a sampled plant without
-            direct feedthrough.
+        shift: samples from a torque to the error that it causes; 1 for a sampled plant without direct feedthrough.
         forgetting: 0 keeps everything; some percent gives robustness at the price of a remaining error.
         learn_from: which error: ``position``, ``velocity`` or ``acceleration``.
         joints: names of the joints.
@@ -61,10 +65,9 @@ def iterative_learning(
         InputError: cycle, shift, forgetting, a gain or the sample time is out of range.
     """
     _check(cycle, shift, forgetting, name)
-    n = len(joints)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        k, *queues = split(x, 1, cycle)
+        n, (k, *queues) = len(joints), split(x, 1, cycle)
         errors = casadi.if_else(k >= shift, u[:n] - u[n:], casadi.MX.zeros(n))
         moved = [_move_on(queues[i], p[i] * errors[i], shift, forgetting) for i in range(n)]
         following = casadi.if_else(k + 1.0 >= cycle, 0.0, k + 1.0)
@@ -77,15 +80,15 @@ def iterative_learning(
         sample_time=sample_time,
         offset=offset,
         inputs=[*references(joints, learn_from), *measurements(joints, learn_from)],
-        outputs=[Variable(f"{joint}.feedforward", "N.m", f"Learned torque of {joint}", "output") for joint in joints],
+        outputs=feedforward_outputs(joints, "Learned torque"),
         parameters=gains(joints, "learning_gain", gain, _per("N.m", UNITS[learn_from]), "Learning gain"),
-        states=[0.0] * (1 + n * cycle),
+        states=[0.0] * (1 + len(joints) * cycle),
         symbol=casadi.MX,
     )
 
 
 def _move_on(queue: Vector, correction: Vector, shift: int, forgetting: float) -> Vector:
-    """The queue one sample later.
+    """The table of a joint, kept as a queue, one sample later.
 
     Its head is the present torque; the torque of ``shift`` samples ago stands ``shift`` places before its end and learns
     from the present error, the present one goes to the end.

@@ -42,6 +42,11 @@ def feedforwards(joints: Sequence[str]) -> list[Variable]:
     ]
 
 
+def feedforward_outputs(joints: Sequence[str], what: str) -> list[Variable]:
+    """Outputs ``joint1.feedforward`` of a slave that makes such torques."""
+    return [Variable(f"{joint}.feedforward", "N.m", f"{what} of {joint}", "output") for joint in joints]
+
+
 def torques(joints: Sequence[str]) -> list[Variable]:
     """Outputs ``joint1.torque``."""
     return [Variable(f"{joint}.torque", "N.m", f"Torque of {joint}, counter-clockwise", "output") for joint in joints]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from flexfmu.cosim.controllers.equations import Vector, block, split
 from flexfmu.cosim.controllers.joints import (
     JOINTS,
     PerJoint,
@@ -15,6 +14,7 @@ from flexfmu.cosim.controllers.joints import (
     torques,
 )
 from flexfmu.cosim.controllers.limits import Limits, saturate
+from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.model.block import SymbolicBlock
 
 

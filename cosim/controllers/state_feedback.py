@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.controllers.equations import Vector, block
 from flexfmu.cosim.controllers.limits import saturate
 from flexfmu.cosim.controllers.linear_system import LinearSystem, Signal, matrix
 from flexfmu.cosim.controllers.state_space import times, variables
+from flexfmu.cosim.equations import Vector, block
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.slave import RealArray
 from flexfmu.model.block import SymbolicBlock
@@ -50,6 +50,45 @@ class InputLimits:
     upper: Sequence[float]
 
 
+@dataclass(frozen=True, eq=False)
+class StateFeedbackLaw:
+    """u = sat(u_0 + Nu r - K (x̂ - Nx r)), with the prediction observer ::
+
+        x̂_k+1 = A x̂_k + B (u_k - u_0) + L (y_k - y_0 - C x̂_k - D (u_k - u_0))
+
+    The estimate's error has the poles of A - L C, the plant those of A - B K, independently of each other; with the
+    observer fed by the saturated input the estimate stays right at the limits, which is its anti-windup. G. F. Franklin,
+    J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 8.2 to 8.4; K. J. Åström,
+    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. `control.dlqr` gives K, `control.dlqe` L.
+
+    Attributes:
+        plant: A, B, C, D.
+        K: (plant inputs, n) feedback gains.
+        L: (n, plant outputs) observer gains.
+        reference: Nx, Nu and the references r.
+        u_0, y_0: inputs and outputs at the equilibrium.
+        bounds: lower and upper limits of the inputs; None for none.
+    """
+
+    plant: LinearSystem
+    K: RealArray
+    L: RealArray
+    reference: ReferenceFeedforward
+    u_0: RealArray
+    y_0: RealArray
+    bounds: tuple[RealArray, RealArray] | None
+
+    def equations(self, x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """Plant inputs and next estimate, from the estimate, [y, r] and no parameters."""
+        plant, r, outputs = self.plant, self.reference, len(self.plant.outputs)
+        deviation, target = u[:outputs, 0] - self.y_0, u[outputs:, 0] - np.reshape(r.base, (-1, 1))
+        wanted = self.u_0 + times(r.Nu, target) - times(self.K, x - times(r.Nx, target))
+        applied = saturate(wanted, *self.bounds) if self.bounds else wanted
+        effect = applied - self.u_0
+        innovation = deviation - times(plant.C, x) - times(plant.D, effect)
+        return applied, times(plant.A, x) + times(plant.B, effect) + times(self.L, innovation)
+
+
 def state_feedback(
     plant: LinearSystem,
     K: Any,
@@ -62,14 +101,7 @@ def state_feedback(
     estimate: Sequence[float] | None = None,
     name: str = "state_feedback",
 ) -> SymbolicBlock:
-    """u = sat(u_0 + Nu r - K (x̂ - Nx r)), with the prediction observer ::
-
-        x̂_k+1 = A x̂_k + B (u_k - u_0) + L (y_k - y_0 - C x̂_k - D (u_k - u_0))
-
-    The estimate's error has the poles of A - L C, the plant those of A - B K, independently of each other; with the
-    observer fed by the saturated input the estimate stays right at the limits, which is its anti-windup. G. F. Franklin,
-    J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 8.2 to 8.4; K. J. Åström,
-    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. `control.dlqr` gives K, `control.dlqe` L.
+    """State feedback from an observer: `StateFeedbackLaw`.
 
     Inputs are the plant's outputs and the references, outputs the plant's inputs, named like those. The output depends
     at once on the references alone, not on the measurements.
@@ -89,26 +121,20 @@ def state_feedback(
         InputError: a gain has the wrong shape or isn't finite, or a number of values doesn't fit.
     """
     n, m, outputs = plant.order, len(plant.inputs), len(plant.outputs)
-    feedback, observer = matrix(K, (m, n), f"{name}: K"), matrix(L, (n, outputs), f"{name}: L")
     r = _checked(reference, plant, name)
-    u_0, y_0 = (
+    law = StateFeedbackLaw(
+        plant,
+        matrix(K, (m, n), f"{name}: K"),
+        matrix(L, (n, outputs), f"{name}: L"),
+        r,
         _values(equilibrium.inputs if equilibrium else None, m, f"{name}: equilibrium.inputs"),
         _values(equilibrium.outputs if equilibrium else None, outputs, f"{name}: equilibrium.outputs"),
+        _bounds(limits, m, name),
     )
-    bounds = _bounds(limits, m, name)
-
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        deviation, target = u[:outputs, 0] - y_0, u[outputs:, 0] - np.reshape(r.base, (-1, 1))
-        wanted = u_0 + times(r.Nu, target) - times(feedback, x - times(r.Nx, target))
-        applied = saturate(wanted, *bounds) if bounds else wanted
-        effect = applied - u_0
-        innovation = deviation - times(plant.C, x) - times(plant.D, effect)
-        return applied, times(plant.A, x) + times(plant.B, effect) + times(observer, innovation)
-
     return block(
         name,
         f"State feedback from an observer of order {n}",
-        equations,
+        law.equations,
         sample_time=plant.sample_time,
         offset=offset,
         inputs=variables((*plant.outputs, *r.signals), "input"),

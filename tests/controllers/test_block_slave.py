@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.block_slave import BlockSlave
-from flexfmu.cosim.controllers.equations import Vector, block
 from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.master import Outcome, simulate
 from flexfmu.cosim.slave import (
@@ -255,3 +255,12 @@ def test_cost_of_a_sample() -> None:
     count = 2000
     seconds = min(repeat(lambda: slave.sample(0.0), number=count, repeat=20)) / count
     assert seconds < 5e-6
+
+
+@pytest.mark.parametrize(
+    ("sizes", "pieces"), [((1, 2), (1, 2, 2)), ((5,), (5,)), ((5, 0), (5, 0)), ((2, 0, 3), (2, 0, 3)), ((0, 5), (0, 5))]
+)
+def test_split(sizes: tuple[int, ...], pieces: tuple[int, ...]) -> None:
+    """Pieces of these sizes, empty ones too, the last as often as it fits."""
+    found = split(casadi.SX.sym("v", 5), *sizes)
+    assert tuple(piece.numel() for piece in found) == pieces

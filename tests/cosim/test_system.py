@@ -127,3 +127,21 @@ def test_a_signal_may_feed_its_own_slave() -> None:
     """Feedback of a slave to itself through a state is delayed like any other."""
     system = connect([state("a")], [("a.y1", "a.u1")])
     assert len(system.delayed) == 1
+
+
+@pytest.mark.parametrize("order", [("plant", "pd", "sensor", "motion"), ("motion", "sensor", "pd", "plant")])
+def test_nobody_is_visited_to_be_given_inputs_alone(order: Sequence[str]) -> None:
+    """Each slave has its turn once all it passes on is there, whatever the order they are given in; the plant once more,
+    for the force that its acceleration depends on."""
+    both = {"y1": ("u1", "u2"), "y2": ("u1", "u2")}
+    slaves = {
+        "motion": state("motion"),
+        "plant": Block("plant", {"y1": (), "y2": ("u1",)}),
+        "sensor": gain("sensor"),
+        "pd": Block("pd", both),
+    }
+    wires = [("motion.y1", "pd.u1"), ("plant.y1", "sensor.u1"), ("sensor.y1", "pd.u2"), ("pd.y1", "plant.u1")]
+    found = names(system := connect([slaves[name] for name in order], wires), system.visits)
+    assert sorted(found) == ["motion", "pd", "plant", "plant", "sensor"]
+    assert found.index("plant") < found.index("sensor") < found.index("pd")
+    assert found[-1] == "plant"

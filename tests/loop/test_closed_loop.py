@@ -20,6 +20,8 @@ from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.summary import summarise
 from flexfmu.model.scene import Scene
 
+COMPUTED_TORQUE = {"kind": "computed-torque", "proportional": 6400.0, "derivative": 160.0, "sample_time": 1e-3}
+
 
 @pytest.fixture(scope="module")
 def run(controlled: Scene) -> Run:
@@ -52,6 +54,31 @@ def test_computed_torque_follows_the_plan(run: Run) -> None:
     assert 0.0 < (found["peak_tracking_error_1"] or 1.0) < 1e-3
     assert (found["rms_tracking_error_2"] or 1.0) < (found["peak_tracking_error_2"] or 0.0)
     assert (found["residual_vibration_amplitude"] or 1.0) < 2e-5
+
+
+@pytest.mark.parametrize("offset", [0.0, 5e-4])
+def test_first_row_is_the_standstill(robot: Scene, offset: float) -> None:
+    """Left of the start, and until a late first sample, every slave puts out what it makes of the robot at rest: the
+    controller behind an encoder sees the true angles, so its torques hold the robot but for the encoder's step and the
+    links' sag, and the jump of the reference acceleration comes with the first sample."""
+    sections = {
+        "controller": [COMPUTED_TORQUE | {"offset": offset}],
+        "imperfection": [{"kind": "encoder", "counts_per_turn": 1e7}],
+        "trajectory.profile": {"kind": "bang-bang"},
+        "trajectory.dwell": 0.0,
+        "trajectory.duration": 0.8,
+        "cosimulation.step": 5e-4,
+    }
+    recording = run_scene(robot.replace(sections)).recording
+    before = recording.time < offset if offset else np.arange(recording.time.size) < 1
+    for joint in (1, 2):
+        torque, angle = (recording[f"joint{joint}.{kind}"].values for kind in ("torque", "position"))
+        held = holding_torques(robot)[f"joint{joint}.torque"]
+        np.testing.assert_allclose(torque[before], held, rtol=2e-4)
+        assert abs(torque[np.argmin(before)] - held) > 1.0 or offset
+        np.testing.assert_allclose(angle[before], angle[0], rtol=0.0, atol=1e-8)
+        encoded = recording[f"encoder.joint{joint}.position"].values
+        np.testing.assert_allclose(encoded[before], angle[before], rtol=0.0, atol=np.pi / 1e7)
 
 
 def test_peak_torque_is_that_of_the_acting_torque(run: Run) -> None:

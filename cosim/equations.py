@@ -82,9 +82,11 @@ def check_sampling(sample_time: float, offset: float, where: str) -> None:
 
 
 def split(vector: Vector, *sizes: int) -> list[Vector]:
-    """Cut a vector into pieces of these sizes, and whatever remains into pieces of the last size."""
+    """Cut a vector into pieces of these sizes, and whatever remains into pieces of the last size; nothing remains after a
+    last piece of size zero."""
     edges = list(accumulate(sizes, initial=0))
-    edges += range(edges[-1] + sizes[-1], vector.numel() + 1, sizes[-1])
+    if sizes[-1]:
+        edges += range(edges[-1] + sizes[-1], vector.numel() + 1, sizes[-1])
     pieces: list[Vector] = casadi.vertsplit(vector, edges)
     return pieces
 
