@@ -19,6 +19,7 @@ FUZZER = ("tape.c", "fuzzed_calls.c", "fuzz.c", "fuzz_main.c")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_no_sequence_of_calls_breaks_a_promise(name: str, tmp_path: Path) -> None:
     """Illegal orders, odd arguments, spoilt states and rollbacks: the right status and a sentence, never a crash, a hang,

@@ -15,6 +15,7 @@ CHOSEN = ("robot", "block", "trajectory")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHOSEN)
 def test_cycles_leak_nothing(name: str, tmp_path: Path) -> None:
     """A tool that makes an instance for every parameter set would run out of memory."""
@@ -24,6 +25,7 @@ def test_cycles_leak_nothing(name: str, tmp_path: Path) -> None:
     assert run(program, CYCLES, ASAN_OPTIONS="detect_leaks=1") == f"{CYCLES} cycles\n"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="no valgrind")
 @pytest.mark.parametrize("name", CHOSEN)
 def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
@@ -33,6 +35,7 @@ def test_valgrind_finds_nothing(name: str, tmp_path: Path) -> None:
     assert run("valgrind", *options, program, FEWER) == f"{FEWER} cycles\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHOSEN)
 def test_two_threads_do_not_touch_each_other(name: str, tmp_path: Path) -> None:
     """Masters step their FMUs in parallel; each must get what it gets alone, and share no memory that changes."""
