@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 FOLDER = Path(os.environ.get("FLEXFMU_TOOLS", ROOT / "build" / "tools"))
 """Folder of the jars."""
 

@@ -1,0 +1,78 @@
+"""Other people's masters run exported FMUs: python masters.py NAME SYSTEM STEP STOP; prints a JSON list of rows.
+
+Each is a small program of its own, since these libraries write to standard output, or may end their process.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from typing import Any
+
+SIGNALS = ("end_effector.position.x", "end_effector.position.y", "joint1.torque")
+"""What is compared: outputs of the slave ``plant``."""
+
+Rows = list[list[float]]
+System = dict[str, Any]
+
+
+def libcosim(system: System, step: float, count: int) -> Rows:
+    """The Open Simulation Platform's master, fixed steps."""
+    from fmpy import read_model_description
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    execution = CosimExecution.from_step_size(round(step * 1e9))
+    indices, references = {}, {}
+    for name, path in system["fmus"].items():
+        indices[name] = execution.add_local_slave(CosimLocalSlave(path, name))
+        variables = read_model_description(path).modelVariables
+        references[name] = {variable.name: variable.valueReference for variable in variables}
+    for source, target in system["connections"]:
+        (giver, output), (taker, given) = source.split(".", 1), target.split(".", 1)
+        ends = indices[giver], references[giver][output], indices[taker], references[taker][given]
+        assert execution.connect_real_variables(*ends) == 0
+    observer = CosimObserver.create_last_value()
+    execution.add_observer(observer)
+    signals = [references["plant"][name] for name in SIGNALS]
+    rows = []
+    for n in range(count):
+        assert execution.step(1)
+        rows.append([(n + 1) * step, *observer.last_real_values(indices["plant"], signals)])
+    return rows
+
+
+def ecos(system: System, step: float, count: int) -> Rows:
+    """NTNU's master, fixed steps."""
+    from ecospy import EcosSimulation, EcosSimulationStructure
+
+    structure = EcosSimulationStructure()
+    for name, path in system["fmus"].items():
+        structure.add_model(name, path)
+    for ends in system["connections"]:
+        structure.make_real_connection(*(end.replace(".", "::", 1) for end in ends))
+    simulation = EcosSimulation(structure=structure, step_size=step)
+    simulation.init()
+    rows = []
+    for n in range(count):
+        simulation.step(1)
+        rows.append([(n + 1) * step, *(simulation.get_real(f"plant::{name}") for name in SIGNALS)])
+    return rows
+
+
+MASTERS: dict[str, Callable[[System, float, int], Rows]] = {"libcosim": libcosim, "ecos": ecos}
+
+
+def main() -> None:
+    """Run the master that the command line names."""
+    name, file, step, stop = sys.argv[1:]
+    with open(file, encoding="utf-8") as text:
+        system = json.load(text)
+    rows = MASTERS[name](system, float(step), round(float(stop) / float(step)))
+    print("\nrows: " + json.dumps(rows), flush=True)
+
+
+if __name__ == "__main__":
+    main()
