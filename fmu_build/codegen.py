@@ -92,7 +92,7 @@ def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     vectors |= dict.fromkeys(("o", "o2", "do"), len(model.outputs))
     vectors |= dict.fromkeys(("p", "dp"), len(model.parameters))
     vectors |= dict.fromkeys(("d", "dd"), n_derived := _function(model, "derive").numel_out(0))
-    vectors["start_rates"] = n_derived + n + m
+    vectors["start_rates"] = n_derived + n
     vectors |= {"margin": 1, "scale": 2 * n + 1}
     return {name: (size, 1) for name, size in vectors.items()} | {"m": (n, n)}
 

@@ -84,7 +84,7 @@ def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[
     y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
     outputs = casadi.vertcat(*(casadi.SX(expression) for _, expression in equations.outputs))
     derived = five_bar.registry.resolved()
-    start = casadi.vertcat(derived, equations.initial_coordinates, equations.initial_inputs)
+    start = casadi.vertcat(derived, equations.initial_coordinates)
     results = {
         "derive": ([p], derived),
         "initial_inputs": ([p], equations.initial_inputs),

@@ -62,7 +62,7 @@ static int differentiate(flex_plant *plant, const flex_function *function, const
   return flex_call(&plant->equations, function, 10, arguments, result);
 }
 
-// changes of derived parameters, and of start coordinates and inputs that nobody has set
+// changes of derived parameters, and of the coordinates at the start
 static int follow_parameters(flex_plant *plant) {
   const flex_model *model = plant->model;
   flex_tangent *tangent = &plant->tangent;
@@ -71,13 +71,9 @@ static int follow_parameters(flex_plant *plant) {
   if (!changed) return 0;
   const double *const arguments[] = {plant->p, tangent->p};
   if (flex_call(&plant->equations, &model->start_forward, 2, arguments, tangent->start)) return 1;
-
-  const double *y = tangent->start + model->n_derived, *u = y + model->n;
-  memcpy(tangent->d, tangent->start, (size_t)model->n_derived * sizeof *y);
-  if (plant->record->is_moving) return 0;
-  memcpy(tangent->y, y, (size_t)model->n * sizeof *y);
-  for (int i = 0; i < model->n_inputs; i++)
-    if (!plant->inputs.given[i]) tangent->u[i] += u[i];
+  memcpy(tangent->d, tangent->start, (size_t)model->n_derived * sizeof(double));
+  if (!plant->record->is_moving)
+    memcpy(tangent->y, tangent->start + model->n_derived, (size_t)model->n * sizeof(double));
   return 0;
 }
 
@@ -96,35 +92,26 @@ static int factor_stiffness(flex_plant *plant, const flex_point *rest) {
   return refused || flex_lu_factor(free, stiffness, plant->statics.pivots);
 }
 
-// change of the static equilibrium, and of forces that nobody has set and that hold the locked unknowns there
-static flex_outcome follow_rest(flex_plant *plant, double *value) {
+// change of the static equilibrium: free unknowns keep the balance
+static int follow_equilibrium(flex_plant *plant) {
   const flex_model *model = plant->model;
   flex_tangent *tangent = &plant->tangent;
   int n = model->n, m = model->n_inputs, locked = model->n_locked, free = n - locked;
-  double *y = plant->integrator.full_y, *dy = tangent->rest_y, *du = tangent->rest_u, *dr = tangent->residual;
-  flex_outcome outcome = flex_plant_rest(plant, y, value);
-  if (outcome != FLEX_DONE) return outcome;
-  const flex_point rest = {y, plant->zero, plant->zero, plant->u2, plant->d};
-  if (factor_stiffness(plant, &rest)) return FLEX_NOT_FINITE;
+  const double *u = flex_plant_inputs_at_rest(plant), *zero = plant->zero;
+  const flex_point rest = {plant->integrator.y, zero, zero, u, plant->d};
+  if (factor_stiffness(plant, &rest)) return 1;
 
-  // locked unknowns and inputs as given, but for rates, which are zero at rest
-  memcpy(dy, tangent->y, (size_t)locked * sizeof *dy);
+  // rates among the inputs stay zero at rest
+  double *dy = tangent->y, *du = tangent->rest_u, *dr = tangent->residual;
   memset(dy + locked, 0, (size_t)free * sizeof *dy);
   memcpy(du, tangent->u, (size_t)m * sizeof *du);
   for (int i = m - model->n_rate_inputs; i < m; i++) du[i] = 0.0;
 
-  // free unknowns keep the balance
-  const flex_point change = {dy, plant->zero, plant->zero, du, tangent->d};
-  if (differentiate(plant, &model->residual_forward, &rest, &change, dr)) return FLEX_NOT_FINITE;
+  const flex_point change = {dy, zero, zero, du, tangent->d};
+  if (differentiate(plant, &model->residual_forward, &rest, &change, dr)) return 1;
   flex_lu_solve(free, plant->statics.stiffness, plant->statics.pivots, dr + locked);
   for (int i = locked; i < n; i++) dy[i] = -dr[i];
-
-  // forces take up what is left
-  if (differentiate(plant, &model->residual_forward, &rest, &change, dr)) return FLEX_NOT_FINITE;
-  for (int i = 0; i < locked; i++)
-    if (!plant->inputs.given[i]) tangent->u[i] += dr[i];
-  if (plant->record->starts_static) memcpy(tangent->y, dy, (size_t)n * sizeof *dy);
-  return FLEX_DONE;
+  return 0;
 }
 
 // changes of accelerations and outputs with those of everything else
@@ -146,12 +133,12 @@ static int follow_motion(flex_plant *plant) {
 
 // changes of all outputs with what was gathered
 static flex_failure follow(flex_plant *plant) {
+  const flex_plant_record *record = plant->record;
   flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
-  if (follow_parameters(plant)) failure.outcome = FLEX_NOT_FINITE;
-  if (failure.outcome == FLEX_DONE && !plant->record->is_moving && flex_plant_rests(plant))
-    failure.outcome = follow_rest(plant, &failure.value);
-  if (failure.outcome == FLEX_DONE && follow_motion(plant)) failure.outcome = FLEX_NOT_FINITE;
+  int refused = follow_parameters(plant);
+  if (!refused && !record->is_moving && record->starts_static) refused = follow_equilibrium(plant);
+  if (refused || follow_motion(plant)) failure.outcome = FLEX_NOT_FINITE;
   return failure;
 }
 

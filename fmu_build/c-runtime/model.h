@@ -62,7 +62,7 @@ typedef struct {
    * v, a, da/dt, du/dt, 0 give the rates. residual_forward is M da + (terms without da). */
   flex_function residual_forward; /* (y, v, a, u, d, dy, dv, da, du, dd) -> dr [n] */
   flex_function outputs_forward;  /* (y, v, a, u, d, dy, dv, da, du, dd) -> do [n_outputs] */
-  flex_function start_forward;    /* (p, dp) -> [dd, dy, du] of derive, initial_coordinates and initial_inputs */
+  flex_function start_forward;    /* (p, dp) -> [dd, dy] of derive and initial_coordinates */
 
   /* second time derivatives along the motion; j = da/dt, s = dj/dt, u1 = du/dt, u2 = d2u/dt2.
    * residual_rate2 is M s + (terms without s). */

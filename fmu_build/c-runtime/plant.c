@@ -169,8 +169,7 @@ static flex_outcome start_undeformed(flex_plant *plant, double *margin) {
   return *margin >= plant->model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR;
 }
 
-// the inputs of the robot at rest
-static const double *inputs_at_rest(flex_plant *plant) {
+const double *flex_plant_inputs_at_rest(flex_plant *plant) {
   int count = plant->inputs.count, rates = plant->model->n_rate_inputs;
   memcpy(plant->u2, plant->u, (size_t)count * sizeof(double));
   for (int i = count - rates; i < count; i++) plant->u2[i] = 0.0;
@@ -193,25 +192,19 @@ static int needs_holding(const flex_plant *plant) {
   return 0;
 }
 
-int flex_plant_rests(const flex_plant *plant) {
-  return plant->record->starts_static || needs_holding(plant);
-}
-
-flex_outcome flex_plant_rest(flex_plant *plant, double *y, double *value) {
-  const flex_integrator *integrator = &plant->integrator;
-  const double *u = inputs_at_rest(plant);
-  memcpy(y, integrator->y, (size_t)plant->model->n * sizeof *y);
-  return flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *integrator->floor, u, y, value);
-}
-
 // deflection under the static loads, where the motion starts from it or somebody must hold it
 static flex_outcome start_static(flex_plant *plant, double *value) {
-  double *y = plant->integrator.full_y;
-  if (!flex_plant_rests(plant)) return FLEX_DONE;
-  flex_outcome outcome = flex_plant_rest(plant, y, value);
-  if (outcome == FLEX_DONE && needs_holding(plant)) outcome = hold_locked(plant, plant->u2, y);
-  if (outcome == FLEX_DONE && plant->record->starts_static)
-    memcpy(plant->integrator.y, y, (size_t)plant->model->n * sizeof *y);
+  flex_integrator *integrator = &plant->integrator;
+  int holds = needs_holding(plant);
+  if (!plant->record->starts_static && !holds) return FLEX_DONE;
+  size_t size = (size_t)plant->model->n * sizeof(double);
+  const double *u = flex_plant_inputs_at_rest(plant);
+  double *y = integrator->full_y;
+  memcpy(y, integrator->y, size);
+  flex_outcome outcome =
+      flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *integrator->floor, u, y, value);
+  if (outcome == FLEX_DONE && holds) outcome = hold_locked(plant, u, y);
+  if (outcome == FLEX_DONE && plant->record->starts_static) memcpy(integrator->y, y, size);
   return outcome;
 }
 

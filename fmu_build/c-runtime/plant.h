@@ -81,9 +81,8 @@ flex_failure flex_plant_begin(flex_plant *plant);
 /* integrates from t0 to t1; the plant is left at the time that was reached */
 flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1);
 
-/* whether the start of the motion depends on a static equilibrium; that equilibrium y, with the inputs at rest in u2 */
-int flex_plant_rests(const flex_plant *plant);
-flex_outcome flex_plant_rest(flex_plant *plant, double *y, double *value);
+/* the present inputs with zero rates, valid until the next call */
+const double *flex_plant_inputs_at_rest(flex_plant *plant);
 
 /* make valid: coordinates and rates at the start; accelerations; accelerations at a point that is not too singular */
 flex_failure flex_plant_need_start(flex_plant *plant);

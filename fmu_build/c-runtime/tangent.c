@@ -11,9 +11,8 @@ void flex_tangent_take(flex_tangent *tangent, const flex_model *model, flex_aren
   tangent->a = flex_take_doubles(arena, n);
   tangent->u = flex_take_doubles(arena, m);
   tangent->outputs = flex_take_doubles(arena, (size_t)model->n_outputs);
-  tangent->start = flex_take_doubles(arena, derived + n + m);
+  tangent->start = flex_take_doubles(arena, derived + n);
   tangent->rest_u = flex_take_doubles(arena, m);
-  tangent->rest_y = flex_take_doubles(arena, n);
   tangent->residual = flex_take_doubles(arena, n);
 }
 
@@ -28,5 +27,4 @@ void flex_tangent_clear(flex_tangent *tangent, const flex_model *model) {
   clear(tangent->v, model->n);
   clear(tangent->a, model->n);
   clear(tangent->u, model->n_inputs);
-  clear(tangent->start, model->n_derived + model->n + model->n_inputs);
 }

@@ -7,9 +7,8 @@
 
 typedef struct {
   double *p, *d, *y, *v, *a, *u, *outputs; /* changes, named like what changes */
-  double *start;    /* changes of derived parameters, coordinates and inputs with p, one after the other */
+  double *start;    /* changes of derived parameters and start coordinates with p, one after the other */
   double *rest_u;   /* changes of the inputs of the robot at rest */
-  double *rest_y;   /* changes of its static equilibrium */
   double *residual; /* changes of the residual */
 } flex_tangent;
 

@@ -74,7 +74,7 @@ def _step(instance: Any, fmu: FmuUnderTest, n: int, parts: int) -> NDArray[np.fl
 
 
 def _ramp(fmu: FmuUnderTest, variable: Any, how: str) -> NDArray[np.float64]:
-    """Outputs after a step over which one input rises from its start, given in one way or another."""
+    """Outputs after a step over which one input rises from its start, given in one way or another; at the end it has risen."""
     rise = EXCITATION * size_of(variable)
     start = float(variable.start or 0.0)
     with fmu.instance(how) as instance:
@@ -86,4 +86,5 @@ def _ramp(fmu: FmuUnderTest, variable: Any, how: str) -> NDArray[np.float64]:
             if how == "derivative":
                 instance.library.setRealInputDerivatives([variable.valueReference], [1], [rise / fmu.step])
             instance.step(part / parts, parts)
+        instance.set([variable], np.array([start + rise]))
         return np.asarray(instance.get(fmu.outputs))

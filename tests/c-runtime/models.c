@@ -141,11 +141,11 @@ static int oscillators_outputs_forward(in arg, out res, int *iw, double *w, int 
   return 0;
 }
 
-// d changes with p; neither start position nor inputs do
+// d changes with p, the start position does not
 static int oscillators_start_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[1], 4 * sizeof(double));
-  return origin(res[0] + 4, 6);
+  return origin(res[0] + 4, 3);
 }
 
 // arg: y, v, a, j, s, u, u1, u2, d
@@ -280,7 +280,7 @@ const flex_model pendulum = {.name = "pendulum",
                              .residual_forward = FUNCTION(pendulum_residual_forward),
                              .residual_rate2 = FUNCTION(pendulum_residual_rate2),
                              .outputs_forward = FUNCTION(pendulum_energy_forward),
-                             .start_forward = FUNCTION(origin_2),
+                             .start_forward = FUNCTION(origin_1),
                              .outputs_rate2 = FUNCTION(pendulum_energy_rate2),
                              .singularity = FUNCTION(ample_margin),
                              .error_scale = FUNCTION(unit_scale_1)};
@@ -439,7 +439,7 @@ const flex_model rigid = {.name = "rigid",
                           .residual_forward = FUNCTION(no_inputs),
                           .residual_rate2 = FUNCTION(no_inputs),
                           .outputs_forward = FUNCTION(rigid_outputs_forward),
-                          .start_forward = FUNCTION(zero_input),
+                          .start_forward = FUNCTION(no_inputs),
                           .outputs_rate2 = FUNCTION(rigid_outputs_rate2),
                           .singularity = FUNCTION(margin_below_one),
                           .error_scale = FUNCTION(unit_floor)};
@@ -483,11 +483,11 @@ static int sixth_argument(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-// d changes with p; neither start position nor input does
+// d changes with p, the start position does not
 static int fragile_start_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[1], 2 * sizeof(double));
-  return origin(res[0] + 2, 2);
+  return origin(res[0] + 2, 1);
 }
 
 static int third_argument(in arg, out res, int *iw, double *w, int mem) {
