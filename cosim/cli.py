@@ -80,13 +80,20 @@ def build(
             help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
         ),
     ] = None,
+    naming: Annotated[
+        str,
+        typer.Option(
+            metavar="CONVENTION",
+            help="structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.",
+        ),
+    ] = "structured",
     json: JsonOption = False,
 ) -> None:
-    """Build the FMI 2.0 co-simulation FMU of a scene."""
+    """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange."""
     with one_line_errors():
         from flexfmu.cosim.cli_fmu import build_command
 
-        raise typer.Exit(build_command(scene, output, platform or [], json))
+        raise typer.Exit(build_command(scene, output, platform or [], naming, json))
 
 
 @app.command()
@@ -101,7 +108,10 @@ def fmus(
     ] = None,
     platform: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="linux64, win64 or darwin64; may be repeated. Default: this machine's."),
+        typer.Option(
+            metavar="NAME",
+            help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
+        ),
     ] = None,
     json: JsonOption = False,
 ) -> None:

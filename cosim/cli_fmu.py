@@ -9,20 +9,34 @@ from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
 from flexfmu.cosim.cli_errors import FAILURE
-from flexfmu.cosim.errors import FmuFileError
+from flexfmu.cosim.errors import FmuFileError, InputError
 from flexfmu.cosim.json_text import to_json
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.model.scene_file import load_scene
 
 
-def build_command(source: str, output: Path | None, platforms: list[str], as_json: bool) -> int:
-    """Build the scene's FMU and print where it is; the exit status."""
+def build_command(source: str, output: Path | None, platforms: list[str], naming: str, as_json: bool) -> int:
+    """Build the scene's FMU and print where it is; the exit status.
+
+    Raises:
+        InputError: there is no such naming convention.
+    """
+    from flexfmu.fmu_build.naming import NAMINGS
     from flexfmu.fmu_build.scene_build import build_scene
+
+    if naming not in NAMINGS:
+        raise InputError(f"unknown naming convention {naming!r}; choose from {', '.join(NAMINGS)}")
 
     scene = load_scene(source)
     target = output or Path(f"{scene.name}.fmu")
     with progress() as show:
-        built = build_scene(scene, output=target, platforms=platforms or None, progress=lambda text: show(text, None))
+        built = build_scene(
+            scene,
+            output=target,
+            platforms=platforms or None,
+            naming=NAMINGS[naming],
+            progress=lambda text: show(text, None),
+        )
     if as_json:
         print_text(to_json(asdict(built) | {"path": str(built.path)}))
         return 0

@@ -16,6 +16,7 @@ import fmpy
 from fmpy.model_description import read_model_description
 
 from flexfmu.cosim.errors import FmuFileError
+from flexfmu.fmu_build.naming import structured_name
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,17 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
         folder = _root() / digest
         attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
+        _restore_names(description)
         _unpacked[digest] = folder, description
     return _unpacked[digest]
+
+
+def _restore_names(description: Any) -> None:
+    """Give the variables of our own FMUs with flat names the structured ones, so that they connect like any others."""
+    is_ours = str(description.generationTool).startswith("flexfmu ")
+    if is_ours and description.variableNamingConvention == "flat":
+        for variable in description.modelVariables:
+            variable.name = structured_name(variable.name)
 
 
 def attempt(path: Path, action: Callable[[], Any]) -> Any:

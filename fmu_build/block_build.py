@@ -10,6 +10,7 @@ from flexfmu.fmu_build.build import BuiltFmu, Progress, build_from_sources
 from flexfmu.fmu_build.experiment import DefaultExperiment
 
 if TYPE_CHECKING:
+    from flexfmu.fmu_build.naming import Naming
     from flexfmu.fmu_build.sources import Sources
     from flexfmu.model.block import SymbolicBlock
 
@@ -24,6 +25,7 @@ def build_block_fmu(
     stop_time: float | None = None,
     step: float | None = None,
     platforms: Iterable[str] | None = None,
+    naming: Naming = "structured",
     cache: bool = True,
     progress: Progress = lambda message: None,
 ) -> BuiltFmu:
@@ -39,7 +41,7 @@ def build_block_fmu(
         block: what to export.
         output: file to write; None leaves the FMU in the cache.
         stop_time, step: default experiment [s]; None for a thousand samples in steps of the sample time.
-        platforms, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
+        platforms, naming, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
 
     Raises:
         BuildError: in one line what is wrong and what to do: a block that contradicts its contract, no compiler, a
@@ -49,7 +51,7 @@ def build_block_fmu(
     from flexfmu.fmu_build.block_codegen import check_block
 
     def make_sources() -> Sources:
-        return generate_block_sources(block, experiment, progress)
+        return generate_block_sources(block, experiment, progress, naming)
 
     check_block(block)
     step = block.sample_time if step is None else step
@@ -61,7 +63,10 @@ def build_block_fmu(
 
 
 def generate_block_sources(
-    block: SymbolicBlock, experiment: DefaultExperiment, progress: Progress = lambda message: None
+    block: SymbolicBlock,
+    experiment: DefaultExperiment,
+    progress: Progress = lambda message: None,
+    naming: Naming = "structured",
 ) -> Sources:
     """Everything of the FMU that is text.
 
@@ -72,16 +77,18 @@ def generate_block_sources(
     from flexfmu.fmu_build.block_description import block_description, block_documentation, with_starts
     from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
     from flexfmu.fmu_build.icon import ICON_SIZE, png
+    from flexfmu.fmu_build.naming import named_block
     from flexfmu.fmu_build.picture import block_picture
     from flexfmu.fmu_build.sources import assemble_sources
 
     progress("generating C")
     block = with_starts(block)
     functions, facts = generate_block(block)
+    named = named_block(block, naming)
 
     def code(guid: str) -> dict[str, str]:
-        return functions | {DESCRIPTION_FILE: generate_block_description(block, facts, guid)}
+        return functions | {DESCRIPTION_FILE: generate_block_description(named, facts, guid)}
 
-    description = block_description(block)
+    description = block_description(block).named(naming)
     pages = block_documentation(block, description, experiment)
     return assemble_sources("block", description, experiment, code, pages, png(block_picture(ICON_SIZE, ICON_SIZE)))

@@ -20,6 +20,7 @@ from flexfmu.fmu_build.platforms import Platform, find_platforms
 from flexfmu.fmu_build.toolchain import find_compiler
 
 if TYPE_CHECKING:  # CasADi takes a quarter of a second to import, and a cached build needs none of it
+    from flexfmu.fmu_build.naming import Naming
     from flexfmu.fmu_build.sources import Sources
     from flexfmu.model.symbolic import SymbolicModel
 
@@ -57,6 +58,7 @@ def build_fmu(
     step: float = DefaultExperiment.step,
     tolerance: float = DefaultExperiment.tolerance,
     stop_time: float = DefaultExperiment.stop_time,
+    naming: Naming = "structured",
     cache: bool = True,
     progress: Progress = lambda message: None,
 ) -> BuiltFmu:
@@ -71,6 +73,7 @@ def build_fmu(
         step: communication step [s] of the default experiment.
         tolerance: relative tolerance of the default experiment; it also holds where the importer gives none.
         stop_time: end [s] of the default experiment.
+        naming: of the variables; ``flat`` by the rule of `flexfmu.fmu_build.naming`.
         cache: False builds anew and replaces what is in the cache.
         progress: is told what happens next.
 
@@ -81,10 +84,16 @@ def build_fmu(
     experiment = DefaultExperiment(stop_time, step, tolerance)
 
     def make_sources() -> Sources:
-        return _generate(model, experiment, progress)
+        return _generate(model, experiment, naming, progress)
 
     return build_from_sources(
-        make_sources, experiment, key=key, output=output, platforms=platforms, cache=cache, progress=progress
+        make_sources,
+        experiment,
+        key=None if key is None else f"{naming} {key}",
+        output=output,
+        platforms=platforms,
+        cache=cache,
+        progress=progress,
     )
 
 
@@ -146,14 +155,17 @@ def _store(path: Path, content: bytes, is_needed: bool) -> None:
 
 
 def _generate(
-    model: SymbolicModel | Callable[[], SymbolicModel], experiment: DefaultExperiment, progress: Progress
+    model: SymbolicModel | Callable[[], SymbolicModel],
+    experiment: DefaultExperiment,
+    naming: Naming,
+    progress: Progress,
 ) -> Sources:
     from flexfmu.fmu_build.sources import generate_sources
 
     progress("building the model")
     symbolic = model() if callable(model) else model
     progress("generating C")
-    return generate_sources(symbolic, experiment)
+    return generate_sources(symbolic, experiment, naming)
 
 
 def _build(

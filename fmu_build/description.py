@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import INITIAL_TYPE, INTEGRATOR_TYPE, EnumerationType, Interface, build_interface
 from flexfmu.fmu_build.licences import AUTHOR, LICENSE, copyright_line
+from flexfmu.fmu_build.naming import Naming, named_interface
 from flexfmu.fmu_build.quantities import RealType, real_types
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.units import unit_definitions
@@ -45,6 +46,7 @@ class Description:
         max_output_order: highest order of an output's derivative that can be read; 0 for none.
         has_tolerance: whether the default experiment's tolerance means anything here.
         has_model_exchange: whether the importer may integrate it; then it has directional derivatives too.
+        naming: how the variables are named.
         annotations: what FMI has no place for, for tools that look: element → attributes.
 
     Raises:
@@ -59,6 +61,7 @@ class Description:
     max_output_order: int = 0
     has_tolerance: bool = False
     has_model_exchange: bool = False
+    naming: Naming = "structured"
     annotations: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -66,6 +69,14 @@ class Description:
         for variable in self.interface.variables:
             if variable.name in types:
                 raise ModelError(f"variable '{variable.name}' has the name of a type; give it another one")
+
+    def named(self, naming: Naming) -> Description:
+        """The same with variables named so.
+
+        Raises:
+            ModelError: a variable has no flat name.
+        """
+        return replace(self, interface=named_interface(self.interface, naming), naming=naming)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -128,6 +139,7 @@ def description_xml(
         max_input_order=description.max_input_order,
         max_output_order=description.max_output_order,
         has_model_exchange=description.has_model_exchange,
+        naming=description.naming,
         annotations=_annotations(description),
         interface=description.interface,
     )

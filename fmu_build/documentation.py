@@ -27,10 +27,16 @@ def documentation(model: SymbolicModel, description: Description, experiment: De
         experiment,
         picture=plant_picture(model, *PICTURE_SIZE, labelled=True),
         model=model,
-        rates={output.derivative_of: output.name for output in model.outputs},
+        states=_states(model),
         initial_states=INITIAL_STATES,
         integrators=INTEGRATORS,
     )
+
+
+def _states(model: SymbolicModel) -> list[str]:
+    """Names of the coordinates, each with its rate."""
+    rates = {output.derivative_of: output.name for output in model.outputs}
+    return [name for unknown in model.unknowns for name in (unknown, rates[unknown])]
 
 
 def plant_picture(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from flexfmu.fmu_build.build import BuiltFmu, Progress, build_fmu
 
 if TYPE_CHECKING:
+    from flexfmu.fmu_build.naming import Naming
     from flexfmu.model.scene import Scene
     from flexfmu.model.symbolic import SymbolicModel
 
@@ -38,6 +39,7 @@ def build_scene(
     *,
     output: Path | None = None,
     platforms: Iterable[str] | None = None,
+    naming: Naming = "structured",
     cache: bool = True,
     progress: Progress = lambda message: None,
 ) -> BuiltFmu:
@@ -47,7 +49,7 @@ def build_scene(
 
     Args:
         scene: what to build.
-        output, platforms, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
+        output, platforms, naming, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
 
     Raises:
         BuildError: as for `build_fmu`.
@@ -67,6 +69,7 @@ def build_scene(
         step=scene.cosimulation.step,
         tolerance=scene.cosimulation.tolerance,
         stop_time=_stop_time(scene),
+        naming=naming,
         cache=cache,
         progress=progress,
     )

@@ -14,6 +14,7 @@ from flexfmu.fmu_build.documentation import documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.hashing import content_hash
 from flexfmu.fmu_build.icon import ICON_FILE, png
+from flexfmu.fmu_build.naming import Naming, named_model
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
@@ -64,19 +65,20 @@ class Sources:
         return {path: text.encode() for path, text in texts.items()} | ({ICON_FILE: self.icon} if self.icon else {})
 
 
-def generate_sources(model: SymbolicModel, experiment: DefaultExperiment) -> Sources:
+def generate_sources(model: SymbolicModel, experiment: DefaultExperiment, naming: Naming = "structured") -> Sources:
     """Everything of the FMU that is text. The GUID is the hash of all of it, taken with a blank GUID.
 
     Raises:
         ModelError: the model contradicts its contract.
     """
     functions, facts = generate_functions(model)
+    named = named_model(model, naming)
 
     def code(guid: str) -> dict[str, str]:
-        return functions | {DESCRIPTION_FILE: generate_description(model, facts, guid, experiment.tolerance)}
+        return functions | {DESCRIPTION_FILE: generate_description(named, facts, guid, experiment.tolerance)}
 
-    description = plant_description(model)
-    pages = documentation(model, description, experiment)
+    description = plant_description(model).named(naming)
+    pages = documentation(named, description, experiment)
     return assemble_sources("plant", description, experiment, code, pages, png(plant_picture(model)))
 
 

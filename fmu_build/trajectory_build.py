@@ -10,6 +10,7 @@ from flexfmu.fmu_build.build import BuiltFmu, Progress, build_from_sources
 from flexfmu.fmu_build.experiment import DefaultExperiment
 
 if TYPE_CHECKING:
+    from flexfmu.fmu_build.naming import Naming
     from flexfmu.fmu_build.sources import Sources
     from flexfmu.trajectories.trajectory import Trajectory
 
@@ -27,6 +28,7 @@ def build_trajectory_fmu(
     stop_time: float | None = None,
     step: float = DEFAULT_STEP,
     platforms: Iterable[str] | None = None,
+    naming: Naming = "structured",
     cache: bool = True,
     progress: Progress = lambda message: None,
 ) -> BuiltFmu:
@@ -44,7 +46,7 @@ def build_trajectory_fmu(
         unit: unit of the positions.
         name: model name.
         stop_time, step: default experiment [s]; the duration of the motion if there is no stop time.
-        platforms, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
+        platforms, naming, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
 
     Raises:
         BuildError: in one line what is wrong and what to do: a trajectory that no table reproduces, axes that don't suit
@@ -52,7 +54,9 @@ def build_trajectory_fmu(
     """
 
     def make_sources() -> Sources:
-        return generate_trajectory_sources(trajectory, experiment, axes=axes, unit=unit, name=name, progress=progress)
+        return generate_trajectory_sources(
+            trajectory, experiment, axes=axes, unit=unit, name=name, naming=naming, progress=progress
+        )
 
     end = float(f"{trajectory.duration:.12g}") if stop_time is None else stop_time
     experiment = DefaultExperiment(stop_time=end, step=step)
@@ -68,6 +72,7 @@ def generate_trajectory_sources(
     axes: Sequence[str] = ("joint1", "joint2"),
     unit: str = "rad",
     name: str = "trajectory",
+    naming: Naming = "structured",
     progress: Progress = lambda message: None,
 ) -> Sources:
     """Everything of the FMU that is text.
@@ -78,6 +83,7 @@ def generate_trajectory_sources(
     from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
     from flexfmu.fmu_build.errors import ModelError
     from flexfmu.fmu_build.icon import png
+    from flexfmu.fmu_build.naming import named_variables
     from flexfmu.fmu_build.sources import assemble_sources
     from flexfmu.fmu_build.templating import render
     from flexfmu.fmu_build.trajectory_description import (
@@ -98,10 +104,15 @@ def generate_trajectory_sources(
         template = "trajectory_description.c.j2"
         return {
             DESCRIPTION_FILE: render(
-                template, name=name, guid=guid, table=table, axes=motion.axes, outputs=motion.outputs
+                template,
+                name=name,
+                guid=guid,
+                table=table,
+                axes=motion.axes,
+                outputs=named_variables(motion.outputs, naming),
             )
         }
 
-    description = trajectory_description(motion)
+    description = trajectory_description(motion).named(naming)
     pages = trajectory_documentation(motion, description, experiment)
     return assemble_sources("trajectory", description, experiment, code, pages, png(motion_picture(motion)))

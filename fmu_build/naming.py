@@ -1,0 +1,137 @@
+"""Flat names of variables, for tools that choke on structured ones, by a rule that can be undone.
+
+=====================================  ==========================  ==============================
+Part of the structured name            in the flat name            example
+=====================================  ==========================  ==============================
+underscore                             two underscores             ``end_effector`` ``end__effector``
+``.`` before a component               underscore                  ``link11.bending`` ``link11_bending``
+``[i]``, ``[i,j]``                     underscore, number          ``bending[1]`` ``bending_1``
+``der(name)``                          ``der_`` in front           ``der(joint1.velocity)`` ``der_joint1_velocity``
+``der(name,n)``                        ``der`` n ``_`` in front    ``der(x.y,2)`` ``der2_x_y``
+=====================================  ==========================  ==============================
+
+A component that begins with a digit or an underscore, or a first one that reads like a derivative, has no flat name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
+
+from flexfmu.fmu_build.errors import ModelError
+
+if TYPE_CHECKING:
+    from flexfmu.fmu_build.interface import Interface
+    from flexfmu.model.block import SymbolicBlock
+    from flexfmu.model.symbolic import SymbolicModel, Variable
+
+Naming = Literal["structured", "flat"]
+"""How variables are named; FMI's attribute ``variableNamingConvention``."""
+
+NAMINGS: dict[str, Naming] = {"structured": "structured", "flat": "flat"}
+"""All of them, by the words for them."""
+
+_DERIVATIVE = re.compile(r"der\((?P<name>.+?)(?:,(?P<order>\d+))?\)")
+_FLAT_DERIVATIVE = re.compile(r"der(?P<order>\d*)_(?P<name>[^_].*)")
+_FLAT_PARTS = re.compile(r"__|(?:_\d+)+|_")
+
+
+def flat_name(name: str) -> str:
+    """The flat name of a variable with a structured one.
+
+    Raises:
+        ModelError: there is none from which the structured name could be found again.
+    """
+    derivative = _DERIVATIVE.fullmatch(name)
+    flat = f"der{derivative['order'] or ''}_{_flat_path(derivative['name'])}" if derivative else _flat_path(name)
+    if not re.fullmatch(r"[A-Za-z]\w*", flat, re.ASCII) or structured_name(flat) != name:
+        raise ModelError(f"variable '{name}' has no flat name; use names like joint1.torque or link11.bending[1]")
+    return flat
+
+
+def structured_name(flat: str) -> str:
+    """The structured name that `flat_name` was given."""
+    derivative = _FLAT_DERIVATIVE.fullmatch(flat)
+    if derivative is None:
+        return _FLAT_PARTS.sub(_structured_part, flat)
+    order = f",{derivative['order']}" if derivative["order"] else ""
+    return f"der({_FLAT_PARTS.sub(_structured_part, derivative['name'])}{order})"
+
+
+def _flat_path(path: str) -> str:
+    return re.sub(r"[.,\[]", "_", path.replace("_", "__").replace("]", ""))
+
+
+def _structured_part(part: re.Match[str]) -> str:
+    text = part.group()
+    if text in ("__", "_"):
+        return "_" if text == "__" else "."
+    return f"[{text[1:].replace('_', ',')}]"
+
+
+def namer(naming: Naming) -> Callable[[str], str]:
+    """Function that gives a variable with a structured name the name to be used."""
+    return flat_name if naming == "flat" else str
+
+
+def named_variables(variables: Iterable[Variable], naming: Naming) -> tuple[Variable, ...]:
+    """The variables named so, also where they name each other.
+
+    Raises:
+        ModelError: one has no flat name.
+    """
+    name = namer(naming)
+    return tuple(
+        replace(
+            each, name=name(each.name), derivative_of=None if each.derivative_of is None else name(each.derivative_of)
+        )
+        for each in variables
+    )
+
+
+def named_model(model: SymbolicModel, naming: Naming) -> SymbolicModel:
+    """The model with its variables named so.
+
+    Raises:
+        ModelError: a variable has no flat name.
+    """
+    return replace(
+        model,
+        unknowns=tuple(map(namer(naming), model.unknowns)),
+        inputs=named_variables(model.inputs, naming),
+        parameters=named_variables(model.parameters, naming),
+        outputs=named_variables(model.outputs, naming),
+        feedthrough=_named_feedthrough(model.feedthrough, naming),
+    )
+
+
+def named_block(block: SymbolicBlock, naming: Naming) -> SymbolicBlock:
+    """The block with its variables named so.
+
+    Raises:
+        ModelError: a variable has no flat name.
+    """
+    return replace(
+        block,
+        inputs=named_variables(block.inputs, naming),
+        parameters=named_variables(block.parameters, naming),
+        outputs=named_variables(block.outputs, naming),
+        feedthrough=_named_feedthrough(block.feedthrough, naming),
+    )
+
+
+def _named_feedthrough(feedthrough: Mapping[str, tuple[str, ...]], naming: Naming) -> dict[str, tuple[str, ...]]:
+    name = namer(naming)
+    return {name(output): tuple(map(name, inputs)) for output, inputs in feedthrough.items()}
+
+
+def named_interface(interface: Interface, naming: Naming) -> Interface:
+    """The interface with all its variables named so.
+
+    Raises:
+        ModelError: a variable has no flat name.
+    """
+    name = namer(naming)
+    return replace(interface, variables=tuple(replace(each, name=name(each.name)) for each in interface.variables))

@@ -1,0 +1,98 @@
+"""Flat names: a rule that can be undone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.model_description import read_model_description
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexfmu.cosim.fmu_file import open_fmu
+from flexfmu.fmu_build.build import build_fmu
+from flexfmu.fmu_build.description import plant_description
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.naming import flat_name, structured_name
+from flexfmu.model.symbolic import SymbolicModel
+
+COMPONENTS = st.from_regex(r"[a-z][a-z0-9_]{0,5}", fullmatch=True)
+INDICES = st.one_of(
+    st.just(""), st.lists(st.integers(0, 12), min_size=1, max_size=2).map(lambda i: f"[{','.join(map(str, i))}]")
+)
+PATHS = st.lists(st.tuples(COMPONENTS, INDICES).map("".join), min_size=1, max_size=4).map(".".join)
+NAMES = st.one_of(
+    PATHS, PATHS.map("der({})".format), st.tuples(PATHS, st.integers(2, 4)).map(lambda x: "der({},{})".format(*x))
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "flat"),
+    [
+        ("joint1.torque", "joint1_torque"),
+        ("end_effector.position.x", "end__effector_position_x"),
+        ("link11.bending[1]", "link11_bending_1"),
+        ("der(link11.bending[1])", "der_link11_bending_1"),
+        ("der(link11.bending[1],2)", "der2_link11_bending_1"),
+        ("a[1,2].b", "a_1_2_b"),
+        ("a_1", "a__1"),
+    ],
+)
+def test_names_are_flattened_as_documented(name: str, flat: str) -> None:
+    """Scripts are written against these names."""
+    assert flat_name(name) == flat
+
+
+@given(name=NAMES)
+@settings(derandomize=True, deadline=None, max_examples=500)
+def test_flat_names_can_be_read_back(name: str) -> None:
+    """Whatever has a flat name is found again from it, so no two variables share one; all else is refused."""
+    try:
+        flat = flat_name(name)
+    except ModelError:
+        assert re.match(r"der\d*[.\[]", name)
+    else:
+        assert structured_name(flat) == name
+        assert flat.replace("_", "a").isalnum()
+
+
+@pytest.mark.parametrize("name", ["der.x", "a._b", "'quoted name'", "der2.x", "1a", "größe"])
+def test_names_without_a_way_back_are_refused(name: str) -> None:
+    """They would collide with others; the message says what names look like."""
+    with pytest.raises(ModelError, match="has no flat name; use names like"):
+        flat_name(name)
+
+
+def test_flat_fmu_is_valid_and_computes_the_same(make_oscillators: Callable[..., SymbolicModel]) -> None:
+    """The names change and nothing else: fmpy's checks of flat names pass, its results are equal."""
+    paths = [build_fmu(make_oscillators(), stop_time=0.1, naming=naming).path for naming in ("structured", "flat")]
+    description = read_model_description(str(paths[1]), validate_variable_names=True)
+    assert description.variableNamingConvention == "flat"
+    structured, flat = (
+        fmpy.simulate_fmu(str(path), output=[name])
+        for path, name in zip(paths, ("der(first.position)", "der_first_position"), strict=True)
+    )
+    np.testing.assert_array_equal(structured["der(first.position)"], flat["der_first_position"])
+
+
+def test_our_own_master_sees_the_structured_names(
+    make_oscillators: Callable[..., SymbolicModel], tmp_path: Path
+) -> None:
+    """A flat FMU of ours connects by the names of the scene."""
+    built = build_fmu(make_oscillators(), naming="flat", output=tmp_path / "flat.fmu")
+    names = {variable.name for variable in open_fmu(built.path).description.modelVariables}
+    assert {variable.name for variable in make_oscillators().outputs} <= names
+    assert "statistics.steps" in names
+
+
+def test_model_with_an_impossible_name_is_refused(make_oscillators: Callable[..., SymbolicModel]) -> None:
+    """At build time and with the variable's name."""
+    model = make_oscillators()
+    mass = replace(model.parameters[0], name="der.mass")
+    with pytest.raises(ModelError, match=r"variable 'der\.mass' has no flat name"):
+        plant_description(replace(model, parameters=(mass, *model.parameters[1:]))).named("flat")
