@@ -55,18 +55,19 @@ class Instance:
             self.fmu.newDiscreteStates()
             self.fmu.enterContinuousTimeMode()
 
-    def _of(self, names: Sequence[str]) -> list[int]:
+    def of(self, names: Sequence[str]) -> list[int]:
+        """Their value references."""
         return [self.references[name] for name in names]
 
     def get(self, names: Sequence[str]) -> Array:
-        return np.array(self.fmu.getReal(self._of(names)))
+        return np.array(self.fmu.getReal(self.of(names)))
 
     def set(self, names: Sequence[str], values: Sequence[float] | Array) -> None:
-        self.fmu.setReal(self._of(names), [float(value) for value in values])
+        self.fmu.setReal(self.of(names), [float(value) for value in values])
 
     def set_rates(self, names: Sequence[str], values: Sequence[float] | Array) -> None:
         """First derivatives of inputs."""
-        self.fmu.setRealInputDerivatives(self._of(names), [1] * len(names), [float(value) for value in values])
+        self.fmu.setRealInputDerivatives(self.of(names), [1] * len(names), [float(value) for value in values])
 
     def _read(self, function: Callable[[Any, int], Any]) -> Array:
         values = np.full(len(self.states), np.nan)
@@ -95,7 +96,7 @@ class Instance:
 
     def jacobian(self, unknowns: Sequence[str], knowns: Sequence[str]) -> Array:
         """Directional derivatives along each known variable, (unknowns, knowns)."""
-        columns = [self.fmu.getDirectionalDerivative(self._of(unknowns), self._of([known]), [1.0]) for known in knowns]
+        columns = [self.fmu.getDirectionalDerivative(self.of(unknowns), self.of([known]), [1.0]) for known in knowns]
         return np.array(columns).reshape(len(knowns), len(unknowns)).T
 
 
