@@ -47,7 +47,7 @@ static void expand_about(flex_inputs *inputs, int index, double time) {
 }
 
 void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, double value) {
-  expand_about(inputs, index, time);
+  if (inputs->base[index] != time) expand_about(inputs, index, time);
   double factorial = 1.0;
   for (int k = 2; k <= order; k++) factorial *= k;
   polynomial(inputs, index)[order] = value / factorial;

@@ -70,6 +70,11 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
   return refused;
 }
 
+int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *u) {
+  matrix->record->factored_step = 0.0;
+  return flex_mass_matrix(equations, y, u, matrix->mass);
+}
+
 // matrix of one eigenvalue z: M + h z D + h^2 z^2 K
 static void assemble(const flex_newton_matrix *matrix, const flex_eigenvalue *z, double h, double *block) {
   const double *mass = matrix->mass, *damping = matrix->damping, *stiffness = matrix->stiffness;

@@ -41,6 +41,9 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
                         const double *a, const double *u, const double *position_weight, const double *rate_weight,
                         double scale);
 
+/* M alone, D and K as they are. Returns 0, or 1 if the model refused to be evaluated. */
+int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *u);
+
 /* factors for the step size h, unless those that are there do. Returns 0, or 1 if a matrix is singular. */
 int flex_newton_factor(flex_newton_matrix *matrix, double h);
 

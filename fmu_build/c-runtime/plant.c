@@ -291,15 +291,9 @@ flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
   return failure;
 }
 
-// whether results are there and nothing has changed since: every variable that is read asks
-static int is_current(const flex_plant *plant, int results) {
-  const flex_plant_record *record = plant->record;
-  return (record->have & results) == results && !record->inputs_changed;
-}
-
 flex_failure flex_plant_need_outputs(flex_plant *plant) {
   const flex_integrator *integrator = &plant->integrator;
-  if (is_current(plant, FLEX_HAVE_OUTPUTS)) return outcome_now(plant, FLEX_DONE, 0.0);
+  if (flex_plant_has(plant, FLEX_HAVE_OUTPUTS)) return outcome_now(plant, FLEX_DONE, 0.0);
   flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE || (plant->record->have & FLEX_HAVE_OUTPUTS)) return failure;
   const double *const arguments[] = {integrator->y, integrator->v, integrator->a, plant->u, plant->d};
@@ -348,7 +342,7 @@ static int second_rates(flex_plant *plant) {
 
 flex_failure flex_plant_need_rates(flex_plant *plant, int order) {
   flex_plant_record *record = plant->record;
-  if (is_current(plant, FLEX_HAVE_FIRST_RATES | (order > 1 ? FLEX_HAVE_SECOND_RATES : 0)))
+  if (flex_plant_has(plant, FLEX_HAVE_FIRST_RATES | (order > 1 ? FLEX_HAVE_SECOND_RATES : 0)))
     return outcome_now(plant, FLEX_DONE, 0.0);
   flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;

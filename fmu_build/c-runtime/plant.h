@@ -58,6 +58,12 @@ typedef struct {
 size_t flex_plant_size(const flex_model *model);
 flex_plant *flex_plant_create(const flex_model *model, void *memory);
 
+/* whether results are there and nothing has changed since: every variable that is read asks */
+static inline int flex_plant_has(const flex_plant *plant, int results) {
+  const flex_plant_record *record = plant->record;
+  return (record->have & results) == results && !record->inputs_changed;
+}
+
 /* back to the start values of everything */
 void flex_plant_reset(flex_plant *plant);
 

@@ -17,6 +17,9 @@
 /* most that is believed of a contraction that ended in rounding errors */
 #define MOST_ROUNDED 0.1
 
+/* so often the mass matrix is renewed alone: it changes with the pose, while modal damping and stiffness hardly do */
+#define MOST_RENEWALS 10
+
 /* steps after which a second iteration measures the contraction, even if one was enough */
 #define UNCHECKED_STEPS 8
 
@@ -156,24 +159,36 @@ static flex_outcome iterate(flex_stages *stages, double h, const double *y, cons
   return FLEX_NO_CONVERGENCE;
 }
 
-// a refresh pays when the iterations that it would have saved cost as much: 2 n residuals and the factors against the
-// residuals and the solution of the stages, which take about as long
+// the present matrix does not even make the iterations converge well
+static int is_useless(const flex_stages_record *record) {
+  return !record->matrix.is_known || record->contraction > WORN_CONTRACTION;
+}
+
+static int renews_mass_alone(const flex_stages_record *record) {
+  return !is_useless(record) && record->renewals < MOST_RENEWALS;
+}
+
+// a refresh pays when the iterations that it would have saved cost as much: the mass matrix, if need be 2 n residuals, and
+// the factors against the residuals and the solution of the stages, which take about as long
 static int is_worn(const flex_stages *stages) {
   const flex_stages_record *record = stages->record;
-  double cost = record->excess_iterations * 2.0 * stages->tableau->stages;
-  return !record->matrix.is_known || record->contraction > WORN_CONTRACTION || cost > 3.0 * stages->n + 10.0;
+  double saved = record->excess_iterations * 2.0 * stages->tableau->stages;
+  return is_useless(record) || saved > (renews_mass_alone(record) ? 1.0 : 3.0) * stages->n + 10.0;
 }
 
 // matrix at the start of the step, with the inputs at its middle
 static int refresh(flex_stages *stages, double t, double h, const double *y, const double *v, const double *a,
                    double scale) {
   flex_stages_record *record = stages->record;
+  int mass_alone = renews_mass_alone(record);
   flex_inputs_evaluate(stages->inputs, t, 0.5 * h, stages->u);
+  record->renewals = mass_alone ? record->renewals + 1 : 0;
   record->excess_iterations = 0.0;
   record->contraction = 0.0;
   record->age = 0.0;
   record->fresh_steps = 0;
   record->unchecked_steps = UNCHECKED_STEPS;
+  if (mass_alone) return flex_newton_renew_mass(&stages->matrix, stages->equations, y, stages->u);
   return flex_newton_refresh(&stages->matrix, stages->equations, y, v, a, stages->u, stages->position_weight,
                              stages->rate_weight, scale);
 }

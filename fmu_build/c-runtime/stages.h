@@ -25,6 +25,7 @@ typedef struct {
   double excess_iterations; /* beyond what a fresh matrix needs, since the last refresh */
   double usual_iterations;  /* what a fresh matrix needs */
   int fresh_steps;          /* steps since the last refresh */
+  int renewals;             /* of the mass matrix alone since D and K were calculated */
   int unchecked_steps;      /* steps since the contraction was measured */
   long long iterations, evaluations;
 } flex_stages_record;

@@ -72,7 +72,11 @@ static int is_known(flex_plant *plant, unsigned index) {
 
 int flex_get_real(flex_plant *plant, unsigned index, double *value) {
   const flex_model *model = plant->model;
-  unsigned m = (unsigned)model->n_inputs, p = (unsigned)model->n_parameters;
+  unsigned m = (unsigned)model->n_inputs, p = (unsigned)model->n_parameters, output = index - m - p;
+  if (output < (unsigned)model->n_outputs && flex_plant_has(plant, FLEX_HAVE_OUTPUTS)) {
+    *value = plant->outputs[output];
+    return 0;
+  }
   if (!is_known(plant, index)) return 1;
   if (index < m) {
     if (failed(plant, "reading inputs", flex_plant_need_inputs(plant))) return 1;
@@ -85,7 +89,7 @@ int flex_get_real(flex_plant *plant, unsigned index, double *value) {
     *value = plant->record->fixed_step;
   } else {
     if (failed(plant, "computing outputs", flex_plant_need_outputs(plant))) return 1;
-    *value = plant->outputs[index - m - p];
+    *value = plant->outputs[output];
   }
   return 0;
 }
@@ -183,14 +187,15 @@ int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, doub
 
 int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, double *value) {
   const flex_model *model = plant->model;
-  unsigned first = (unsigned)(model->n_inputs + model->n_parameters);
+  unsigned output = index - (unsigned)(model->n_inputs + model->n_parameters);
   if (!is_known(plant, index)) return 1;
-  if (index < first || index == fixed_step_index(plant))
+  if (output >= (unsigned)model->n_outputs)
     return refuse(plant, "value reference %u is no output, it has no derivatives", index);
   if (order < 1 || order > 2)
-    return refuse(plant, "derivatives of %s are of order 1 or 2, got order %d", model->output_variables[index - first].name,
-                  order);
-  if (failed(plant, "computing output derivatives", flex_plant_need_rates(plant, order))) return 1;
-  *value = (order == 1 ? plant->first_rates : plant->second_rates)[index - first];
+    return refuse(plant, "derivatives of %s are of order 1 or 2, got order %d", model->output_variables[output].name, order);
+  if (!flex_plant_has(plant, order == 1 ? FLEX_HAVE_FIRST_RATES : FLEX_HAVE_SECOND_RATES) &&
+      failed(plant, "computing output derivatives", flex_plant_need_rates(plant, order)))
+    return 1;
+  *value = (order == 1 ? plant->first_rates : plant->second_rates)[output];
   return 0;
 }
