@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.grid import COINCIDENT
 from flexfmu.cosim.hermite import two_point
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.tabulated_trajectory import TabulatedTrajectory
+from flexfmu.fmu_build.errors import ModelError
 from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.trajectory import Trajectory
 
@@ -19,8 +22,8 @@ HERMITE_ORDER = 9
 END_ORDER = 4
 """Derivatives of each reference that the Hermite polynomial meets at both ends."""
 
-RECENT = 8
-"""Instants whose values are kept for a master that goes back and forth."""
+FEW = 8
+"""So few points are looked up in a table when they are asked for again and again."""
 
 REFERENCES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"))
 """Which derivative of the trajectory each reference is, with what it appends to the unit."""
@@ -64,7 +67,6 @@ class TrajectorySlave:
         self.ends_exactly = order == HERMITE_ORDER
         self.trajectory = trajectory
         self._times = self._polynomials = self._ends = self._now = np.empty(0)
-        self._recent = np.empty(0), np.empty(0)
         self._next = 0
 
     @property
@@ -99,12 +101,13 @@ class TrajectorySlave:
     def _calculate(self, times: RealArray) -> None:
         """The polynomials of all steps between these points."""
         first, last = self._landings(times)
-        self._polynomials = self._right_limits(last)
+        order, source = END_ORDER if self.ends_exactly else self.max_output_order, self._source(times.size)
+        self._polynomials = _references(source, last, order, "right")
         self._times = times
         self._ends = self._polynomials[:, : END_ORDER + 1].copy()
         jumps = np.isin(first, self.breakpoints)
         if jumps.any():
-            self._ends[jumps] = self._references(first[jumps], END_ORDER, "left")
+            self._ends[jumps] = _references(source, first[jumps], END_ORDER, "left")
         if self.ends_exactly:
             self._polynomials = self._hermite_polynomials(self._polynomials[:, : END_ORDER + 1])
 
@@ -151,27 +154,20 @@ class TrajectorySlave:
             first[abs(times - point) <= near] = point
         return first, last
 
-    def _right_limits(self, times: RealArray) -> RealArray:
-        """(N, order + 1, variables): right limits of all references with the derivatives that their polynomials need.
+    def _source(self, count: int) -> Trajectory:
+        """Where references come from: the trajectory, or its table for a master that chooses its steps on the way and
+        asks for a few points again and again, for which the trajectory's series would take as long as for a thousand."""
+        is_again = self._times.size > 0
+        known = self.announced_order <= END_ORDER or self.ends_exactly
+        return self._table if count <= FEW and is_again and known else self.trajectory
 
-        Where a master chooses its steps, most of the few points were among those before.
-        """
-        order = self.max_output_order if not self.ends_exactly else END_ORDER
-        known_times, known = self._recent
-        new = np.setdiff1d(times, known_times)
-        if new.size:
-            known_times = np.concatenate([known_times, new])
-            limits = self._references(new, order, "right")
-            known = np.concatenate([known, limits]) if known.size else limits
-        self._recent = (known_times[-RECENT:], known[-RECENT:]) if times.size <= RECENT else self._recent
-        order_of = np.argsort(known_times)
-        return known[order_of[np.searchsorted(known_times, times, sorter=order_of)]]
-
-    def _references(self, times: RealArray, order: int, side: Side) -> RealArray:
-        """(N, order + 1, variables): one-sided limits of all references with their derivatives."""
-        jets = self.trajectory.evaluate(times, order + 2, side)
-        stacked = np.concatenate([jets[kind : kind + order + 1] for kind in range(len(REFERENCES))], axis=2)
-        return np.ascontiguousarray(stacked.swapaxes(0, 1))
+    @cached_property
+    def _table(self) -> Trajectory:
+        """The trajectory by look-up, where it can be tabulated."""
+        try:
+            return TabulatedTrajectory(self.trajectory)
+        except ModelError:
+            return self.trajectory
 
     def _hermite_polynomials(self, begins: RealArray) -> RealArray:
         """(N, 10, variables): polynomial of the step that begins at each point; after the last, the Taylor polynomial."""
@@ -180,3 +176,10 @@ class TrajectorySlave:
         left, right = begins[:-1].swapaxes(0, 1), self._ends[1:].swapaxes(0, 1)
         polynomials[:-1] = two_point(left, right, np.diff(self._times)[:, None]).swapaxes(0, 1)
         return polynomials
+
+
+def _references(trajectory: Trajectory, times: RealArray, order: int, side: Side) -> RealArray:
+    """(N, order + 1, variables): one-sided limits of all references with their derivatives."""
+    jets = trajectory.evaluate(times, order + 2, side)
+    stacked = np.concatenate([jets[kind : kind + order + 1] for kind in range(len(REFERENCES))], axis=2)
+    return np.ascontiguousarray(stacked.swapaxes(0, 1))
