@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from rich.text import Text
-
-from flexfmu.cosim.cli_console import print_rich, print_text, progress
+from flexfmu.cosim.cli_console import print_text, progress
 from flexfmu.cosim.cli_errors import FAILURE
 from flexfmu.cosim.errors import FmuFileError, InputError
 from flexfmu.cosim.json_text import to_json
@@ -66,7 +64,7 @@ def validate_command(fmu: Path, as_json: bool) -> int:
     if as_json:
         print_text(to_json({"fmu": str(fmu), "findings": [asdict(finding) for finding in findings]}))
     elif findings:
-        print_rich(*(Text(str(finding)) for finding in findings))
+        print_text("".join(f"{finding}\n" for finding in findings))
     else:
         print_text(f"{fmu}: no findings\n")
     return FAILURE if any(finding.severity is not Severity.NOTE for finding in findings) else 0

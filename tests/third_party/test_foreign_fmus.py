@@ -1,0 +1,80 @@
+"""Validation of FMUs that other tools have made."""
+
+from __future__ import annotations
+
+import json
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from third_party_support.tools import python_tool, run
+from typer.testing import CliRunner
+
+from flexfmu.cosim.cli import app
+from flexfmu.fmu_build.finding import Severity
+from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.validate import validate_fmu
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(native_platform().name != "linux64", reason="says what this binary does on Linux"),
+]
+
+DECAY = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+
+class Decay(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.x = 1.0
+        self.u = 0.0
+        self.register_variable(Real("u", causality=Fmi2Causality.input, start=0.0))
+        self.register_variable(Real("x", causality=Fmi2Causality.output))
+
+    def do_step(self, current_time, step_size):
+        self.x += step_size * (self.u - self.x)
+        return True
+"""
+
+
+@pytest.fixture(scope="module")
+def decay(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An FMU that PythonFMU makes."""
+    python_tool("pythonfmu")
+    folder = tmp_path_factory.mktemp("pythonfmu")
+    (folder / "decay.py").write_text(DECAY)
+    run([sys.executable, "-m", "pythonfmu", "build", "-f", "decay.py", "--dest", "."], folder)
+    return folder / "Decay.fmu"
+
+
+def test_faults_of_a_foreign_fmu_are_found(decay: Path) -> None:
+    """It takes any GUID and crashes on a short URI; validation survives that, and finds the missing initial unknowns."""
+    found = {finding.check for finding in validate_fmu(decay)}
+    assert {"model description", "binary", "dependencies", "guid", "resource location"} <= found
+    assert "simulation" not in found
+
+
+def test_fmu_without_a_binary_for_this_machine_is_checked_statically(decay: Path, tmp_path: Path) -> None:
+    """An FMU for Windows alone is no broken FMU."""
+    windows = tmp_path / "windows.fmu"
+    with zipfile.ZipFile(decay) as source, zipfile.ZipFile(windows, "w") as target:
+        for name in source.namelist():
+            if not name.startswith("binaries/linux64/"):
+                target.writestr(name, source.read(name))
+    binary = [finding for finding in validate_fmu(windows) if finding.check == "binary"]
+    assert [finding.severity for finding in binary] == [Severity.WARNING]
+    assert "the FMU has win64" in binary[0].message
+
+
+def test_command_tells_findings_by_lines_and_exit_status(decay: Path) -> None:
+    """One line a finding with severity and remedy, the same as JSON, and exit status 1; 2 where there is no FMU."""
+    runner = CliRunner()
+    text = runner.invoke(app, ["validate", str(decay)], env={"COLUMNS": "1000"})
+    assert text.exit_code == 1
+    lines = text.stdout.splitlines()
+    assert any(line.startswith("error: guid: fmi2Instantiate accepts a wrong GUID; compare") for line in lines)
+    data = runner.invoke(app, ["validate", str(decay), "--json"])
+    assert len(json.loads(data.stdout)["findings"]) == len(lines)
+    assert runner.invoke(app, ["validate", "nothing.fmu"]).exit_code == 2
