@@ -22,7 +22,7 @@ from flexfmu.model.scene_file import load_scene
 
 HAND_WRITTEN = Path(__file__).parents[2] / "c-runtime" / "models.c"
 EXPERIMENT = DefaultExperiment()
-N_STATISTICS = 7
+N_INTEGERS = 7
 MECHANISM = load_scene("barnard2012-6kg").mechanism
 
 
@@ -59,9 +59,7 @@ def scene(drive: str) -> Scene:
 
 def _fragile() -> Subject:
     """One that can fail in every way."""
-    return Subject(
-        runtime_sources("plant") | {"models.c": _adapted_model()}, {}, "{fragile}", (1, 3, 4, N_STATISTICS, 2)
-    )
+    return Subject(runtime_sources("plant") | {"models.c": _adapted_model()}, {}, "{fragile}", (1, 3, 5, N_INTEGERS, 2))
 
 
 def _adapted_model() -> str:
@@ -73,7 +71,7 @@ def _adapted_model() -> str:
 def _robot(drive: str) -> Subject:
     model = build_model(scene(drive))
     inputs, settable = len(model.inputs), len(model.inputs) + len(model.parameters)
-    counts = (inputs, settable, settable + len(model.outputs), N_STATISTICS, 2 * len(model.unknowns))
+    counts = (inputs, settable, settable + len(model.outputs) + 1, N_INTEGERS, 2 * len(model.unknowns))
     return _subject(generate_sources(model, EXPERIMENT), counts)
 
 

@@ -86,7 +86,7 @@ static arrays read_arrays(tape *tape, unsigned n_references) {
   for (size_t i = 0; i < a.count; i++) {
     a.references[i] = tape_index(tape, n_references);
     a.reals[i] = tape_real(tape);
-    a.integers[i] = (int)(tape_byte(tape) % 5) - 1;
+    a.integers[i] = (int)(tape_byte(tape) % 10) - 1;
     a.orders[i] = (int)(tape_byte(tape) % 6) - 1;
   }
   return a;
