@@ -10,9 +10,8 @@ from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.documentation_files import documentation_files
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.icon import ICON_SIZE
 from flexfmu.fmu_build.interface import FmiVariable, Interface, Unknown, check_names, real_variable
-from flexfmu.fmu_build.picture import block_picture
+from flexfmu.fmu_build.picture import FINE_PEN, PAGE_SIZE, block_picture
 from flexfmu.model.block import SymbolicBlock
 
 SAMPLES = "statistics.samples"
@@ -80,7 +79,7 @@ def block_documentation(
     block: SymbolicBlock, description: Description, experiment: DefaultExperiment
 ) -> dict[str, str]:
     """Files of the folder ``documentation/``: path below the FMU's root → text."""
-    picture = block_picture(ICON_SIZE, ICON_SIZE)
+    picture = block_picture(*PAGE_SIZE, FINE_PEN)
     return documentation_files("block.html.j2", description, experiment, picture=picture, model=block)
 
 

@@ -26,6 +26,12 @@ _THINNEST = 0.018
 """Of the bars, in parts of the picture's smaller side, so that slender links are seen."""
 
 
+PEN, FINE_PEN = 0.05, 0.018
+"""Of icons, and of larger pictures, in parts of their height."""
+
+PAGE_SIZE = (420, 210)
+"""Width and height of the pages' picture of blocks and curves [px]."""
+
 LABEL_DISTANCE, LABEL_DROP = 30.0, 5.0
 """From what a label names to its text, and from the text's middle down to its base line [px]."""
 
@@ -96,29 +102,29 @@ def mechanism_picture(drawing: Drawing, width: int, height: int, labelled: bool 
     return Picture(width, height, tuple(lines), tuple(discs), labels)
 
 
-def curves_picture(curves: Iterable[Sequence[Point]], width: int, height: int) -> Picture:
-    """Curves through points (abscissa, ordinate), each scaled to the whole height, in turn in two colours."""
+def curves_picture(curves: Iterable[Sequence[Point]], width: int, height: int, pen: float = PEN) -> Picture:
+    """Curves through points (abscissa, ordinate), each scaled to the whole height, in two colours; the pen in parts of the height."""
     lines: list[Line] = []
     for curve, colour in zip(curves, (COLOURS["proximal"], COLOURS["distal"]), strict=False):
         view = _View.around(curve, width, height, (0.12 * width, 0.12 * height), keep_aspect=False)
         points = [view(point) for point in curve]
-        lines += [Line(a, b, 0.05 * height, colour) for a, b in itertools.pairwise(points)]
+        lines += [Line(a, b, pen * height, colour) for a, b in itertools.pairwise(points)]
     return Picture(width, height, tuple(lines))
 
 
-def block_picture(width: int, height: int) -> Picture:
-    """A box with an arrow in and an arrow out, as block diagrams have it."""
+def block_picture(width: int, height: int, pen: float = PEN) -> Picture:
+    """A box with an arrow in and an arrow out, as block diagrams have it; the pen in parts of the height."""
     left, right, top, bottom, middle = 0.3 * width, 0.7 * width, 0.25 * height, 0.75 * height, 0.5 * height
     corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
-    dark, light, pen = COLOURS["proximal"], COLOURS["distal"], 0.05 * height
-    box = [Line(a, b, pen, dark) for a, b in itertools.pairwise(corners)]
-    arrows = [arrow for x in (0.05 * width, right) for arrow in _arrow((x, middle), 0.25 * width, pen, light)]
+    dark, light, ink = COLOURS["proximal"], COLOURS["distal"], pen * height
+    box = [Line(a, b, ink, dark) for a, b in itertools.pairwise(corners)]
+    arrows = [arrow for x in (0.05 * width, right) for arrow in _arrow((x, middle), 0.25 * width, ink, light)]
     return Picture(width, height, (*arrows, *box))
 
 
 def _arrow(tail: Point, length: float, pen: float, colour: str) -> list[Line]:
-    tip, back = (tail[0] + length, tail[1]), 0.35 * length
-    wings = [(tip[0] - back, tip[1] + sign * back) for sign in (-1, 1)]
+    tip, back = (tail[0] + length, tail[1]), 0.4 * length
+    wings = [(tip[0] - back, tip[1] + sign * 0.6 * back) for sign in (-1, 1)]
     return [Line(tail, tip, pen, colour), *(Line(wing, tip, pen, colour) for wing in wings)]
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
 from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.documentation_files import documentation_files
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import ICON_SIZE
 from flexfmu.fmu_build.interface import EnumerationType, FmiVariable, Interface, Unknown, check_names, real_variable
-from flexfmu.fmu_build.picture import Picture, curves_picture
+from flexfmu.fmu_build.picture import FINE_PEN, PAGE_SIZE, PEN, Picture, curves_picture
 from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, TrajectoryTable
 from flexfmu.model.symbolic import Variable
 
@@ -23,6 +26,9 @@ LIMIT_TYPE = EnumerationType(
         "right": (2, "right limits: the next piece"),
     },
 )
+
+PICTURE_POINTS = 60
+"""Along each curve of the picture."""
 
 _PER_TIME = ("", "/s", "/s2")
 
@@ -115,11 +121,13 @@ def trajectory_interface(motion: TableMotion) -> Interface:
     )
 
 
-def motion_picture(motion: TableMotion) -> Picture:
+def motion_picture(motion: TableMotion, width: int = ICON_SIZE, height: int = ICON_SIZE, pen: float = PEN) -> Picture:
     """The positions of the first axes over time."""
-    times, jets = motion.table.times, motion.table.jets
-    curves = [list(zip(times.tolist(), jets[:, 0, axis].tolist(), strict=True)) for axis in range(len(motion.axes))]
-    return curves_picture(curves, ICON_SIZE, ICON_SIZE)
+    knots, first = np.unique(motion.table.times, return_index=True)
+    position = PchipInterpolator(knots, motion.table.jets[first, 0])
+    times = np.linspace(knots[0], knots[-1], PICTURE_POINTS)
+    curves = [list(zip(times.tolist(), values.tolist(), strict=True)) for values in position(times).T]
+    return curves_picture(curves, width, height, pen)
 
 
 def trajectory_documentation(
@@ -130,7 +138,7 @@ def trajectory_documentation(
         "trajectory.html.j2",
         description,
         experiment,
-        picture=motion_picture(motion),
+        picture=motion_picture(motion, *PAGE_SIZE, FINE_PEN),
         table=motion.table,
         breakpoints=motion.breakpoints,
         duration=motion.breakpoints[-1],
