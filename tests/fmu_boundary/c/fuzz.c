@@ -1,5 +1,7 @@
 /* Sequences of FMI calls, as the bytes of a fuzzer decide: each is judged call by call (fuzzed_calls.c), may be repeated from
- * a saved state, in this instance or another one, and ends with a run that must equal that of a new instance. */
+ * a saved state, in this instance or another one, and ends with a run that must equal that of a new instance.
+ *
+ * fuzz_main.c draws the bytes; clang's libFuzzer finds better ones: leave that file out and add -fsanitize=fuzzer. */
 #include <math.h>
 #include <string.h>
 
