@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.block_slave import BlockSlave
 from flexfmu.cosim.controller_builder import controller_block
@@ -19,7 +19,11 @@ from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.imperfection_sections import PayloadErrorSection
 from flexfmu.model.loop_section import FmuSection, LoopSection, PythonSection
 from flexfmu.model.scene import Scene
-from flexfmu.model.shaper_sections import ImpulseShaperSection
+from flexfmu.model.shaper_sections import ImpulseShaperSection, SpecifiedInsensitivitySection
+
+if TYPE_CHECKING:
+    from flexfmu.trajectories.shapers.oscillator import Oscillator
+    from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 
 class LoopBuilder:
@@ -59,19 +63,11 @@ class LoopBuilder:
             InputError: it can't be made.
             TrajectoryError: it doesn't exist for these modes.
         """
-        if not isinstance(section, ImpulseShaperSection):
+        if isinstance(section, (PythonSection, FmuSection)):
             return self._custom(section)
-        from flexfmu.trajectories.shapers.catalogue import design
-        from flexfmu.trajectories.shapers.oscillator import Oscillator
-
-        given = section.modes
-        modes = (
-            self._modes_at_the_end(section.mode_count)
-            if given is None
-            else [Oscillator(mode.frequency, mode.ratio) for mode in given]
+        return Shaper(
+            self._impulses(section), section.apply, section.sample_time, section.offset, section.name or "shaper"
         )
-        sequence = design(section.kind, modes)
-        return Shaper(sequence, section.apply, section.sample_time, section.offset, section.name or "shaper")
 
     def imperfection(self, section: Any) -> Any:
         """The imperfection of a section: a slave, or a `PayloadError`.
@@ -127,7 +123,19 @@ class LoopBuilder:
         own = (getattr(section, "sample_time", None) for section in self._scene.controller)
         return next((time for time in own if time is not None), self._scene.cosimulation.step)
 
-    def _modes_at_the_end(self, count: int) -> list[Any]:
+    def _impulses(self, section: ImpulseShaperSection | SpecifiedInsensitivitySection) -> ImpulseSequence:
+        """The impulses that a section asks for."""
+        from flexfmu.trajectories.shapers.catalogue import design
+        from flexfmu.trajectories.shapers.oscillator import Oscillator
+        from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
+
+        if isinstance(section, SpecifiedInsensitivitySection):
+            return specified_insensitivity(*section.band, section.tolerance, section.ratio)
+        if section.modes is None:
+            return design(section.kind, self._modes_at_the_end(section.mode_count))
+        return design(section.kind, [Oscillator(mode.frequency, mode.ratio) for mode in section.modes])
+
+    def _modes_at_the_end(self, count: int) -> list[Oscillator]:
         """The lowest vibration modes at the end pose, where the residual vibration is."""
         from flexfmu.model.modes import damped_modes
         from flexfmu.trajectories.shapers.oscillator import Oscillator

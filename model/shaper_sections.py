@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from flexfmu.model.loop_section import FmuSection, LoopSection, PythonSection
-from flexfmu.model.section import Positive, SecondsOrZero, Section, quantity
+from flexfmu.model.section import Positive, SecondsOrZero, Section, as_tuple, quantity
 
 
 class Mode(Section):
@@ -31,17 +31,11 @@ def _modes(value: Any) -> Any:
 ShaperKind = Literal["zv", "zvd", "zvdd", "zvddd", "mzv", "ei", "2-hump-ei", "3-hump-ei", "um-zv"]
 
 
-class ImpulseShaperSection(LoopSection):
+class AppliedShaperSection(LoopSection):
     """An input shaper, on the joint references, on the motion along the path (which keeps the path), or as a sampled
-    slave on the joint references.
+    slave on the joint references."""
 
-    `modes` are those to suppress; without them the lowest `mode_count` of the robot along its path.
-    """
-
-    kind: ShaperKind
     apply: Literal["joints", "path", "sampled"] = "joints"
-    modes: Annotated[tuple[Mode, ...] | None, BeforeValidator(_modes)] = None
-    mode_count: Annotated[int, quantity("modes", ge=1, le=8)] = 1
     sample_time: Annotated[Positive | None, quantity("s")] = None
     offset: SecondsOrZero = 0.0
 
@@ -55,4 +49,30 @@ class ImpulseShaperSection(LoopSection):
         return self
 
 
-ShaperSection = Annotated[ImpulseShaperSection | PythonSection | FmuSection, Field(discriminator="kind")]
+class ImpulseShaperSection(AppliedShaperSection):
+    """An input shaper for vibration modes: `modes` are those to suppress; without them the lowest `mode_count` of the robot
+    at the end of its path."""
+
+    kind: ShaperKind
+    modes: Annotated[tuple[Mode, ...] | None, BeforeValidator(_modes)] = None
+    mode_count: Annotated[int, quantity("modes", ge=1, le=8)] = 1
+
+
+class SpecifiedInsensitivitySection(AppliedShaperSection):
+    """The shortest shaper whose residual vibration is at most `tolerance` for all frequencies of `band`, by optimisation."""
+
+    kind: Literal["si"]
+    band: Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple), quantity("Hz")]
+    tolerance: Annotated[float, quantity("1", gt=0.0, lt=1.0)] = 0.05
+    ratio: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.0
+
+    @model_validator(mode="after")
+    def _lowest_comes_first(self) -> Self:
+        if self.band[0] > self.band[1]:
+            raise ValueError(f"`band` is lowest and highest frequency in Hz, got {list(self.band)}")
+        return self
+
+
+ShaperSection = Annotated[
+    ImpulseShaperSection | SpecifiedInsensitivitySection | PythonSection | FmuSection, Field(discriminator="kind")
+]

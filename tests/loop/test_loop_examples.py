@@ -148,10 +148,17 @@ def test_custom_transfer_function(tmp_path: Path) -> None:
     assert value(row, "tracking error") < 10.0
 
 
+def test_export_slaves(tmp_path: Path) -> None:
+    """Trajectory, robot and controller are FMUs, and the torques lead from one to the other."""
+    rows = lines("export_slaves.py", tmp_path)
+    assert {path.name for path in (tmp_path / "fmus").iterdir()} == {"trajectory.fmu", "plant.fmu", "pd.fmu"}
+    assert "pd.joint1.torque -> plant.joint1.torque" in rows
+
+
 def test_all_examples_of_loops_are_tested() -> None:
     """An example that nobody runs would rot."""
     tested = Path(__file__).read_text(encoding="utf-8")
-    prefixes = ("controller_", "shaper_", "imperfection_", "custom_")
+    prefixes = ("controller_", "shaper_", "imperfection_", "custom_", "export_")
     mine = [path.name for path in EXAMPLES.glob("*.py") if path.name.startswith(prefixes)]
     assert mine
     assert all(f'"{name}"' in tested for name in mine)

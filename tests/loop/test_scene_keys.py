@@ -17,6 +17,7 @@ from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import run_scene
 from flexfmu.cosim.iteration import Anderson, FixedPoint
 from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.planning import plan
 from flexfmu.cosim.sampled_fmu import SampledFmu
 from flexfmu.cosim.slave import Slave
 from flexfmu.fmu_build.block_build import build_block_fmu
@@ -147,6 +148,18 @@ def test_step_control_keys(robot: Scene) -> None:
     control = coupling_of(robot.replace({"cosimulation.step_control": keys}).cosimulation).step_control
     assert control is not None
     assert (control.tolerance, control.smallest, control.largest) == (1e-3, 1e-7, 2e-3)
+
+
+def test_specified_insensitivity(robot: Scene) -> None:
+    """The band that a scene names is kept, at the price of a longer motion than ZV's."""
+    section = {"kind": "si", "band": [45.0, 70.0], "tolerance": 0.08, "apply": "sampled", "sample_time": 1e-3}
+    loop = loop_of(robot.replace({"shaper": [section]}))
+    (shaper,) = (insert.slave for insert in loop.inserts)
+    response_to_one = np.diff(response(shaper, np.append(0.0, np.ones(80))))
+    frequencies = np.linspace(46.0, 69.0, 100)
+    vibration = abs(np.exp(2j * np.pi * np.outer(frequencies, 1e-3 * np.arange(80))) @ response_to_one)
+    assert 0.05 < vibration.max() < 0.09
+    assert loop.motion.duration - plan(robot).duration > 0.5 / 57.5
 
 
 def test_a_scene_chooses_its_steps(robot: Scene) -> None:

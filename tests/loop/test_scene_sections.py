@@ -44,6 +44,7 @@ WRONG = {
     ),
     "sampled without a sample time": ("shaper", {"kind": "zv", "apply": "sampled"}, "`sample_time` in s goes with"),
     "analytic with a sample time": ("shaper", {"kind": "zv", "sample_time": 1e-3}, "`sample_time` in s goes with"),
+    "band the wrong way round": ("shaper", {"kind": "si", "band": [60.0, 40.0]}, r"got \[60.0, 40.0\]"),
     "less than no payload": ("imperfection", {"kind": "payload-error", "relative": -2.0}, "at least -1"),
     "two kinds of limits": (
         "imperfection",

@@ -1,0 +1,47 @@
+"""The page on the control loop tells no lies: its examples are scenes, and it knows every kind and key."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.model.controller_sections import ControllerSection
+from flexfmu.model.cosimulation_section import Anderson, FixedPoint, StepControl
+from flexfmu.model.imperfection_sections import ImperfectionSection
+from flexfmu.model.loop_section import FmuSection, PythonSection
+from flexfmu.model.scene import Scene
+from flexfmu.model.shaper_sections import ShaperSection
+
+PAGE = (Path(__file__).parents[2] / "docs" / "control-loop.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
+KINDS = [
+    kind
+    for section in (ControllerSection, ShaperSection, ImperfectionSection)
+    for kind in get_args(get_args(section)[0])
+]
+
+OWN = (FmuSection, PythonSection)
+SECTIONS = [each for each in dict.fromkeys([*KINDS, StepControl, Anderson, FixedPoint]) if each not in OWN]
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_examples_are_scenes(robot: Scene, block: str) -> None:
+    """Every block can be read, and its slaves be made and named."""
+    data = tomllib.loads(block)
+    changes: dict[str, Any] = {f"cosimulation.{key}": value for key, value in data.pop("cosimulation", {}).items()}
+    loop = loop_of(robot.replace(changes | data))
+    assert len(loop.controllers) == len(data.get("controller", []))
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_every_key_is_named(section: Any) -> None:
+    """Whoever adds a key adds it to the page."""
+    for kind in get_args(section.model_fields["kind"].annotation) if "kind" in section.model_fields else ():
+        assert kind in PAGE
+    for key in section.model_fields:
+        assert re.search(rf"\b{key}\b", PAGE), f"{section.__name__}.{key}"
