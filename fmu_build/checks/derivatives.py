@@ -59,9 +59,9 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Finding | None:
 def _unknowns(fmu: FmuUnderTest) -> list[Any]:
     """Outputs, and for model exchange the states' derivatives."""
     if fmu.kind is Kind.COSIMULATION:
-        return fmu.outputs
+        return fmu.smooth_outputs
     derivatives = [unknown.variable for unknown in fmu.description.derivatives or ()]
-    return [*derivatives, *fmu.outputs]
+    return [*derivatives, *fmu.smooth_outputs]
 
 
 def _states(fmu: FmuUnderTest) -> list[Any]:
@@ -115,7 +115,7 @@ def output_derivatives_are_right(fmu: FmuUnderTest) -> Finding | None:
     """Each order of an output's derivative against the slopes of the order below, before and after a point."""
     most = int(fmu.element.maxOutputDerivativeOrder or 0) if fmu.kind is Kind.COSIMULATION else 0
     points = MOST_POINTS if fmu.has_variable_step else min(fmu.steps, MOST_POINTS)
-    if not most or not fmu.outputs or points < 3:
+    if not most or not fmu.smooth_outputs or points < 3:
         return None
     parts = PARTS if fmu.has_variable_step else 1
     with fmu.instance("derivatives") as instance:
@@ -127,7 +127,7 @@ def output_derivatives_are_right(fmu: FmuUnderTest) -> Finding | None:
     step = fmu.step / parts
     slopes = np.diff(jets[:, :-1], axis=0) / step
     before, after, given = slopes[:-1], slopes[1:], jets[1:-1, 1:]
-    size = np.array([size_of(variable) for variable in fmu.outputs])
+    size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
     noise = (ROUNDING * np.abs(jets[:, :-1]).max(axis=0) + 1e-12 * size) / step
     bend, off = np.abs(after - before), np.abs(given - 0.5 * (before + after))
     resolved = bend <= RESOLVED * np.maximum(np.abs(before), np.abs(after)) + noise
@@ -139,7 +139,7 @@ def output_derivatives_are_right(fmu: FmuUnderTest) -> Finding | None:
     where = int(np.argmax(np.where(failing, off, -1.0)[:, order, output]))
     return Finding(
         "output derivatives",
-        f"derivative {order + 1} of {fmu.outputs[output].name} is {given[where, order, output]:.4g} at "
+        f"derivative {order + 1} of {fmu.smooth_outputs[output].name} is {given[where, order, output]:.4g} at "
         f"{fmu.start + (where + 2) * step:.6g} s, differences give {before[where, order, output]:.4g} before and "
         f"{after[where, order, output]:.4g} after",
         "correct fmi2GetRealOutputDerivatives, or claim a lower maxOutputDerivativeOrder",
@@ -149,8 +149,11 @@ def output_derivatives_are_right(fmu: FmuUnderTest) -> Finding | None:
 def _jet(fmu: FmuUnderTest, instance: Any, n: float, parts: int, most: int) -> Vector:
     """Outputs after step ``n`` and their derivatives, shape (orders + 1, outputs); inputs stay, so nothing jumps."""
     instance.step(n, parts)
-    references = [variable.valueReference for variable in fmu.outputs]
+    references = [variable.valueReference for variable in fmu.smooth_outputs]
     orders = ([order] * len(references) for order in range(1, most + 1))
     return np.array(
-        [instance.get(fmu.outputs), *(instance.library.getRealOutputDerivatives(references, order) for order in orders)]
+        [
+            instance.get(fmu.smooth_outputs),
+            *(instance.library.getRealOutputDerivatives(references, order) for order in orders),
+        ]
     )

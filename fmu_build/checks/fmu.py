@@ -96,6 +96,11 @@ class FmuUnderTest:
         return np.array([_excited(variable, n + 7.0 * k) for k, variable in enumerate(self.inputs)])
 
     @property
+    def smooth_outputs(self) -> list[Any]:
+        """Recorded variables that change continuously: those that solvers can be judged by."""
+        return [variable for variable in self.outputs if (variable.variability or "continuous") == "continuous"]
+
+    @property
     def resource_uri(self) -> str:
         """Where the resources are, as a file URI."""
         return (self.folder / "resources").absolute().as_uri()
