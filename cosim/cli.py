@@ -240,6 +240,32 @@ def shaper(
 
 
 @app.command()
+def workprec(
+    scene: SceneArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>/workprec."),
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FAMILY",
+            help="integrators, communication, algorithms, effects, formulations or tools; may be repeated. Default: all.",
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Measure what accuracy costs in time: by integrator, communication step, coupling, effects, formulation and tool.
+
+    Writes workprec.json, workprec.md, workprec.html and pictures. Takes some minutes.
+    """
+    with one_line_errors():
+        from flexfmu.cosim.cli_workprec import workprec_command
+
+        raise typer.Exit(workprec_command(scene, out, only or [], json))
+
+
+@app.command()
 def validate(
     fmu: Annotated[
         Path, typer.Argument(metavar="FILE.fmu", help="The FMU to check.", show_default=False, readable=False)

@@ -97,6 +97,9 @@ class PreparedScene:
         ``prepared = PreparedScene(scene); runs = [prepared.run({"payload.mass": mass}) for mass in masses]``
 
     Args and errors: as for `run_scene`.
+
+    Attributes:
+        stop_time: when runs end [s]; the end of motion and dwell unless it is changed.
     """
 
     def __init__(
@@ -114,6 +117,7 @@ class PreparedScene:
         section = scene.cosimulation
         watch = Stopwatch()
         self._loop = loop_of(scene, motion) if loop is None else loop
+        self.stop_time = self._loop.motion.stop_time
         planning = watch.lap()
         self._fmu_path = build_scene(scene).path if fmu_path is None else fmu_path
         building = watch.lap()
@@ -141,7 +145,7 @@ class PreparedScene:
         parts, watch = self._parts.with_parameters(parameters or {}), Stopwatch()
         simulation = simulate(
             self._system,
-            self._loop.motion.stop_time,
+            self.stop_time,
             self._step,
             tolerance=self._tolerance,
             progress=progress,

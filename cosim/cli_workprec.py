@@ -1,0 +1,45 @@
+"""`flexfmu workprec`: what accuracy costs in time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.text import Text
+
+from flexfmu.cosim.cli_console import print_rich, print_text, progress
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.json_text import to_json
+from flexfmu.cosim.output import OutputFolder
+from flexfmu.model.scene_file import load_scene
+
+RESULTS = Path("results")
+"""Where results go unless the user says otherwise, in a folder named after the scene."""
+
+
+def workprec_command(source: str, out: Path | None, families: Sequence[str], as_json: bool) -> int:
+    """Measure, write the results, and print them; the exit status."""
+    from flexfmu.cosim.workprec.figures import save_figures
+    from flexfmu.cosim.workprec.page import html
+    from flexfmu.cosim.workprec.report import data, markdown, notes, terminal_table
+    from flexfmu.cosim.workprec.study import FAMILIES, run_study
+
+    unknown = [each for each in families if each not in FAMILIES]
+    if unknown:
+        raise InputError(f"--only takes {', '.join(FAMILIES)}, got {unknown[0]}")
+    scene = load_scene(source)
+    folder = OutputFolder(out or RESULTS / scene.name / "workprec")
+    folder.prepare()
+    with progress() as show:
+        study = run_study(scene, families or FAMILIES, lambda text: show(text, None))
+        folder.write("workprec.json", to_json(data(study)))
+        folder.write("workprec.md", markdown(study))
+        show("pictures", None)
+        save_figures(study, folder.path)
+        folder.write("workprec.html", html(study))
+    if as_json:
+        print_text(to_json(data(study)))
+    else:
+        print_rich(terminal_table(study), *(Text(note) for note in notes(study)))
+        print_text(f"workprec.json, workprec.md, workprec.html and pictures are in {folder.path}\n")
+    return 0

@@ -1,0 +1,106 @@
+"""Work-precision diagrams: error to the right, time upwards, a line for each method, failures as crosses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flexfmu.cosim.errors import ResultsError
+from flexfmu.cosim.paper.style import GREY, draw, save, style
+from flexfmu.cosim.workprec.study import FAMILIES, Study
+from flexfmu.cosim.workprec.trial import Trial
+
+TITLES = {
+    "integrators": "Integrators over their tolerance or step",
+    "communication": "Communication step, by degree of the inputs",
+    "algorithms": "Coupling algorithms over the communication step",
+    "effects": "Effects left out (error against all of them)",
+    "formulations": "Formulations, SciPy's Radau",
+    "tools": "Other tools, and the fastest of ours",
+}
+"""Family → title of its diagram."""
+
+FLOOR = 1e-12
+"""Errors below are drawn here: the references agree no better."""
+
+
+def save_figures(study: Study, folder: Path) -> list[str]:
+    """Write ``workprec.png`` with all diagrams and one picture for each family; the names.
+
+    Raises:
+        ResultsError: the folder can't be written.
+    """
+    names = [name for name in FAMILIES if study.family(name)]
+    try:
+        with style():
+            for name in names:
+                figure = draw(6.6, 4.8)
+                draw_family(figure.subplots(), study, name)
+                save(figure, folder / f"workprec-{name}")
+            save(_all(study, names), folder / "workprec")
+    except OSError as error:
+        reason = error.strerror or error
+        raise ResultsError(f"can't write to {folder}: {reason}; choose another folder or free some space") from error
+    return names
+
+
+def _all(study: Study, names: Sequence[str]) -> Figure:
+    """All diagrams beside each other."""
+    rows = max(1, (len(names) + 1) // 2)
+    figure = draw(13.0, 4.8 * rows)
+    axes = np.atleast_1d(figure.subplots(rows, 2, squeeze=False).ravel())
+    for place, name in zip(axes, names, strict=False):
+        draw_family(place, study, name)
+    for place in axes[len(names) :]:
+        place.set_axis_off()
+    return figure
+
+
+def lines_of(study: Study, name: str) -> dict[str, list[Trial]]:
+    """Line → its trials; among other tools ours are shown by what is best among our settings."""
+    trials = [*study.family(name), *(pareto(study) if name == "tools" else [])]
+    return {line: [each for each in trials if each.line == line] for line in dict.fromkeys(t.line for t in trials)}
+
+
+def pareto(study: Study) -> list[Trial]:
+    """Of our integrators' settings those that no other one beats in both error and time."""
+    good = sorted((each for each in study.family("integrators") if not each.failed), key=lambda each: each.error or 0.0)
+    best: list[Trial] = []
+    for each in good:
+        if each.time is not None and all((other.time or 0.0) > each.time for other in best):
+            best.append(each)
+    return [Trial("tools", "flexfmu", f"{each.line} {each.label}", each.error, each.time) for each in best]
+
+
+def draw_family(axes: Axes, study: Study, name: str) -> None:
+    """One diagram."""
+    lines = lines_of(study, name)
+    colours = colormaps["turbo"](np.linspace(0.03, 0.97, max(len(lines), 2)))
+    for colour, (line, trials) in zip(colours, lines.items(), strict=False):
+        good = [each for each in trials if not each.failed]
+        failed = len(trials) - len(good)
+        points = np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in good]).reshape(-1, 2)
+        label = line + (f" ({failed} failed)" if failed else "")
+        axes.plot(points[:, 0], points[:, 1], "o-", color=colour, markersize=3.5, label=label)
+        for (error, time), each in zip(points, good, strict=True):
+            axes.annotate(
+                each.label, (error, time), (3, 3), textcoords="offset points", fontsize=5.5, color=GREY, clip_on=True
+            )
+        if failed:
+            axes.plot([1.0] * failed, np.linspace(0.06, 0.2, failed), "x", color=colour, transform=axes.transAxes)
+    axes.set(xscale="log", yscale="log", xlabel="error, relative to what elasticity does", ylabel="time [ms]")
+    axes.set_title(TITLES[name], fontsize=10)
+    axes.legend(fontsize=6.5)
+    factor = axes.secondary_yaxis(
+        "right",
+        functions=(
+            lambda ms: 1e3 * study.duration / np.maximum(ms, 1e-9),
+            lambda f: 1e3 * study.duration / np.maximum(f, 1e-9),
+        ),
+    )
+    factor.set_ylabel("real-time factor")

@@ -1,0 +1,109 @@
+"""The whole study of a scene: every family of trials, the references that errors are counted from, and what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from flexfmu.cosim.workprec import effect_trials, fmu_trials, formulation_trials, peers, solver_trials, tool_trials
+from flexfmu.cosim.workprec.fmu_trials import Announce
+from flexfmu.cosim.workprec.subject import Subject, subject_of
+from flexfmu.cosim.workprec.trial import Trial
+from flexfmu.model.scene import Scene
+
+STEP = 1e-3
+"""Communication step at which integrators, tools and effects are compared [s]."""
+
+LADDER_TOLERANCE = 1e-8
+"""Of the integrator while effects are compared."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What was found out about a scene.
+
+    Attributes:
+        scene: what was simulated.
+        duration: simulated time [s].
+        scale: what elasticity does [m]; errors are relative to it.
+        agreement: relative difference of two independent references; None where there is only one.
+        references: how they were made.
+        trials: every measured point.
+    """
+
+    scene: Scene
+    duration: float
+    scale: float
+    agreement: float | None
+    references: str
+    trials: tuple[Trial, ...]
+
+    def family(self, name: str) -> tuple[Trial, ...]:
+        """The trials of one family."""
+        return tuple(each for each in self.trials if each.family == name)
+
+
+FAMILIES = ("integrators", "communication", "algorithms", "effects", "formulations", "tools")
+"""Questions that can be asked, in this order."""
+
+
+def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: float = STEP) -> Study:
+    """Measure.
+
+    Args:
+        scene: the scene.
+        families: which of `FAMILIES`; those that a scene has no answer for are left out.
+        announce: told what is being tried.
+        step: communication step of the comparisons [s].
+
+    Raises:
+        RunError: the reference can't be calculated.
+        TrajectoryError, InputError, BuildError: as for `flexfmu.cosim.experiment.run_scene`.
+    """
+    subject = subject_of(scene)
+    announce("reference")
+    _ = subject.reference
+    agreement, references = _check_reference(subject, announce)
+    makers = _makers(subject, step, announce)
+    trials = tuple(trial for name in FAMILIES if name in families for trial in makers[name]())
+    return Study(scene, subject.stop, subject.scale, agreement, references, trials)
+
+
+def _makers(subject: Subject, step: float, announce: Announce) -> dict[str, Callable[[], Iterator[Trial]]]:
+    """Family → what makes its trials."""
+    has_equations = is_differential_equation(subject.scene)
+
+    def nothing() -> Iterator[Trial]:
+        return iter(())
+
+    def tools() -> Iterator[Trial]:
+        yield from solver_trials.scipy_trials(subject, announce)
+        yield from solver_trials.sundials_trials(subject, announce)
+        yield from tool_trials.model_exchange_trials(subject, announce)
+        yield tool_trials.paper_trial(subject, announce)
+        yield from peers.exudyn_trials(subject, announce)
+
+    return {
+        "integrators": lambda: fmu_trials.integrator_trials(subject, step, announce),
+        "communication": (lambda: fmu_trials.coupling_trials(subject, announce)) if has_equations else nothing,
+        "algorithms": (lambda: fmu_trials.algorithm_trials(subject, announce)) if subject.scene.controller else nothing,
+        "effects": (lambda: effect_trials.effect_trials(subject, step, LADDER_TOLERANCE, announce)),
+        "formulations": (lambda: formulation_trials.formulation_trials(subject, announce))
+        if has_equations
+        else nothing,
+        "tools": tools if has_equations else nothing,
+    }
+
+
+def is_differential_equation(scene: Scene) -> bool:
+    """Whether the scene is one smooth equation between breakpoints: motion-driven, elastic, nothing in the loop."""
+    return scene.cosimulation.drive == "motion" and not scene.controller and not scene.imperfection
+
+
+def _check_reference(subject: Subject, announce: Announce) -> tuple[float | None, str]:
+    """Compare the reference with one that shares neither integrator nor master."""
+    own = "our FMU, Gauss collocation at 1e-12, 0.25 ms steps"
+    if not is_differential_equation(subject.scene):
+        return None, own
+    announce("second reference")
+    return subject.error(solver_trials.independent_reference(subject)), f"{own}; SciPy's DOP853 at 1e-11"
