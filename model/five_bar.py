@@ -10,6 +10,7 @@ from flexfmu.model.chosen_effects import chosen_effects
 from flexfmu.model.closure import Closure, IndependentMotion, ProjectedForces
 from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
 from flexfmu.model.effects import Output
+from flexfmu.model.errors import SceneError
 from flexfmu.model.link_properties import LinkProperties, link_properties
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.quasi_static import Partition, static_deflections
@@ -60,7 +61,16 @@ class FiveBar:
 
 
 def assemble(scene: Scene) -> FiveBar:
-    """Put the chosen effects of a scene together."""
+    """Put the chosen effects of a scene together.
+
+    Raises:
+        SceneError: the scene leaves the choice of effects open.
+    """
+    if scene.effects.select is not None:
+        raise SceneError(
+            f"scene {scene.name} leaves the choice of effects open (`effects.select`): resolve it first, with "
+            f"`flexfmu.cosim.effect_choice.resolved(scene)`"
+        )
     registry = ParameterRegistry()
     parameters = _mechanism_parameters(registry, scene.mechanism)
     properties: dict[LinkGroup, LinkProperties] = {

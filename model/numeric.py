@@ -21,6 +21,7 @@ class NumericModel:
 
     Attributes:
         n: number of elastic coordinates.
+        names: what they are called, like ``link11.bending[1]``.
         elastic_forces: (q_e, v_e, a_e, u) → forces on q_e (n, 1) [N]; u = [q_a, v_a, a_a] (6, 1).
         static_stiffness: (q_e, u) → Jacobian of the static elastic forces by q_e (n, n) [N/m].
         mass_matrix: (q_e, u) → (n, n) [kg].
@@ -29,6 +30,7 @@ class NumericModel:
     """
 
     n: int
+    names: tuple[str, ...]
     elastic_forces: casadi.Function
     static_stiffness: casadi.Function
     mass_matrix: casadi.Function
@@ -54,6 +56,7 @@ def numeric_model(scene: Scene) -> NumericModel:
     energy = five_bar.dynamics.energy(state.arguments()[0], state.rates, five_bar.registry.d)
     return NumericModel(
         n=m.q_e.numel(),
+        names=tuple(five_bar.robot.elastic_names[i] for i in five_bar.partition.states),
         elastic_forces=function("elastic_forces", [m.q_e, m.v_e, m.a_e, u], [force]),
         static_stiffness=function("static_stiffness", [m.q_e, u], [casadi.jacobian(at_rest, m.q_e)]),
         mass_matrix=function("mass_matrix", [m.q_e, u], [casadi.jacobian(force, m.a_e)]),

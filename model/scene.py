@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from flexfmu.model.choice_section import Choice, ChoiceTolerance, MeasureNames, contradictions, fill_in
 from flexfmu.model.controller_sections import ControllerSection
 from flexfmu.model.cosimulation_section import Cosimulation
 from flexfmu.model.imperfection_sections import ImperfectionSection
@@ -121,10 +122,15 @@ class Transmission(Section):
 
 
 FamilyName = Literal["proximal_bending", "proximal_axial", "distal_bending", "distal_axial"]
+CHOOSABLE = (*get_args(FamilyName), "beam", "foreshortening", "quasi_static")
+"""Keys of `effects` that `select = "auto"` chooses; the others are given by the robot."""
 
 
 class Effects(Section):
-    """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code."""
+    """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code.
+
+    With `select = "auto"` the elastic effects are chosen: as few as keep the metrics in `of` within `tolerance`.
+    """
 
     gravity: Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m/s2")]
     basis: Literal["assumed-modes", "craig-bampton"]
@@ -140,6 +146,18 @@ class Effects(Section):
     joint_friction: JointFriction = JointFriction()
     transmission: Transmission | None = None
     reactions: bool = False
+    select: Literal["auto"] | None = None
+    tolerance: ChoiceTolerance | None = None
+    of: MeasureNames | None = None
+    choice: Choice | None = None
+
+    @model_validator(mode="after")
+    def _choice_is_free(self) -> Self:
+        switched_on = tuple(key for key in CHOOSABLE if getattr(self, key) != type(self).model_fields[key].default)
+        given = {"tolerance": self.tolerance, "of": self.of}
+        for sentence in contradictions(self.select, given, self.basis, switched_on):
+            raise ValueError(sentence)
+        return self
 
     @model_validator(mode="after")
     def _static_families_have_modes(self) -> Self:
@@ -219,6 +237,23 @@ class Scene(Section):
     controller: Annotated[tuple[ControllerSection, ...], BeforeValidator(as_tuple)] = ()
     shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_tuple)] = ()
     imperfection: Annotated[tuple[ImperfectionSection, ...], BeforeValidator(as_tuple)] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_for_choice(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not {"effects", "cosimulation"} <= data.keys():
+            return data
+        effects, cosimulation = fill_in(data["effects"], data["cosimulation"])
+        return {**data, "effects": effects, "cosimulation": cosimulation}
+
+    @model_validator(mode="after")
+    def _residual_needs_a_dwell(self) -> Self:
+        for name in self.effects.of or ():
+            if name.startswith("residual") and not self.trajectory.dwell:
+                raise ValueError(
+                    f"`effects.of` names {name}, but `trajectory.dwell` is 0 s: give a dwell, or remove {name}"
+                )
+        return self
 
     @model_validator(mode="after")
     def _modes_agree_with_start_pose(self) -> Self:

@@ -1,0 +1,94 @@
+"""What each set of effects makes of a scene's motion, from the equations themselves, without building anything.
+
+A set of effects is the richest robot with coordinates left out: its small elastic motions follow from rows and columns of the
+richest one's matrices, evaluated once along the motion. Their response to the loads of the rigid motion (Duhamel's integral, done by
+steps) is put into the exact nonlinear outputs. Families that deflect statically get the mode acceleration method's correction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+
+from flexfmu.model.choice_section import MeasureName
+from flexfmu.model.scene import Effects, FamilyName, Scene
+from flexfmu.model.selection.measures import Behaviour, measure_behaviour, scales
+from flexfmu.model.selection.motion_grid import JointMotion, MotionGrid, motion_grid
+from flexfmu.model.selection.response import Motion
+from flexfmu.model.selection.richest import richest, with_beams
+from flexfmu.model.selection.robot_along import RobotAlong
+
+
+class Estimator:
+    """Metrics of a scene's motion for any set of effects.
+
+    Args:
+        scene: robot and loads; its choice of elastic effects doesn't matter.
+        motion: the planned motion of its motors.
+        of: the metrics.
+
+    Attributes:
+        reference: metrics with the richest set.
+        scales: what errors are relative to, see `flexfmu.model.selection.measures.scales`.
+    """
+
+    def __init__(self, scene: Scene, motion: JointMotion, of: tuple[MeasureName, ...]) -> None:
+        self._richest, self._of = richest(scene), of
+        self._grid: MotionGrid = motion_grid(motion, scene.trajectory.dwell)
+        self._static_start = scene.cosimulation.initial == "static"
+        self._robots: dict[tuple[str, bool], RobotAlong] = {}
+        self._known: dict[str, dict[MeasureName, float]] = {}
+        robot = self._robot(self._richest.effects)
+        self._rigid = robot.outputs(_still(robot.load.shape))
+        needed = tuple(dict.fromkeys(("peak_position_error", *of)))
+        full = measure_behaviour(self._behaviour(self._richest.effects), needed)
+        self.reference: Mapping[MeasureName, float] = {name: full[name] for name in of}
+        self.scales: Mapping[MeasureName, float] = {name: scales(full)[name] for name in of}
+
+    def metrics(self, effects: Effects) -> Mapping[MeasureName, float]:
+        """The metrics with a set of effects, in SI units."""
+        key = effects.model_dump_json()
+        if key not in self._known:
+            self._known[key] = measure_behaviour(self._behaviour(effects), self._of)
+        return self._known[key]
+
+    def covers(self, effects: Effects) -> bool:
+        """Whether the richest set contains this one."""
+        most = self._richest.effects
+        return all(getattr(effects, family) <= getattr(most, family) for family in get_args(FamilyName))
+
+    def changes(self, effects: Effects, other: Effects) -> dict[MeasureName, float]:
+        """By how much the metrics differ between two sets, relative to their scales."""
+        first, second = self.metrics(effects), self.metrics(other)
+        return {name: abs(first[name] - second[name]) / self.scales[name] for name in self._of}
+
+    def errors(self, effects: Effects) -> dict[MeasureName, float]:
+        """By how much the metrics differ from those of the richest set, relative to their scales."""
+        found = self.metrics(effects)
+        return {name: abs(found[name] - self.reference[name]) / self.scales[name] for name in self._of}
+
+    def _robot(self, effects: Effects) -> RobotAlong:
+        """The richest robot with the beam theory of a set of effects."""
+        key = effects.beam, effects.foreshortening
+        if key not in self._robots:
+            self._robots[key] = RobotAlong(with_beams(self._richest, effects), self._grid)
+        return self._robots[key]
+
+    def _behaviour(self, effects: Effects) -> Behaviour:
+        robot = self._robot(effects)
+        states, statics = (robot.coordinates(effects, static=wanted) for wanted in (False, True))
+        start = robot.equilibrium(self._grid.rests[0], states) if self._static_start else np.zeros(states.size)
+        motion = robot.response(states, start)
+        outputs = robot.outputs(motion)
+        if statics.size:
+            deflected = replace(motion, position=motion.position + robot.deflections(motion, statics))
+            outputs = replace(outputs, position=robot.outputs(deflected).position)
+        return Behaviour(self._grid, outputs, self._rigid, robot.rest_position(self._grid.rests[1], states, statics))
+
+
+def _still(shape: tuple[int, ...]) -> Motion:
+    rest = np.zeros(shape)
+    return Motion(rest, rest, rest)
