@@ -1,0 +1,154 @@
+"""A co-rotational beam element between two nodes (x, y, theta) in the fixed frame.
+
+What the element deforms is counted from the straight line between its nodes: its elongation, with the shortening that
+bending brings, and the turning of its two ends. Within the element the deflection is that of Timoshenko's beam under forces
+at its ends, which for infinite shear stiffness is Hermite's cubic; elongation is linear. Forces follow from the energies
+by Lagrange's equations, with all terms that rotation brings.
+
+Sources: Crisfield, Non-linear Finite Element Analysis of Solids and Structures 1 (1991), chapter 7 (co-rotational beams);
+Friedman and Kosmatka, An improved two-node Timoshenko beam finite element, Comput. Struct. 47 (1993) (deflection with shear);
+Le, Battini and Hjiaj, Efficient formulation for dynamics of corotational 2D beams, Comput. Mech. 48 (2011) (inertia).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.model.finite_elements.sections import BeamSection
+
+Array = NDArray[np.float64]
+
+COORDINATES = 6
+"""Of an element: x, y, theta of both nodes."""
+
+POINTS, WEIGHTS = (np.polynomial.legendre.leggauss(5)[i] for i in range(2))
+POINTS, WEIGHTS = 0.5 * (POINTS + 1.0), 0.5 * WEIGHTS
+"""Gauss's quadrature over 0..1, exact for products of two cubics and a quadratic."""
+
+
+@dataclass(frozen=True)
+class BeamElement:
+    """Functions of one element's coordinates x, rates v and accelerations a (6, 1) each.
+
+    Attributes:
+        force: (x, v, a) → forces (6, 1) that the motion needs from outside.
+        tangent: (x, v, a) → its Jacobians by x, v and a, column after column (108, 1).
+        energy: (x, v) → kinetic and potential energy [J].
+    """
+
+    force: casadi.Function
+    tangent: casadi.Function
+    energy: casadi.Function
+
+
+@lru_cache(maxsize=32)
+def beam_element(section: BeamSection, length: float, gravity: tuple[float, float], damping_time: float) -> BeamElement:
+    """An element of a link.
+
+    Args:
+        section: the link.
+        length: of the element, undeformed [m].
+        gravity: [m/s²].
+        damping_time: ratio of viscous to elastic stresses (Kelvin and Voigt) [s].
+    """
+    x, v, a = (casadi.SX.sym(name, COORDINATES) for name in "xva")
+    shear = 0.0 if np.isinf(section.shear) else 12.0 * section.bending / (section.shear * length**2)
+    kinetic = _kinetic_energy(section, length, shear, x, v)
+    deformation = _deformation(length, shear, x)
+    potential = 0.5 * _form(_stiffness(section, length, shear), deformation)
+    potential -= section.mass * length * casadi.dot(casadi.SX(list(gravity)), _centre(length, shear, x))
+    lost = 0.5 * damping_time * _form(_stiffness(section, length, shear), casadi.jtimes(deformation, x, v))
+    momentum = casadi.gradient(kinetic, v)
+    force = casadi.jtimes(momentum, x, v) + casadi.jtimes(momentum, v, a)
+    force += casadi.gradient(potential - kinetic, x) + casadi.gradient(lost, v)
+    tangent = casadi.vertcat(*(casadi.vec(casadi.jacobian(force, z)) for z in (x, v, a)))
+    return BeamElement(
+        force=_function("force", [x, v, a], force),
+        tangent=_function("tangent", [x, v, a], tangent),
+        energy=_function("energy", [x, v], casadi.vertcat(kinetic, potential)),
+    )
+
+
+def _function(name: str, arguments: list[casadi.SX], result: casadi.SX) -> casadi.Function:
+    return casadi.Function(name, arguments, [casadi.densify(casadi.cse(result))])
+
+
+def _kinetic_energy(section: BeamSection, length: float, shear: float, x: casadi.SX, v: casadi.SX) -> casadi.SX:
+    """Of displacements along and across, and of turning sections [J]."""
+    total = casadi.SX(0)
+    for xi, weight in zip(POINTS, WEIGHTS, strict=True):
+        velocity = casadi.jtimes(_point(length, shear, x, xi), x, v)
+        rate = casadi.jtimes(_section_angle(shear, x, xi), x, v)
+        density = section.mass * casadi.dot(velocity, velocity) + section.rotary * rate**2
+        total += 0.5 * weight * length * density
+    return total
+
+
+def _deformation(length: float, shear: float, x: casadi.SX) -> casadi.SX:
+    """Elongation [m] and turning of both ends [rad] against the line between the nodes, (3, 1).
+
+    The axis is longer than this line by half the integral of the slope's square.
+    """
+    line, ends = x[3:5] - x[0:2], _ends(x)
+    slopes = np.array([_deflection(shear, xi)[1] for xi in POINTS])
+    bowing = _form(length * (slopes.T * WEIGHTS) @ slopes, ends)
+    square = casadi.dot(line, line)
+    # L - l from the difference of squares: no cancellation of nearly equal lengths
+    elongation = (square - length**2) / (casadi.sqrt(square) + length)
+    return casadi.vertcat(elongation + 0.5 * bowing, ends)
+
+
+def _stiffness(section: BeamSection, length: float, shear: float) -> Array:
+    """Of the deformation (3, 3)."""
+    bending = section.bending / (length * (1.0 + shear)) * np.array([[4 + shear, 2 - shear], [2 - shear, 4 + shear]])
+    matrix = np.zeros((3, 3))
+    matrix[0, 0], matrix[1:, 1:] = section.axial / length, bending
+    return matrix
+
+
+def _ends(x: casadi.SX) -> casadi.SX:
+    """Turning of both ends against the line between the nodes, within half a turn [rad], (2, 1)."""
+    line = x[3:5] - x[0:2]
+    turned = []
+    for theta in (x[2], x[5]):
+        c, s = casadi.cos(theta), casadi.sin(theta)
+        turned.append(casadi.atan2(line[0] * s - line[1] * c, line[0] * c + line[1] * s))
+    return casadi.vertcat(*turned)
+
+
+def _point(length: float, shear: float, x: casadi.SX, xi: float) -> casadi.SX:
+    """Position (2, 1) [m] of the axis at xi in 0..1."""
+    line = x[3:5] - x[0:2]
+    normal = casadi.vertcat(-line[1], line[0]) / casadi.norm_2(line)
+    across = length * casadi.dot(casadi.SX(_deflection(shear, xi)[0]), _ends(x))
+    return x[0:2] + xi * line + across * normal
+
+
+def _centre(length: float, shear: float, x: casadi.SX) -> casadi.SX:
+    """Centre of mass (2, 1) [m]."""
+    return sum((w * _point(length, shear, x, xi) for xi, w in zip(POINTS, WEIGHTS, strict=True)), casadi.SX(2, 1))
+
+
+def _section_angle(shear: float, x: casadi.SX, xi: float) -> casadi.SX:
+    """Angle of the cross section at xi [rad], up to whole turns."""
+    line = x[3:5] - x[0:2]
+    return casadi.atan2(line[1], line[0]) + casadi.dot(casadi.SX(_deflection(shear, xi)[2]), _ends(x))
+
+
+def _deflection(shear: float, xi: float) -> tuple[Array, Array, Array]:
+    """Deflection over the length, its slope, and turning of the section, per turning of the ends (2,) each."""
+    s = shear
+    value = np.array([xi**3 - (2 + s / 2) * xi**2 + (1 + s / 2) * xi, xi**3 - (1 - s / 2) * xi**2 - s / 2 * xi])
+    slope = np.array([3 * xi**2 - (4 + s) * xi + 1 + s / 2, 3 * xi**2 - (2 - s) * xi - s / 2])
+    turning = np.array([3 * xi**2 - (4 + s) * xi + 1 + s, 3 * xi**2 - (2 - s) * xi])
+    return value / (1 + s), slope / (1 + s), turning / (1 + s)
+
+
+def _form(matrix: Array, vector: casadi.SX) -> casadi.SX:
+    """vector' matrix vector."""
+    return casadi.dot(vector, casadi.SX(matrix) @ vector)

@@ -1,0 +1,75 @@
+"""Static equilibrium and natural frequencies of the finite elements, with locked motors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from flexfmu.model.errors import EquilibriumError
+from flexfmu.model.finite_elements.mesh import HELD, MOTORS
+from flexfmu.model.finite_elements.robot import FiniteElementRobot
+
+Array = NDArray[np.float64]
+
+MAXIMUM_ITERATIONS = 20
+
+ROUNDING = 1e-13
+"""Newton's iteration has converged when its step is below this, in m and rad: rounding of coordinates of about 1."""
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """A robot at rest.
+
+    Attributes:
+        coordinates: (size,) of all nodes [m, rad].
+        position: end effector (2,) [m].
+        torque: that the motors hold the pose with (2,) [N m].
+    """
+
+    coordinates: Array
+    position: Array
+    torque: Array
+
+
+def equilibrium(robot: FiniteElementRobot, joints: Array) -> Equilibrium:
+    """Equilibrium with the motors locked at the angles (q11, q21) [rad].
+
+    Raises:
+        EquilibriumError: Newton's iteration doesn't converge.
+    """
+    x = robot.undeformed(joints)
+    rest = np.zeros(x.size)
+    for _ in range(MAXIMUM_ITERATIONS):
+        stiffness = robot.tangents(x, rest, rest)[0][HELD:, HELD:]
+        step = np.linalg.solve(stiffness, -robot.forces(*_columns(x, rest, rest))[HELD:, 0])
+        x[HELD:] += step
+        if np.abs(step).max() < ROUNDING:
+            torque = robot.forces(*_columns(x, rest, rest))[list(MOTORS), 0]
+            return Equilibrium(x, x[list(robot.mesh.end)], torque)
+    raise EquilibriumError(
+        f"no static equilibrium of the finite elements with the motors at q11 = {joints[0]:.6g} rad, q21 = {joints[1]:.6g} rad: "
+        f"Newton's step is still {np.abs(step).max():.3g} m or rad after {MAXIMUM_ITERATIONS} iterations"
+    )
+
+
+def element_frequencies(robot: FiniteElementRobot, joints: Array, count: int) -> Array:
+    """The first undamped natural frequencies [Hz] about the static equilibrium, with the motors locked.
+
+    Raises:
+        EquilibriumError: there is no static equilibrium.
+    """
+    x = equilibrium(robot, joints).coordinates
+    rest = np.zeros(x.size)
+    stiffness, _, mass = (each[HELD:, HELD:] for each in robot.tangents(x, rest, rest))
+    squares = eigh(
+        0.5 * (stiffness + stiffness.T), 0.5 * (mass + mass.T), eigvals_only=True, subset_by_index=(0, count - 1)
+    )
+    return np.asarray(np.sqrt(squares) / (2.0 * np.pi))
+
+
+def _columns(*vectors: Array) -> tuple[Array, ...]:
+    return tuple(vector[:, None] for vector in vectors)

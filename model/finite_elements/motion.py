@@ -1,0 +1,151 @@
+"""Motion of the finite elements under prescribed motor angles, by Radau's method with steps of equal length.
+
+The unknowns of a step are the accelerations at its three stages, after which rates and coordinates follow; forces of inertia,
+rotation and deformation balance at every stage. The method is of fifth order, damps what is much faster than a step, and its
+last stage is the step's end, so that accelerations and torques come with the accuracy of the method.
+
+Source: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), section IV.5, Radau IIA of order 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lu_factor, lu_solve
+
+from flexfmu.model.errors import EquilibriumError
+from flexfmu.model.finite_elements.equilibrium import equilibrium
+from flexfmu.model.finite_elements.mesh import HELD, MOTORS
+from flexfmu.model.finite_elements.robot import FiniteElementRobot
+from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
+
+Array = NDArray[np.float64]
+
+R = math.sqrt(6.0)
+STAGES = np.array([(4 - R) / 10, (4 + R) / 10, 1.0])
+TABLEAU = np.array(
+    [
+        [(88 - 7 * R) / 360, (296 - 169 * R) / 1800, (-2 + 3 * R) / 225],
+        [(296 + 169 * R) / 1800, (88 + 7 * R) / 360, (-2 - 3 * R) / 225],
+        [(16 - R) / 36, (16 + R) / 36, 1 / 9],
+    ]
+)
+TWICE = TABLEAU @ TABLEAU
+
+CONVERGED = 1e-7
+"""Newton's iteration is over when its accelerations change by less than this fraction of the largest."""
+
+MANY = 6
+"""Iterations after which the matrix is made anew before the next step."""
+
+MAXIMUM_ITERATIONS = 30
+
+
+@dataclass(frozen=True)
+class ElementMotion:
+    """The robot at N instants.
+
+    Attributes:
+        time: (N,) [s].
+        position, velocity, acceleration: of the end effector (N, 2) [m, m/s, m/s²].
+        torque: of the motors (N, 2) [N m].
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+
+
+def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: Array, step: float) -> ElementMotion:
+    """Motion from the static equilibrium at the start; steps end at all breakpoints and instants.
+
+    Args:
+        robot: the finite elements.
+        joints: motion of the motors [rad], which stand still after its end.
+        instants: at which the motion is wanted, (N,), ascending, above zero [s].
+        step: longest step [s]; each interval is cut into equal ones.
+
+    Raises:
+        EquilibriumError: the start has no static equilibrium, or a step's iteration doesn't converge.
+    """
+    course = _Course(robot, joints.evaluate(0.0, 0)[0, 0])
+    wanted = set(instants.tolist())
+    for begin, end in _intervals(joints, instants):
+        count = math.ceil((end - begin) / step * (1.0 - 1e-9))
+        h = (end - begin) / count
+        stages = begin + h * (np.arange(count)[:, None] + STAGES)
+        motors = joints.evaluate(stages.ravel(), 2, side="left").reshape(3, count, 3, 2)
+        for n in range(count):
+            course.advance(float(stages[n, -1]), h, motors[:, n].transpose(0, 2, 1))
+        if end in wanted:
+            course.record(end)
+    return course.motion()
+
+
+def _intervals(joints: Trajectory, instants: Array) -> Iterator[tuple[float, float]]:
+    """Between instants and breakpoints that aren't the same but for rounding."""
+    stop = float(instants[-1])
+    breakpoints = [t for t in joints.breakpoints if t < stop and np.abs(instants - t).min() > SAME_TIME * stop]
+    return pairwise(sorted({0.0, *breakpoints, *instants.tolist()}))
+
+
+class _Course:
+    """A motion on its way: the present state, the factorised matrix, and what has been passed."""
+
+    def __init__(self, robot: FiniteElementRobot, joints: Array) -> None:
+        self._robot = robot
+        self._x = equilibrium(robot, joints).coordinates
+        self._v, self._a, self._force = np.zeros((3, self._x.size))
+        self._factors: tuple[Array, NDArray[np.int32]] | None = None
+        self._factors_step = 0.0
+        self._passed: list[tuple[float, Array, Array, Array, Array]] = []
+
+    def advance(self, time: float, h: float, motors: Array) -> None:
+        """One step of length h to a time; `motors` are angles, rates and accelerations (3, 2, stages)."""
+        x = self._x[:, None] + h * STAGES * self._v[:, None]
+        v, a = self._v[:, None] + np.zeros(3), self._a[:, None] + np.zeros(3)
+        x[HELD:] += h**2 * a[HELD:] @ TWICE.T
+        v[HELD:] += h * a[HELD:] @ TABLEAU.T
+        x[list(MOTORS)], v[list(MOTORS)], a[list(MOTORS)] = motors
+        force = self._balance(time, h, x, v, a)
+        self._x, self._v, self._a, self._force = x[:, -1], v[:, -1], a[:, -1], force[:, -1]
+
+    def _balance(self, time: float, h: float, x: Array, v: Array, a: Array) -> Array:
+        """Newton's iteration on the stages' accelerations in place; the forces (size, 3) of the last iterate."""
+        for iteration in range(MAXIMUM_ITERATIONS):
+            force = self._robot.forces(x, v, a)
+            change = self._solve(h, -force[HELD:])
+            a[HELD:] += change
+            v[HELD:] += h * change @ TABLEAU.T
+            x[HELD:] += h**2 * change @ TWICE.T
+            if np.abs(change).max() <= CONVERGED * (1.0 + np.abs(a).max()):
+                if iteration >= MANY:
+                    self._factors = None
+                return self._robot.forces(x, v, a)
+        raise EquilibriumError(
+            f"the finite elements' forces don't balance at {time:.6g} s: take smaller steps than {h:.3g} s"
+        )
+
+    def _solve(self, h: float, force: Array) -> Array:
+        """Changes of the stages' accelerations (free, 3) that make up for forces (free, 3)."""
+        if self._factors is None or abs(h - self._factors_step) > 1e-9 * h:
+            k, c, m = (each[HELD:, HELD:] for each in self._robot.tangents(self._x, self._v, self._a))
+            self._factors = lu_factor(np.kron(np.eye(3), m) + h * np.kron(TABLEAU, c) + h**2 * np.kron(TWICE, k))
+            self._factors_step = h
+        return np.asarray(lu_solve(self._factors, force.T.ravel()).reshape(3, -1).T)
+
+    def record(self, time: float) -> None:
+        """Keep the present state."""
+        end, motors = list(self._robot.mesh.end), list(MOTORS)
+        self._passed.append((time, self._x[end], self._v[end], self._a[end], self._force[motors]))
+
+    def motion(self) -> ElementMotion:
+        """What has been kept."""
+        return ElementMotion(*(np.array(column) for column in zip(*self._passed, strict=True)))

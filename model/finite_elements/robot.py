@@ -1,0 +1,159 @@
+"""The five-bar assembled from beam elements, with payload and gravity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.model.assembly import bases, elbow
+from flexfmu.model.errors import SceneError
+from flexfmu.model.finite_elements.element import COORDINATES, BeamElement, beam_element
+from flexfmu.model.finite_elements.mesh import HELD, MOTORS, Mesh, five_bar_mesh
+from flexfmu.model.finite_elements.sections import beam_section
+from flexfmu.model.forward_kinematics import RigidForwardKinematics
+from flexfmu.model.robot import LinkGroup
+from flexfmu.model.scene import NoDamping, Scene, StiffnessDamping
+from flexfmu.trajectories.jets import Jet
+
+Array = NDArray[np.float64]
+
+LINKS: dict[LinkGroup, tuple[str, str]] = {"proximal": ("link11", "link21"), "distal": ("link12", "link22")}
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """All elements of a link group.
+
+    Attributes:
+        element: their functions.
+        index: (E, 6) their coordinates.
+    """
+
+    element: BeamElement
+    index: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class FiniteElementRobot:
+    """Forces of a scene's five-bar between beam elements; S states are treated at once.
+
+    Attributes:
+        scene: the scene; which shapes it chooses doesn't matter, all links bend and stretch, with foreshortening.
+        mesh: numbers of the coordinates.
+        chains: the elements.
+    """
+
+    scene: Scene
+    mesh: Mesh
+    chains: tuple[Chain, ...]
+
+    def forces(self, x: Array, v: Array, a: Array) -> Array:
+        """Forces (size, S) that motions need from outside, from coordinates, rates and accelerations (size, S) each."""
+        total = np.zeros(x.shape)
+        for chain in self.chains:
+            parts = _mapped(chain.element.force, chain.index, x, v, a)
+            np.add.at(total, chain.index.T, parts.transpose(1, 2, 0))
+        end, payload = list(self.mesh.end), self.scene.payload
+        total[end] += payload.mass * (a[end] - np.array(self.scene.effects.gravity)[:, None])
+        total[self._payload_angle] += payload.inertia * a[self._payload_angle]
+        return total
+
+    def tangents(self, x: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """Jacobians of the forces by x, v and a, (size, size) each, at one state (size,) each."""
+        total = np.zeros((3, self.mesh.size, self.mesh.size))
+        for chain in self.chains:
+            parts = _mapped(chain.element.tangent, chain.index, x[:, None], v[:, None], a[:, None])[0]
+            for index, part in zip(chain.index, parts.T, strict=True):
+                # columns by x, v and a follow each other, each of 6 rows
+                blocks = part.reshape(3, COORDINATES, COORDINATES)
+                total[:, index[:, None], index[None, :]] += blocks.transpose(0, 2, 1)
+        for i in self.mesh.end:
+            total[2, i, i] += self.scene.payload.mass
+        total[2, self._payload_angle, self._payload_angle] += self.scene.payload.inertia
+        return total[0], total[1], total[2]
+
+    def undeformed(self, joints: Array) -> Array:
+        """Coordinates (size,) of the rigid robot with the motors at the angles (2,) [rad]."""
+        x = np.zeros(self.mesh.size)
+        for link, begin, end in self._rigid_links(joints):
+            nodes = self.mesh.nodes[link]
+            fraction = np.linspace(0.0, 1.0, len(nodes))[:, None]
+            x[nodes[:, :2]] = np.array(begin) * (1.0 - fraction) + np.array(end) * fraction
+            x[nodes[:, 2]] = np.arctan2(end[1] - begin[1], end[0] - begin[0])
+        x[list(MOTORS)] = joints
+        return x
+
+    def _rigid_links(self, joints: Array) -> Iterator[tuple[str, tuple[float, float], tuple[float, float]]]:
+        """Names, roots and tips of all links of the rigid robot."""
+        mechanism = self.scene.mechanism
+        fore = RigidForwardKinematics(mechanism).end_effector(*(Jet.constant([q], 0) for q in joints))
+        end = float(fore[0].coefficients[0, 0]), float(fore[1].coefficients[0, 0])
+        for leg, (base, q) in enumerate(zip(bases(mechanism), joints, strict=True), start=1):
+            middle = elbow(base, float(q), mechanism.proximal.length)
+            yield f"link{leg}1", base, middle
+            yield f"link{leg}2", middle, end
+
+    @property
+    def _payload_angle(self) -> int:
+        """The payload turns with the tip of link 12."""
+        return int(self.mesh.nodes["link12"][-1, 2])
+
+
+def finite_element_robot(scene: Scene, elements: int) -> FiniteElementRobot:
+    """A scene's robot with so many elements a link.
+
+    Raises:
+        SceneError: the scene has damping or drive effects that this formulation doesn't have.
+    """
+    time = _damping_time(scene)
+    _refuse_drive_effects(scene)
+    mesh, chains = five_bar_mesh(elements), []
+    for group, links in LINKS.items():
+        section = beam_section(scene, group)
+        element = beam_element(section, section.length / elements, scene.effects.gravity, time)
+        chains.append(Chain(element, np.vstack([mesh.elements(link) for link in links])))
+    return FiniteElementRobot(scene, mesh, tuple(chains))
+
+
+def free(vector: Array) -> Array:
+    """The entries that neither bases nor motors prescribe."""
+    return vector[HELD:]
+
+
+def _mapped(function: casadi.Function, index: NDArray[np.intp], *states: Array) -> Array:
+    """The function of all elements in all states, shape (S, results, E)."""
+    count, elements = states[0].shape[1], len(index)
+    columns = [z[index].transpose(1, 2, 0).reshape(COORDINATES, count * elements) for z in states]
+    result = function.map(count * elements)(*columns).full()
+    return np.asarray(result.reshape(-1, count, elements).transpose(1, 0, 2))
+
+
+def _damping_time(scene: Scene) -> float:
+    damping = scene.effects.damping
+    if isinstance(damping, StiffnessDamping):
+        return damping.time
+    if isinstance(damping, NoDamping):
+        return 0.0
+    raise SceneError(
+        f"finite elements have no damping of the kind '{damping.kind}', which belongs to modes: "
+        'set `effects.damping` to { kind = "none" } or { kind = "stiffness", time = ... }'
+    )
+
+
+def _refuse_drive_effects(scene: Scene) -> None:
+    effects = scene.effects
+    friction = effects.joint_friction
+    chosen = {
+        "motor_inertia": bool(effects.motor_inertia),
+        "joint_friction": bool(friction.viscous or friction.coulomb),
+        "transmission": effects.transmission is not None,
+    }
+    for key, there in chosen.items():
+        if there:
+            raise SceneError(
+                f"finite elements are driven by angles of the links: leave `effects.{key}` out of the scene"
+            )
