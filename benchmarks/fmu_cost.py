@@ -25,7 +25,7 @@ from paper_scene import SCENE
 from flexfmu.cosim.planning import plan
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.integrators import INTEGRATORS
+from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import generate_sources
 from flexfmu.fmu_build.toolchain import COMMON_FLAGS, GENERATED_FLAGS, RUNTIME_FLAGS, Compiler, find_compiler
@@ -73,7 +73,7 @@ def measure(name: str, folder: Path, step: float, repeat: int) -> list[dict[str,
     program = build(SCENES[name], folder / name)
     rows = []
     for integrator, tolerance in CASES:
-        arguments = [str(program), str(table), repr(tolerance), str(INTEGRATORS[integrator][0]), str(repeat)]
+        arguments = [str(program), str(table), repr(tolerance), str(INTEGRATOR.items[integrator][0]), str(repeat)]
         found = json.loads(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout)
         rows.append(
             {"coordinates": name, "integrator": integrator, "tolerance": tolerance, **found, **floors(found, steps)}

@@ -1,14 +1,18 @@
-"""What our own FMUs say of themselves beyond FMI: sample times and breakpoints."""
+"""What our own FMUs say of themselves beyond FMI: sample times, breakpoints, and names of numbered choices."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import isfinite
-from typing import TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 from xml.etree import ElementTree
 
 from flexfmu.cosim.errors import FmuFileError
-from flexfmu.cosim.fmu_file import UnpackedFmu
+from flexfmu.fmu_build.choices import ANNOTATION
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.fmu_file import UnpackedFmu
 
 Result = TypeVar("Result")
 
@@ -19,7 +23,7 @@ def sampling(fmu: UnpackedFmu) -> tuple[float, float] | None:
     Raises:
         FmuFileError: the annotation doesn't make sense.
     """
-    return _read(fmu, "Sampling", lambda at: (_number(at["sampleTime"]), _number(at["offset"])))
+    return _read(fmu.path, fmu.folder, "Sampling", lambda at: (_number(at["sampleTime"]), _number(at["offset"])))
 
 
 def breakpoints(fmu: UnpackedFmu) -> tuple[float, ...] | None:
@@ -28,18 +32,31 @@ def breakpoints(fmu: UnpackedFmu) -> tuple[float, ...] | None:
     Raises:
         FmuFileError: the annotation doesn't make sense.
     """
-    return _read(fmu, "Breakpoints", lambda at: tuple(map(_number, at["times"].split())))
+    return _read(fmu.path, fmu.folder, "Breakpoints", lambda at: tuple(map(_number, at["times"].split())))
 
 
-def _read(fmu: UnpackedFmu, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
-    root = ElementTree.parse(fmu.folder / "modelDescription.xml")
+def choices(path: Path, folder: Path) -> Mapping[str, Mapping[str, int]]:
+    """Integer parameters whose values have names: parameter → name → value; none in any other FMU.
+
+    Args:
+        path: the FMU file.
+        folder: where it has been unpacked.
+
+    Raises:
+        FmuFileError: the annotation doesn't make sense.
+    """
+    return _read(path, folder, ANNOTATION, lambda at: {name: _numbered(text) for name, text in at.items()}) or {}
+
+
+def _read(path: Path, folder: Path, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
+    root = ElementTree.parse(folder / "modelDescription.xml")
     found = root.find(f"VendorAnnotations/Tool[@name='flexfmu']/{element}")
     if found is None:
         return None
     try:
         return parse(found.attrib)
     except (KeyError, ValueError) as error:
-        raise FmuFileError(f"{fmu.path} is a broken FMU: its {element} are {found.attrib}; build it again") from error
+        raise FmuFileError(f"{path} is a broken FMU: its {element} are {found.attrib}; build it again") from error
 
 
 def _number(text: str) -> float:
@@ -47,3 +64,8 @@ def _number(text: str) -> float:
     if not isfinite(value):
         raise ValueError(text)
     return value
+
+
+def _numbered(text: str) -> dict[str, int]:
+    """``"static=1 undeformed=2"`` as a dictionary."""
+    return {name: int(number) for name, _, number in (item.partition("=") for item in text.split())}

@@ -6,16 +6,17 @@ import atexit
 import hashlib
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import fmpy
-from fmpy.model_description import read_model_description
+from fmpy.model_description import Item, SimpleType, read_model_description
 
 from flexfmu.cosim.errors import FmuFileError
+from flexfmu.cosim.fmu_annotations import choices
 from flexfmu.fmu_build.naming import structured_name
 
 
@@ -67,17 +68,26 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
         folder = _root() / digest
         attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
-        _restore_names(description)
+        if str(description.generationTool).startswith("flexfmu "):
+            _restore_names(description)
+            _name_choices(description, choices(path, folder))
         _unpacked[digest] = folder, description
     return _unpacked[digest]
 
 
 def _restore_names(description: Any) -> None:
     """Give the variables of our own FMUs with flat names the structured ones, so that they connect like any others."""
-    is_ours = str(description.generationTool).startswith("flexfmu ")
-    if is_ours and description.variableNamingConvention == "flat":
+    if description.variableNamingConvention == "flat":
         for variable in description.modelVariables:
             variable.name = structured_name(variable.name)
+
+
+def _name_choices(description: Any, names: Mapping[str, Mapping[str, int]]) -> None:
+    """Give the numbered choices of our own FMUs their names, as enumerations have them in their types."""
+    for variable in description.modelVariables:
+        if variable.name in names:
+            items = [Item(name, str(value)) for name, value in names[variable.name].items()]
+            variable.declaredType = SimpleType(variable.name, type=variable.type, items=items)
 
 
 def attempt(path: Path, action: Callable[[], Any]) -> Any:

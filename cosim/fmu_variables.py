@@ -15,7 +15,7 @@ Kind = Literal["Real", "Integer", "Boolean", "String"]
 """Which family of FMI functions reaches a variable; enumerations are reached like integers."""
 
 Value = float | int | bool | str
-"""Value of a parameter; the item's name will do for an enumeration."""
+"""Value of a parameter; the item's name will do for an enumeration or a numbered choice."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Setting:
 
 
 def settings(description: Any, parameters: Mapping[str, Value]) -> Sequence[Setting]:
-    """Look up parameters by name and translate the items of enumerations.
+    """Look up parameters by name and translate the names of numbered values.
 
     Raises:
         InputError: there is no such parameter, or the value doesn't suit its type or range.
@@ -101,7 +101,7 @@ def settings(description: Any, parameters: Mapping[str, Value]) -> Sequence[Sett
         if name not in known:
             hint = get_close_matches(name, known, n=1)
             raise InputError(f"the FMU has no parameter {name!r}" + (f"; did you mean {hint[0]!r}?" if hint else ""))
-        result.append(Setting(name, _handle(known[name]), _in_range(known[name], _translate(known[name], value))))
+        result.append(Setting(name, _handle(known[name]), _in_range(known[name], typed(known[name], value))))
     return result
 
 
@@ -139,15 +139,19 @@ def _unit(variable: Any) -> str:
     return variable.unit or (variable.declaredType.unit if variable.declaredType else None) or ""
 
 
-def _translate(variable: Any, value: Value) -> Value:
-    """The value as the variable's type has it."""
+def typed(variable: Any, value: Value) -> Value:
+    """The value as the variable's type has it: of enumerations and numbered choices the number.
+
+    Raises:
+        InputError: the value has no such name, or the variable takes numbers alone.
+    """
     if variable.type == "String":
         return str(value)
-    if variable.type == "Enumeration" and isinstance(value, str):
-        items = {item.name: int(item.value) for item in variable.declaredType.items}
-        if value not in items:
-            raise InputError(f"{variable.name} must be one of {', '.join(items)}, got {value!r}")
-        return items[value]
-    if isinstance(value, str):
+    if not isinstance(value, str):
+        return value
+    items = {item.name: int(item.value) for item in variable.declaredType.items} if variable.declaredType else {}
+    if not items:
         raise InputError(f"{variable.name} is a number, got {value!r}")
-    return value
+    if value not in items:
+        raise InputError(f"{variable.name} must be one of {', '.join(items)}, got {value!r}")
+    return items[value]

@@ -15,6 +15,7 @@ from flexfmu.cosim.scene_parameters import parameters_for
 from flexfmu.cosim.slave import Slave
 from flexfmu.cosim.trajectory_slave import HERMITE_ORDER, TrajectorySlave
 from flexfmu.cosim.wiring import Wiring, wire
+from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR
 from flexfmu.model.scene import Scene
 
@@ -103,7 +104,7 @@ def scene_system(
 def _parameters(scene: Scene, path: Path, initial: str | None) -> dict[str, Value]:
     """All parameters that the FMU has, from the scene."""
     available = parameter_names(open_fmu(path).description)
-    start: dict[str, Value] = {"initial": initial or scene.cosimulation.initial}
+    start: dict[str, Value] = {INITIAL.name: initial or scene.cosimulation.initial}
     return {**parameters_for(scene, available), **start, **_integrator(scene)}
 
 
@@ -111,7 +112,7 @@ def _integrator(scene: Scene) -> dict[str, Value]:
     """How the scene wants its FMU to integrate, where it doesn't leave that to the FMU."""
     section, chosen = scene.cosimulation, dict[str, Value]()
     if section.integrator != "automatic":
-        chosen[INTEGRATOR] = section.integrator
+        chosen[INTEGRATOR.name] = section.integrator
     if section.integrator_step > 0.0:
         chosen[FIXED_STEP] = section.integrator_step
     return chosen

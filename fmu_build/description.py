@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
+from flexfmu.fmu_build.choices import INITIAL, Choice, annotation
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER, identifier
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.interface import INITIAL_TYPE, INTEGRATOR_TYPE, EnumerationType, Interface, build_interface
+from flexfmu.fmu_build.integrators import INTEGRATOR
+from flexfmu.fmu_build.interface import Interface, build_interface
 from flexfmu.fmu_build.licences import AUTHOR, LICENSE, copyright_line
 from flexfmu.fmu_build.naming import Naming, named_interface
 from flexfmu.fmu_build.quantities import RealType, real_types
@@ -41,7 +43,7 @@ class Description:
         name: model name.
         text: one or two sentences for people.
         interface: variables and structure.
-        types: enumeration types of the variables.
+        choices: parameters whose values have names.
         max_input_order: highest order of an input's derivative that may be set; 0 for none.
         max_output_order: highest order of an output's derivative that can be read; 0 for none.
         has_tolerance: whether the default experiment's tolerance means anything here.
@@ -56,7 +58,7 @@ class Description:
     name: str
     text: str
     interface: Interface
-    types: tuple[EnumerationType, ...] = ()
+    choices: tuple[Choice, ...] = ()
     max_input_order: int = 0
     max_output_order: int = 0
     has_tolerance: bool = False
@@ -65,7 +67,7 @@ class Description:
     annotations: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        types = {each.name for each in self.real_types} | {each.name for each in self.types}
+        types = {each.name for each in self.real_types}
         for variable in self.interface.variables:
             if variable.name in types:
                 raise ModelError(f"variable '{variable.name}' has the name of a type; give it another one")
@@ -100,7 +102,7 @@ def plant_description(model: SymbolicModel) -> Description:
         text=f"{model.description.rstrip('.')}. Inputs may carry derivatives up to order {MAX_INPUT_ORDER} "
         f"(fmi2SetRealInputDerivatives); output derivatives of orders 1 to {MAX_OUTPUT_DERIVATIVE_ORDER} are exact.",
         interface=build_interface(model),
-        types=(INITIAL_TYPE, INTEGRATOR_TYPE),
+        choices=(INITIAL, INTEGRATOR),
         max_input_order=MAX_INPUT_ORDER,
         max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
         has_tolerance=True,
@@ -134,7 +136,6 @@ def description_xml(
         source_files=source_files,
         units=unit_definitions(description.units),
         real_types=description.real_types,
-        types=description.types,
         log_categories=LOG_CATEGORIES,
         max_input_order=description.max_input_order,
         max_output_order=description.max_output_order,
@@ -148,4 +149,5 @@ def description_xml(
 def _annotations(description: Description) -> dict[str, Mapping[str, str]]:
     """Annotations of every kind of FMU and its own ones."""
     derivatives = {"InputDerivatives": {"maxOrder": str(description.max_input_order)}}
-    return (derivatives if description.max_input_order else {}) | dict(description.annotations)
+    ordered = derivatives if description.max_input_order else {}
+    return ordered | annotation(description.choices) | dict(description.annotations)

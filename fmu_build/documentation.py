@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.documentation_files import documentation_files
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import ICON_SIZE
-from flexfmu.fmu_build.integrators import INTEGRATORS
-from flexfmu.fmu_build.interface import INITIAL_STATES
+from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.fmu_build.picture import Picture, block_picture, mechanism_picture
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ def documentation(model: SymbolicModel, description: Description, experiment: De
         picture=plant_picture(model, *PICTURE_SIZE, labelled=True),
         model=model,
         states=_states(model),
-        initial_states=INITIAL_STATES,
-        integrators=INTEGRATORS,
+        initial_states=INITIAL.items,
+        integrators=INTEGRATOR.items,
     )
 
 

@@ -37,6 +37,7 @@ def documentation_files(
         picture=picture,
         groups={title: [v for v in variables if v.causality == kind] for kind, title in _CAUSALITIES.items()},
         names={variable.index: variable.name for variable in variables},
+        derived=any(variable.derivative is not None for variable in variables),
         start=_start_text,
         limits=_limits_text,
         log_categories=LOG_CATEGORIES,
@@ -49,12 +50,12 @@ def documentation_files(
 
 
 def _start_text(variable: FmiVariable, description: Description) -> str:
-    """The start value with its unit, and as a person would rather read it; items of enumerations by name."""
+    """The start value with its unit, and as a person would rather read it; choices by name."""
     if variable.start is None:
         return ""
-    if variable.kind == "Enumeration":
-        items = next(each.items for each in description.types if each.name == variable.declared_type)
-        return next(f"{name} ({value})" for name, (value, _) in items.items() if value == variable.start)
+    for choice in description.choices:
+        if choice.name == variable.name:
+            return f"{choice.name_of(variable.start)} ({variable.start})"
     text = f"{variable.start:.12g} {variable.unit or ''}".strip()
     other = displayed(variable.start, variable.unit) if variable.unit and variable.start else None
     return f"{text} = {other}" if other else text

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-INTEGRATOR = "integrator"
-"""Name of the parameter that chooses the method."""
+from flexfmu.fmu_build.choices import Choice
 
 FIXED_STEP = "integrator.step"
 """Name of the parameter that fixes the step size [s]; 0 lets the error choose it."""
@@ -13,13 +10,17 @@ FIXED_STEP = "integrator.step"
 VALUE_REFERENCE = 6
 """Of the choice, among the Integer variables: behind ``initial`` and the counters."""
 
-INTEGRATORS: Mapping[str, tuple[int, str]] = {
-    "automatic": (1, "a Gauss method for the tolerance"),
-    "gauss2": (2, "Gauss collocation, 2 stages, order 4, A-stable, without damping of its own"),
-    "gauss3": (3, "Gauss collocation, 3 stages, order 6, A-stable, without damping of its own"),
-    "gauss4": (4, "Gauss collocation, 4 stages, order 8, A-stable, without damping of its own"),
-    "radau3": (5, "Radau IIA, 3 stages, order 5, L-stable: damps what it does not resolve"),
-    "dopri5": (6, "Dormand-Prince, explicit, order 5 with an error estimate of order 4"),
-    "rk4": (7, "Classical Runge-Kutta method, explicit, order 4"),
-}
-"""Items of the enumeration type ``Integrator``: name → (value, meaning)."""
+INTEGRATOR = Choice(
+    "integrator",
+    "Integration method",
+    {
+        "automatic": (1, "a Gauss method for the tolerance"),
+        "gauss2": (2, "Gauss collocation, 2 stages, order 4, A-stable, without damping of its own"),
+        "gauss3": (3, "Gauss collocation, 3 stages, order 6, A-stable, without damping of its own"),
+        "gauss4": (4, "Gauss collocation, 4 stages, order 8, A-stable, without damping of its own"),
+        "radau3": (5, "Radau IIA, 3 stages, order 5, L-stable: damps what it does not resolve"),
+        "dopri5": (6, "Dormand-Prince, explicit, order 5 with an error estimate of order 4"),
+        "rk4": (7, "Classical Runge-Kutta method, explicit, order 4"),
+    },
+)
+"""The parameter that chooses the method."""

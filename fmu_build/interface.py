@@ -7,21 +7,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
+from flexfmu.fmu_build.choices import INITIAL, Choice
 from flexfmu.fmu_build.errors import ModelError, StartError
-from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR, INTEGRATORS, VALUE_REFERENCE
+from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR, VALUE_REFERENCE
 from flexfmu.fmu_build.quantities import quantity
 from flexfmu.fmu_build.states import find_states, state_dependencies
 from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel, Variable
-
-INITIAL = "initial"
-INITIAL_STATES: Mapping[str, tuple[int, str]] = {
-    "static": (1, "static equilibrium at the start pose, motors locked"),
-    "undeformed": (2, "elastic coordinates and rates zero"),
-}
-"""Items of the enumeration type ``Initial``: name → (value, meaning)."""
 
 STATISTICS: Mapping[str, str] = {
     "statistics.steps": "Accepted steps of the integrator since initialisation",
@@ -32,26 +26,7 @@ STATISTICS: Mapping[str, str] = {
 }
 """Counters of the integrator, in the order of their value references."""
 
-Kind = Literal["Real", "Integer", "Enumeration"]
-
-
-@dataclass(frozen=True)
-class EnumerationType:
-    """A type of the model description.
-
-    Attributes:
-        name: its name.
-        description: what its variables choose.
-        items: name → (value, meaning).
-    """
-
-    name: str
-    description: str
-    items: Mapping[str, tuple[int, str]]
-
-
-INITIAL_TYPE = EnumerationType("Initial", "Elastic state at the start", INITIAL_STATES)
-INTEGRATOR_TYPE = EnumerationType("Integrator", "Integration method", INTEGRATORS)
+Kind = Literal["Real", "Integer"]
 
 
 @dataclass(frozen=True)
@@ -63,7 +38,7 @@ class FmiVariable:
         value_reference: handle for the FMI functions, counted per type from 0.
         kind: FMI type.
         start: start value, None where the standard forbids one.
-        declared_type: name of its type: the physical quantity, or the enumeration.
+        declared_type: name of its type: the physical quantity.
         unit, display_unit: None for numbers without a unit.
         derivative: index of the variable whose time derivative this one is.
     """
@@ -124,7 +99,7 @@ def build_interface(model: SymbolicModel) -> Interface:
         for position, variable in enumerate(model.outputs)
     ]
     scalars = (*model.inputs, *model.parameters, *outputs)
-    check_names([*(variable.name for variable in scalars), INITIAL, *STATISTICS, INTEGRATOR, FIXED_STEP])
+    check_names([*(variable.name for variable in scalars), INITIAL.name, *STATISTICS, INTEGRATOR.name, FIXED_STEP])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
     reals = tuple(real_variable(variable, index_of) for variable in scalars)
     integers = _integer_variables(first_index=len(reals) + 1, static_start=model.static_start)
@@ -226,20 +201,35 @@ def _check_start(variable: Variable) -> None:
         raise StartError(f"start of '{variable.name}' must be within {limits}{unit}, got {start}{unit}")
 
 
-def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariable, ...]:
-    """The enumeration ``initial`` and the counters: they share one range of value references."""
-    initial = FmiVariable(
-        index=first_index,
-        value_reference=0,
-        kind="Enumeration",
-        name=INITIAL,
-        description="Elastic state at the start",
+def choice_variable(
+    choice: Choice, start: str, index: int, value_reference: int, variability: str = "fixed"
+) -> FmiVariable:
+    """The description of a choice.
+
+    Args:
+        choice: the choice.
+        start: name of its start value.
+        index, value_reference, variability: as in `FmiVariable`.
+    """
+    low, high = choice.limits
+    return FmiVariable(
+        index=index,
+        value_reference=value_reference,
+        kind="Integer",
+        name=choice.name,
+        description=choice.text,
         causality="parameter",
-        variability="fixed",
+        variability=variability,
         initial="exact",
-        start=INITIAL_STATES["static" if static_start else "undeformed"][0],
-        declared_type=INITIAL_TYPE.name,
+        start=choice.items[start][0],
+        minimum=low,
+        maximum=high,
     )
+
+
+def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariable, ...]:
+    """The choice of the initial state and the counters: they share one range of value references."""
+    initial = choice_variable(INITIAL, "static" if static_start else "undeformed", first_index, value_reference=0)
     counters = tuple(
         FmiVariable(
             index=first_index + count,
@@ -258,18 +248,7 @@ def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariabl
 
 def _integrator_variables(first_index: int, value_reference: int) -> tuple[FmiVariable, ...]:
     """The choice of the method, and of a fixed step as the last of the real variables; initialisation needs neither."""
-    method = FmiVariable(
-        index=first_index,
-        value_reference=VALUE_REFERENCE,
-        kind="Enumeration",
-        name=INTEGRATOR,
-        description="Integration method",
-        causality="parameter",
-        variability="fixed",
-        initial="exact",
-        start=INTEGRATORS["automatic"][0],
-        declared_type=INTEGRATOR_TYPE.name,
-    )
+    method = choice_variable(INTEGRATOR, "automatic", first_index, VALUE_REFERENCE)
     step = FmiVariable(
         index=first_index + 1,
         value_reference=value_reference,

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from flexfmu.fmu_build.choices import Choice
 from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.documentation_files import documentation_files
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import ICON_SIZE
-from flexfmu.fmu_build.interface import EnumerationType, FmiVariable, Interface, Unknown, check_names, real_variable
+from flexfmu.fmu_build.interface import Interface, Unknown, check_names, choice_variable, real_variable
 from flexfmu.fmu_build.picture import FINE_PEN, PAGE_SIZE, PEN, Picture, curves_picture
 from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, TrajectoryTable
 from flexfmu.model.symbolic import Variable
 
-LIMIT = "limit"
-LIMIT_TYPE = EnumerationType(
-    "Limit",
+LIMIT = Choice(
+    "limit",
     "What is shown at a breakpoint",
     {
         "left": (1, "left limits: the end of the piece that was run through"),
@@ -65,9 +65,8 @@ class TableMotion:
                 unit=self.unit + per_time,
                 description=f"{kind.capitalize()} of {axis}",
                 causality="output",
-                derivative_of=f"{axis}.reference.{KINDS[order - 1]}" if order else None,
             )
-            for order, (kind, per_time) in enumerate(zip(KINDS, _PER_TIME, strict=True))
+            for kind, per_time in zip(KINDS, _PER_TIME, strict=True)
             for axis in self.axes
         )
 
@@ -84,7 +83,7 @@ def trajectory_description(motion: TableMotion) -> Description:
         text=f"{motion.description} Output derivatives of orders 1 to {END_ORDER}; at breakpoints the limit that the "
         "parameter 'limit' chooses.",
         interface=trajectory_interface(motion),
-        types=(LIMIT_TYPE,),
+        choices=(LIMIT,),
         max_output_order=END_ORDER,
         annotations={"Breakpoints": {"times": points}},
     )
@@ -93,30 +92,22 @@ def trajectory_description(motion: TableMotion) -> Description:
 def trajectory_interface(motion: TableMotion) -> Interface:
     """Number the outputs and the choice of the limit.
 
+    No output is declared the derivative of another: Maestro 3.1.1 stops where both are connected (ClassCastException in
+    ComponentVariableFmi2Api.share), libcosim refuses derivatives in a model structure that no variable declares, and a
+    trajectory has no continuous states that would need either.
+
     Raises:
         ModelError: a name is given twice.
     """
     names = [output.name for output in motion.outputs]
-    check_names([*names, LIMIT])
+    check_names([*names, LIMIT.name])
     index_of = {name: index for index, name in enumerate(names, start=1)}
     reals = tuple(real_variable(output, index_of) for output in motion.outputs)
-    limit = FmiVariable(
-        index=len(reals) + 1,
-        value_reference=0,
-        kind="Enumeration",
-        name=LIMIT,
-        description=LIMIT_TYPE.description,
-        causality="parameter",
-        variability="tunable",
-        initial="exact",
-        start=1,
-        declared_type=LIMIT_TYPE.name,
-    )
-    outputs = tuple(Unknown(variable.index, ()) for variable in reals)
+    limit = choice_variable(LIMIT, "left", len(reals) + 1, value_reference=0, variability="tunable")
     return Interface(
         variables=(*reals, limit),
-        outputs=outputs,
-        derivatives=tuple(each for each, real in zip(outputs, reals, strict=True) if real.derivative is not None),
+        outputs=tuple(Unknown(variable.index, ()) for variable in reals),
+        derivatives=(),
         initial_unknowns=tuple(Unknown(variable.index, (limit.index,)) for variable in reals),
     )
 

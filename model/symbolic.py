@@ -95,7 +95,7 @@ class SymbolicModel:
         inputs, parameters, outputs: variables in the order of ``u``, ``p`` and ``o``.
         functions: one CasADi function for each entry of `FUNCTION_SIGNATURES`, all arguments and results dense.
         feedthrough: for each output the names of the inputs that it depends on algebraically.
-        static_start: start value of the FMI enumeration ``initial``: True for static equilibrium, False for undeformed.
+        static_start: start value of the FMI parameter ``initial``: True for static equilibrium, False for undeformed.
         margin_name: what `singularity` measures, with its unit, for messages.
         minimum_margin: smallest admissible value of that measure.
         locked: number of leading unknowns that are actuated: they start at `initial_coordinates`, are held there while

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.fmu_file import open_fmu
-from flexfmu.cosim.fmu_variables import Value
+from flexfmu.cosim.fmu_variables import Value, typed
 from flexfmu.cosim.loop_sections import loop_of
 from flexfmu.cosim.scene_parameters import scene_with_parameters
 from flexfmu.cosim.slave_export import ExportedSlave, ExportedSystem, Progress, export_slaves
@@ -147,9 +147,12 @@ def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[Parameter]:
 
 def _parameter(slave: str, name: str, value: Value, fmu: ComponentFmu) -> Parameter:
     """One value with its hierarchical name."""
-    kind = fmu.variables[name].type
-    typed = float(value) if kind == "Real" else value
-    return Parameter(f"{slave}.{name}", kind, typed, _unit_name(fmu, name))
+    variable = fmu.variables[name]
+    if variable.type == "Real":
+        value = float(value)
+    elif variable.type == "Integer":
+        value = typed(variable, value)
+    return Parameter(f"{slave}.{name}", variable.type, value, _unit_name(fmu, name))
 
 
 def _unit_name(fmu: ComponentFmu, name: str) -> str | None:

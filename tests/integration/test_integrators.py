@@ -11,14 +11,14 @@ import pytest
 from flexfmu.cosim.experiment import Run, run_scene
 from flexfmu.cosim.master import Outcome
 from flexfmu.cosim.metrics import measure_run
-from flexfmu.fmu_build.integrators import INTEGRATORS
+from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.model.errors import SceneError
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 
 SHIPPED = ("barnard2012-6kg", "barnard2012-0.1kg")
-METHODS = tuple(INTEGRATORS)
+METHODS = tuple(INTEGRATOR.items)
 EXPLICIT = ("dopri5", "rk4")
 """They step along the edge of their stability, where modes of 2 kHz ring within the tolerance of the energy norm: invisible in
 positions and torques, but not in accelerations, where their share is larger by the square of their frequency."""

@@ -1,0 +1,61 @@
+"""Numbered choices of our own FMUs are set by name, whatever the importer sees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from flexfmu.cosim.errors import FmuFileError, InputError
+from flexfmu.cosim.fmu_file import open_fmu
+from flexfmu.cosim.fmu_slave import FmuSlave
+from flexfmu.cosim.fmu_variables import settings
+from flexfmu.fmu_build.archive import pack
+from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.model.scene_file import load_scene
+
+
+@pytest.fixture(scope="module")
+def robot() -> Path:
+    """The FMU of a shipped scene."""
+    return build_scene(load_scene("barnard2012-6kg")).path
+
+
+@pytest.mark.parametrize(
+    ("parameters", "numbers"),
+    [
+        ({"initial": "static", "integrator": "automatic"}, [1, 1]),
+        ({"initial": "undeformed", "integrator": "radau3"}, [2, 5]),
+        ({"initial": 2, "integrator": 7}, [2, 7]),
+    ],
+)
+def test_names_stand_for_numbers(robot: Path, parameters: dict[str, int | str], numbers: list[int]) -> None:
+    """A script says what it means; importers without the names give the numbers."""
+    found = settings(open_fmu(robot).description, parameters)
+    assert [setting.value for setting in found] == numbers
+    assert {setting.handle.kind for setting in found} == {"Integer"}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"initial": "sttic"}, "initial must be one of static, undeformed, got 'sttic'"),
+        ({"integrator": 8}, "integrator must be at least 1 and at most 7, got 8"),
+        ({"payload.mass": "static"}, "payload.mass is a number, got 'static'"),
+    ],
+)
+def test_wrong_choices_are_refused(robot: Path, parameters: dict[str, int | str], message: str) -> None:
+    """Before anything runs, with what would be right."""
+    with pytest.raises(InputError, match=message):
+        FmuSlave(robot, parameters=parameters)
+
+
+def test_broken_names_are_refused(robot: Path, tmp_path: Path) -> None:
+    """An annotation that somebody spoilt is no reason to set something else."""
+    folder = open_fmu(robot).folder
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    text = files["modelDescription.xml"].decode().replace("static=1", "static=one")
+    spoilt = tmp_path / "spoilt.fmu"
+    spoilt.write_bytes(pack(files | {"modelDescription.xml": text.encode()}))
+    with pytest.raises(FmuFileError, match="its Choices are"):
+        FmuSlave(spoilt)
