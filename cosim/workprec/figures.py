@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.paper.style import GREY, draw, save, style
@@ -24,6 +25,9 @@ TITLES = {
     "tools": "Other tools, and the fastest of ours",
 }
 """Family → title of its diagram."""
+
+PLAIN = LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5))
+"""10 and 20 instead of powers of ten, as many as there is room for."""
 
 FLOOR = 1e-12
 """Errors below are drawn here: the references agree no better."""
@@ -94,6 +98,8 @@ def draw_family(axes: Axes, study: Study, name: str) -> None:
         if failed:
             axes.plot([1.0] * failed, np.linspace(0.06, 0.2, failed), "x", color=colour, transform=axes.transAxes)
     axes.set(xscale="log", yscale="log", xlabel="error, relative to what elasticity does", ylabel="time [ms]")
+    axes.yaxis.set_major_formatter(PLAIN)
+    axes.yaxis.set_minor_formatter(PLAIN)
     axes.set_title(TITLES[name], fontsize=10)
     axes.legend(fontsize=6.5)
     factor = axes.secondary_yaxis(
@@ -103,4 +109,6 @@ def draw_family(axes: Axes, study: Study, name: str) -> None:
             lambda f: 1e3 * study.duration / np.maximum(f, 1e-9),
         ),
     )
-    factor.set_ylabel("real-time factor")
+    factor.yaxis.set_major_formatter(PLAIN)
+    factor.yaxis.set_minor_formatter(PLAIN)
+    factor.set_ylabel("times real time")

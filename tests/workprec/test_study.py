@@ -1,0 +1,192 @@
+"""Studies of work and precision: references agree, errors fall as they should, failures are kept and told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from flexfmu.cosim.cli import app
+from flexfmu.cosim.workprec import fmu_trials, solver_trials
+from flexfmu.cosim.workprec.conclusions import advantages, cheapest, sentence
+from flexfmu.cosim.workprec.effect_trials import effect_trials, ladder
+from flexfmu.cosim.workprec.figures import lines_of, save_figures
+from flexfmu.cosim.workprec.formulation_trials import formulation_trials
+from flexfmu.cosim.workprec.page import html
+from flexfmu.cosim.workprec.report import data, markdown
+from flexfmu.cosim.workprec.study import FAMILIES, Study, is_differential_equation
+from flexfmu.cosim.workprec.subject import Subject, subject_of
+from flexfmu.cosim.workprec.trial import Trial, fastest
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+SCENE: Scene = load_scene("barnard2012-6kg").replace(
+    {
+        "name": "short",
+        "effects.basis": "craig-bampton",
+        "effects.proximal_bending": 1,
+        "effects.distal_axial": 1,
+        "trajectory.duration": 0.25,
+        "trajectory.dwell": 0.02,
+    }
+)
+
+
+def silent(text: str) -> None:
+    """Nobody watches."""
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    """A short motion of a robot with few modes."""
+    return subject_of(SCENE)
+
+
+@pytest.mark.slow
+def test_independent_references_agree(subject: Subject) -> None:
+    """Gauss collocation in our FMU and DOP853 on the compiled equations share neither integrator nor master."""
+    assert subject.error(solver_trials.independent_reference(subject)) < 1e-9
+    assert 1e-4 < subject.scale < 1e-2
+
+
+@pytest.mark.slow
+def test_errors_fall_with_tolerance_and_order(subject: Subject) -> None:
+    """A tighter tolerance and a higher degree of the inputs are worth their time: each lowers the error."""
+    changes, options = {"cosimulation.integrator": "radau3"}, {"communication_step": 1e-3}
+    errors = []
+    for tolerance in (1e-3, 1e-6, 1e-9):
+        trial = fmu_trials.fmu_trial(subject, "integrators", "radau3", "", changes, {**options, "tolerance": tolerance})
+        assert trial.error is not None
+        assert trial.time is not None
+        errors.append(trial.error)
+    assert errors[0] > 10.0 * errors[1] > 100.0 * errors[2]
+    by_order = [
+        fmu_trials.fmu_trial(
+            subject, "communication", "", "", {}, {"communication_step": 2e-3, "tolerance": 1e-10, "input_order": order}
+        ).error
+        for order in (0, 2, 9)
+    ]
+    assert by_order[0] > 10.0 * by_order[1] > 1e4 * by_order[2]  # type: ignore[operator]
+
+
+@pytest.mark.slow
+def test_failures_are_trials_too(subject: Subject) -> None:
+    """A fixed step beyond the stability limit makes a cross in the diagram, with the FMU's own words."""
+    changes = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": 1e-3}
+    trial = fmu_trials.fmu_trial(subject, "integrators", "rk4", "1 ms", changes, {"communication_step": 1e-3})
+    assert trial.failed
+    assert trial.time is None
+    assert "integration" in trial.note
+
+
+@pytest.mark.slow
+def test_formulations(subject: Subject) -> None:
+    """All formulations move alike; without stabilisation the constraints drift more."""
+    trials = list(formulation_trials(subject, silent))
+    best = {
+        line: min(t.error for t in trials if t.line == line and t.error is not None)
+        for line in {t.line for t in trials}
+    }
+    assert len(best) == 3
+    assert max(best.values()) < 1e-4
+    drift = {t.line: float(t.note.split()[-2]) for t in trials if t.label == "1e-03" and "violated" in t.note}
+    assert drift["index 1, Baumgarte 100/s"] < 0.2 * drift["index 1"]
+
+
+@pytest.mark.slow
+def test_the_ladder_climbs(subject: Subject) -> None:
+    """Rigid links are wrong by all that elasticity does, and every effect that is added brings the robot nearer to the
+    one with all of them."""
+    trials = {trial.label: trial for trial in effect_trials(subject, 1e-3, 1e-8, silent)}
+    assert trials.keys() == {rung.label for rung in ladder()}
+    assert trials["rigid"].error == pytest.approx(1.0, rel=1e-6)
+    assumed = [trials[label].error or 0.0 for label in ("rigid", "1 bending", "3 bending", "3 + 3 axial")]
+    assert assumed == sorted(assumed, reverse=True)
+    assert (trials["1 + 1 axial"].error or 1.0) < 0.1 * (trials["quasi-static 1 + 1"].error or 0.0)
+
+
+TRIALS = (
+    Trial("integrators", "gauss4", "1e-5", 1e-6, 4e-3),
+    Trial("integrators", "gauss2", "1e-3", 5e-4, 2e-3),
+    Trial("integrators", "rk4", "0.1 ms", None, None, "blew up"),
+    Trial("communication", "inputs of degree 9", "5 ms", 2e-5, 1e-3),
+    Trial("tools", "SciPy Radau", "1e-3", 1e-4, 0.2),
+    Trial("tools", "SciPy Radau", "1e-5", 2e-6, 0.4),
+)
+"""Made-up figures."""
+
+
+@pytest.fixture
+def study() -> Study:
+    """A study of made-up figures."""
+    return Study(SCENE, 0.27, 2e-4, 1e-10, "two", TRIALS)
+
+
+def test_sentence_and_advantages(study: Study) -> None:
+    """The cheapest settings that are accurate enough, failures left out; others compared at their own accuracy."""
+    assert sentence(study) == (
+        "1e-05 costs 4.0 ms (68 x real time) with gauss4, 1e-5; the cheapest setting for 1e-03 is inputs of degree 9, "
+        "5 ms: 1.0 ms."
+    )
+    assert cheapest(TRIALS, 1e-9) is None
+    assert advantages(study) == {"SciPy Radau": pytest.approx(100.0)}
+
+
+def test_nothing_accurate_enough(study: Study) -> None:
+    """The sentence says so."""
+    assert sentence(replace(study, trials=TRIALS[1:3])) == "No setting reached 1e-05."
+
+
+def test_results_hold_everything(study: Study, tmp_path: Path) -> None:
+    """Table, data, pictures and page name every line, failures included; the page fetches nothing."""
+    names = save_figures(study, tmp_path)
+    assert names == ["integrators", "communication", "tools"]
+    assert all((tmp_path / f"workprec-{name}.png").stat().st_size > 10_000 for name in names)
+    page, text = html(study), markdown(study)
+    assert all(trial.line in text and trial.line in page for trial in TRIALS)
+    assert "blew up" in text
+    assert "rk4, failed" in page
+    assert 'src="http' not in page
+    assert "flexfmu" in lines_of(study, "tools")
+    assert json.loads(json.dumps(data(study)))["trials"][2]["error"] is None
+
+
+def test_what_can_be_asked() -> None:
+    """Other people's solvers need one smooth equation: no controllers, no torques as inputs."""
+    assert is_differential_equation(SCENE)
+    assert not is_differential_equation(SCENE.replace({"cosimulation.drive": "torque"}))
+
+
+def test_timing_takes_the_fastest() -> None:
+    """Repeats short runs, and doesn't repeat long ones for ever."""
+    calls: list[int] = []
+    assert fastest(lambda: calls.append(0)) >= 0.0
+    assert 2 <= len(calls) <= 20
+
+
+@pytest.mark.slow
+def test_command(tmp_path: Path) -> None:
+    """One family of a scene file from the command line, as JSON, with all files."""
+    scene = tmp_path / "scene.toml"
+    text = (Path(__file__).parents[2] / "cosim" / "scenes" / "barnard2012-6kg.toml").read_text(encoding="utf-8")
+    scene.write_text(text.replace("duration = 0.43", "duration = 0.25"), encoding="utf-8")
+    out = tmp_path / "out"
+    arguments = ["workprec", str(scene), "--out", str(out), "--only", "communication", "--json"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["agreement"] < 1e-9
+    assert {trial["family"] for trial in found["trials"]} == {"communication"}
+    assert np.isfinite([trial["error"] for trial in found["trials"]]).all()
+    assert {path.name for path in out.iterdir()} >= {"workprec.json", "workprec.md", "workprec.html", "workprec.png"}
+
+
+def test_unknown_family_is_refused() -> None:
+    """The error names what there is."""
+    result = CliRunner().invoke(app, ["workprec", "barnard2012-6kg", "--only", "weather"])
+    assert result.exit_code == 2
+    assert all(name in result.stderr for name in FAMILIES)
