@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 
 from flexfmu.cosim.workprec.fmu_trials import Announce
-from flexfmu.cosim.workprec.subject import Subject
+from flexfmu.cosim.workprec.subject import RunError, Subject
 from flexfmu.cosim.workprec.trial import Trial
+from flexfmu.model.errors import SceneError
 
 LINE = "Exudyn, ANCF beams"
 
@@ -27,6 +28,10 @@ def exudyn_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
 
     for step in STEPS:
         announce(f"{LINE}, step {1e3 * step:g} ms")
-        positions, seconds = run_exudyn(subject.scene, subject.motion, subject.instants, step, ELEMENTS)
+        try:
+            positions, seconds = run_exudyn(subject.scene, subject.motion, subject.instants, step, ELEMENTS)
+        except (SceneError, RunError) as failure:
+            yield Trial("tools", LINE, f"{1e3 * step:g} ms", None, None, " ".join(str(failure).split()))
+            continue
         note = f"{ELEMENTS} elements a link; its error is mostly that of another model"
         yield Trial("tools", LINE, f"{1e3 * step:g} ms", subject.error(positions), seconds, note)

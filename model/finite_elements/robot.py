@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.model.assembly import bases, elbow
 from flexfmu.model.errors import SceneError
 from flexfmu.model.finite_elements.element import COORDINATES, BeamElement, beam_element
-from flexfmu.model.finite_elements.mesh import HELD, MOTORS, Mesh, five_bar_mesh
+from flexfmu.model.finite_elements.mesh import MOTORS, Mesh, five_bar_mesh
+from flexfmu.model.finite_elements.placement import LINKS, rigid_links, straight
 from flexfmu.model.finite_elements.sections import beam_section
-from flexfmu.model.forward_kinematics import RigidForwardKinematics
-from flexfmu.model.robot import LinkGroup
 from flexfmu.model.scene import NoDamping, Scene, StiffnessDamping
-from flexfmu.trajectories.jets import Jet
 
 Array = NDArray[np.float64]
-
-LINKS: dict[LinkGroup, tuple[str, str]] = {"proximal": ("link11", "link21"), "distal": ("link12", "link22")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,23 +73,12 @@ class FiniteElementRobot:
     def undeformed(self, joints: Array) -> Array:
         """Coordinates (size,) of the rigid robot with the motors at the angles (2,) [rad]."""
         x = np.zeros(self.mesh.size)
-        for link, begin, end in self._rigid_links(joints):
+        for _, link, root, tip in rigid_links(self.scene.mechanism, joints):
             nodes = self.mesh.nodes[link]
-            fraction = np.linspace(0.0, 1.0, len(nodes))[:, None]
-            x[nodes[:, :2]] = np.array(begin) * (1.0 - fraction) + np.array(end) * fraction
-            x[nodes[:, 2]] = np.arctan2(end[1] - begin[1], end[0] - begin[0])
+            x[nodes[:, :2]] = straight(root, tip, len(nodes) - 1)
+            x[nodes[:, 2]] = np.arctan2(tip[1] - root[1], tip[0] - root[0])
         x[list(MOTORS)] = joints
         return x
-
-    def _rigid_links(self, joints: Array) -> Iterator[tuple[str, tuple[float, float], tuple[float, float]]]:
-        """Names, roots and tips of all links of the rigid robot."""
-        mechanism = self.scene.mechanism
-        fore = RigidForwardKinematics(mechanism).end_effector(*(Jet.constant([q], 0) for q in joints))
-        end = float(fore[0].coefficients[0, 0]), float(fore[1].coefficients[0, 0])
-        for leg, (base, q) in enumerate(zip(bases(mechanism), joints, strict=True), start=1):
-            middle = elbow(base, float(q), mechanism.proximal.length)
-            yield f"link{leg}1", base, middle
-            yield f"link{leg}2", middle, end
 
     @property
     def _payload_angle(self) -> int:
@@ -117,11 +100,6 @@ def finite_element_robot(scene: Scene, elements: int) -> FiniteElementRobot:
         element = beam_element(section, section.length / elements, scene.effects.gravity, time)
         chains.append(Chain(element, np.vstack([mesh.elements(link) for link in links])))
     return FiniteElementRobot(scene, mesh, tuple(chains))
-
-
-def free(vector: Array) -> Array:
-    """The entries that neither bases nor motors prescribe."""
-    return vector[HELD:]
 
 
 def _mapped(function: casadi.Function, index: NDArray[np.intp], *states: Array) -> Array:
