@@ -215,6 +215,30 @@ def modes(
 
 
 @app.command()
+def effects(
+    scene: SceneArgument,
+    tolerance: Annotated[
+        float | None, typer.Option(metavar="RELATIVE", help="Largest error. Default: the scene's, or 0.01.")
+    ] = None,
+    of: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="METRIC", help="A metric to hold; may be repeated. Default: the scene's, or three of them."
+        ),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Run the chosen set beside the next richer ones; builds their FMUs.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Choose the cheapest elastic effects within a tolerance; tells what each is worth and what it costs."""
+    with one_line_errors():
+        from flexfmu.cosim.cli_effects import effects_command
+
+        raise typer.Exit(effects_command(scene, tolerance, of or [], check, json))
+
+
+@app.command()
 def shaper(
     scene: SceneArgument,
     out: Annotated[

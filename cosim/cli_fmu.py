@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from flexfmu.cosim.cli_console import print_text, progress
 from flexfmu.cosim.cli_errors import FAILURE
+from flexfmu.cosim.effect_choice import resolved
+from flexfmu.cosim.effect_summary import choice_summary
 from flexfmu.cosim.errors import FmuFileError, InputError
 from flexfmu.cosim.json_text import to_json
 from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
+from flexfmu.model.selection.words import choice_sentence
 
 
 def build_command(source: str, output: Path | None, platforms: list[str], naming: str, as_json: bool) -> int:
@@ -28,6 +33,7 @@ def build_command(source: str, output: Path | None, platforms: list[str], naming
     scene = load_scene(source)
     target = output or Path(f"{scene.name}.fmu")
     with progress() as show:
+        scene = resolved(scene, show)
         built = build_scene(
             scene,
             output=target,
@@ -36,14 +42,22 @@ def build_command(source: str, output: Path | None, platforms: list[str], naming
             progress=lambda text: show(text, None),
         )
     if as_json:
-        print_text(to_json(asdict(built) | {"path": str(built.path)}))
+        print_text(to_json(asdict(built) | {"path": str(built.path)} | _choice(scene)))
         return 0
+    if scene.effects.choice is not None:
+        print_text(f"{choice_sentence(scene)}\n")
     origin = "taken from the cache" if built.cached else "built"
     print_text(
         f"{built.path}: {origin} in {built.seconds:.2f} s, {built.fmu_bytes / 1000:.0f} kB "
         f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}\n"
     )
     return 0
+
+
+def _choice(scene: Scene) -> dict[str, Any]:
+    """What was chosen automatically, if anything was."""
+    choice = choice_summary(scene)
+    return {"effect_choice": choice} if choice else {}
 
 
 def validate_command(fmu: Path, as_json: bool) -> int:

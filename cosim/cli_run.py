@@ -13,6 +13,7 @@ from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
 from flexfmu.cosim.cli_errors import FAILURE, show_error
+from flexfmu.cosim.effect_choice import resolved
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.experiment import Run, run_scene
 from flexfmu.cosim.json_text import to_json
@@ -22,6 +23,7 @@ from flexfmu.cosim.output import OutputFolder
 from flexfmu.cosim.summary import summarise
 from flexfmu.model.errors import EquilibriumError
 from flexfmu.model.scene_file import load_scene
+from flexfmu.model.selection.words import choice_sentence
 
 RESULTS = Path("results")
 """Where results go unless the user says otherwise, in a folder named after the scene."""
@@ -36,6 +38,7 @@ def run_command(source: str, out: Path | None, as_json: bool, step: float | None
     folder = OutputFolder(out or RESULTS / scene.name)
     folder.prepare()
     with progress() as show:
+        scene = resolved(scene, show)
         show("planning the motion, building the FMU", None)
         run = run_scene(scene, communication_step=step, progress=lambda fraction: show("simulating", fraction))
         show("writing the results", None)
@@ -48,7 +51,7 @@ def run_command(source: str, out: Path | None, as_json: bool, step: float | None
     if as_json:
         print_text(to_json(summary))
     else:
-        _print_summary(summary, folder.path)
+        _print_summary(summary, choice_sentence(scene), folder.path)
     if problem is not None:
         show_error(f"{problem}; what was recorded is in {folder.path}")
         return FAILURE
@@ -74,10 +77,10 @@ def _report(run: Run, settings: Settings | None, summary: Mapping[str, Any]) -> 
     return render_report(summary, draw_plots(run, None if settings is None else settings.end_equilibrium))
 
 
-def _print_summary(summary: Mapping[str, Any], folder: Path) -> None:
-    """The metrics of a complete run, how the FMU fared, what to be careful with, and where the files are."""
+def _print_summary(summary: Mapping[str, Any], choice: str, folder: Path) -> None:
+    """What was chosen, the metrics of a complete run, how the FMU fared, what to be careful with, and where the files are."""
     name, health, metrics = summary["scene"]["name"], summary["health"], summary["metrics"]
-    parts: list[RenderableType] = []
+    parts: list[RenderableType] = [Text(choice)] if choice else []
     if health["outcome"] == "completed":
         parts.append(_metrics_table(name, metrics))
     parts.append(Text(_health_line(health, summary["timing"])))

@@ -8,6 +8,8 @@ from time import perf_counter
 from typing import TypedDict
 
 from flexfmu.cosim.coupling import coupling_of
+from flexfmu.cosim.effect_choice import resolved
+from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.loop import Loop
 from flexfmu.cosim.loop_recording import plain_names, slave_facts, with_constants
 from flexfmu.cosim.loop_sections import loop_of
@@ -114,8 +116,14 @@ class PreparedScene:
         motion: MotionPlan | None = None,
         loop: Loop | None = None,
     ) -> None:
-        section = scene.cosimulation
+        if scene.effects.select is not None and not (motion is None and loop is None):
+            raise InputError(
+                f"scene {scene.name} leaves the choice of effects open, but comes with a motion or a loop of its own: resolve "
+                f"it first, with `flexfmu.cosim.effect_choice.resolved(scene)`"
+            )
         watch = Stopwatch()
+        scene = resolved(scene)
+        section = scene.cosimulation
         self._loop = loop_of(scene, motion) if loop is None else loop
         self.stop_time = self._loop.motion.stop_time
         planning = watch.lap()

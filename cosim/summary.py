@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from flexfmu.cosim.effect_summary import choice_summary
 from flexfmu.cosim.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics import Measurement
 from flexfmu.cosim.versions import versions
@@ -35,12 +36,14 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
     Keys: ``scene`` (the scene file with its defaults), ``effects`` (effect → sentence), ``metrics`` (name → number or
     None), ``health`` (outcome, integrator statistics, interpolation errors, warnings), ``slaves`` (name, description, sample
     time), ``delays`` (for each connection how late it is), ``timing`` [s], ``versions``; with shapers also ``shaping`` (the
-    time that they add [s], how far they lead the rigid end effector off its path [m]), and with a motion that is repeated
+    time that they add [s], how far they lead the rigid end effector off its path [m]), with an automatic choice of effects
+    ``effect_choice`` (tolerance, the set, estimated errors and contributions), and with a motion that is repeated
     ``learning`` (period [s] and for each cycle the tracking error of both joints [rad]).
     """
     return {
         "scene": run.scene.model_dump(mode="json", exclude_none=True),
         "effects": describe_effects(run.scene),
+        **({"effect_choice": choice} if (choice := choice_summary(run.scene)) else {}),
         "metrics": {name: measurement.value for name, measurement in measurements.items()},
         "health": _health(run, measurements),
         **_shaping(run),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from flexfmu.model.choice_section import INTEGRATOR_SHARE, Choice, EstimatedEffect, MeasureName
+from flexfmu.model.enrichment import Neighbour
 from flexfmu.model.scene import Scene
 from flexfmu.model.selection.estimator import Estimator
 from flexfmu.model.selection.motion_grid import JointMotion
@@ -12,7 +13,7 @@ from flexfmu.model.selection.richest import richest
 from flexfmu.model.selection.search import cheapest, poorer, richer
 
 SAFETY = 1.5
-"""By what estimated errors are multiplied: they are linear in the deflections and done with finite steps."""
+"""By what estimated errors are multiplied: one step of Newton's method and finite time steps leave a few percent."""
 
 
 def choose_effects(
@@ -31,7 +32,12 @@ def choose_effects(
     """
     estimates = estimator or Estimator(scene, motion, of)
     limit = (1.0 - INTEGRATOR_SHARE) * tolerance
-    chosen = cheapest(richest(scene), lambda each: max(estimated_errors(estimates, each).values()), limit)
+    chosen = cheapest(
+        richest(scene),
+        lambda each: SAFETY * max(estimates.errors(each.effects, sharp=False).values()),
+        lambda each: max(estimated_errors(estimates, each).values()),
+        limit,
+    )
     error = tuple(estimated_errors(estimates, chosen).values())
     choice = Choice(tolerance=tolerance, of=of, error=error, effects=tuple(_estimated(estimates, chosen)))
     return chosen.replace({"effects.choice": choice.model_dump()})
@@ -42,9 +48,14 @@ def estimated_errors(estimator: Estimator, scene: Scene) -> Mapping[MeasureName,
     return {name: SAFETY * value for name, value in estimator.errors(scene.effects).items()}
 
 
+def neighbours(estimator: Estimator, chosen: Scene) -> list[tuple[Neighbour, bool]]:
+    """Scenes with one effect less, True, and with one more, False, as far as the richest set goes."""
+    found = [(each, True) for each in poorer(chosen)] + [(each, False) for each in richer(chosen)]
+    return [pair for pair in found if estimator.covers(pair[0].scene.effects)]
+
+
 def _estimated(estimator: Estimator, chosen: Scene) -> list[EstimatedEffect]:
     """Every effect, in the set or not, with what the metrics change without it, or with it."""
-    neighbours = [(each, True) for each in poorer(chosen)] + [(each, False) for each in richer(chosen)]
     return [
         EstimatedEffect(
             effect=each.effect,
@@ -52,6 +63,5 @@ def _estimated(estimator: Estimator, chosen: Scene) -> list[EstimatedEffect]:
             chosen=is_chosen,
             contribution=tuple(estimator.changes(chosen.effects, each.scene.effects).values()),
         )
-        for each, is_chosen in neighbours
-        if estimator.covers(each.scene.effects)
+        for each, is_chosen in neighbours(estimator, chosen)
     ]

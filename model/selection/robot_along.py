@@ -23,6 +23,9 @@ Indices = NDArray[np.intp]
 MATRICES_EVERY = 8
 """Instants from one evaluation of the matrices to the next; they follow the pose, which changes slowly."""
 
+NEWTON_STEPS = 3
+"""Steps to a static equilibrium: small deflections need no more, see `flexfmu.model.statics`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
@@ -61,17 +64,23 @@ class RobotAlong:
 
     def response(self, states: Indices, start: Array) -> Motion:
         """Elastic motion in linear approximation (N, n), with `states` alone moving, from rest at `start`."""
-        part = self.linear.restricted(states).response(self.load[:, states], start)
+        return self._respond(states, self.load, start)
+
+    def corrected(self, motion: Motion, states: Indices) -> Motion:
+        """A motion with the linear response to the forces that it leaves unbalanced, from its own start."""
+        return motion + self._respond(states, -self.forces(motion), np.zeros(states.size))
+
+    def _respond(self, states: Indices, load: Array, start: Array) -> Motion:
+        part = self.linear.restricted(states).response(load[:, states], start)
         return Motion(*(self._spread(values, states) for values in (part.position, part.velocity, part.acceleration)))
 
     def deflections(self, motion: Motion, statics: Indices) -> Array:
         """Static deflections of some coordinates under what a motion of the others puts on them (N, n)."""
-        linear = self.linear
-        force = np.einsum("kij,kj->ki", linear.mass[:, statics], motion.acceleration) - self.load[:, statics]
-        force += np.einsum("kij,kj->ki", linear.damping[:, statics], motion.velocity)
-        force += np.einsum("kij,kj->ki", linear.stiffness[:, statics], motion.position)
-        stiffness = linear.stiffness[np.ix_(np.arange(len(force)), statics, statics)]
-        return self._spread(-np.linalg.solve(stiffness, force[..., None])[..., 0], statics)
+        force = self.forces(motion)[:, statics]
+        stiffness = self.linear.stiffness[np.ix_(np.arange(len(force)), statics, statics)]
+        return self._spread(
+            -np.asarray(np.linalg.solve(stiffness, force[..., None]), dtype=np.float64)[..., 0], statics
+        )
 
     def equilibrium(self, rest: Array, states: Indices) -> Array:
         """Static deflection of some coordinates (m,) at a standstill u = [q_a, 0, 0]."""
@@ -85,13 +94,11 @@ class RobotAlong:
 
     def _static(self, rest: Array, q: Array, free: Indices) -> Array:
         """Deflections (n,) with some coordinates in equilibrium and the others as they are in `q`."""
-        if not free.size:
-            return q
-        zeros = np.zeros(self._model.n)
-        stiffness = self._model.static_stiffness(q, rest).full()[np.ix_(free, free)]
-        force = self._model.elastic_forces(q, zeros, zeros, rest).full().ravel()[free]
-        found = q.copy()
-        found[free] -= np.linalg.solve(stiffness, force)
+        found, zeros = q.copy(), np.zeros(self._model.n)
+        for _ in range(NEWTON_STEPS if free.size else 0):
+            stiffness = self._model.static_stiffness(found, rest).full()[np.ix_(free, free)]
+            force = self._model.elastic_forces(found, zeros, zeros, rest).full().ravel()[free]
+            found[free] -= np.linalg.solve(stiffness, force)
         return found
 
     def _spread(self, values: Array, at: Indices) -> Array:

@@ -10,23 +10,27 @@ from flexfmu.model.scene import CHOOSABLE, Scene
 Error = Callable[[Scene], float]
 """Scene → error of its set of effects, the largest over all metrics."""
 
+HOPELESS = 3.0
+"""Error of a quick estimate, in units of the limit, from which a set isn't looked at more sharply."""
 
-def cheapest(richest: Scene, error: Error, limit: float) -> Scene:
+
+def cheapest(richest: Scene, quick: Error, sharp: Error, limit: float) -> Scene:
     """A scene whose error is within the limit and from which nothing more can be left out.
 
-    In each round the reduction with the smallest error is taken. A family becomes rigid, rather than static, where it may.
+    In each round, of the reductions that are within the limit, the one with the smallest quick estimate is taken.
 
     Args:
         richest: with all effects.
-        error: of the scene's set.
+        quick, sharp: estimates of the error of a scene's set; the second one decides.
         limit: largest error.
     """
-    scene = richest
-    while within := [
-        (found, neighbour.scene) for neighbour in poorer(scene) if (found := error(neighbour.scene)) <= limit
-    ]:
-        scene = min(within, key=lambda pair: pair[0])[1]
-    return scene
+    scene: Scene | None = richest
+    while scene is not None:
+        found = scene
+        ranked = sorted(((quick(each.scene), each.scene) for each in poorer(scene)), key=lambda pair: pair[0])
+        promising = (each for error, each in ranked if error <= HOPELESS * limit)
+        scene = next((each for each in promising if sharp(each) <= limit), None)
+    return found
 
 
 def poorer(scene: Scene) -> Iterator[Neighbour]:
