@@ -11,15 +11,17 @@ from flexfmu.cosim.coupling import coupling_of
 from flexfmu.cosim.effect_choice import resolved
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.loop import Loop
-from flexfmu.cosim.loop_recording import plain_names, slave_facts, with_constants
+from flexfmu.cosim.loop_recording import slave_facts
 from flexfmu.cosim.loop_sections import loop_of
-from flexfmu.cosim.master import Progress, simulate
+from flexfmu.cosim.master import Progress
 from flexfmu.cosim.outcome import Simulation
 from flexfmu.cosim.planning import MotionPlan
-from flexfmu.cosim.results import Recording
 from flexfmu.cosim.rigid_motion import RigidMotion
+from flexfmu.cosim.scene_recording import SceneRecording
 from flexfmu.cosim.scene_run import Health, Run, Timing
-from flexfmu.cosim.scene_system import PLANT, REFERENCES, SceneSystem, scene_system
+from flexfmu.cosim.scene_system import SceneSystem, scene_system
+from flexfmu.cosim.selection import EVERYTHING, Selection
+from flexfmu.cosim.simulator import Simulator
 from flexfmu.cosim.system import connect
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
@@ -98,10 +100,8 @@ class PreparedScene:
     Example:
         ``prepared = PreparedScene(scene); runs = [prepared.run({"payload.mass": mass}) for mass in masses]``
 
-    Args and errors: as for `run_scene`.
-
-    Attributes:
-        stop_time: when runs end [s]; the end of motion and dwell unless it is changed.
+    Args and errors: as for `run_scene`; ``record`` says which signals of a run's recording to keep, with how many
+    derivatives.
     """
 
     def __init__(
@@ -115,6 +115,7 @@ class PreparedScene:
         initial: str | None = None,
         motion: MotionPlan | None = None,
         loop: Loop | None = None,
+        record: Selection = EVERYTHING,
     ) -> None:
         if scene.effects.select is not None and not (motion is None and loop is None):
             raise InputError(
@@ -125,7 +126,7 @@ class PreparedScene:
         scene = resolved(scene)
         section = scene.cosimulation
         self._loop = loop_of(scene, motion) if loop is None else loop
-        self.stop_time = self._loop.motion.stop_time
+        self._stop_time = self._loop.motion.stop_time
         planning = watch.lap()
         self._fmu_path = build_scene(scene).path if fmu_path is None else fmu_path
         building = watch.lap()
@@ -134,7 +135,9 @@ class PreparedScene:
         self._system = connect(self._parts.slaves, self._parts.wiring.connections, loops=self._coupling.loops)
         self._step = section.step if communication_step is None else communication_step
         self._tolerance = section.tolerance if tolerance is None else tolerance
-        self._rigid = RigidMotion(self._loop.motion)
+        self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
+        self._facts = slave_facts(self._parts.slaves)
+        self._simulator: Simulator | None = None
         self._times = planning, building, watch.lap()
 
     def run(self, parameters: Mapping[str, float] | None = None, progress: Progress | None = None) -> Run:
@@ -151,22 +154,36 @@ class PreparedScene:
             InputError: a parameter doesn't exist or is out of range.
         """
         parts, watch = self._parts.with_parameters(parameters or {}), Stopwatch()
-        simulation = simulate(
-            self._system,
-            self.stop_time,
-            self._step,
-            tolerance=self._tolerance,
-            progress=progress,
-            algorithm=self._coupling.algorithm,
-            step_control=self._coupling.step_control,
-        )
+        simulation = self._ready().run(self._tolerance, progress)
         return self._result(parts, simulation, Timing(*self._times, watch.lap()))
+
+    @property
+    def stop_time(self) -> float:
+        """When runs end [s]; the end of motion and dwell unless it is changed."""
+        return self._stop_time
+
+    @stop_time.setter
+    def stop_time(self, value: float) -> None:
+        self._stop_time, self._simulator = value, None
+
+    def _ready(self) -> Simulator:
+        """The simulator up to the present stop time."""
+        if self._simulator is None:
+            self._simulator = Simulator(
+                self._system,
+                self._stop_time,
+                self._step,
+                algorithm=self._coupling.algorithm,
+                step_control=self._coupling.step_control,
+                record=self._recording.needed,
+            )
+        return self._simulator
 
     def _result(self, parts: SceneSystem, simulation: Simulation, timing: Timing) -> Run:
         """Everything about a simulated scene."""
         return Run(
             plan=self._loop.motion,
-            recording=self._rigid.beside(_recording(simulation.recording, parts)),
+            recording=self._recording.of(simulation.recording, parts),
             outcome=simulation.outcome,
             message=simulation.message,
             fmu_path=self._fmu_path,
@@ -175,7 +192,7 @@ class PreparedScene:
             input_order=parts.references.announced_order,
             health=Health(parts.plant.statistics, parts.plant.messages),
             timing=timing,
-            slaves=slave_facts(parts.slaves),
+            slaves=self._facts,
             delays=simulation.delays,
             parameters=parts.changes,
         )
@@ -191,9 +208,3 @@ class Stopwatch:
         """Time since the last lap, or since the start [s]."""
         last, self._since = self._since, perf_counter()
         return self._since - last
-
-
-def _recording(recorded: Recording, parts: SceneSystem) -> Recording:
-    """What was recorded, with short names and the torques that nothing feeds."""
-    recording = plain_names(recorded, PLANT, REFERENCES, parts.wiring.feeding)
-    return with_constants(recording, parts.plant, parts.constants)

@@ -35,6 +35,10 @@ class InstantLoop:
         self._signals = signals
         self._activity = activity
 
+    def reset(self) -> None:
+        """Forget the solutions of a run before."""
+        self._signals.reset()
+
     def solve(self, point: int, time: float) -> None:
         """Pass signals round until they agree; who samples at this point is repeated from its state before.
 

@@ -13,6 +13,7 @@ from flexfmu.cosim.dependencies import Connection
 from flexfmu.cosim.hermite import two_point
 from flexfmu.cosim.linear_map import IDENTITY
 from flexfmu.cosim.ports import InputPort, OutputPort
+from flexfmu.cosim.selection import EVERYTHING, Selection
 from flexfmu.cosim.slave import Indices, KnowsItsFuture, RealArray, Sampled, feedthrough, input_order, output_order
 from flexfmu.cosim.stepping_order import step_order
 from flexfmu.cosim.system import System
@@ -151,15 +152,19 @@ def _coupling(system: System, source: int, target: int, ahead: bool, algorithm: 
     return Coupling(Transport.EXTRAPOLATED, min(known, accepted), None, exact=False)
 
 
-def wire(system: System, coupled: Couplings) -> tuple[list[InputPort], list[OutputPort]]:
+def wire(
+    system: System, coupled: Couplings, selection: Selection = EVERYTHING
+) -> tuple[list[InputPort], list[OutputPort]]:
     """Ports of all slaves, in the order of `System.slaves`."""
-    outputs = [
-        OutputPort(
-            slave, max((max(c.order, c.ends or 0) for (source, _), c in coupled.items() if source == i), default=0)
-        )
-        for i, slave in enumerate(system.slaves)
-    ]
+    outputs = [_output_port(system, i, coupled, selection) for i in range(len(system.slaves))]
     return [_input_port(system, i, outputs, coupled) for i in range(len(system.slaves))], outputs
+
+
+def _output_port(system: System, source: int, coupled: Couplings, selection: Selection) -> OutputPort:
+    """The port of one slave, with as many derivatives as its targets take."""
+    orders = [max(each.order, each.ends or 0) for (giver, _), each in coupled.items() if giver == source]
+    fed = {each.output for each in system.connections if each.source == source}
+    return OutputPort(system.slaves[source], max(orders, default=0), fed, selection)
 
 
 def _input_port(system: System, target: int, outputs: list[OutputPort], coupled: Couplings) -> InputPort:

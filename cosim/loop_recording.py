@@ -46,14 +46,15 @@ def plain_names(recording: Recording, plant: str, references: str, feeding: Mapp
     Args:
         recording: columns named ``slave.variable``.
         plant, references: names of these slaves.
-        feeding: input of the plant → ``slave.output`` that feeds it.
+        feeding: input of the plant → ``slave.output`` that feeds it; left out where that wasn't recorded.
     """
     columns: dict[str, Column] = {}
     for name, column in recording.columns.items():
         owner, _, variable = name.partition(".")
         superseded = owner == references and feeding.get(variable, name) != name
         columns[variable if owner in (plant, references) and not superseded else name] = column
-    acting = {name: held(recording[source]) for name, source in feeding.items() if name not in columns}
+    known = recording.columns
+    acting = {name: held(known[source]) for name, source in feeding.items() if name not in columns and source in known}
     return Recording(recording.time, {**columns, **acting})
 
 

@@ -33,6 +33,10 @@ class LoopSignals:
         self.size = begin
         self.scale = np.zeros(begin)
 
+    def reset(self) -> None:
+        """Forget the solutions of a run before."""
+        self.scale.fill(0.0)
+
     def gather(self) -> RealArray:
         """(size,) the current signals."""
         values = np.empty(self.size)

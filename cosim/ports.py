@@ -9,34 +9,49 @@ import numpy as np
 
 from flexfmu.cosim.binding import bind_get, bind_set, nothing
 from flexfmu.cosim.errors import NotFiniteError
+from flexfmu.cosim.selection import EVERYTHING, Selection
 from flexfmu.cosim.slave import Indices, KnowsItsFuture, RealArray, Slave, output_order
 
 if TYPE_CHECKING:
     from flexfmu.cosim.links import Link
 
-RECORDED_ORDER = 2
-"""Highest derivative that is recorded, where a slave gives it."""
-
 
 class OutputPort:
-    """All outputs of a slave at the current instant.
+    """Outputs of a slave at the current instant: those that feed others or are recorded.
+
+    Args:
+        slave: the slave.
+        coupling_order: highest derivative that another slave is fed with.
+        fed: indices of the outputs that feed others.
+        selection: what is recorded.
 
     Attributes:
         slave: the slave.
-        indices: (n,) its outputs.
+        indices: (n,) the outputs.
         signals: (orders + 1, n) values in row 0, derivatives below.
         recorded: how many rows of ``signals`` go into the recording.
         transfer, read_announced: calls that fill ``signals`` with what has been reached, and with what is announced.
     """
 
-    def __init__(self, slave: Slave, coupling_order: int) -> None:
-        variables = enumerate(slave.variables)
+    def __init__(
+        self,
+        slave: Slave,
+        coupling_order: int,
+        fed: Collection[int] = (),
+        selection: Selection = EVERYTHING,
+    ) -> None:
+        outputs = [(i, each.name) for i, each in enumerate(slave.variables) if each.causality == "output"]
+        wanted = [i for i, name in outputs if i in fed or selection.keeps(f"{slave.name}.{name}")]
         self.slave = slave
-        self.indices: Indices = np.array([i for i, each in variables if each.causality == "output"], np.intp)
-        self.recorded = 1 + min(output_order(slave), RECORDED_ORDER)
+        self.indices: Indices = np.array(wanted, np.intp)
+        self.recorded = 1 + min(output_order(slave), selection.order)
         self.signals = np.zeros((max(self.recorded, 1 + coupling_order), self.indices.size))
         self._finite = np.ones(self.signals.shape, dtype=np.bool_)
         self.transfer = self.read_announced = nothing
+
+    def reset(self) -> None:
+        """Forget the signals of a run before."""
+        self.signals.fill(0.0)
 
     def bind(self) -> None:
         """Prepare the transfers, once the slave has been initialised.
@@ -90,6 +105,10 @@ class InputPort:
         self._begins: list[RealArray] = []
         self._indices = indices
         self.send = nothing
+
+    def reset(self) -> None:
+        """Forget the signals of a run before."""
+        self.fed.fill(0.0)
 
     def bind(self) -> None:
         """Prepare the transfers, once the slave has been initialised."""

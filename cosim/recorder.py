@@ -69,7 +69,7 @@ class Recorder:
 
 def _columns(port: OutputPort, rows: RealArray) -> Iterator[tuple[str, Column]]:
     """Columns of a port from its rows (N, orders + 1, n)."""
-    by_signal = np.ascontiguousarray(rows.transpose(2, 1, 0))
+    by_signal = rows.transpose(2, 1, 0).copy()
     for index, signal in zip(port.indices, by_signal, strict=True):
         variable = port.slave.variables[index]
         first, second = (signal[order] if order < signal.shape[0] else None for order in (1, 2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,6 +73,10 @@ class Recording:
     def with_columns(self, columns: Mapping[str, Column]) -> Recording:
         """The same recording with further columns."""
         return Recording(self.time, {**self.columns, **columns})
+
+    def only(self, keeps: Callable[[str], bool]) -> Recording:
+        """The same recording with those signals alone whose names are to be kept."""
+        return Recording(self.time, {name: column for name, column in self.columns.items() if keeps(name)})
 
     def write_csv(self, path: str | os.PathLike[str]) -> Path:
         """Write time and values (not the derivatives) as `fmpy.util.read_csv` reads and `fmpy.util.plot_result` plots.

@@ -21,6 +21,11 @@ class RigidMotion:
         self._time = np.empty(0)
         self._columns: Mapping[str, Column] = {}
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the signals."""
+        return tuple(f"end_effector.reference.{kind}.{axis}" for kind, _ in KINDS for axis in "xy")
+
     def beside(self, recording: Recording) -> Recording:
         """The recording with ``end_effector.reference.position.x`` and so on, with their derivatives, on both sides of
         every instant that appears twice."""

@@ -23,6 +23,9 @@ Progress = Callable[[float], None]
 PROGRESS_CALLS = 100
 """How often progress is told in a run."""
 
+UNINTERRUPTED = 100
+"""Points that are run without looking whether the user interrupts."""
+
 
 @dataclass(frozen=True)
 class Reached:
@@ -47,18 +50,23 @@ class Run:
     Args:
         schedule: whose turn it is.
         grid: the points.
+        recorder: gets every instant.
         progress: told now and then.
         library: the C side of the loop, used where the schedule allows it; None for Python.
 
     Attributes:
-        recorder: what has been recorded.
         initialized: whether all slaves have been initialised.
     """
 
     def __init__(
-        self, schedule: Schedule, grid: TimeGrid, progress: Progress | None, library: RunProgram | None = None
+        self,
+        schedule: Schedule,
+        grid: TimeGrid,
+        recorder: Recorder,
+        progress: Progress | None,
+        library: RunProgram | None = None,
     ) -> None:
-        self.recorder = Recorder(schedule.outputs, grid.times.size + int(grid.marked.sum()))
+        self._recorder = recorder
         self.initialized = False
         self._schedule, self._grid = schedule, grid
         self._library = library if library is not None and can_compile(schedule) else None
@@ -72,7 +80,7 @@ class Run:
 
     def control_steps(self, control: StepDoubling, error: CouplingError, first: float) -> None:
         """Take as many steps between the grid's points as a tolerance needs, the first one of length ``first`` [s]."""
-        self._controlled = ControlledSteps(self._schedule, self.recorder, control, error, first)
+        self._controlled = ControlledSteps(self._schedule, self._recorder, control, error, first)
         self._cross = self._controlled.cross
 
     def go(self, tolerance: float | None) -> None:
@@ -90,9 +98,9 @@ class Run:
 
     def _go_in_c(self, library: RunProgram) -> None:
         """A piece of the way at a time, between which progress is told and the user can interrupt."""
-        compiled = CompiledRun(library, self._schedule, self.recorder, self._grid.times, self._marked)
+        compiled = CompiledRun(library, self._schedule, self._recorder, self._grid.times, self._marked)
         count = len(self._times) - 1
-        pieces = min(PROGRESS_CALLS, count)
+        pieces = min(PROGRESS_CALLS, count) if self._progress is not None else 1 + count // UNINTERRUPTED
         try:
             for piece in range(1, pieces + 1):
                 compiled.go(count * piece // pieces)
@@ -103,7 +111,7 @@ class Run:
 
     def _go_in_python(self) -> None:
         times, marked, cross = self._times, self._marked, self._cross
-        exchange, record = self._schedule.exchange, self.recorder.append
+        exchange, record = self._schedule.exchange, self._recorder.append
         count = len(times) - 1
         every = max(1, count // PROGRESS_CALLS)
         for n in range(count):
@@ -129,6 +137,6 @@ class Run:
     def _start(self) -> None:
         """Exchange and record the first instant."""
         if self._marked[0]:
-            self.recorder.append(self._times[0])
+            self._recorder.append(self._times[0])
         self._schedule.exchange(0, self._times[0], jump=True)
-        self.recorder.append(self._times[0])
+        self._recorder.append(self._times[0])

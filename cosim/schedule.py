@@ -14,6 +14,7 @@ from flexfmu.cosim.instant_loop import InstantLoop
 from flexfmu.cosim.links import couplings, loop_order, stale_after_step, wire
 from flexfmu.cosim.loop_signals import LoopSignals
 from flexfmu.cosim.ports import OutputPort
+from flexfmu.cosim.selection import EVERYTHING, Selection
 from flexfmu.cosim.slave import Indices, KnowsItsFuture, RealArray
 from flexfmu.cosim.state import StateKeeper, revocable
 from flexfmu.cosim.stepping import Stepping
@@ -25,7 +26,13 @@ OFF_GRID = -1
 
 
 class Schedule:
-    """Exchanges and steps of a system on a time grid.
+    """Exchanges and steps of a system on a time grid, for one run after the other.
+
+    Args:
+        system: slaves and connections.
+        grid: the points of the runs.
+        algorithm: how slaves are coupled over a step.
+        selection: what is recorded; what nobody is fed with either isn't read.
 
     Attributes:
         outputs: output ports, in the order of `System.slaves`; their signals are those of the current instant.
@@ -37,9 +44,9 @@ class Schedule:
         stepping, advance: steps all slaves from one communication point to the next [s] and reads them.
     """
 
-    def __init__(self, system: System, grid: TimeGrid, algorithm: Algorithm) -> None:
+    def __init__(self, system: System, grid: TimeGrid, algorithm: Algorithm, selection: Selection = EVERYTHING) -> None:
         self.couplings = couplings(system, algorithm)
-        self._inputs, self.outputs = wire(system, self.couplings)
+        self._inputs, self.outputs = wire(system, self.couplings, selection)
         self.activity = Activity()
         self._system = system
         self._grid = grid
@@ -58,7 +65,11 @@ class Schedule:
         self.advance = self.stepping.advance
 
     def initialize(self, tolerance: float | None) -> None:
-        """Initialise the slaves, each with the outputs of those before it, and read them."""
+        """Initialise the slaves, each with the outputs of those before it, and read them.
+
+        Nothing of an earlier run is left.
+        """
+        self._reset()
         start, stop = float(self._grid.times[0]), float(self._grid.times[-1])
         ready: list[OutputPort] = []
         for i in dict.fromkeys([*self._system.visits, *range(len(self._system.slaves))]):
@@ -72,6 +83,16 @@ class Schedule:
             outputs.bind()
             outputs.read(start)
             ready.append(outputs)
+
+    def _reset(self) -> None:
+        """Forget the run before."""
+        for inputs, outputs in zip(self._inputs, self.outputs, strict=True):
+            inputs.reset()
+            outputs.reset()
+        for turn in self.turns:
+            if isinstance(turn, InstantLoop):
+                turn.reset()
+        self.stepping.reset()
 
     def exchange(self, point: int, time: float, jump: bool) -> None:
         """Pass on the outputs at a communication point; afterwards all is ready for the step that begins there.

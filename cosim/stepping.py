@@ -72,6 +72,11 @@ class Stepping:
         self._groups = [self._group(system, group, steppers, coupled) for group in groups]
         self.advance = self._advance_groups if self.iterates else self._advance
 
+    def reset(self) -> None:
+        """Forget the solutions of a run before."""
+        for group in self._groups:
+            group.reset()
+
     def _advance(self, begin: float, end: float) -> None:
         """Step all slaves from one communication point to the next and read them."""
         step, activity = end - begin, self._activity
@@ -119,6 +124,10 @@ class IteratedGroup:
         self._members = members
         self._signals = signals
         self._activity = activity
+
+    def reset(self) -> None:
+        """Forget the solutions of a run before."""
+        self._signals.reset()
 
     def advance(self, begin: float, end: float) -> None:
         """Step to ``end`` so that what is assumed about the signals there comes back.

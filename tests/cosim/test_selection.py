@@ -1,0 +1,105 @@
+"""A run keeps what it is asked to keep, and that unchanged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.errors import InputError, ResultsError
+from flexfmu.cosim.experiment import PreparedScene
+from flexfmu.cosim.master import simulate
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.results import Recording
+from flexfmu.cosim.selection import Selection
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.system import connect
+from flexfmu.model.scene_file import load_scene
+
+SCENE = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.2, "trajectory.dwell": 0.02})
+
+
+def assert_same_columns(found: Recording, all_of_it: Recording, order: int) -> None:
+    """What was kept is to the last bit what is there without selection; higher derivatives are gone."""
+    assert np.array_equal(found.time, all_of_it.time)
+    for name, column in found.columns.items():
+        full = all_of_it[name]
+        kept = [column.values, column.first, column.second]
+        expected = [full.values, full.first, full.second]
+        for k, (mine, its) in enumerate(zip(kept, expected, strict=True)):
+            if k <= order or name.startswith("end_effector.reference"):
+                assert np.array_equal(mine, its), (name, k)
+            else:
+                assert mine is None, (name, k)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_what_is_kept_is_unchanged(order: int) -> None:
+    """Some signals with some derivatives: the plant's, what feeds it, and the rigid motion; nothing else."""
+    names = (
+        "joint2.torque",
+        "end_effector.position.x",
+        "joint1.reference.velocity",
+        "end_effector.reference.position.y",
+    )
+    everything = PreparedScene(SCENE, communication_step=1e-3).run()
+    found = PreparedScene(SCENE, communication_step=1e-3, record=Selection(names, order)).run()
+    assert found.completed
+    assert set(found.recording.columns) == set(names)
+    assert_same_columns(found.recording, everything.recording, order)
+
+
+def test_values_alone() -> None:
+    """All signals without derivatives; metrics, which are properties of the continuous solution, refuse."""
+    everything = PreparedScene(SCENE, communication_step=1e-3).run()
+    found = PreparedScene(SCENE, communication_step=1e-3, record=Selection(order=0)).run()
+    assert list(found.recording.columns) == list(everything.recording.columns)
+    assert_same_columns(found.recording, everything.recording, 0)
+    with pytest.raises(ResultsError, match="time derivatives"):
+        measure_run(found)
+
+
+def test_a_signal_that_does_not_exist() -> None:
+    """The error names the nearest one, before anything is simulated."""
+    with pytest.raises(InputError, match=r"'joint1.torqe'.*did you mean 'joint1.torque'"):
+        PreparedScene(SCENE, record=Selection(["joint1.torqe"]))
+
+
+def test_odd_selections() -> None:
+    """An order that nobody records, and a name where names are asked for."""
+    with pytest.raises(InputError, match="order 0, 1 or 2, got 3"):
+        Selection(order=3)
+    with pytest.raises(InputError, match="a list of names"):
+        Selection("joint1.torque")
+
+
+class Counter:
+    """Two outputs that count steps, and a note of which were read."""
+
+    name = "counter"
+    variables = (SlaveVariable("a", "output"), SlaveVariable("b", "output"))
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.read: set[int] = set()
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.count = 0
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        self.read |= set(indices.tolist())
+        values[:] = self.count
+
+    def step(self, time: float, step: float) -> None:
+        self.count += 1
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_nobody_wants_is_not_read(compiled: bool) -> None:
+    """An output that is neither recorded nor connected costs nothing, in C and in Python."""
+    slave = Counter()
+    found = simulate(connect([slave], []), 1.0, 0.1, compiled=compiled, record=Selection(["counter.b"]))
+    assert slave.read == {1}
+    assert list(found.recording.columns) == ["counter.b"]
+    assert found.recording["counter.b"].values.tolist() == [*range(11)]
