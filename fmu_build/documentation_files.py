@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -13,8 +14,14 @@ from flexfmu.fmu_build.picture import Picture
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.units import displayed
 
-_CAUSALITIES = {"input": "Inputs", "parameter": "Parameters", "output": "Outputs", "local": "Statistics"}
-"""Causality → heading of its variables, in the order of the page."""
+_GROUPS = {
+    "Inputs": ("input", "Real"),
+    "Parameters": ("parameter", ""),
+    "Outputs": ("output", "Real"),
+    "Statistics": ("local", "Integer"),
+    "Continuous states, for model exchange": ("local", "Real"),
+}
+"""Heading → causality and type of its variables, all types where none is named, in the order of the page."""
 
 
 def documentation_files(
@@ -29,15 +36,12 @@ def documentation_files(
         picture: drawn at the top of the page.
         values: whatever else the template shows.
     """
-    variables = description.interface.variables
     page = render(
         template,
         about=description,
         experiment=experiment,
         picture=picture,
-        groups={title: [v for v in variables if v.causality == kind] for kind, title in _CAUSALITIES.items()},
-        names={variable.index: variable.name for variable in variables},
-        derived=any(variable.derivative is not None for variable in variables),
+        groups=_groups(description.interface.variables),
         start=_start_text,
         limits=_limits_text,
         log_categories=LOG_CATEGORIES,
@@ -47,6 +51,14 @@ def documentation_files(
         **values,
     )
     return {"documentation/index.html": page, **licence_files()}
+
+
+def _groups(variables: Sequence[FmiVariable]) -> dict[str, list[FmiVariable]]:
+    """Heading → its variables."""
+    return {
+        title: [each for each in variables if each.causality == causality and kind in (each.kind, "")]
+        for title, (causality, kind) in _GROUPS.items()
+    }
 
 
 def _start_text(variable: FmiVariable, description: Description) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -11,7 +11,7 @@ from flexfmu.fmu_build.choices import INITIAL, Choice
 from flexfmu.fmu_build.errors import ModelError, StartError
 from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR, VALUE_REFERENCE
 from flexfmu.fmu_build.quantities import quantity
-from flexfmu.fmu_build.states import find_states, state_dependencies
+from flexfmu.fmu_build.states import States, find_states, state_dependencies, state_name
 from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class FmiVariable:
         start: start value, None where the standard forbids one.
         declared_type: name of its type: the physical quantity.
         unit, display_unit: None for numbers without a unit.
-        derivative: index of the variable whose time derivative this one is.
+        derivative: index of the continuous state whose time derivative this one is.
     """
 
     index: int
@@ -74,10 +74,10 @@ class Interface:
     """All variables of an FMU and the structure between them.
 
     Attributes:
-        variables: in the order of the model description: inputs, parameters, outputs, then those of other types.
+        variables: in the order of the model description: inputs, parameters, outputs, those of other types, states.
         outputs: every output, with the inputs and states that it depends on.
         derivatives: the state derivatives among them, in the order of the states.
-        initial_unknowns: what initialisation calculates, with the inputs and parameters that it depends on.
+        initial_unknowns: what initialisation calculates, outputs and states, with the inputs and parameters that it depends on.
     """
 
     variables: tuple[FmiVariable, ...]
@@ -99,26 +99,50 @@ def build_interface(model: SymbolicModel) -> Interface:
         for position, variable in enumerate(model.outputs)
     ]
     scalars = (*model.inputs, *model.parameters, *outputs)
-    check_names([*(variable.name for variable in scalars), INITIAL.name, *STATISTICS, INTEGRATOR.name, FIXED_STEP])
+    names = [variable.name for variable in scalars]
+    shown = [state_name(model.outputs[position].name) for position in states.outputs]
+    check_names([*names, INITIAL.name, *STATISTICS, INTEGRATOR.name, FIXED_STEP, *shown])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
     reals = tuple(real_variable(variable, index_of) for variable in scalars)
     integers = _integer_variables(first_index=len(reals) + 1, static_start=model.static_start)
     integrator = _integrator_variables(first_index=len(reals) + len(integers) + 1, value_reference=len(reals))
-    variables = reals + integers + integrator
+    first, first_state = len(model.inputs) + len(model.parameters) + 1, len(reals) + len(integers) + len(integrator) + 1
+    aliases = _state_variables(reals[first - 1 :], states, first_state)
 
-    first = len(model.inputs) + len(model.parameters) + 1
     feedthrough, needed = _feedthrough(model, index_of), state_dependencies(model)
     unknowns = tuple(
-        Unknown(first + k, (*feedthrough[first + k], *sorted(first + states.outputs[state] for state in needed[k])))
+        Unknown(first + k, (*feedthrough[first + k], *sorted(first_state + state for state in needed[k])))
         for k in range(len(model.outputs))
     )
     known = tuple(variable.index for variable in reals + integers if variable.causality in ("input", "parameter"))
     return Interface(
-        variables=variables,
+        variables=_with_derivatives(reals, states, first, first_state) + integers + integrator + aliases,
         outputs=unknowns,
         derivatives=tuple(unknowns[position] for position in states.derivatives),
-        initial_unknowns=tuple(Unknown(unknown.index, known) for unknown in unknowns),
+        initial_unknowns=tuple(Unknown(each.index, known) for each in (*reals[first - 1 :], *aliases)),
     )
+
+
+def _state_variables(outputs: Sequence[FmiVariable], states: States, first_index: int) -> tuple[FmiVariable, ...]:
+    """The states: aliases of the outputs that show them."""
+    return tuple(
+        replace(
+            outputs[position],
+            index=index,
+            name=state_name(outputs[position].name),
+            description=f"{outputs[position].description}, as a continuous state",
+            causality="local",
+        )
+        for index, position in enumerate(states.outputs, start=first_index)
+    )
+
+
+def _with_derivatives(
+    reals: Sequence[FmiVariable], states: States, first_output: int, first_state: int
+) -> tuple[FmiVariable, ...]:
+    """The real variables, those that are derivatives of states tied to them; indices count from 1."""
+    state_of = {first_output + position: first_state + k for k, position in enumerate(states.derivatives)}
+    return tuple(replace(variable, derivative=state_of.get(variable.index)) for variable in reals)
 
 
 def _feedthrough(model: SymbolicModel, index_of: Mapping[str, int]) -> dict[int, tuple[int, ...]]:
@@ -181,7 +205,6 @@ def real_variable(
         minimum=variable.minimum,
         maximum=variable.maximum,
         nominal=variable.nominal,
-        derivative=None if variable.derivative_of is None else index_of[variable.derivative_of],
     )
 
 

@@ -1,4 +1,9 @@
-"""The continuous states of a plant, x = [y, dy/dt], as its outputs show them."""
+"""The continuous states of a plant, x = [y, dy/dt], as its outputs show them.
+
+In the description each state is a local variable of its own, an alias of the output that shows it. An output that is a state
+itself would be right too, but Maestro 3.1.1 stops where a state and its derivative are outputs and both are connected
+(ClassCastException in ComponentVariableFmi2Api.share), as position and velocity are to any controller.
+"""
 
 from __future__ import annotations
 
@@ -37,6 +42,12 @@ class States:
     outputs: tuple[int, ...]
     derivatives: tuple[int, ...]
     nominals: tuple[float, ...]
+
+
+def state_name(output: str) -> str:
+    """Name of the state that an output shows: ``state.joint1.position``, ``der(state.link11.bending[1])``."""
+    head, name = ("der(", output.removeprefix("der(")) if output.startswith("der(") else ("", output)
+    return f"{head}state.{name}"
 
 
 def find_states(model: SymbolicModel) -> States:
