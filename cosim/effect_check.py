@@ -38,7 +38,7 @@ class Comparison:
         effect, change: what the richer set has more.
         estimated: change of each metric without a run.
         observed: change of each metric between two runs.
-        seconds: time of the richer set's run over that of the chosen one's.
+        slower: time of the richer set's run over that of the chosen one's.
     """
 
     effect: str
@@ -53,6 +53,9 @@ class Comparison:
         observed = max(self.observed.values())
         return max(self.estimated.values()) / observed if observed else float("inf")
 
+
+EXACT = 1e-7
+"""Tolerance of the FMUs in comparisons, so that the effects alone make the difference."""
 
 EVERYTHING = "everything"
 """Effect of the comparison with the richest set, whose estimate is that of the choice, safety included."""
@@ -76,9 +79,9 @@ def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = q
     chosen, estimator = study.scene, study.estimator
     names = tuple(estimator.reference)
     show("running the chosen set", None)
-    base = observe(chosen, names, fmu_of)
+    base = observe(chosen, names, fmu_of, EXACT)
     show("running the richest set", None)
-    full = observe(richest(chosen), (*names, "peak_position_error"), fmu_of)
+    full = observe(richest(chosen), (*names, "peak_position_error"), fmu_of, EXACT)
     units = scales(full.metrics)
 
     def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> Comparison:
@@ -90,19 +93,27 @@ def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = q
         if estimator.covers(each.scene.effects):
             show(f"running with {each.effect}: {each.change}", None)
             estimated = estimator.changes(chosen.effects, each.scene.effects)
-            found.append(compare(each.effect, each.change, estimated, observe(each.scene, names, fmu_of)))
+            found.append(compare(each.effect, each.change, estimated, observe(each.scene, names, fmu_of, EXACT)))
     return tuple(found)
 
 
-def observe(scene: Scene, of: tuple[MeasureName, ...], fmu_of: FmuOf | None = None) -> Observed:
+def observe(
+    scene: Scene, of: tuple[MeasureName, ...], fmu_of: FmuOf | None = None, tolerance: float | None = None
+) -> Observed:
     """Metrics of a scene's run without its controllers, shapers and imperfections, as the estimates are made.
+
+    Args:
+        scene: with its effects chosen.
+        of: the metrics.
+        fmu_of: where its FMU comes from; built, or taken from the cache, when None.
+        tolerance: of the FMU; the scene's own when None.
 
     Raises:
         ResultsError: the run failed, or a metric doesn't exist.
     """
     bare = scene.replace({"controller": [], "shaper": [], "imperfection": [], "cosimulation.drive": "motion"})
     path = (fmu_of or _built)(bare)
-    run = PreparedScene(bare, fmu_path=path).run()
+    run = PreparedScene(bare, fmu_path=path, tolerance=tolerance).run()
     if not run.completed:
         raise ResultsError(f"the comparison with {scene.name} failed: {run.message}")
     measured = measure_run(run)
