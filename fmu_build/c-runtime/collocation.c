@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "integration_step.h"
+#include "linear_algebra.h"
 #include "prediction.h"
 
 /* share of the local error that unfinished Newton iterations may use. What they leave drives stiff modes without damping
@@ -17,8 +18,9 @@
 
 // prediction from the last step, shifted by the jump of the acceleration at the present time
 static void predict_from_history(flex_integrator *integrator, double h) {
-  const flex_history history = {integrator->start_a, integrator->stage_a, integrator->end_a};
+  const flex_history history = {integrator->history, 1};
   int n = integrator->n, s = integrator->stages.tableau->stages;
+  const double *end_a = integrator->history + (s + 1) * n;
   double *a = integrator->stages.acceleration;
   if (integrator->record->history_step == 0.0) {
     for (int i = 0; i < s; i++) memcpy(a + i * n, integrator->a, (size_t)n * sizeof *a);
@@ -26,7 +28,7 @@ static void predict_from_history(flex_integrator *integrator, double h) {
   }
   flex_predict(n, integrator->stages.tableau, &history, 1.0, h / integrator->record->history_step, a);
   for (int i = 0; i < s; i++)
-    for (int c = 0; c < n; c++) a[i * n + c] += integrator->a[c] - integrator->end_a[c];
+    for (int c = 0; c < n; c++) a[i * n + c] += integrator->a[c] - end_a[c];
 }
 
 // what the prediction missed for its reach: a high derivative of the motion, which jumps where one of the inputs does
@@ -36,17 +38,17 @@ static double bend(const flex_integrator *integrator, double h) {
   return integrator->stages.record->misprediction / (h * flex_prediction_reach(integrator->stages.tableau, history, h));
 }
 
-// change of position and rate over a step
-static void step_increment(const flex_integrator *integrator, double h, int c, double *dy, double *dv) {
+// changes of positions and rates over a step, into the first and the second half of `change`
+static void step_increments(flex_integrator *integrator, double h) {
   const flex_tableau *tableau = integrator->stages.tableau;
-  const double *a = integrator->stages.acceleration + c;
-  double position = 0.0, rate = 0.0;
-  for (int i = 0; i < tableau->stages; i++) {
-    position += tableau->b_position[i] * a[i * integrator->n];
-    rate += tableau->b[i] * a[i * integrator->n];
+  int n = integrator->n;
+  double *dy = integrator->change, *dv = dy + n;
+  flex_combine(n, tableau->stages, tableau->b_position, integrator->stages.acceleration, dy);
+  flex_combine(n, tableau->stages, tableau->b, integrator->stages.acceleration, dv);
+  for (int c = 0; c < n; c++) {
+    dy[c] = h * integrator->v[c] + h * h * dy[c];
+    dv[c] = h * dv[c];
   }
-  *dy = h * integrator->v[c] + h * h * position;
-  *dv = h * rate;
 }
 
 // moves on to the end of a step whose stages are solved
@@ -56,24 +58,19 @@ static flex_outcome finish(flex_integrator *integrator, double t, double h, doub
   size_t size = (size_t)n * sizeof(double);
 
   // end of the quadrature
-  for (int c = 0; c < n; c++) {
-    double dy, dv;
-    step_increment(integrator, h, c, &dy, &dv);
-    flex_step_move(integrator, c, dy, dv);
-  }
+  step_increments(integrator, h);
+  for (int c = 0; c < n; c++) flex_step_move(integrator, c, integrator->change[c], integrator->change[n + c]);
 
   // polynomial of this step, and its value at the end as first guess
-  memcpy(integrator->start_a, integrator->a, size);
-  memcpy(integrator->stage_a, integrator->stages.acceleration, (size_t)s * size);
-  memset(integrator->a, 0, size);
-  for (int i = 0; i < s; i++)
-    for (int c = 0; c < n; c++) integrator->a[c] += integrator->stages.tableau->at_end[i] * integrator->stage_a[i * n + c];
+  memcpy(integrator->history, integrator->a, size);
+  memcpy(integrator->history + n, integrator->stages.acceleration, (size_t)s * size);
+  flex_combine(n, s, integrator->stages.tableau->at_end, integrator->stages.acceleration, integrator->a);
 
   // acceleration at the end
   flex_inputs_evaluate(integrator->stages.inputs, t, h, integrator->end_u);
   flex_outcome outcome = flex_integrator_accelerate(integrator, integrator->end_u);
   if (outcome == FLEX_DONE) outcome = flex_step_check_margin(integrator, integrator->end_u, margin);
-  memcpy(integrator->end_a, integrator->a, size);
+  memcpy(integrator->history + (s + 1) * n, integrator->a, size);
   record->history_step = h;
   flex_step_count(integrator);
   return outcome;
@@ -92,11 +89,8 @@ static double cheap_error(flex_integrator *integrator, double h) {
   const flex_tableau *tableau = integrator->stages.tableau;
   int n = integrator->n;
   double *defect = integrator->defect;
-  for (int c = 0; c < n; c++) {
-    double value = integrator->a[c];
-    for (int i = 0; i < tableau->stages; i++) value -= tableau->at_start[i] * integrator->stages.acceleration[i * n + c];
-    defect[c] = value;
-  }
+  flex_combine(n, tableau->stages, tableau->at_start, integrator->stages.acceleration, defect);
+  for (int c = 0; c < n; c++) defect[c] = integrator->a[c] - defect[c];
   flex_newton_filter(&integrator->stages.matrix, defect);
   double rate = DEFECT_RATE * h, position = DEFECT_POSITION * h * h, sum = 0.0;
   for (int c = 0; c < n; c++) {
@@ -109,7 +103,7 @@ static double cheap_error(flex_integrator *integrator, double h) {
 
 // two steps of half the size, predicted by the full step
 static flex_outcome take_halves(flex_integrator *integrator, double t, double h, double allowed, double *value) {
-  const flex_history full = {integrator->saved + (integrator->a - integrator->y), integrator->full_a, NULL};
+  const flex_history full = {integrator->full_a, 0};
   for (int half = 0; half < 2; half++) {
     double start = t + half * 0.5 * h;
     flex_predict(integrator->n, integrator->stages.tableau, &full, 0.5 * half, 0.5, integrator->stages.acceleration);
@@ -128,13 +122,13 @@ static flex_outcome calibrate(flex_integrator *integrator, const flex_integrator
   double h = evidence->step;
 
   // result of the full step
+  step_increments(integrator, h);
   for (int c = 0; c < n; c++) {
-    double dy, dv;
-    step_increment(integrator, h, c, &dy, &dv);
-    integrator->full_y[c] = integrator->y[c] + dy;
-    integrator->full_v[c] = integrator->v[c] + dv;
+    integrator->full_y[c] = integrator->y[c] + integrator->change[c];
+    integrator->full_v[c] = integrator->v[c] + integrator->change[n + c];
   }
-  memcpy(integrator->full_a, integrator->stages.acceleration, (size_t)(s * n) * sizeof(double));
+  memcpy(integrator->full_a, integrator->a, (size_t)n * sizeof(double));
+  memcpy(integrator->full_a + n, integrator->stages.acceleration, (size_t)(s * n) * sizeof(double));
   flex_outcome outcome = take_halves(integrator, t, h, allowed, value);
   if (outcome != FLEX_DONE) return flex_step_reject(integrator, before, FLEX_FAILED_SHRINK * h, outcome);
 

@@ -37,10 +37,8 @@ void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *
     integrator->y_rest = integrator->v + n;
     integrator->v_rest = integrator->y_rest + n;
     integrator->a = integrator->v_rest + n;
-    integrator->start_a = integrator->a + n;
-    integrator->end_a = integrator->start_a + n;
-    integrator->stage_a = integrator->end_a + n;
-    integrator->mass_factor = integrator->stage_a + FLEX_MAX_STAGES * n;
+    integrator->history = integrator->a + n;
+    integrator->mass_factor = integrator->history + (FLEX_MAX_STAGES + 2) * n;
   }
   flex_stages_take_state(&integrator->stages, n, arena);
 }
@@ -50,7 +48,8 @@ void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inpu
   integrator->saved = flex_take_doubles(arena, integrator->motion_count);
   integrator->full_y = flex_take_doubles(arena, size);
   integrator->full_v = flex_take_doubles(arena, size);
-  integrator->full_a = flex_take_doubles(arena, FLEX_MAX_STAGES * size);
+  integrator->full_a = flex_take_doubles(arena, (FLEX_MAX_STAGES + 1) * size);
+  integrator->change = flex_take_doubles(arena, 2 * size);
   integrator->defect = flex_take_doubles(arena, size);
   integrator->end_u = flex_take_doubles(arena, (size_t)n_inputs);
   integrator->explicit_y = flex_take_doubles(arena, size);

@@ -24,12 +24,12 @@ struct flex_integrator {
   const double *fixed_step; /* [s]; 0 = the error decides */
 
   /* numeric state, one after the other in memory: position, rate, what rounding left of both, acceleration, accelerations
-   * at the start, the stages and the end of the last step, factor of the mass matrix */
-  double *y, *v, *y_rest, *v_rest, *a, *start_a, *end_a, *stage_a, *mass_factor;
+   * at the start, the stages and the end of the last step [(stages + 2) n], factor of the mass matrix */
+  double *y, *v, *y_rest, *v_rest, *a, *history, *mass_factor;
   size_t motion_count;
 
   /* scratch; explicit methods: rates and accelerations of the stages */
-  double *saved, *full_y, *full_v, *full_a, *defect, *end_u, *explicit_y, *explicit_v, *explicit_a;
+  double *saved, *full_y, *full_v, *full_a, *change, *defect, *end_u, *explicit_y, *explicit_v, *explicit_a;
 };
 
 void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *arena);

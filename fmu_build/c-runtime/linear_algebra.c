@@ -2,6 +2,70 @@
 
 #include <math.h>
 
+// y += f0 x0 + f1 x1; without aliases and in pairs, which compilers turn into vector instructions also where they are careful
+static inline void add_two(int n, double f0, const double *restrict x0, double f1, const double *restrict x1,
+                           double *restrict y) {
+  int i = 0;
+  for (; i + 2 <= n; i += 2) {
+    y[i] = y[i] + f0 * x0[i] + f1 * x1[i];
+    y[i + 1] = y[i + 1] + f0 * x0[i + 1] + f1 * x1[i + 1];
+  }
+  if (i < n) y[i] = y[i] + f0 * x0[i] + f1 * x1[i];
+}
+
+// y += f x
+static inline void add_one(int n, double f, const double *restrict x, double *restrict y) {
+  int i = 0;
+  for (; i + 2 <= n; i += 2) {
+    y[i] += f * x[i];
+    y[i + 1] += f * x[i + 1];
+  }
+  if (i < n) y[i] += f * x[i];
+}
+
+static inline double dot(int n, const double *restrict x, const double *restrict y) {
+  double even = 0.0, odd = 0.0;
+  int i = 0;
+  for (; i + 2 <= n; i += 2) {
+    even += x[i] * y[i];
+    odd += x[i + 1] * y[i + 1];
+  }
+  if (i < n) even += x[i] * y[i];
+  return even + odd;
+}
+
+// the same for complex numbers: y -= f x
+static inline void subtract_complex(int n, const double *f, const double *restrict x, double *restrict y) {
+  double re = f[0], im = f[1], minus_im = -f[1];
+  for (int i = 0; i < n; i++) {
+    double x_re = x[2 * i], x_im = x[2 * i + 1];
+    y[2 * i] -= re * x_re + minus_im * x_im;
+    y[2 * i + 1] -= re * x_im + im * x_re;
+  }
+}
+
+// y = f0 x0 + f1 x1
+static inline void set_two(int n, double f0, const double *restrict x0, double f1, const double *restrict x1,
+                           double *restrict y) {
+  int i = 0;
+  for (; i + 2 <= n; i += 2) {
+    y[i] = f0 * x0[i] + f1 * x1[i];
+    y[i + 1] = f0 * x0[i + 1] + f1 * x1[i + 1];
+  }
+  if (i < n) y[i] = f0 * x0[i] + f1 * x1[i];
+}
+
+void flex_combine(int n, int count, const double *factors, const double *columns, double *y) {
+  int j = 2;
+  if (count == 1) {
+    for (int i = 0; i < n; i++) y[i] = factors[0] * columns[i];
+    return;
+  }
+  set_two(n, factors[0], columns, factors[1], columns + n, y);
+  for (; j + 2 <= count; j += 2) add_two(n, factors[j], columns + j * n, factors[j + 1], columns + (j + 1) * n, y);
+  if (j < count) add_one(n, factors[j], columns + j * n, y);
+}
+
 static void swap_rows(int columns, int stride, int width, double *a, int i, int k) {
   if (i == k) return;
   for (int j = 0; j < columns; j++)
@@ -33,8 +97,7 @@ int flex_lu_factor(int n, double *a, int *pivots) {
     // rank-one update of the rest
     for (int j = k + 1; j < n; j++) {
       double *target = a + j * n;
-      double factor = target[k];
-      for (int i = k + 1; i < n; i++) target[i] -= factor * column[i];
+      add_one(n - k - 1, -target[k], column + k + 1, target + k + 1);
     }
   }
   return 0;
@@ -49,15 +112,11 @@ void flex_lu_solve(int n, const double *lu, const int *pivots, double *x) {
   }
 
   // forward, then backward substitution
-  for (int k = 0; k < n; k++) {
-    const double *column = lu + k * n;
-    double factor = x[k];
-    for (int i = k + 1; i < n; i++) x[i] -= factor * column[i];
-  }
+  for (int k = 0; k < n; k++) add_one(n - k - 1, -x[k], lu + k * n + k + 1, x + k + 1);
   for (int k = n - 1; k >= 0; k--) {
     const double *column = lu + k * n;
-    double factor = x[k] *= column[k];
-    for (int i = 0; i < k; i++) x[i] -= factor * column[i];
+    x[k] *= column[k];
+    add_one(k, -x[k], column, x);
   }
 }
 
@@ -90,12 +149,8 @@ int flex_complex_lu_factor(int n, double *a, int *pivots) {
 
     // rank-one update of the rest
     for (int j = k + 1; j < n; j++) {
-      double *target = a + 2 * j * n;
-      double fr = target[2 * k], fi = target[2 * k + 1];
-      for (int i = k + 1; i < n; i++) {
-        target[2 * i] -= fr * column[2 * i] - fi * column[2 * i + 1];
-        target[2 * i + 1] -= fr * column[2 * i + 1] + fi * column[2 * i];
-      }
+      double *target = a + 2 * (j * n + k);
+      subtract_complex(n - k - 1, target, column + 2 * (k + 1), target + 2);
     }
   }
   return 0;
@@ -106,24 +161,14 @@ void flex_complex_lu_solve(int n, const double *lu, const int *pivots, double *x
   for (int k = 0; k < n; k++) swap_rows(1, 0, 2, x, k, pivots[k]);
 
   // forward, then backward substitution
-  for (int k = 0; k < n; k++) {
-    const double *column = lu + 2 * k * n;
-    double fr = x[2 * k], fi = x[2 * k + 1];
-    for (int i = k + 1; i < n; i++) {
-      x[2 * i] -= fr * column[2 * i] - fi * column[2 * i + 1];
-      x[2 * i + 1] -= fr * column[2 * i + 1] + fi * column[2 * i];
-    }
-  }
+  for (int k = 0; k < n; k++) subtract_complex(n - k - 1, x + 2 * k, lu + 2 * (k * n + k + 1), x + 2 * (k + 1));
   for (int k = n - 1; k >= 0; k--) {
     const double *column = lu + 2 * k * n;
     double re = column[2 * k], im = column[2 * k + 1];
-    double fr = x[2 * k] * re - x[2 * k + 1] * im, fi = x[2 * k] * im + x[2 * k + 1] * re;
-    x[2 * k] = fr;
-    x[2 * k + 1] = fi;
-    for (int i = 0; i < k; i++) {
-      x[2 * i] -= fr * column[2 * i] - fi * column[2 * i + 1];
-      x[2 * i + 1] -= fr * column[2 * i + 1] + fi * column[2 * i];
-    }
+    const double value[2] = {x[2 * k] * re - x[2 * k + 1] * im, x[2 * k] * im + x[2 * k + 1] * re};
+    x[2 * k] = value[0];
+    x[2 * k + 1] = value[1];
+    subtract_complex(k, value, column, x);
   }
 }
 
@@ -131,35 +176,37 @@ int flex_cholesky_factor(int n, double *a) {
   for (int k = 0; k < n; k++) {
     double *column = a + k * n;
 
+    // the columns to the left, two by two
+    int j = 0;
+    for (; j + 2 <= k; j += 2) {
+      const double *left = a + j * n + k, *right = left + n;
+      add_two(n - k, -*left, left, -*right, right, column + k);
+    }
+    if (j < k) add_one(n - k, -a[j * n + k], a + j * n + k, column + k);
+
     // column k of L
     if (!(column[k] > 0.0) || !isfinite(column[k])) return 1;
     double inverse = 1.0 / sqrt(column[k]);
     column[k] = inverse;
     for (int i = k + 1; i < n; i++) column[i] *= inverse;
-
-    // update of the columns to the right, lower triangle
-    for (int j = k + 1; j < n; j++) {
-      double *target = a + j * n;
-      double factor = column[j];
-      for (int i = j; i < n; i++) target[i] -= factor * column[i];
-    }
   }
   return 0;
 }
 
 void flex_cholesky_solve(int n, const double *l, double *x) {
-  // L z = x
-  for (int k = 0; k < n; k++) {
-    const double *column = l + k * n;
-    double factor = x[k] *= column[k];
-    for (int i = k + 1; i < n; i++) x[i] -= factor * column[i];
+  // L z = x, two columns at once
+  int k = 0;
+  for (; k + 2 <= n; k += 2) {
+    const double *left = l + k * n + k, *right = left + n;
+    x[k] *= left[0];
+    x[k + 1] = (x[k + 1] - x[k] * left[1]) * right[1];
+    add_two(n - k - 2, -x[k], left + 2, -x[k + 1], right + 2, x + k + 2);
   }
+  if (k < n) x[k] *= l[k * n + k];
 
   // L' x = z
-  for (int k = n - 1; k >= 0; k--) {
-    const double *column = l + k * n;
-    double sum = x[k];
-    for (int i = k + 1; i < n; i++) sum -= column[i] * x[i];
-    x[k] = sum * column[k];
+  for (k = n - 1; k >= 0; k--) {
+    const double *diagonal = l + k * n + k;
+    x[k] = (x[k] - dot(n - k - 1, diagonal + 1, x + k + 1)) * diagonal[0];
   }
 }

@@ -4,6 +4,9 @@
 #ifndef FLEXFMU_LINEAR_ALGEBRA_H
 #define FLEXFMU_LINEAR_ALGEBRA_H
 
+/* y [n] = the sum of factors [count] times columns [count n], count > 0; y is none of them */
+void flex_combine(int n, int count, const double *factors, const double *columns, double *y);
+
 /* LU = P A in place, pivots [n]; the diagonal of U is stored inverted. Returns 0, or 1 if a pivot is zero or not finite. */
 int flex_lu_factor(int n, double *a, int *pivots);
 

@@ -23,8 +23,8 @@ void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena
 
 void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, flex_arena *arena) {
   size_t size = (size_t)n;
-  matrix->component = flex_take_doubles(arena, 2 * size);
-  matrix->sum = flex_take_doubles(arena, FLEX_MAX_STAGES * size);
+  matrix->component = flex_take_doubles(arena, FLEX_MAX_STAGES * size);
+  matrix->pairs = flex_take_doubles(arena, 2 * size);
   matrix->y = flex_take_doubles(arena, size);
   matrix->v = flex_take_doubles(arena, size);
   matrix->r = flex_take_doubles(arena, size);
@@ -115,68 +115,70 @@ int flex_newton_factor(flex_newton_matrix *matrix, double h) {
   return singular;
 }
 
-// the part of the solution that belongs to a real eigenvalue, added to the sum
-static void solve_real(flex_newton_matrix *matrix, int block, const double *x) {
-  const flex_eigenvalue *z = &matrix->tableau->blocks[block];
-  int n = matrix->n, s = matrix->tableau->stages;
-  double *component = matrix->component, *sum = matrix->sum;
+/* the eigenvectors of A as real matrices: a row of `to` for a real eigenvalue, two for a pair of complex ones */
+typedef struct {
+  double to[FLEX_MAX_STAGES][FLEX_MAX_STAGES], back[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
+} basis;
 
-  // component along the eigenvector, solution, back to the stages
-  for (int c = 0; c < n; c++) {
-    double value = 0.0;
-    for (int i = 0; i < s; i++) value += z->left[i][0] * x[i * n + c];
-    component[c] = value;
+static void real_basis(const flex_tableau *tableau, basis *found) {
+  int row = 0;
+  for (int k = 0; k < tableau->n_blocks; k++) {
+    const flex_eigenvalue *z = &tableau->blocks[k];
+    for (int i = 0; i < tableau->stages; i++) {
+      found->to[row][i] = z->left[i][0];
+      found->back[i][row] = z->right[i][0];
+      if (!z->is_complex) continue;
+      found->to[row + 1][i] = z->left[i][1];
+      found->back[i][row + 1] = -z->right[i][1];
+    }
+    row += 1 + z->is_complex;
   }
-  flex_lu_solve(n, factors_of(matrix, block), pivots_of(matrix, block), component);
-  for (int i = 0; i < s; i++)
-    for (int c = 0; c < n; c++) sum[i * n + c] += z->right[i][0] * component[c];
 }
 
-// the same for a pair of complex ones
-static void solve_complex(flex_newton_matrix *matrix, int block, const double *x) {
-  const flex_eigenvalue *z = &matrix->tableau->blocks[block];
-  int n = matrix->n, s = matrix->tableau->stages;
-  double *component = matrix->component, *sum = matrix->sum;
+// the system of a pair of complex eigenvalues; x: real, then imaginary parts
+static void solve_complex(flex_newton_matrix *matrix, int block, double *x) {
+  int n = matrix->n;
+  double *pairs = matrix->pairs;
   for (int c = 0; c < n; c++) {
-    double re = 0.0, im = 0.0;
-    for (int i = 0; i < s; i++) {
-      re += z->left[i][0] * x[i * n + c];
-      im += z->left[i][1] * x[i * n + c];
-    }
-    component[2 * c] = re;
-    component[2 * c + 1] = im;
+    pairs[2 * c] = x[c];
+    pairs[2 * c + 1] = x[n + c];
   }
-  flex_complex_lu_solve(n, factors_of(matrix, block), pivots_of(matrix, block), component);
-  for (int i = 0; i < s; i++)
-    for (int c = 0; c < n; c++) sum[i * n + c] += z->right[i][0] * component[2 * c] - z->right[i][1] * component[2 * c + 1];
+  flex_complex_lu_solve(n, factors_of(matrix, block), pivots_of(matrix, block), pairs);
+  for (int c = 0; c < n; c++) {
+    x[c] = pairs[2 * c];
+    x[n + c] = pairs[2 * c + 1];
+  }
 }
 
 void flex_newton_solve(flex_newton_matrix *matrix, double *x) {
-  size_t size = (size_t)(matrix->tableau->stages * matrix->n) * sizeof *x;
-  memset(matrix->sum, 0, size);
-  for (int k = 0; k < matrix->tableau->n_blocks; k++) {
-    if (matrix->tableau->blocks[k].is_complex)
-      solve_complex(matrix, k, x);
+  const flex_tableau *tableau = matrix->tableau;
+  int n = matrix->n, s = tableau->stages;
+  double *component = matrix->component;
+  basis eigenvectors;
+  real_basis(tableau, &eigenvectors);
+
+  // components along the eigenvectors, their solutions, back to the stages
+  for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.to[i], x, matrix->component + i * n);
+  for (int k = 0; k < tableau->n_blocks; k++) {
+    if (tableau->blocks[k].is_complex)
+      solve_complex(matrix, k, component);
     else
-      solve_real(matrix, k, x);
+      flex_lu_solve(n, factors_of(matrix, k), pivots_of(matrix, k), component);
+    component += tableau->blocks[k].is_complex ? 2 * n : n;
   }
-  memcpy(x, matrix->sum, size);
+  for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.back[i], matrix->component, x + i * n);
 }
 
 void flex_newton_filter(flex_newton_matrix *matrix, double *x) {
-  int n = matrix->n, is_complex = matrix->tableau->blocks[0].is_complex, width = is_complex ? 2 : 1;
+  int n = matrix->n;
   double *rhs = matrix->component;
-
-  // M x, stored as the first eigenvalue wants it
-  memset(rhs, 0, (size_t)(width * n) * sizeof *rhs);
-  for (int j = 0; j < n; j++)
-    for (int i = 0; i < n; i++) rhs[width * i] += matrix->mass[j * n + i] * x[j];
-
-  if (!is_complex) {
+  flex_combine(n, n, x, matrix->mass, rhs);
+  if (!matrix->tableau->blocks[0].is_complex) {
     flex_lu_solve(n, matrix->factors, matrix->pivots, rhs);
     memcpy(x, rhs, (size_t)n * sizeof *x);
     return;
   }
-  flex_complex_lu_solve(n, matrix->factors, matrix->pivots, rhs);
-  for (int i = 0; i < n; i++) x[i] = hypot(rhs[2 * i], rhs[2 * i + 1]);
+  memset(rhs + n, 0, (size_t)n * sizeof *rhs);
+  solve_complex(matrix, 0, rhs);
+  for (int i = 0; i < n; i++) x[i] = hypot(rhs[i], rhs[n + i]);
 }

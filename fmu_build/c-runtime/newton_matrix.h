@@ -26,7 +26,7 @@ typedef struct {
   int *pivots;
 
   /* scratch */
-  double *component, *sum, *y, *v, *r;
+  double *component, *pairs, *y, *v, *r;
 } flex_newton_matrix;
 
 void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena);

@@ -3,15 +3,15 @@
 #include <math.h>
 #include <string.h>
 
-// value at x of the polynomial of Lagrange through (nodes, values)
-static void interpolate(int n, int n_nodes, const double *nodes, const double *const *values, double x, double *result) {
-  memset(result, 0, (size_t)n * sizeof *result);
+#include "linear_algebra.h"
+
+// weights of the values at the nodes in the value at x of the polynomial of Lagrange
+static void interpolation_weights(int n_nodes, const double *nodes, double x, double *weights) {
   for (int j = 0; j < n_nodes; j++) {
     double above = 1.0, below = 1.0;
     for (int k = 0; k < n_nodes; k++)
       if (k != j) above *= x - nodes[k], below *= nodes[j] - nodes[k];
-    double weight = above / below;
-    for (int c = 0; c < n; c++) result[c] += weight * values[j][c];
+    weights[j] = above / below;
   }
 }
 
@@ -22,18 +22,15 @@ static int adds_end(const flex_tableau *tableau) {
 
 void flex_predict(int n, const flex_tableau *tableau, const flex_history *history, double first, double ratio,
                   double *prediction) {
-  int s = tableau->stages, n_nodes = history->end && adds_end(tableau) ? s + 2 : s + 1;
-  double nodes[FLEX_MAX_STAGES + 2];
-  const double *values[FLEX_MAX_STAGES + 2];
+  int s = tableau->stages, n_nodes = history->has_end && adds_end(tableau) ? s + 2 : s + 1;
+  double nodes[FLEX_MAX_STAGES + 2], weights[FLEX_MAX_STAGES + 2];
   nodes[0] = 0.0;
-  values[0] = history->start;
-  for (int i = 0; i < s; i++) {
-    nodes[i + 1] = tableau->c[i];
-    values[i + 1] = history->stages + i * n;
-  }
+  memcpy(nodes + 1, tableau->c, (size_t)s * sizeof *nodes);
   nodes[s + 1] = 1.0;
-  values[s + 1] = history->end;
-  for (int i = 0; i < s; i++) interpolate(n, n_nodes, nodes, values, first + ratio * tableau->c[i], prediction + i * n);
+  for (int i = 0; i < s; i++) {
+    interpolation_weights(n_nodes, nodes, first + ratio * tableau->c[i], weights);
+    flex_combine(n, n_nodes, weights, history->values, prediction + i * n);
+  }
 }
 
 double flex_prediction_reach(const flex_tableau *tableau, double history, double h) {

@@ -4,9 +4,10 @@
 
 #include "tableaus.h"
 
-/* accelerations [n] at the start and the end of a step and [stages n] at its nodes; end may be NULL */
+/* accelerations of a step at its start, its nodes and, if that is known, its end: [(stages + 2) n] or [(stages + 1) n] */
 typedef struct {
-  const double *start, *stages, *end;
+  const double *values;
+  int has_end;
 } flex_history;
 
 /* prediction [stages n] at first + ratio c_i, in units of the step that the history is about: 1 and h'/h for the next one */

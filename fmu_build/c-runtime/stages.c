@@ -4,6 +4,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "linear_algebra.h"
+
 /* iterations after which a step is given up: with a contraction of 0.3 all digits are there */
 #define MAX_ITERATIONS 30
 
@@ -73,6 +75,22 @@ double flex_error_norm(const flex_stages *stages, const double *dy, const double
   return sqrt(sum);
 }
 
+// integrals of the accelerations in units of the step → positions and rates
+static void move(int n, double h, double drift, const double *restrict y, const double *restrict v, double *restrict q,
+                 double *restrict w) {
+  double square = h * h;
+  int c = 0;
+  for (; c + 2 <= n; c += 2) {
+    q[c] = y[c] + (drift * v[c] + square * q[c]);
+    q[c + 1] = y[c + 1] + (drift * v[c + 1] + square * q[c + 1]);
+    w[c] = v[c] + h * w[c];
+    w[c + 1] = v[c + 1] + h * w[c + 1];
+  }
+  if (c == n) return;
+  q[c] = y[c] + (drift * v[c] + square * q[c]);
+  w[c] = v[c] + h * w[c];
+}
+
 // residuals of all stages at the present accelerations
 static int evaluate(flex_stages *stages, double h, const double *y, const double *v) {
   const flex_tableau *tableau = stages->tableau;
@@ -80,16 +98,9 @@ static int evaluate(flex_stages *stages, double h, const double *y, const double
   const double *a = stages->acceleration;
   for (int i = 0; i < s; i++) {
     double *q = stages->position + i * n, *w = stages->rate + i * n;
-    double drift = tableau->c[i] * h;
-    for (int c = 0; c < n; c++) {
-      double dq = 0.0, dw = 0.0;
-      for (int j = 0; j < s; j++) {
-        dq += tableau->a_squared[i][j] * a[j * n + c];
-        dw += tableau->a[i][j] * a[j * n + c];
-      }
-      q[c] = y[c] + (drift * v[c] + h * h * dq);
-      w[c] = v[c] + h * dw;
-    }
+    flex_combine(n, s, tableau->a_squared[i], a, q);
+    flex_combine(n, s, tableau->a[i], a, w);
+    move(n, h, tableau->c[i] * h, y, v, q, w);
     refused |= flex_residual(stages->equations, q, w, a + i * n, stages->u + i * m, stages->residual + i * n);
   }
   return refused;

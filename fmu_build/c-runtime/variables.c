@@ -188,14 +188,17 @@ int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, doub
 int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, double *value) {
   const flex_model *model = plant->model;
   unsigned output = index - (unsigned)(model->n_inputs + model->n_parameters);
+  if (output < (unsigned)model->n_outputs && (order == 1 || order == 2) &&
+      flex_plant_has(plant, order == 1 ? FLEX_HAVE_FIRST_RATES : FLEX_HAVE_SECOND_RATES)) {
+    *value = (order == 1 ? plant->first_rates : plant->second_rates)[output];
+    return 0;
+  }
   if (!is_known(plant, index)) return 1;
   if (output >= (unsigned)model->n_outputs)
     return refuse(plant, "value reference %u is no output, it has no derivatives", index);
   if (order < 1 || order > 2)
     return refuse(plant, "derivatives of %s are of order 1 or 2, got order %d", model->output_variables[output].name, order);
-  if (!flex_plant_has(plant, order == 1 ? FLEX_HAVE_FIRST_RATES : FLEX_HAVE_SECOND_RATES) &&
-      failed(plant, "computing output derivatives", flex_plant_need_rates(plant, order)))
-    return 1;
+  if (failed(plant, "computing output derivatives", flex_plant_need_rates(plant, order))) return 1;
   *value = (order == 1 ? plant->first_rates : plant->second_rates)[output];
   return 0;
 }
