@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene import Profile as ProfileSection
 from flexfmu.model.scene import Scene
 from flexfmu.trajectories.blends import Blend, LameBlend, PolarPolynomial
 from flexfmu.trajectories.clothoid import ClothoidPair
+from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.joint import JointTrajectory
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import BangBang, Profile, SeventhDegreePolynomial, Trapezoidal
@@ -81,11 +83,18 @@ def plan(scene: Scene) -> MotionPlan:
         TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
     """
     section = scene.trajectory
-    blend = BLENDS[section.blend.kind](section.blend.height, section.blend.width)
-    path = PickAndPlacePath(section.start, section.lift, section.height, section.width, blend)
+    corner = section.blend.kind, section.blend.height, section.blend.width
+    path = _path(section.start, section.lift, section.height, section.width, corner)
     task = TaskTrajectory(path, _profile(section.profile), section.duration)
     kinematics = RigidKinematics(scene.mechanism)
     return MotionPlan(scene, task, kinematics, task, JointTrajectory(task, kinematics))
+
+
+@lru_cache(maxsize=64)
+def _path(start: Point, lift: Point, height: float, width: float, corner: tuple[str, float, float]) -> PickAndPlacePath:
+    """The path; equal ones share their table of arc lengths."""
+    kind, *extent = corner
+    return PickAndPlacePath(start, lift, height, width, BLENDS[kind](*extent))
 
 
 def _profile(section: ProfileSection) -> Profile:

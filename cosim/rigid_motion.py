@@ -8,6 +8,7 @@ import numpy as np
 
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.results import Column, RealArray, Recording
+from flexfmu.trajectories.trajectory import limits
 
 KINDS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s2"))
 """Order of the time derivative → its name and unit."""
@@ -34,9 +35,8 @@ class RigidMotion:
         return recording.with_columns(self._columns)
 
     def _calculate(self, time: RealArray) -> Mapping[str, Column]:
-        derivatives = self._motion.task.evaluate(time, order=4, side="right")
-        left = np.flatnonzero(time[:-1] == time[1:])
-        derivatives[:, left] = self._motion.task.evaluate(time[left], order=4, side="left")
+        left = np.append(time[:-1] == time[1:], False)
+        derivatives = limits(self._motion.task, time, left, 4)
         return {
             f"end_effector.reference.{kind}.{axis}": Column(unit, *derivatives[order : order + 3, :, i].copy())
             for order, (kind, unit) in enumerate(KINDS)

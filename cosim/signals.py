@@ -11,6 +11,7 @@ from flexfmu.cosim.bernstein import Array
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.interpolation import HermiteSegments
 from flexfmu.cosim.results import Recording
+from flexfmu.trajectories.trajectory import limits
 
 if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
@@ -71,10 +72,7 @@ def deviation_from_rigid(motion: HermiteSegments, task: Trajectory) -> HermiteSe
         motion: end-effector position.
         task: the rigid robot's motion, at standstill after its end.
     """
-    highest = len(motion.left) - 1
-    return motion.minus(
-        task.evaluate(motion.start, highest, side="right"), task.evaluate(motion.end, highest, side="left")
-    )
+    return motion.minus(*_at_ends(motion, task))
 
 
 def joint_error(recording: Recording, joint: int, planned: Trajectory) -> HermiteSegments:
@@ -87,10 +85,16 @@ def joint_error(recording: Recording, joint: int, planned: Trajectory) -> Hermit
     """
     acceleration = JOINT_POSITIONS[joint].replace("position", "acceleration")
     signal = segments(recording, [JOINT_POSITIONS[joint]], [acceleration])
-    highest = len(signal.left) - 1
-    begin = planned.evaluate(signal.start, highest, side="right")
-    end = planned.evaluate(signal.end, highest, side="left")
+    begin, end = _at_ends(signal, planned)
     return signal.minus(begin[..., joint : joint + 1], end[..., joint : joint + 1])
+
+
+def _at_ends(signal: HermiteSegments, planned: Trajectory) -> tuple[Array, Array]:
+    """(m, n, c) the planned motion with as many derivatives as the signal's at the start and at the end of each segment."""
+    time = np.concatenate([signal.start, signal.end])
+    left = np.arange(time.size) >= signal.start.size
+    both = limits(planned, time, left, len(signal.left) - 1)
+    return both[:, ~left], both[:, left]
 
 
 def deviation_from_point(signal: HermiteSegments, point: Array) -> HermiteSegments:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.grid import COINCIDENT
@@ -13,8 +14,7 @@ from flexfmu.cosim.hermite import two_point
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.tabulated_trajectory import TabulatedTrajectory
 from flexfmu.fmu_build.errors import ModelError
-from flexfmu.trajectories.curves import Side
-from flexfmu.trajectories.trajectory import Trajectory
+from flexfmu.trajectories.trajectory import Trajectory, limits
 
 HERMITE_ORDER = 9
 """Degree of the polynomial through value and four derivatives at both ends of a step."""
@@ -102,12 +102,12 @@ class TrajectorySlave:
         """The polynomials of all steps between these points."""
         first, last = self._landings(times)
         order, source = END_ORDER if self.ends_exactly else self.max_output_order, self._source(times.size)
-        self._polynomials = _references(source, last, order, "right")
-        self._times = times
+        jumps = np.flatnonzero(np.isin(first, self.breakpoints))
+        left = np.arange(times.size + jumps.size) >= times.size
+        both = _references(source, np.concatenate([last, first[jumps]]), left, order)
+        self._polynomials, self._times = both[: times.size], times
         self._ends = self._polynomials[:, : END_ORDER + 1].copy()
-        jumps = np.isin(first, self.breakpoints)
-        if jumps.any():
-            self._ends[jumps] = _references(source, first[jumps], END_ORDER, "left")
+        self._ends[jumps] = both[times.size :, : END_ORDER + 1]
         if self.ends_exactly:
             self._polynomials = self._hermite_polynomials(self._polynomials[:, : END_ORDER + 1])
 
@@ -178,8 +178,8 @@ class TrajectorySlave:
         return polynomials
 
 
-def _references(trajectory: Trajectory, times: RealArray, order: int, side: Side) -> RealArray:
+def _references(trajectory: Trajectory, times: RealArray, left: NDArray[np.bool_], order: int) -> RealArray:
     """(N, order + 1, variables): one-sided limits of all references with their derivatives."""
-    jets = trajectory.evaluate(times, order + 2, side)
+    jets = limits(trajectory, times, left, order + 2)
     stacked = np.concatenate([jets[kind : kind + order + 1] for kind in range(len(REFERENCES))], axis=2)
     return np.ascontiguousarray(stacked.swapaxes(0, 1))

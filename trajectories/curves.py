@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from flexfmu.trajectories.arc_length import ArcLengthTable, tabulate
 from flexfmu.trajectories.checks import within
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array, Jet, checked_order, compose, revert, sqrt
+from flexfmu.trajectories.jets import Array, Jet, checked_order, compose, revert, sqrt, stack, unstack
 
 Side: TypeAlias = Literal["left", "right"]
 """Which one-sided limit to take where a derivative jumps."""
@@ -73,11 +73,12 @@ class ParametricPiece:
     def jets(self, s: Array, order: int) -> PlaneJets:
         """See `Piece`. The parameter's series in s is the reversion of the arc length's series in the parameter."""
         u = self.table.parameter(s)
-        x, y = self.curve(Jet.variable(u, max(order, 1)))
+        if order == 0:
+            return self.curve(Jet.variable(u, 0))
+        x, y = self.curve(Jet.variable(u, order))
         x_slope, y_slope = x.differentiate(), y.differentiate()
         arc = sqrt(x_slope * x_slope + y_slope * y_slope).integrate()
-        parameter = revert(arc).truncate(order)
-        return compose(x, parameter), compose(y, parameter)
+        return unstack(compose(stack((x, y)), revert(arc).truncate(order)))
 
     def _speed(self, u: Array) -> Array:
         x, y = self.curve(Jet.variable(u, 1))
@@ -108,9 +109,17 @@ class PlacedPiece:
 
     def jets(self, s: Array, order: int) -> PlaneJets:
         """See `Piece`."""
-        u, v = self.piece.jets(self.length - s if self.backwards else s, order)
-        if self.backwards:
-            u, v = u.rescale(-1.0), v.rescale(-1.0)
+        own = self.own_arc_length(Jet.variable(s, order))
+        u, v = self.piece.jets(own.value, order)
+        return self.moved((u.rescale(-1.0), v.rescale(-1.0)) if self.backwards else (u, v))
+
+    def own_arc_length(self, s: Jet) -> Jet:
+        """Arc length in the piece's own direction [m]."""
+        return self.length - s if self.backwards else s
+
+    def moved(self, point: PlaneJets) -> PlaneJets:
+        """A point of the piece [m] where it has been moved to."""
+        u, v = point
         x, y = (u * self.first[i] + v * self.second[i] + self.origin[i] for i in (0, 1))
         return x, y
 
@@ -159,6 +168,11 @@ class PiecewiseCurve:
             for row, jet in zip(result, self.pieces[i].jets(s[here] - self.edges[i], order), strict=True):
                 row[:, here] = jet.coefficients
         return Jet(result[0]), Jet(result[1])
+
+
+def placed(piece: Piece) -> PlacedPiece:
+    """The piece as one that has been moved, if only to where it was."""
+    return piece if isinstance(piece, PlacedPiece) else PlacedPiece(piece, (0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 
 
 def place(pieces: tuple[Piece, ...], origin: Point, first: Point, second: Point) -> tuple[PlacedPiece, ...]:

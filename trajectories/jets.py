@@ -11,6 +11,7 @@ tables 13.1 (arithmetic, roots and powers) and 13.2 (sine and cosine).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -200,11 +201,20 @@ def compose(outer: Jet, inner: Jet) -> Jet:
     ``outer`` may have leading axes that ``inner`` lacks, as in shapes (order + 1, 2, N) and (order + 1, N).
     """
     order = min(outer.order, inner.order)
-    increment = inner.truncate(order) - inner.value
-    result = Jet.constant(outer.coefficients[order], order)
-    for k in range(order - 1, -1, -1):
-        result = increment * result + outer.coefficients[k]
-    return result
+    terms, increment = outer.coefficients, _aligned(inner, outer.coefficients.ndim)
+    shape = np.broadcast_shapes(terms.shape[1:], increment.shape[1:])
+    # Horner's scheme from the highest term that isn't zero; the increment has no constant, so each round adds an order
+    highest = next((k for k in range(order, 0, -1) if terms[k].any()), 0)
+    result = np.zeros((order + 1, *shape))
+    result[0] = terms[highest]
+    for k in range(highest - 1, -1, -1):
+        rows = order + 1 - k
+        raised = np.zeros((order + 1, *shape))
+        for j in range(1, rows):
+            raised[j:rows] += increment[j] * result[: rows - j]
+        raised[0] = terms[k]
+        result = raised
+    return Jet(result)
 
 
 def revert(series: Jet) -> Jet:
@@ -228,6 +238,16 @@ def stack(jets: tuple[Jet, ...]) -> Jet:
     """One jet of shape (len(jets), ...) from jets of the same shape, cut to their lowest order."""
     order = min(jet.order for jet in jets)
     return Jet(np.stack([jet.coefficients[: order + 1] for jet in jets], axis=1))
+
+
+def joined(jets: Sequence[Jet]) -> Jet:
+    """One jet of shape (N,) from jets of the same order and shapes (N₁,), (N₂,), ..."""
+    return Jet(np.concatenate([jet.coefficients for jet in jets], axis=1))
+
+
+def unstack(pair: Jet) -> tuple[Jet, Jet]:
+    """The two jets that `stack` made one of shape (2, ...) from."""
+    return Jet(pair.coefficients[:, 0]), Jet(pair.coefficients[:, 1])
 
 
 def checked_order(order: int) -> int:

@@ -8,12 +8,13 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.checks import times
+from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Array, Jet, checked_order
-from flexfmu.trajectories.trajectory import Trajectory
+from flexfmu.trajectories.trajectory import Trajectory, limits
 
 SAMPLES_PER_INTERVAL = 200
 """Points between two breakpoints at which margins and angles are first looked at; between two of them a margin has at
@@ -75,7 +76,7 @@ class JointTrajectory:
     kinematics: InverseKinematics
 
     def __post_init__(self) -> None:
-        check_margins(self.task, self.kinematics)
+        check_margins(self.task, self.kinematics, self._first_look)
 
     @property
     def duration(self) -> float:
@@ -89,28 +90,39 @@ class JointTrajectory:
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
         """q11 and q21 [rad] and their time derivatives; see `Trajectory.evaluate`."""
-        motion = Jet.from_derivatives(self.task.evaluate(time, checked_order(order), side))
+        time = times(time)
+        return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
+
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> Array:
+        """See `flexfmu.trajectories.trajectory.HasLimits`."""
+        time = times(time)
+        motion = Jet.from_derivatives(limits(self.task, time, left, checked_order(order)))
         x, y = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))
         result = np.stack([joint.derivatives() for joint in self.kinematics.joints(x, y)], axis=-1)
-        result[0] = _near(result[0], self._reference(np.atleast_1d(np.asarray(time, dtype=float))))
+        result[0] = _near(result[0], self._reference(time))
         return result
+
+    @cached_property
+    def _first_look(self) -> tuple[Array, Array]:
+        """See `look_at`."""
+        return look_at(self.task)
 
     @cached_property
     def _samples(self) -> tuple[Array, Array]:
         """Sample times [s], shape (N,), and continuous joint angles [rad], shape (N, 2)."""
-        time = _sample_times(self.task)
+        time, positions = self._first_look
         for _ in range(REFINEMENTS):
-            angles = np.unwrap(self._principal_angles(time), axis=0)
+            angles = np.unwrap(self._principal_angles(positions), axis=0)
             wide = np.flatnonzero(np.max(np.abs(np.diff(angles, axis=0)), axis=1) > LARGEST_TURN)
             if not wide.size:
                 break
             time = np.insert(time, wide + 1, 0.5 * (time[wide] + time[wide + 1]))
+            positions = _positions(self.task, time)
         return time, angles
 
-    def _principal_angles(self, time: Array) -> Array:
-        """Joint angles modulo 2π [rad], shape (N, 2)."""
-        position = self.task.evaluate(time, 0)
-        angles = self.kinematics.joints(Jet(position[:, :, 0]), Jet(position[:, :, 1]))
+    def _principal_angles(self, positions: Array) -> Array:
+        """Joint angles modulo 2π [rad] at positions [m], both of shape (N, 2)."""
+        angles = self.kinematics.joints(Jet(positions[None, :, 0]), Jet(positions[None, :, 1]))
         return np.stack([angle.value for angle in angles], axis=-1)
 
     def _reference(self, time: Array) -> Array:
@@ -119,15 +131,29 @@ class JointTrajectory:
         return np.stack([np.interp(time, sample_times, angle) for angle in angles.T], axis=-1)
 
 
-def check_margins(task: Trajectory, kinematics: InverseKinematics) -> None:
+def look_at(task: Trajectory) -> tuple[Array, Array]:
+    """Times [s], shape (N,), from 0 to the duration with all breakpoints, and positions [m] there, shape (N, 2)."""
+    spans = [np.linspace(a, b, SAMPLES_PER_INTERVAL, endpoint=False) for a, b in pairwise(task.breakpoints)]
+    time = np.concatenate([*spans, [task.duration]])
+    return time, _positions(task, time)
+
+
+def check_margins(
+    task: Trajectory, kinematics: InverseKinematics, first_look: tuple[Array, Array] | None = None
+) -> None:
     """Refuse a motion along which a margin falls below what it requires.
+
+    Args:
+        task: motion of the end effector.
+        kinematics: the mechanism's inverse kinematics.
+        first_look: what `look_at` gives for the motion, where that is known.
 
     Raises:
         TrajectoryError: names the margin, its worst point and time, its value there and what is required.
     """
-    time = _sample_times(task)
+    time, positions = look_at(task) if first_look is None else first_look
     violations = []
-    for index, margin in enumerate(kinematics.margins(_positions(task, time))):
+    for index, margin in enumerate(kinematics.margins(positions)):
         worst_time, worst = _smallest(task, kinematics, index, time, _defined(margin.values), margin.required)
         if worst < margin.required:
             violations.append((not np.isfinite(worst), index, margin, worst_time, worst))
@@ -150,14 +176,17 @@ def _smallest(
 ) -> tuple[float, float]:
     """Time [s] and value of the smallest margin number ``index``, refined around the samples' local minima.
 
-    Around a minimum the margin rises by more than it may still fall between the points looked at; where that is less than
-    what is left above ``required``, it won't get there.
+    Around a minimum a convex margin rises by more than it may still fall between the points looked at; where that is less
+    than what is left above ``required``, it won't get there.
     """
     padded = np.concatenate([[np.inf], values, [np.inf]])
     minima = np.flatnonzero((values <= padded[:-2]) & (values < padded[2:]))
     low, high = time[np.maximum(minima - 1, 0)], time[np.minimum(minima + 1, len(time) - 1)]
     best = time[minima], values[minima]
-    for _ in range(REFINEMENTS):
+    around = values[np.clip(minima + np.arange(-2, 3)[:, None], 0, len(values) - 1)]
+    with np.errstate(invalid="ignore"):
+        is_far = np.all(np.max(around, axis=0) - best[1] < best[1] - required)
+    for _ in range(0 if is_far else REFINEMENTS):
         grid = low + (high - low) * np.linspace(0.0, 1.0, 9)[:, None]
         found = _defined(kinematics.margins(_positions(task, grid.ravel()))[index].values).reshape(grid.shape)
         at = np.argmin(found, axis=0), np.arange(len(minima))
@@ -170,12 +199,6 @@ def _smallest(
         low, high = np.maximum(low, best[0] - quarter), np.minimum(high, best[0] + quarter)
     worst = int(np.argmin(best[1]))
     return float(best[0][worst]), float(best[1][worst])
-
-
-def _sample_times(task: Trajectory) -> Array:
-    """Times [s] from 0 to the duration, breakpoints included, ascending, shape (N,)."""
-    spans = [np.linspace(a, b, SAMPLES_PER_INTERVAL, endpoint=False) for a, b in pairwise(task.breakpoints)]
-    return np.concatenate([*spans, [task.duration]])
 
 
 def _positions(task: Trajectory, time: Array) -> Array:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from dataclasses import dataclass
+from functools import cache
 from typing import Protocol
 
 import numpy as np
@@ -32,11 +35,17 @@ class ProfilePiece:
 
     def jet(self, eta: Array, order: int) -> Jet:
         """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
-        x = eta - self.centre
-        polynomial = np.polynomial.Polynomial(self.coefficients)
-        return Jet.from_derivatives(
-            np.stack([np.broadcast_to(polynomial.deriv(k)(x), x.shape) for k in range(order + 1)])
-        )
+        powers = np.ones((len(self.coefficients), *eta.shape))
+        powers[1:] = eta - self.centre
+        np.multiply.accumulate(powers, axis=0, out=powers)
+        return Jet((_shifted(self.coefficients, order)[:, :, None] * powers).sum(axis=1))
+
+    def value(self, eta: float) -> float:
+        """σ at one fraction of the duration."""
+        result, x = 0.0, eta - self.centre
+        for coefficient in reversed(self.coefficients):
+            result = result * x + coefficient
+        return result
 
 
 class Profile(Protocol):
@@ -124,10 +133,23 @@ def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Sid
 def time_at(profile: Profile, fraction: float) -> float:
     """The fraction of the duration at which the profile passes ``fraction`` of the path, 0 to 1 exclusive."""
 
+    pieces = profile.pieces
+    starts = [piece.start for piece in pieces[1:]]
+
     def excess(eta: float) -> float:
-        return float(evaluate_profile(profile, eta, 0).value[0]) - fraction
+        return pieces[bisect_right(starts, eta)].value(eta) - fraction
 
     return float(brentq(excess, 0.0, 1.0, xtol=1e-17, rtol=4 * np.finfo(float).eps))
+
+
+@cache
+def _shifted(coefficients: tuple[float, ...], order: int) -> Array:
+    """(order + 1, n) matrix from the powers of x to the polynomial's normalised Taylor coefficients at x."""
+    matrix = np.zeros((order + 1, len(coefficients)))
+    for j, coefficient in enumerate(coefficients):
+        for k in range(min(order, j) + 1):
+            matrix[k, j - k] = math.comb(j, k) * coefficient
+    return matrix
 
 
 def _symmetric(coefficients: tuple[float, ...], end: float) -> tuple[ProfilePiece, ProfilePiece]:

@@ -6,20 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.trajectories.checks import positive, times
-from flexfmu.trajectories.curves import Piece, Side, checked_side
-from flexfmu.trajectories.jets import Array, checked_order, compose
+from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side, placed
+from flexfmu.trajectories.jets import Array, Jet, checked_order, compose, joined, stack, unstack
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile, ProfilePiece, time_at
 
 SAME_TIME = 1e-12
 """Fraction of the duration within which two times are the same: breakpoints that near are merged, and a time that
 near to a breakpoint is at the breakpoint. Far above the rounding of integer ticks, far below any communication step."""
+
+
+Indices: TypeAlias = NDArray[np.intp]
 
 
 class Trajectory(Protocol):
@@ -52,12 +55,37 @@ class Trajectory(Protocol):
         ...
 
 
+@runtime_checkable
+class HasLimits(Protocol):
+    """Gives left limits at some instants and right limits at others in one call, for little more than one of them."""
+
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> Array:
+        """Value and time derivatives, as `Trajectory.evaluate` gives them.
+
+        Args:
+            time: shape (N,) [s].
+            left: shape (N,), where to take left limits instead of right ones.
+            order: order of the highest derivative, any.
+        """
+        ...
+
+
+def limits(trajectory: Trajectory, time: Array, left: NDArray[np.bool_], order: int) -> Array:
+    """One-sided limits of any trajectory, see `HasLimits`."""
+    if isinstance(trajectory, HasLimits):
+        return trajectory.limits(time, left, order)
+    result = trajectory.evaluate(time, order, "right")
+    if left.any():
+        result[:, left] = trajectory.evaluate(time[left], order, "left")
+    return result
+
+
 class Interval(NamedTuple):
     """A time interval in which the motion is analytic."""
 
     start: float
     profile: ProfilePiece
-    piece: Piece
+    piece: PlacedPiece
     piece_start: float
 
 
@@ -86,24 +114,47 @@ class TaskTrajectory:
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
         """x and y [m] and their time derivatives; see `Trajectory.evaluate`."""
-        time, order, side = times(time), checked_order(order), checked_side(side)
+        time = times(time)
+        return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
+
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> Array:
+        """See `HasLimits`."""
+        time, order = times(time), checked_order(order)
         tolerance = SAME_TIME * self.duration
         starts = np.array([interval.start for interval in self._intervals] + [self.duration])
-        index = np.searchsorted(starts, time + (tolerance if side == "right" else -tolerance), side="right") - 1
+        index = np.searchsorted(starts, time + np.where(left, -tolerance, tolerance), side="right") - 1
         result = np.zeros((order + 1, len(time), 2))
         result[0, index < 0] = self.path.start
         result[0, index == len(self._intervals)] = self.path.end
-        for i in np.unique(index):
-            if 0 <= i < len(self._intervals):
-                result[:, index == i] = self._motion(self._intervals[i], time[index == i], order)
+        for group in self._congruent:
+            here = [(interval, np.flatnonzero(index == i)) for i, interval in group]
+            self._move([(interval, where) for interval, where in here if where.size], time, order, result)
         return result
 
-    def _motion(self, interval: Interval, time: Array, order: int) -> Array:
-        """Derivatives within one interval, shape (order + 1, N, 2)."""
+    def _move(self, parts: Sequence[tuple[Interval, Indices]], time: Array, order: int, result: Array) -> None:
+        """Derivatives within intervals whose curves are congruent, which takes as many calls as for one interval."""
+        if not parts:
+            return
+        s = joined([self._arc_length(interval, time[where], order) for interval, where in parts])
+        piece = parts[0][0].piece.piece
+        points = compose(stack(piece.jets(np.clip(s.value, 0.0, piece.length), order)), s)
+        begin = 0
+        for interval, where in parts:
+            part = Jet(points.coefficients[:, :, begin : begin + where.size])
+            result[:, where] = np.moveaxis(stack(interval.piece.moved(unstack(part))).derivatives(), 1, -1)
+            begin += where.size
+
+    def _arc_length(self, interval: Interval, time: Array, order: int) -> Jet:
+        """The arc length along the piece's own direction in time [m]."""
         fraction = interval.profile.jet(time / self.duration, order).rescale(1.0 / self.duration)
-        s = fraction * self.path.length - interval.piece_start
-        x, y = interval.piece.jets(np.clip(s.value, 0.0, interval.piece.length), order)
-        return np.stack([compose(x, s).derivatives(), compose(y, s).derivatives()], axis=-1)
+        return interval.piece.own_arc_length(fraction * self.path.length - interval.piece_start)
+
+    @cached_property
+    def _congruent(self) -> tuple[tuple[tuple[int, Interval], ...], ...]:
+        """Intervals with their indices, those together whose pieces are the same but for their places."""
+        pieces = {id(interval.piece.piece): interval.piece.piece for interval in self._intervals}
+        numbered = tuple(enumerate(self._intervals))
+        return tuple(tuple(each for each in numbered if each[1].piece.piece is piece) for piece in pieces.values())
 
     @cached_property
     def _intervals(self) -> tuple[Interval, ...]:
@@ -117,7 +168,7 @@ class TaskTrajectory:
         profile = next(piece for piece in self.profile.pieces if middle[0] <= piece.end)
         curve = self.path.curve
         index = int(np.searchsorted(curve.knots, profile.jet(middle, 0).value[0] * curve.length))
-        return Interval(start * self.duration, profile, curve.pieces[index], float(curve.edges[index]))
+        return Interval(start * self.duration, profile, placed(curve.pieces[index]), float(curve.edges[index]))
 
 
 def _merged(first: Sequence[float], second: Sequence[float]) -> list[float]:
