@@ -10,10 +10,11 @@ import casadi
 from flexfmu.fmu_build.archive import write_atomically
 from flexfmu.fmu_build.block_codegen import sample_function
 from flexfmu.fmu_build.cache import cache_folder
+from flexfmu.fmu_build.codegen import with_elementary_functions
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.hashing import content_hash
 from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.sources import Sources
+from flexfmu.fmu_build.sources import Sources, elementary_sources
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, find_compiler
 from flexfmu.model.block import SymbolicBlock
 
@@ -54,13 +55,14 @@ def compile_function(function: casadi.Function) -> casadi.Function:
     """
     generator = casadi.CodeGenerator(f"{function.name()}.c")
     generator.add(function)
-    return casadi.external(function.name(), str(_library(function.name(), str(generator.dump()))))
+    code = with_elementary_functions(str(generator.dump()))
+    return casadi.external(function.name(), str(_library(function.name(), code)))
 
 
 @lru_cache(maxsize=64)
 def _library(name: str, code: str) -> Path:
     """The shared library of a generated C file, kept in the cache under the hash of its content."""
-    sources = Sources(name, "", "", {f"{name}.c": code}, {}, {})
+    sources = Sources(name, "", "", {f"{name}.c": code}, elementary_sources(), {})
     platform = native_platform()
     content = compile_library(sources, find_compiler(platform), generated_flags=EXPORTED_FLAGS)
     path = cache_folder() / "blocks" / f"{content_hash([content])}{platform.suffix}"

@@ -23,6 +23,8 @@ MAX_INPUT_ORDER = 9
 DESCRIPTION_FILE = "model_description.c"
 HEADER_FILE = "model_functions.h"
 
+_MATHEMATICS = "#include <math.h>"
+
 _CODE_OPTIONS: Any = {"casadi_int": "int", "with_export": False}
 
 
@@ -123,7 +125,12 @@ def c_code(function: casadi.Function) -> str:
     """The C file of a function, which names everything of its own after it."""
     generator = casadi.CodeGenerator(f"{function.name()}_", _CODE_OPTIONS)
     generator.add(function)
-    return str(generator.dump())
+    return with_elementary_functions(str(generator.dump()))
+
+
+def with_elementary_functions(code: str) -> str:
+    """Generated C that calls the runtime's own sin, exp and so on: the C libraries' differ in the last place."""
+    return code.replace(_MATHEMATICS, f'{_MATHEMATICS}\n#include "elementary.h"', 1)
 
 
 def function_facts(name: str, function: casadi.Function) -> GeneratedFunction:

@@ -32,7 +32,7 @@ class Platform:
 
 
 def _linux(name: str, processor: str) -> Platform:
-    link_flags = ("-shared", "-s", "-Wl,--gc-sections", "-Wl,-z,defs", "-lm")
+    link_flags = ("-shared", "-s", "-Wl,--gc-sections", "-Wl,-z,defs")
     return Platform(name, ".so", f"{processor}-linux-gnu.2.17", ("-fPIC",), link_flags)
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Kind = Literal["plant", "block", "trajectory"]
 """What an FMU contains; the same FMI layer serves all of them."""
 
-_COMMON = ("backend.", "clock.", "fmi2", "memory.", "model.", "old_glibc.", "refusal.")
+_COMMON = ("backend.", "clock.", "elementary", "fmi2", "memory.", "model.", "old_glibc.", "refusal.")
 """How the names of the runtime's files begin that every kind needs."""
 
 _OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",)}
@@ -114,6 +114,11 @@ def runtime_sources(kind: Kind = "plant") -> dict[str, str]:
     folder = files("flexfmu.fmu_build") / "c-runtime"
     entries = sorted((entry for entry in folder.iterdir() if _belongs(entry.name, kind)), key=lambda e: e.name)
     return {entry.name: entry.read_text(encoding="utf-8") for entry in entries}
+
+
+def elementary_sources() -> dict[str, str]:
+    """C files and headers of sin, exp and so on alone, which generated functions call."""
+    return {name: text for name, text in runtime_sources().items() if name.startswith("elementary")}
 
 
 def _belongs(name: str, kind: Kind) -> bool:

@@ -2,6 +2,8 @@
 
 #include <math.h>
 
+#include "elementary.h"
+
 /* decay of the cheap estimate per step where it passes through zero */
 #define HOLD 0.7
 

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "clock.h"
+#include "elementary.h"
 
 /* no importer can stop a communication step that has begun: so many samples take some seconds */
 #ifndef FLEX_MAX_SAMPLES

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
 #include "integration_step.h"
 #include "linear_algebra.h"
 #include "prediction.h"

@@ -2,6 +2,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
 #include "integration_step.h"
 
 // rates and accelerations of all stages of a step from the present y, v, a

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
 #include "linear_algebra.h"
 
 void flex_step_save(flex_integrator *integrator) {

@@ -4,6 +4,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
 #include "integration_step.h"
 
 /* share of the tolerance that one step may use. The local error is held below share x tol^(q/p), q its order and p that of

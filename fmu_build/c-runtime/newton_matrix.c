@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
 #include "linear_algebra.h"
 
 /* relative step of the differences for D and K: about the cube root of the rounding error, since r is nearly linear */

@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
+
 #include "linear_algebra.h"
 
 // weights of the values at the nodes in the value at x of the polynomial of Lagrange

@@ -4,6 +4,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
+
 #include "linear_algebra.h"
 
 /* iterations after which a step is given up: with a contraction of 0.3 all digits are there */

@@ -4,6 +4,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
 #include "linear_algebra.h"
 
 /* iterations: links are nearly linear springs, three are usual */

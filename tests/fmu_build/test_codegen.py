@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from flexfmu.fmu_build.codegen import function_file, generate_description, generate_functions, identifier
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.sources import elementary_sources
 from flexfmu.fmu_build.templating import c_double, c_string
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, CompileJob, find_compiler
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
@@ -25,7 +26,7 @@ MakeModel = Callable[..., SymbolicModel]
 
 def _load(model: SymbolicModel, folder: Path) -> ctypes.CDLL:
     """The generated functions alone, as a library that exports them."""
-    files, _ = generate_functions(model)
+    files = generate_functions(model)[0] | elementary_sources()
     for name, text in files.items():
         (folder / name).write_text(text)
     jobs = [CompileJob(name, (*GENERATED_FLAGS, "-fvisibility=default")) for name in files if name.endswith(".c")]
