@@ -38,6 +38,11 @@ def one_line_errors() -> Iterator[None]:
 
 def show_error(message: str) -> None:
     """One line on standard error, if there is one."""
+    show_note(message)
+
+
+def show_note(message: str) -> None:
+    """One line on standard error for something that isn't a result, if there is a standard error."""
     stderr: TextIO | None = sys.stderr
     if stderr is not None:
         print(f"flexfmu: {' '.join(message.split())}", file=stderr)

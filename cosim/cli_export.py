@@ -13,18 +13,18 @@ from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
 from flexfmu.cosim.cli_errors import FAILURE, show_error
+from flexfmu.cosim.cli_scene import load_resolved
 from flexfmu.cosim.json_text import to_json
 from flexfmu.cosim.loop_recording import slave_facts
 from flexfmu.cosim.master import Outcome, Simulation
 from flexfmu.cosim.output import OutputFolder
 from flexfmu.cosim.ssp.export import export_ssp
 from flexfmu.cosim.ssp.loading import SspSystem, load_ssp
-from flexfmu.model.scene_file import load_scene
 
 
 def export_command(source: str, output: Path | None, platforms: list[str], as_json: bool) -> int:
     """Write the scene as an SSP file and print where it is; the exit status."""
-    scene = load_scene(source)
+    scene = load_resolved(source)
     target = output or Path(f"{scene.name}.ssp")
     with progress() as show:
         export_ssp(scene, target, platforms=platforms or None, progress=show)

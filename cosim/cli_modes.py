@@ -7,10 +7,10 @@ from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
+from flexfmu.cosim.cli_scene import load_resolved
 from flexfmu.cosim.json_text import to_json
 from flexfmu.cosim.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.planning import plan
-from flexfmu.model.scene_file import load_scene
 
 SHOWN_FREQUENCIES = 6
 """Columns of frequencies in the table; all of them are in the JSON."""
@@ -18,7 +18,7 @@ SHOWN_FREQUENCIES = 6
 
 def modes_command(source: str, count: int, as_json: bool) -> int:
     """Compute and print the frequencies along a scene's path; the exit status."""
-    scene = load_scene(source)
+    scene = load_resolved(source)
     with progress() as show:
         show("frequencies along the path", None)
         poses = modes_along_path(plan(scene), count, lambda fraction: show("frequencies along the path", fraction))

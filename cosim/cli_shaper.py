@@ -10,6 +10,7 @@ from typing import Any
 from rich.text import Text
 
 from flexfmu.cosim.cli_console import Step, print_rich, print_text, progress
+from flexfmu.cosim.cli_scene import load_resolved
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.json_text import to_json
 from flexfmu.cosim.output import OutputFolder
@@ -28,7 +29,6 @@ from flexfmu.cosim.shaper_table import (
 )
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
 
 RESULTS = Path("results")
 """Where results go unless the user says otherwise, in a folder named after the scene."""
@@ -63,7 +63,7 @@ def shaper_command(source: str, out: Path | None, as_json: bool, all_errors: boo
     """Design, simulate, write, print; the exit status."""
     if not 0.0 <= band < 1.0:
         raise InputError(f"--payload-band must be at least 0 and below 1 (0.3 is 30 %), got {band:g}")
-    scene = load_scene(source)
+    scene = load_resolved(source)
     folder = OutputFolder(out or RESULTS / scene.name)
     folder.prepare()
     with progress() as show:

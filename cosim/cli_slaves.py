@@ -10,14 +10,14 @@ from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
 from flexfmu.cosim.cli_run import RESULTS
+from flexfmu.cosim.cli_scene import load_resolved
 from flexfmu.cosim.json_text import to_json
 from flexfmu.cosim.slave_export import ExportedSystem, export_slaves
-from flexfmu.model.scene_file import load_scene
 
 
 def fmus_command(source: str, out: Path | None, names: list[str], platforms: list[str], as_json: bool) -> int:
     """Export the slaves and print where they are; the exit status."""
-    scene = load_scene(source)
+    scene = load_resolved(source)
     folder = out or RESULTS / scene.name / "fmus"
     with progress() as show:
         show("building the FMU of the robot", None)

@@ -8,10 +8,10 @@ from pathlib import Path
 from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
+from flexfmu.cosim.cli_scene import load_resolved
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.json_text import to_json
 from flexfmu.cosim.output import OutputFolder
-from flexfmu.model.scene_file import load_scene
 
 RESULTS = Path("results")
 """Where results go unless the user says otherwise, in a folder named after the scene."""
@@ -27,7 +27,7 @@ def workprec_command(source: str, out: Path | None, families: Sequence[str], as_
     unknown = [each for each in families if each not in FAMILIES]
     if unknown:
         raise InputError(f"--only takes {', '.join(FAMILIES)}, got {unknown[0]}")
-    scene = load_scene(source)
+    scene = load_resolved(source)
     folder = OutputFolder(out or RESULTS / scene.name / "workprec")
     folder.prepare()
     with progress() as show:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flexfmu.cosim.modes_table import ModalPose, modes_along_path
@@ -12,7 +11,6 @@ from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.model.choice_section import MEASURES, EstimatedEffect, MeasureName
 from flexfmu.model.errors import SceneError
 from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
 
 if TYPE_CHECKING:
     from flexfmu.model.selection.cost import Cost
@@ -67,16 +65,6 @@ class EffectStudy:
     cost: Cost
     poses: list[ModalPose]
     rows: tuple[EffectRow, ...]
-
-
-def load_resolved(source: str | Path, show: Step = quiet) -> Scene:
-    """A scene from its file or by its name, with its effects chosen where it leaves that open.
-
-    Raises:
-        SceneError: as for `flexfmu.model.scene_file.load_scene`.
-        TrajectoryError: effects are to be chosen along a motion that isn't feasible.
-    """
-    return resolved(load_scene(source), show)
 
 
 def resolved(scene: Scene, show: Step = quiet) -> Scene:

@@ -9,7 +9,7 @@ from flexfmu.model.enrichment import Neighbour
 from flexfmu.model.scene import Scene
 from flexfmu.model.selection.estimator import Estimator
 from flexfmu.model.selection.motion_grid import JointMotion
-from flexfmu.model.selection.richest import richest
+from flexfmu.model.selection.richest import richest, with_set
 from flexfmu.model.selection.search import cheapest, poorer, richer
 
 SAFETY = 1.5
@@ -34,6 +34,7 @@ def choose_effects(
     limit = (1.0 - INTEGRATOR_SHARE) * tolerance
     chosen = cheapest(
         richest(scene),
+        with_set(scene, {}),
         lambda each: SAFETY * max(estimates.errors(each.effects, sharp=False).values()),
         lambda each: max(estimated_errors(estimates, each).values()),
         limit,

@@ -14,16 +14,18 @@ HOPELESS = 3.0
 """Error of a quick estimate, in units of the limit, from which a set isn't looked at more sharply."""
 
 
-def cheapest(richest: Scene, quick: Error, sharp: Error, limit: float) -> Scene:
+def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: float) -> Scene:
     """A scene whose error is within the limit and from which nothing more can be left out.
 
-    In each round, of the reductions that are within the limit, the one with the smallest quick estimate is taken.
+    Rigid links are tried first. Otherwise in each round, of the reductions that are within the limit, the one with the smallest quick estimate is taken.
 
     Args:
-        richest: with all effects.
+        richest, rigid: with all effects and with none.
         quick, sharp: estimates of the error of a scene's set; the second one decides.
         limit: largest error.
     """
+    if quick(rigid) <= HOPELESS * limit and sharp(rigid) <= limit:
+        return rigid
     scene: Scene | None = richest
     while scene is not None:
         found = scene

@@ -1,0 +1,153 @@
+"""Estimates of what effects are worth, and the choice that follows from them."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from flexfmu.cosim.planning import plan
+from flexfmu.model.choice_section import MeasureName
+from flexfmu.model.numeric import numeric_model
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.selection import richest as richest_module
+from flexfmu.model.selection.choose import choose_effects, estimated_errors
+from flexfmu.model.selection.estimator import Estimator
+from flexfmu.model.selection.motion_grid import motion_grid
+from flexfmu.model.selection.response import LinearSystem
+from flexfmu.model.selection.richest import RICHEST, richest, with_set
+from flexfmu.model.selection.search import poorer
+
+OF: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
+HEAVY = load_scene("barnard2012-6kg")
+LIGHT = load_scene("barnard2012-0.1kg").replace({"trajectory.duration": 0.30})
+
+
+def estimator(scene: Scene, of: tuple[MeasureName, ...] = OF) -> Estimator:
+    return Estimator(scene, plan(scene).joints, of)
+
+
+@pytest.fixture(scope="module")
+def heavy() -> Estimator:
+    return estimator(HEAVY)
+
+
+@pytest.fixture(scope="module")
+def light() -> Estimator:
+    return estimator(LIGHT)
+
+
+def choose(scene: Scene, tolerance: float, estimates: Estimator) -> Scene:
+    return choose_effects(scene, plan(scene).joints, tolerance, OF, estimates)
+
+
+def oscillators(steps: int) -> tuple[float, float]:
+    """Error at 0.1 s of two coupled, damped oscillators under a suddenly applied load, and of their accelerations."""
+    M, C = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([[3.0, 1.0], [1.0, 2.0]])
+    K, f = np.array([[9000.0, -400.0], [-400.0, 3000.0]]), np.array([5.0, -2.0])
+    system = LinearSystem(
+        *(np.tile(each, (steps + 1, 1, 1)) for each in (M, C, K)), ((0, steps + 1),), np.array([0.1 / steps])
+    )
+    motion = system.response(np.tile(f, (steps + 1, 1)), np.zeros(2))
+    A = np.vstack([np.eye(2, 4, 2), -np.linalg.solve(M, np.hstack([K, C]))])
+    rest = np.concatenate([np.linalg.solve(K, f), np.zeros(2)])
+    exact = rest - expm(0.1 * A) @ rest
+    error = np.abs(motion.position[-1] - exact[:2]).max() / np.abs(rest).max()
+    acceleration = np.linalg.solve(M, f - C @ exact[2:] - K @ exact[:2])
+    return float(error), float(np.abs(motion.acceleration[-1] - acceleration).max())
+
+
+def test_response_converges_with_the_square_of_the_step() -> None:
+    """Against the matrix exponential: twice the steps, a quarter of the error, of positions and accelerations."""
+    coarse, fine = oscillators(200), oscillators(400)
+    assert fine[0] < 1e-3
+    for much, little in zip(coarse, fine, strict=True):
+        assert 3.5 < much / little < 4.5
+
+
+def test_what_the_step_does_not_resolve_dies_out() -> None:
+    """A stiff vibration, 100 radians a step, is gone after some steps: what is left is the static deflection."""
+    one, steps = np.ones((201, 1, 1)), 200
+    system = LinearSystem(one, 0.0 * one, 1e10 * one, ((0, steps + 1),), np.array([1e-3]))
+    motion = system.response(np.full((steps + 1, 1), 1e4), np.zeros(1))
+    assert motion.position[-1, 0] == pytest.approx(1e-6, rel=1e-6)
+
+
+def test_grid_has_both_sides_of_every_jump() -> None:
+    """A bang-bang motion jumps at start, middle and end: each is there twice but for the start, and the standstills too."""
+    scene = HEAVY.replace({"trajectory.profile": {"kind": "bang-bang"}})
+    joints = plan(scene).joints
+    grid = motion_grid(joints, 0.25)
+    for time in joints.breakpoints[1:]:
+        assert np.sum(grid.time == time) == 2
+    middle = np.flatnonzero(np.isclose(grid.time, 0.5 * scene.trajectory.duration, rtol=0.0, atol=1e-12))
+    before, after = grid.joints[middle, 4]
+    assert before * after < 0.0
+    assert not grid.rests[:, 2:].any()
+    assert grid.time[~grid.moving].min() == scene.trajectory.duration
+
+
+@pytest.mark.slow
+def test_light_and_fast_bends_the_distal_links(light: Estimator) -> None:
+    """At 0.1 kg and 0.30 s bending of the distal links is worth its states for 2 %."""
+    assert choose(LIGHT, 0.02, light).effects.distal_bending >= 1
+
+
+@pytest.mark.slow
+def test_heavy_and_slow_does_not(heavy: Estimator) -> None:
+    """At 6 kg and 0.43 s it is not for 5 %."""
+    assert choose(HEAVY, 0.05, heavy).effects.distal_bending == 0
+
+
+def test_a_tolerance_so_loose_that_elasticity_does_not_matter_leaves_no_elastic_state() -> None:
+    """A peak torque within 40 % needs no elastic link, and the model has none."""
+    names: tuple[MeasureName, ...] = ("peak_torque_1",)
+    chosen = choose_effects(HEAVY, plan(HEAVY).joints, 0.4, names, estimator(HEAVY, names))
+    assert numeric_model(chosen).n == 0
+
+
+@pytest.mark.slow
+def test_the_chosen_set_is_within_half_the_tolerance_and_nothing_more_can_go(heavy: Estimator) -> None:
+    """Over three decades of tolerance, and a tighter tolerance never takes fewer states."""
+    states = []
+    for tolerance in (0.001, 0.02, 0.2):
+        chosen = choose(HEAVY, tolerance, heavy)
+        assert chosen.effects.choice is not None
+        assert max(chosen.effects.choice.error) <= 0.5 * tolerance
+        assert all(max(estimated_errors(heavy, each.scene).values()) > 0.5 * tolerance for each in poorer(chosen))
+        states.append(numeric_model(chosen).n)
+    assert states == sorted(states, reverse=True)
+
+
+@pytest.mark.slow
+def test_every_effect_is_named_with_its_contribution(heavy: Estimator) -> None:
+    """Nothing is switched silently: each family, beam theory and foreshortening stands in the record, in or out."""
+    choice = choose(HEAVY, 0.02, heavy).effects.choice
+    assert choice is not None
+    assert {each.effect for each in choice.effects} == set(RICHEST) - {"quasi_static"}
+    assert all(len(each.contribution) == len(OF) for each in choice.effects)
+
+
+@pytest.mark.slow
+def test_one_shape_more_of_each_family_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The richest set has converged to 1e-3 of every metric that a choice can be held to."""
+    names = get_args(MeasureName)
+    estimates = estimator(LIGHT, names)
+    counts: dict[str, Any] = {key: value + 1 for key, value in RICHEST.items() if type(value) is int}
+    monkeypatch.setattr(richest_module, "RICHEST", {**RICHEST, **counts})
+    finer = estimator(LIGHT, names)
+    for name in names:
+        assert abs(estimates.reference[name] - finer.reference[name]) < 1e-3 * estimates.scales[name], name
+
+
+def test_families_that_deflect_statically_follow_the_model_of_their_own(heavy: Estimator) -> None:
+    """An axial family without its own dynamics is between rigid and vibrating: its static part of the position is there."""
+    errors = [
+        heavy.errors(with_set(HEAVY, {**RICHEST, **changes}).effects)["peak_position_error"]
+        for changes in ({"proximal_axial": 0}, {"quasi_static": ["proximal_axial"]}, {})
+    ]
+    assert errors[0] > 1.5 * errors[1] > errors[2] == 0.0
+    assert richest(HEAVY).effects.basis == "craig-bampton"
