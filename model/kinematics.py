@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flexfmu.model.assembly import WORKING_MODES, bases, motor_angles
 from flexfmu.model.scene import Mechanism
-from flexfmu.trajectories.jets import Jet, arctan2, sqrt
+from flexfmu.trajectories.jets import Jet, arctan2, sqrt, unstack
 from flexfmu.trajectories.joint import Margin
 
 Array = NDArray[np.float64]
@@ -41,17 +41,18 @@ class RigidKinematics:
 
     def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
         """Jets of q11 and q21 [rad] from jets of the end-effector position [m]."""
-        return self._joint(0, x, y), self._joint(1, x, y)
-
-    def _joint(self, leg: int, x: Jet, y: Jet) -> Jet:
         proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
-        base, sign = bases(self.mechanism)[leg], WORKING_MODES[self.mechanism.working_mode][leg]
-        dx, dy = x - base[0], y - base[1]
+        legs = (2, *(1,) * len(x.shape))
+        signs = np.array(WORKING_MODES[self.mechanism.working_mode], dtype=float).reshape(legs)
+        base_x, base_y = (
+            np.array(base, dtype=float).reshape(legs) for base in zip(*bases(self.mechanism), strict=True)
+        )
+        dx, dy = x - base_x, y - base_y
         square = dx * dx + dy * dy
         # the elbow angle from its cosine and sine, both times 2 l r: no acos near its ends
         cosine = square + (proximal**2 - distal**2)
         sine = sqrt(4.0 * proximal**2 * square - cosine * cosine)
-        return arctan2(dy, dx) + sign * arctan2(sine, cosine)
+        return unstack(arctan2(dy, dx) + signs * arctan2(sine, cosine))
 
     def margins(self, position: Array) -> tuple[Margin, ...]:
         """Distances to the workspace boundary and to the type-2 singularity at positions (N, 2) [m].
