@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from xml.etree import ElementTree
 
 from flexfmu.cosim.errors import FmuFileError
@@ -14,6 +15,7 @@ ANNOTATION = "VendorAnnotations/Tool[@name='flexfmu']/InputDerivatives"
 """Where our FMUs say more: the attribute ``maxOrder`` is the highest order that fmi2SetRealInputDerivatives takes."""
 
 
+@cache
 def highest_input_derivative(fmu: UnpackedFmu) -> int:
     """Order of the highest input derivative that the FMU takes; 0 where it doesn't interpolate inputs.
 

@@ -7,7 +7,7 @@ import hashlib
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,17 +22,17 @@ from flexfmu.fmu_build.naming import structured_name
 
 @dataclass(frozen=True)
 class UnpackedFmu:
-    """An FMU on disk, ready to be loaded.
+    """An FMU on disk, ready to be loaded; equal to any with the same content.
 
     Attributes:
         path: the FMU file.
-        folder: where it has been unpacked; gone when the process ends.
+        folder: where FMUs with that content have been unpacked; gone when the process ends.
         description: model description as fmpy reads it.
     """
 
-    path: Path
+    path: Path = field(compare=False)
     folder: Path
-    description: Any
+    description: Any = field(compare=False)
 
 
 def open_fmu(path: Path) -> UnpackedFmu:

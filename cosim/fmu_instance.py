@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from ctypes import byref
+from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ _serial = count(1)
 """Instance names must differ within a process for FMUs that keep a table of them."""
 
 
+@cache
 def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
     """Load the FMU's library with fmpy, which stays loaded, and take its functions.
 

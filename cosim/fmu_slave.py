@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +13,10 @@ from flexfmu.cosim import fmi2_calls as fmi2
 from flexfmu.cosim.binding import nothing
 from flexfmu.cosim.errors import SlaveError
 from flexfmu.cosim.fmu_capabilities import highest_input_derivative, highest_output_derivative
-from flexfmu.cosim.fmu_file import open_fmu
+from flexfmu.cosim.fmu_file import UnpackedFmu, open_fmu
 from flexfmu.cosim.fmu_instance import FmuInstance, load_calls
 from flexfmu.cosim.fmu_run import STATISTICS, FmuRun
-from flexfmu.cosim.fmu_variables import Handle, Value, read_variables, settings
+from flexfmu.cosim.fmu_variables import FmuVariables, Handle, Value, read_variables, settings
 from flexfmu.cosim.slave import Call, Indices, RealArray
 
 
@@ -52,7 +52,7 @@ class FmuSlave:
         self.name = name
         self.path, self.parameters = Path(path), dict(parameters or {})
         self._fmu = open_fmu(self.path)
-        known = read_variables(self._fmu.description)
+        known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
         self._counters = {n: h for n, h in known.others.items() if n.startswith(STATISTICS) and h.kind == "Integer"}
@@ -191,3 +191,9 @@ class FmuSlave:
         if self._run is None:
             raise SlaveError(self.name, "not initialised; call initialize first")
         return self._run
+
+
+@cache
+def _variables(fmu: UnpackedFmu) -> FmuVariables:
+    """What the FMU's model description says about variables, read once."""
+    return read_variables(fmu.description)
