@@ -16,6 +16,7 @@ from flexfmu.cosim.scene_parameters import parameters_for
 from flexfmu.cosim.workprec.fmu_trials import Announce
 from flexfmu.cosim.workprec.subject import SAMPLING, RunError, Subject
 from flexfmu.cosim.workprec.trial import Trial, fastest
+from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.fmu_build.scene_build import build_scene
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ def model_exchange_trials(subject: Subject, announce: Announce) -> Iterator[Tria
         "output_interval": SAMPLING,
         "record_events": False,
         "input": input_table(subject),
-        "start_values": {**start, "initial": subject.scene.cosimulation.initial},
+        "start_values": {**start, INITIAL.name: INITIAL.items[subject.scene.cosimulation.initial][0]},
         "output": ["end_effector.position.x", "end_effector.position.y"],
     }
     for tolerance in CVODE_TOLERANCES:
