@@ -1,16 +1,9 @@
-"""The INTO-CPS master Maestro 3.1.1 runs exported FMUs.
-
-Their descriptions are changed for it in two respects, since it stops at both: it knows no parameters of type Enumeration
-("Enumeration not supported", Initializer.setParameterOnPort), and it fails where an output is connected that is also the
-declared derivative of another connected output (ClassCastException, ComponentVariableFmi2Api.share).
-"""
+"""The INTO-CPS master Maestro 3.1.1 runs exported FMUs, as they are; of its own program one number is changed, `COARSE`."""
 
 from __future__ import annotations
 
 import csv
 import json
-import re
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from third_party_support.masters import SIGNALS
 from third_party_support.tools import class_path, run
 
 COARSE = "setupExperiment(true, 0.1,"
@@ -29,9 +21,15 @@ TOLERANCE = "1.0E-6"
 
 
 def simulate(system: Mapping[str, Any], step: float, stop: float, folder: Path) -> NDArray[np.float64]:
-    """Time and `SIGNALS` at every communication point from 0 on, shape (points, 1 + signals)."""
+    """Time and the signals at every communication point from 0 on, shape (points, 1 + signals).
+
+    Args:
+        system: as `masters` takes it.
+        step, stop: communication step and end [s].
+        folder: for the files of the tool.
+    """
     jars = class_path("maestro")
-    fmus = {f"{{{name}}}": str(_adapted(Path(path), folder)) for name, path in system["fmus"].items()}
+    fmus = {f"{{{name}}}": path for name, path in system["fmus"].items()}
     connections: dict[str, list[str]] = {}
     for source, target in system["connections"]:
         connections.setdefault(_port(source), []).append(_port(target))
@@ -39,7 +37,7 @@ def simulate(system: Mapping[str, Any], step: float, stop: float, folder: Path) 
         "fmus": fmus,
         "connections": connections,
         "parameters": {},
-        "logVariables": {"{plant}.plant1": list(SIGNALS)},
+        "logVariables": {"{plant}.plant1": system["signals"]},
         "algorithm": {"type": "fixed-step", "size": step},
         "startTime": 0.0,
         "endTime": stop,
@@ -54,23 +52,10 @@ def simulate(system: Mapping[str, Any], step: float, stop: float, folder: Path) 
     run([*start, "interpret", "-runtime", "spec.runtime.json", "spec.mabl"], folder)
     with (folder / "outputs.csv").open(newline="") as text:
         rows = list(csv.DictReader(text))
-    columns = ["time", *(f"{{plant}}.plant1.{name}" for name in SIGNALS)]
+    columns = ["time", *(f"{{plant}}.plant1.{name}" for name in system["signals"])]
     return np.array([[float(row[column]) for column in columns] for row in rows])
 
 
 def _port(name: str) -> str:
     slave, variable = name.split(".", 1)
     return f"{{{slave}}}.{slave}1.{variable}"
-
-
-def _adapted(path: Path, folder: Path) -> Path:
-    """A copy whose description Maestro can read: Integers for Enumerations, no declared derivatives of outputs."""
-    target = folder / path.name
-    with zipfile.ZipFile(path) as source, zipfile.ZipFile(target, "w") as copy:
-        for entry in source.infolist():
-            content = source.read(entry)
-            if entry.filename == "modelDescription.xml":
-                text = re.sub(r'<Enumeration declaredType="[^"]*"', "<Integer", content.decode())
-                content = re.sub(r' derivative="\d+"', "", text).encode()
-            copy.writestr(entry, content)
-    return target

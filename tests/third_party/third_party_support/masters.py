@@ -10,11 +10,9 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-SIGNALS = ("end_effector.position.x", "end_effector.position.y", "joint1.torque")
-"""What is compared: outputs of the slave ``plant``."""
-
 Rows = list[list[float]]
 System = dict[str, Any]
+"""``fmus``: name of a slave → its file; ``connections``: pairs of full names; ``signals``: outputs of ``plant`` to record."""
 
 
 def libcosim(system: System, step: float, count: int) -> Rows:
@@ -36,7 +34,7 @@ def libcosim(system: System, step: float, count: int) -> Rows:
         assert execution.connect_real_variables(*ends) == 0
     observer = CosimObserver.create_last_value()
     execution.add_observer(observer)
-    signals = [references["plant"][name] for name in SIGNALS]
+    signals = [references["plant"][name] for name in system["signals"]]
     rows = []
     for n in range(count):
         assert execution.step(1)
@@ -58,7 +56,7 @@ def ecos(system: System, step: float, count: int) -> Rows:
     rows = []
     for n in range(count):
         simulation.step(1)
-        rows.append([(n + 1) * step, *(simulation.get_real(f"plant::{name}") for name in SIGNALS)])
+        rows.append([(n + 1) * step, *(simulation.get_real(f"plant::{name}") for name in system["signals"])])
     return rows
 
 
