@@ -23,6 +23,9 @@ digits above where the elastic mass matrix loses its condition (3e5 at 0.026, 8e
 
 MARGIN_NAME = "sine of the angle between the distal links (type-2 singularity)"
 
+POSE = ("end_effector.position.x", "end_effector.position.y")
+"""Outputs that tell a person where the robot is."""
+
 OutputRow = tuple[Variable, casadi.SX]
 
 
@@ -75,6 +78,7 @@ def make_plant(
         rate_inputs=rate_inputs,
         effects=five_bar.notes,
         drawing=draw_five_bar(scene),
+        pose=POSE,
     )
 
 

@@ -104,6 +104,7 @@ class SymbolicModel:
         rate_inputs: number of trailing inputs that are rates: zero at rest, so the static equilibrium doesn't see them.
         effects: what the model contains, for documentation.
         drawing: what the mechanism looks like; None where there is nothing to draw.
+        pose: names of the outputs that tell a person where the mechanism is, for messages.
     """
 
     name: str
@@ -121,6 +122,7 @@ class SymbolicModel:
     rate_inputs: int = 0
     effects: tuple[EffectNote, ...] = ()
     drawing: Drawing | None = None
+    pose: tuple[str, ...] = ()
 
     @property
     def degrees_of_freedom(self) -> int:

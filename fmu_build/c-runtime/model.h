@@ -46,6 +46,9 @@ typedef struct {
   const int *state_outputs;     /* which output shows each of the 2 n states y and v; NULL if none does */
   const double *state_nominals; /* their usual sizes [2 n], positive; NULL for 1 */
 
+  int n_pose;              /* outputs that tell a person where the mechanism is, for messages */
+  const int *pose_outputs; /* which they are; NULL if there are none */
+
   int static_start;          /* start value of `initial`: 1 = static equilibrium, 0 = undeformed */
   double default_tolerance;  /* relative tolerance where fmi2SetupExperiment gives none */
   double minimum_margin;     /* smallest admissible value of `singularity` */

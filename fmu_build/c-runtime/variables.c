@@ -2,8 +2,28 @@
 
 #include <limits.h>
 #include <math.h>
+#include <stdio.h>
+#include <string.h>
 
 #define refuse(plant, ...) flex_refuse((plant)->message, __VA_ARGS__)
+
+// appends to the message where the mechanism was last; its outputs borrow the memory of their rates
+static void add_pose(flex_plant *plant) {
+  const flex_model *model = plant->model;
+  const flex_integrator *g = &plant->integrator;
+  const double *const arguments[] = {g->y, g->v, g->a, plant->u, plant->d};
+  if (model->n_pose == 0) return;
+  plant->record->have &= ~FLEX_HAVE_FIRST_RATES;
+  if (flex_call(&plant->equations, &model->outputs, 5, arguments, plant->first_rates)) return;
+  for (int i = 0; i < model->n_pose; i++) {
+    const flex_variable *variable = &model->output_variables[model->pose_outputs[i]];
+    double place = plant->first_rates[model->pose_outputs[i]];
+    size_t length = strlen(plant->message);
+    if (!isfinite(place)) return;
+    snprintf(plant->message + length, FLEX_MESSAGE_SIZE - length, "%s %s = %.6g %s", i ? "," : "; it was last at",
+             variable->name, place, variable->unit);
+  }
+}
 
 void flex_explain(flex_plant *plant, const char *what, const flex_failure *failure) {
   const flex_model *model = plant->model;
@@ -22,6 +42,7 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
     case FLEX_NOT_FINITE:
       refuse(plant, "%s: at %.9g s the model gives no finite number; check that the mechanism can be assembled there", what,
              t);
+      add_pose(plant);
       break;
     case FLEX_NOT_DEFINITE:
       refuse(plant, "%s: at %.9g s the mass matrix is not positive definite; check masses and lengths", what, t);
@@ -29,6 +50,7 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
     case FLEX_TOO_SINGULAR:
       refuse(plant, "%s: at %.9g s the %s is %.6g, but must be at least %.6g; keep away from the singularity", what, t,
              model->margin_name, value, model->minimum_margin);
+      add_pose(plant);
       break;
     case FLEX_TOO_MANY_STEPS:
       refuse(plant, "%s: at %.9g s %.0f steps have been made within one communication step; make that shorter", what, t,

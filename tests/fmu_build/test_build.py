@@ -16,7 +16,7 @@ import pytest
 
 from flexfmu.fmu_build import build, toolchain
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.fmu_build.checks.functions import COSIMULATION_FUNCTIONS
+from flexfmu.fmu_build.checks.functions import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.elf import exported_symbols
 from flexfmu.fmu_build.errors import ArchiveError, MissingCompilerError, PlatformError
@@ -65,8 +65,9 @@ def test_file_has_all_its_parts(make_oscillators: MakeModel) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads ELF")
 def test_binary_exports_the_fmi_functions_alone(make_oscillators: MakeModel) -> None:
-    """Every function of FMI 2.0 co-simulation, and nothing that could collide with another FMU."""
-    assert exported_symbols(_library(build_fmu(make_oscillators()).path)) == COSIMULATION_FUNCTIONS
+    """Every function of FMI 2.0, for co-simulation and model exchange, and nothing that could collide with another FMU."""
+    exported = exported_symbols(_library(build_fmu(make_oscillators()).path))
+    assert exported == COSIMULATION_FUNCTIONS | EXCHANGE_FUNCTIONS
 
 
 def test_guid_is_in_the_binary(make_oscillators: MakeModel) -> None:
