@@ -34,15 +34,9 @@ def effects_command(source: str, tolerance: float | None, of: list[str], check: 
     return 0
 
 
-def _choice(study: EffectStudy) -> Choice:
-    choice = study.scene.effects.choice
-    assert choice is not None  # a study's scene has one
-    return choice
-
-
 def _as_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[str, Any]:
     """Everything as plain data in SI units; errors and contributions are relative to `scales`."""
-    choice = _choice(study)
+    choice = study.choice
     data: dict[str, Any] = {
         "scene": study.scene.name,
         **choice_summary(study.scene),
@@ -79,7 +73,7 @@ def _row_data(choice: Choice, row: EffectRow) -> dict[str, Any]:
 
 def _report(study: EffectStudy) -> list[RenderableType]:
     """The table of all effects, and the choice in words."""
-    choice, parts = _choice(study), list[RenderableType]()
+    choice, parts = study.choice, list[RenderableType]()
     table = _table(f"{study.scene.name}: what each effect is worth, relative change of each metric")
     for heading in ("", "Effect", "Change"):
         table.add_column(heading, no_wrap=heading != "Change")
@@ -127,7 +121,8 @@ def _check_report(comparisons: Iterable[Comparison]) -> list[RenderableType]:
         table.add_column(heading, justify="right")
     for each in comparisons:
         estimated, observed = max(each.estimated.values()), max(each.observed.values())
-        numbers = percent(estimated), percent(observed), f"{each.effectivity:.2f}", f"{each.slower:.2f} x"
+        ratio = "–" if each.effectivity is None else f"{each.effectivity:.2f}"
+        numbers = percent(estimated), percent(observed), ratio, f"{each.slower:.2f} x"
         table.add_row(each.effect, each.change, *numbers)
     return [table]
 

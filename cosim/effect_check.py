@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,10 +48,14 @@ class Comparison:
     slower: float
 
     @property
-    def effectivity(self) -> float:
-        """Largest estimated over largest observed change; infinite where nothing was observed."""
-        observed = max(self.observed.values())
-        return max(self.estimated.values()) / observed if observed else float("inf")
+    def effectivity(self) -> float | None:
+        """Largest estimated over largest observed change; None where nothing was observed."""
+        return effectivity(max(self.estimated.values()), max(self.observed.values()))
+
+
+def effectivity(estimated: float, observed: float) -> float | None:
+    """An estimate over what was observed; None where nothing was observed, beside which no estimate has a size."""
+    return estimated / observed if observed else None
 
 
 EXACT = 1e-7
@@ -62,15 +66,17 @@ EVERYTHING = "everything"
 
 
 def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = quiet) -> tuple[Comparison, ...]:
-    """Run the chosen set, each next richer one and the richest, and compare.
+    """Run the chosen set, the richest one and each next richer one; all of `comparisons`."""
+    return tuple(comparisons(study, fmu_of, show))
+
+
+def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = quiet) -> Iterator[Comparison]:
+    """The chosen set beside the richest one, then beside each next richer one, run when asked for.
 
     Args:
         study: the choice.
         fmu_of: where the FMUs come from; built, or taken from the cache, when None.
         show: told what is being done.
-
-    Returns:
-        The comparison with the richest set first, then those with the next richer ones.
 
     Raises:
         BuildError: an FMU can't be built.
@@ -88,13 +94,12 @@ def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = q
         observed = {name: abs(other.metrics[name] - base.metrics[name]) / units[name] for name in names}
         return Comparison(effect, change, estimated, observed, other.seconds / base.seconds)
 
-    found = [compare(EVERYTHING, "the richest set", estimated_errors(estimator, chosen), full)]
+    yield compare(EVERYTHING, "the richest set", estimated_errors(estimator, chosen), full)
     for each in richer(chosen):
         if estimator.covers(each.scene.effects):
             show(f"running with {each.effect}: {each.change}", None)
             estimated = estimator.changes(chosen.effects, each.scene.effects)
-            found.append(compare(each.effect, each.change, estimated, observe(each.scene, names, fmu_of, EXACT)))
-    return tuple(found)
+            yield compare(each.effect, each.change, estimated, observe(each.scene, names, fmu_of, EXACT))
 
 
 def observe(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from flexfmu.cosim.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.model.choice_section import MEASURES, EstimatedEffect, MeasureName
+from flexfmu.model.choice_section import MEASURES, Choice, EstimatedEffect, MeasureName
 from flexfmu.model.errors import SceneError
 from flexfmu.model.scene import Scene
 
@@ -65,6 +65,13 @@ class EffectStudy:
     cost: Cost
     poses: list[ModalPose]
     rows: tuple[EffectRow, ...]
+
+    @property
+    def choice(self) -> Choice:
+        """How the effects were chosen: tolerance, metrics, estimated errors and contributions."""
+        choice = self.scene.effects.choice
+        assert choice is not None  # that is what `choose_effects` gives
+        return choice
 
 
 def resolved(scene: Scene, show: Step = quiet) -> Scene:
@@ -133,13 +140,13 @@ def study_effects(
     motion = plan(scene)
     estimator = Estimator(scene, motion.joints, names)
     chosen = choose_effects(scene, motion.joints, limit, names, estimator)
-    assert chosen.effects.choice is not None  # that is what `choose_effects` gives
+    study = EffectStudy(chosen, estimator, cost(chosen), _frequencies(motion, chosen), ())
     others = neighbours(estimator, chosen)
     rows = []
-    for index, ((neighbour, _), estimate) in enumerate(zip(others, chosen.effects.choice.effects, strict=True)):
+    for index, ((neighbour, _), estimate) in enumerate(zip(others, study.choice.effects, strict=True)):
         show(f"looking at {neighbour.effect}", index / len(others))
         rows.append(EffectRow(estimate, cost(neighbour.scene), _frequencies(motion, neighbour.scene)))
-    return EffectStudy(chosen, estimator, cost(chosen), _frequencies(motion, chosen), tuple(rows))
+    return replace(study, rows=tuple(rows))
 
 
 def _frequencies(motion: MotionPlan, scene: Scene) -> list[ModalPose]:

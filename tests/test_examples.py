@@ -103,3 +103,12 @@ def test_ssp_export(tmp_path: Path) -> None:
     coarse, exported = numbers(ends)
     assert coarse == pytest.approx(exported, abs=1e-7)
     assert exported == pytest.approx(0.175, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_effects_auto(tmp_path: Path) -> None:
+    """The chosen set bends the distal links, every effect has its contribution, and the FMU has the tolerance's other half."""
+    output = run_example("effects_auto.py", tmp_path)
+    assert output.startswith("effects chosen for 2 %: proximal bending 1, distal bending 1")
+    assert len(re.findall(r"^  (?:in |out) \w+: .* %  +[+-]\d+$", output, re.MULTILINE)) >= 8
+    assert "tolerance 0.01" in output

@@ -1,0 +1,54 @@
+"""The scenes that the automatic choice of effects is held against: two robots, three profiles, 0 to 10 kg, 0.2 to 1 s."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+PAPER = load_scene("barnard2012-6kg")
+
+ROBOTS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "tubes": {
+        "mechanism.base_half_distance": 0.12,
+        "mechanism.proximal": {"length": 0.28, "diameter": 0.030, "inner_diameter": 0.020},
+        "mechanism.distal": {"length": 0.42, "diameter": 0.028, "inner_diameter": 0.018},
+    },
+}
+PROFILES: dict[str, dict[str, Any]] = {
+    "poly7": {"kind": "poly7"},
+    "bang-bang": {"kind": "bang-bang"},
+    "trapezoidal": {"kind": "trapezoidal", "ramp": 0.25},
+}
+TASKS = ((0.0, 0.20), (0.1, 0.30), (0.5, 0.60), (1.0, 0.20), (3.0, 0.30), (6.0, 0.43), (10.0, 0.25), (10.0, 1.00))
+"""Payload [kg] and duration [s]."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One scene of the grid: names of robot and profile, payload [kg] and duration [s]."""
+
+    robot: str
+    profile: str
+    payload: float
+    duration: float
+
+    def scene(self) -> Scene:
+        """The paper's scene with this robot and task."""
+        changes = {"trajectory.profile": PROFILES[self.profile], "trajectory.duration": self.duration}
+        return PAPER.replace({**ROBOTS[self.robot], **changes, "payload.mass": self.payload})
+
+
+GRID = tuple(Case(robot, profile, *task) for robot, profile, task in itertools.product(ROBOTS, PROFILES, TASKS))
+
+
+def fmu_of(scene: Scene) -> Path:
+    """The FMU of a robot and a set of effects, shared by all payloads and motions, which are parameters and inputs."""
+    same = {"payload.mass": 1.0, "trajectory": PAPER.trajectory.model_dump(exclude_none=True), "effects.choice": None}
+    return build_scene(scene.replace({**same, "cosimulation.tolerance": 1e-4})).path

@@ -1,0 +1,29 @@
+"""Leave the choice of effects to an error estimate: what is in the model, what isn't, what each effect is worth, and a run.
+
+python effects_auto.py
+"""
+
+from pathlib import Path
+
+from flexfmu.cosim.effect_choice import study_effects
+from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.metrics import measure_run
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.selection.words import choice_sentence, percent
+
+scene = load_scene(Path(__file__).with_name("effects_auto.toml"))
+
+study = study_effects(scene)
+print(choice_sentence(study.scene))
+print("contribution of each effect to the metric that it changes most, and operations of the model with that change:")
+for row in study.rows:
+    effect, operations = row.estimate, row.cost.operations - study.cost.operations
+    name = f"{effect.effect}: {effect.change}"
+    print(f"  {'in ' if effect.chosen else 'out'} {name:<70} {percent(max(effect.contribution)):>10} {operations:+6d}")
+
+# the chosen scene is a scene like any other; run_scene(scene) would choose by itself
+run = run_scene(study.scene)
+measured = measure_run(run)
+print(f"FMU with {study.cost.states} elastic coordinates, tolerance {run.tolerance:g}:")
+for metric in study.choice.of:
+    print(f"  {metric} {measured[metric].value:.4g}")

@@ -1,0 +1,97 @@
+"""The automatic choice of effects from the scene file to the FMU: estimates against runs, and what says what was chosen."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from flexfmu.cosim import effect_check
+from flexfmu.cosim.cli import app
+from flexfmu.cosim.effect_check import EVERYTHING, Observed, check_choice, comparisons
+from flexfmu.cosim.effect_choice import resolved, study_effects
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.experiment import PreparedScene
+from flexfmu.cosim.planning import plan
+from flexfmu.model.choice_section import MeasureName
+from flexfmu.model.plants import build_model
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.selection.choose import SAFETY
+
+ROOT = Path(__file__).parents[2]
+OPEN = load_scene(ROOT / "examples" / "effects_auto.toml")
+TORQUE = {"effects.of": ["peak_torque_1"], "effects.tolerance": 0.4}
+"""A wish that rigid links fulfil."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("profile", "payload"), [("poly7", 0.1), ("bang-bang", 3.0)], ids=["light", "heavy with jumps"]
+)
+def test_observed_errors_are_within_the_tolerance_and_near_their_estimates(profile: str, payload: float) -> None:
+    """Two scenes of `benchmarks/effect_choice.py`: the error beside the richest FMU is below 1 %, 1 to 10 times overestimated."""
+    task = {"payload.mass": payload, "trajectory.duration": 0.30, "trajectory.profile": {"kind": profile}}
+    scene = load_scene("barnard2012-6kg").replace(task)
+    everything = next(comparisons(study_effects(scene, 0.01)))
+    assert max(everything.observed.values()) < 0.01
+    assert everything.effectivity is not None
+    assert 1.0 <= everything.effectivity <= 10.0
+
+
+@pytest.mark.slow
+def test_open_scene_runs_as_rigid_where_that_will_do(tmp_path: Path) -> None:
+    """`run` resolves the scene, says so, simulates a model without elastic states, and tells it all in summary.json."""
+    text = (ROOT / "examples" / "effects_auto.toml").read_text(encoding="utf-8")
+    of = 'of = ["peak_position_error", "peak_torque_1", "residual_vibration_amplitude"]'
+    assert of in text
+    scene = tmp_path / "open.toml"
+    scene.write_text(
+        text.replace(of, 'of = ["peak_torque_1"]').replace("tolerance = 0.02", "tolerance = 0.4"), encoding="utf-8"
+    )
+    result = CliRunner().invoke(app, ["run", str(scene), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    assert "effects chosen for 40 %: rigid links (estimated errors: peak_torque_1" in " ".join(result.stdout.split())
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    choice = summary["effect_choice"]
+    assert choice["estimated_error"]["peak_torque_1"] <= 0.2
+    assert summary["health"]["tolerance"] == choice["integrator_tolerance"] == 0.01
+    assert {each["effect"] for each in choice["effects"]} >= {"proximal_bending", "distal_axial", "beam"}
+    assert not any(
+        name.startswith("link") for name in (tmp_path / "out" / "results.csv").read_text().split("\n")[0].split('"')
+    )
+
+
+def test_the_documentation_of_an_fmu_says_what_was_chosen() -> None:
+    """The note names the set, the tolerance and every effect that was left out; scenes that choose themselves have none."""
+    chosen = resolved(OPEN.replace(TORQUE))
+    note = build_model(chosen).effects[-1]
+    assert note.title == "choice of effects"
+    assert note.sentence.startswith("Effects chosen for 40 %: rigid links")
+    assert "proximal_bending (1 mode" in note.sentence
+    assert all(each.title != note.title for each in build_model(chosen.replace({"effects.choice": None})).effects)
+
+
+def test_an_open_scene_with_a_motion_of_its_own_is_refused() -> None:
+    """The choice is made along the scene's motion; along another one it would be another."""
+    with pytest.raises(InputError, match="comes with a motion or a loop of its own: resolve it first"):
+        PreparedScene(OPEN, motion=plan(OPEN))
+
+
+def test_comparison_has_an_effectivity_of_one_where_runs_do_as_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the estimates in place of runs: 1 for single effects, the safety factor for all; none where nothing changes."""
+    study = study_effects(OPEN.replace(TORQUE))
+
+    def as_estimated(scene: Scene, of: tuple[MeasureName, ...], *_: object) -> Observed:
+        known = {"peak_position_error": 1.0, **study.estimator.metrics(scene.effects)}
+        return Observed({name: known[name] for name in of}, 1.0)
+
+    monkeypatch.setattr(effect_check, "observe", as_estimated)
+    everything, *others = check_choice(study)
+    assert everything.effect == EVERYTHING
+    assert everything.effectivity == pytest.approx(SAFETY)
+    assert len(others) == len([row for row in study.rows if not row.estimate.chosen])
+    for each in others:
+        assert each.effectivity == (pytest.approx(1.0) if max(each.estimated.values()) else None)
