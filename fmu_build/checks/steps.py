@@ -21,7 +21,7 @@ by more, since fast vibrations that are hardly there are solver errors for the m
 """
 
 STAIRS = 16
-"""Parts of a step over which a ramp is replaced by stairs."""
+"""Stairs that replace a ramp: parts of one step, or whole steps where outputs change at sample instants alone."""
 
 MOST_INPUTS = 8
 _SIGNIFICANT = 1e-9
@@ -53,7 +53,8 @@ def splits_steps(fmu: FmuUnderTest) -> Finding | None:
 
 def interpolates_inputs(fmu: FmuUnderTest) -> Finding | None:
     """A ramp given by its derivative does what the same ramp does in small stairs."""
-    if not fmu.has_variable_step or not fmu.element.canInterpolateInputs or not fmu.smooth_outputs:
+    claims = fmu.has_variable_step and fmu.element.canInterpolateInputs
+    if not claims or not fmu.outputs or (_is_sampled(fmu) and fmu.steps < STAIRS):
         return None
     for variable in fmu.inputs[:MOST_INPUTS]:
         exact, ramp, held = (_ramp(fmu, variable, how) for how in ("stairs", "derivative", "held"))
@@ -67,6 +68,11 @@ def interpolates_inputs(fmu: FmuUnderTest) -> Finding | None:
     return None
 
 
+def _is_sampled(fmu: FmuUnderTest) -> bool:
+    """Whether all outputs are discrete."""
+    return not fmu.smooth_outputs
+
+
 def _step(instance: Any, fmu: FmuUnderTest, n: int, parts: int) -> NDArray[np.float64]:
     """Outputs after a step in so many parts."""
     instance.set(fmu.inputs, fmu.input_values(n))
@@ -76,17 +82,23 @@ def _step(instance: Any, fmu: FmuUnderTest, n: int, parts: int) -> NDArray[np.fl
 
 
 def _ramp(fmu: FmuUnderTest, variable: Any, how: str) -> NDArray[np.float64]:
-    """Outputs after a step over which one input rises from its start, given in one way or another; at the end it has risen."""
+    """Outputs after a step over which one input rises from its start, given in one way or another; at the end it has risen.
+
+    A sampled FMU sees its inputs at its sample instants alone, so that a step has to contain some: it is as long as `STAIRS`
+    of the steps that the FMU proposes. What it reads at the beginning of such a step is what the ramp has there; of
+    continuous inputs, stairs of the mean have the same integral.
+    """
+    span, within = (STAIRS, 0.0) if _is_sampled(fmu) else (1, 0.5)
     rise = EXCITATION * size_of(variable)
     start = float(variable.start or 0.0)
     with fmu.instance(how) as instance:
         instance.initialize()
         parts = STAIRS if how == "stairs" else 1
         for part in range(parts):
-            middle = start if how != "stairs" else start + rise * (part + 0.5) / STAIRS
-            instance.set([variable], np.array([middle]))
+            stair = start if how != "stairs" else start + rise * (part + within) / STAIRS
+            instance.set([variable], np.array([stair]))
             if how == "derivative":
-                instance.library.setRealInputDerivatives([variable.valueReference], [1], [rise / fmu.step])
-            instance.step(part / parts, parts)
+                instance.library.setRealInputDerivatives([variable.valueReference], [1], [rise / (span * fmu.step)])
+            instance.library.doStep(fmu.start + part * span * fmu.step / parts, span * fmu.step / parts)
         instance.set([variable], np.array([start + rise]))
-        return np.asarray(instance.get(fmu.smooth_outputs))
+        return np.asarray(instance.get(fmu.smooth_outputs or fmu.outputs))

@@ -20,6 +20,8 @@ from export_support.trajectories import Swing, lame
 from fmpy.validation import validate_fmu as validate_by_fmpy
 
 from flexfmu.fmu_build.block_build import build_block_fmu, generate_block_sources
+from flexfmu.fmu_build.checks.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.checks.steps import interpolates_inputs
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
@@ -39,6 +41,18 @@ def test_block_is_valid(make: Callable[[], SymbolicBlock], tmp_path: Path) -> No
     built = build_block_fmu(make(), tmp_path / "block.fmu", stop_time=0.05)
     assert validate_by_fmpy(str(built.path)) == []
     assert validate_fmu(built.path) == []
+
+
+def test_ignored_input_derivatives_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block that claims to follow a ramp between communication points is tried with several samples between them."""
+    path = build_block_fmu(fir(), stop_time=0.05).path
+    fmpy.extract(str(path), tmp_path)
+    fmu = FmuUnderTest(fmpy.read_model_description(str(path)), tmp_path, Kind.COSIMULATION, maximum_steps=50)
+    assert interpolates_inputs(fmu) is None
+    monkeypatch.setattr(fmpy.fmi2.FMU2Slave, "setRealInputDerivatives", lambda *_: None)
+    finding = interpolates_inputs(fmu)
+    assert finding is not None
+    assert "with a derivative of in1 the outputs are 0.000775 off" in finding.message
 
 
 def test_trajectory_is_valid(tmp_path: Path) -> None:
