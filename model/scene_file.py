@@ -11,6 +11,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from flexfmu.model.array_example import array_example
 from flexfmu.model.errors import SceneError
 from flexfmu.model.loop_section import FOLDER
 from flexfmu.model.scene import Scene
@@ -107,12 +108,14 @@ def _sentence(error: ErrorDetails) -> str:
             else f"`{key}` must be a table with a `kind`, got {error['input']!r}"
         )
     if kind in _FORMS:
-        return f"`{key}` must be {_FORMS[kind].format(**context)}{f' in {unit}' if unit_text else ''}, got {_as_toml(error['input'])}"
+        form = _FORMS[kind].format(**context, example=array_example(model, keys[-1]) if keys else "")
+        return f"`{key}` must be {form}{f' in {unit}' if unit_text else ''}, got {_as_toml(error['input'])}"
     return f"`{key}` {_plain(error['msg'])}{f' in {unit}' if unit_text else ''}, got {error['input']!r}"
 
 
 _FORMS = {
-    "tuple_type": "an array like [1.0, 2.0]",
+    "tuple_type": "an array like {example}",
+    "bool_type": "true or false",
     "too_long": "an array of {max_length} values",
     "model_type": "a table like {{ key = value }}",
     "model_attributes_type": "a table like {{ key = value }}",

@@ -43,6 +43,14 @@ WRONG_VALUES = {
         {"trajectory.lift": 1.0},
         r"`trajectory\.lift` must be an array like \[1\.0, 2\.0\], got 1\.0",
     ),
+    "word for a switch": (
+        {"effects.foreshortening": "yes"},
+        r"`effects\.foreshortening` must be true or false, got 'yes'",
+    ),
+    "one name for many": (
+        {"effects.quasi_static": "distal_axial"},
+        r"`effects\.quasi_static` must be an array like \[\"proximal_bending\", \"proximal_axial\"\], got 'distal_axial'",
+    ),
     "word for a table": ({"trajectory.blend": "lame"}, r"`trajectory\.blend` must be a table like \{ key = value \}"),
     "number for a damping": ({"effects.damping": 3}, r"`effects\.damping` must be a table"),
     "path as a name": ({"name": "a/b"}, r"`name` must be made of letters, digits"),
