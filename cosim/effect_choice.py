@@ -132,7 +132,7 @@ def study_effects(
         TrajectoryError: the motion isn't feasible.
     """
     from flexfmu.model.selection.choose import choose_effects, neighbours
-    from flexfmu.model.selection.cost import cost
+    from flexfmu.model.selection.cost import costs
     from flexfmu.model.selection.estimator import Estimator
 
     limit, names = wanted(scene, tolerance, of)
@@ -140,12 +140,14 @@ def study_effects(
     motion = plan(scene)
     estimator = Estimator(scene, motion.joints, names)
     chosen = choose_effects(scene, motion.joints, limit, names, estimator)
-    study = EffectStudy(chosen, estimator, cost(chosen), _frequencies(motion, chosen), ())
-    others = neighbours(estimator, chosen)
+    others = [neighbour.scene for neighbour, _ in neighbours(estimator, chosen)]
+    show("timing the equations", None)
+    own, *theirs = costs((chosen, *others))
+    study = EffectStudy(chosen, estimator, own, _frequencies(motion, chosen), ())
     rows = []
-    for index, ((neighbour, _), estimate) in enumerate(zip(others, study.choice.effects, strict=True)):
-        show(f"looking at {neighbour.effect}", index / len(others))
-        rows.append(EffectRow(estimate, cost(neighbour.scene), _frequencies(motion, neighbour.scene)))
+    for index, (other, cost, estimate) in enumerate(zip(others, theirs, study.choice.effects, strict=True)):
+        show(f"looking at {estimate.effect}", index / len(others))
+        rows.append(EffectRow(estimate, cost, _frequencies(motion, other)))
     return replace(study, rows=tuple(rows))
 
 

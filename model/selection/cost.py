@@ -1,19 +1,22 @@
-"""What a set of effects costs: operations of its equations, and the time that these take."""
+"""What sets of effects cost: operations of their equations, and the time that these take."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from time import process_time
 
 import casadi
 import numpy as np
 
-from flexfmu.model.numeric import numeric_model
+from flexfmu.model.numeric import NumericModel, numeric_model
 from flexfmu.model.scene import Scene
 
-EVALUATIONS, REPETITIONS = 100, 40
+EVALUATIONS, ROUNDS = 100, 40
 """The best of many short repetitions is timed: the shorter, the less other work gets in between."""
+
+POSE = ((2.5,), (0.5,), (0.0,), (0.0,), (0.0,), (0.0,))
+"""Angles, velocities and accelerations of the motors at which equations are timed, an unremarkable pose at rest."""
 
 
 @dataclass(frozen=True)
@@ -31,23 +34,31 @@ class Cost:
     time: float
 
 
-@lru_cache(maxsize=64)
-def cost(scene: Scene) -> Cost:
-    """The cost of a scene's set of effects."""
-    model = numeric_model(scene)
-    functions = model.elastic_forces, model.motion
-    operations = sum(function.n_instructions() for function in functions)
-    return Cost(model.n, operations, sum(_time(function, model.n) for function in functions))
+def costs(scenes: Sequence[Scene]) -> tuple[Cost, ...]:
+    """The costs of some scenes' sets of effects, timed in turns: a machine is faster at one moment than at another."""
+    models = [numeric_model(scene) for scene in scenes]
+    runs = [_run(model) for model in models]
+    times = [min(column) for column in zip(*([run() for run in runs] for _ in range(ROUNDS)), strict=True)]
+    return tuple(
+        Cost(model.n, sum(function.n_instructions() for function in _functions(model)), time)
+        for model, time in zip(models, times, strict=True)
+    )
 
 
-def _time(function: casadi.Function, n: int) -> float:
-    """Time of one evaluation at an unremarkable pose [s]."""
-    mapped = function.map(EVALUATIONS)
-    joints = np.tile([[2.5], [0.5], [0.0], [0.0], [0.0], [0.0]], EVALUATIONS)
-    arguments = (*(np.zeros((n, EVALUATIONS)) for _ in range(3)), joints)
-    times = []
-    for _ in range(REPETITIONS):
-        start = process_time()
-        mapped(*arguments)
-        times.append(process_time() - start)
-    return min(times) / EVALUATIONS
+def _functions(model: NumericModel) -> tuple[casadi.Function, casadi.Function]:
+    return model.elastic_forces, model.motion
+
+
+def _run(model: NumericModel) -> Callable[[], float]:
+    """Evaluates a model's functions many times; the time of one evaluation [s]."""
+    mapped = [function.map(EVALUATIONS) for function in _functions(model)]
+    at_rest = (np.zeros((model.n, EVALUATIONS)),) * 3
+    arguments = [casadi.DM(each) for each in (*at_rest, np.tile(POSE, EVALUATIONS))]
+
+    def run() -> float:
+        started = process_time()
+        for function in mapped:
+            function.call(arguments)
+        return (process_time() - started) / EVALUATIONS
+
+    return run
