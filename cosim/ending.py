@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from flexfmu.cosim.errors import LoopError, NotFiniteError, SlaveError, StepSizeError
 from flexfmu.cosim.outcome import Outcome
 from flexfmu.cosim.stability import Instability
@@ -41,4 +43,19 @@ def blown_up(found: Instability, ending: str) -> str:
         f"{found.signal} grows {found.growth:.3g}-fold from step to step since {found.since:.9g} s: the coupling is unstable "
         f"(or the step far too coarse for the system); take a smaller communication step, Implicit() coupling, or slaves "
         f"with input and output derivatives{'; in the end ' + ending if ending else ''}"
+    )
+
+
+def overshot(found: Instability, fed: Iterable[str], ending: str) -> str:
+    """What happened, in one line.
+
+    Args:
+        found: the signal.
+        fed: names of the slaves that it goes to.
+        ending: how the run ended; empty if it came to its stop time.
+    """
+    return (
+        f"{found.signal}, which goes to {', '.join(fed)}, jumps up and down {found.growth:.3g} times as far from step to step "
+        f"since {found.since:.9g} s: the coupling is unstable; lower the gain of the loop, or take a smaller communication "
+        f"step and sample time{'; in the end ' + ending if ending else ''}"
     )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from flexfmu.cosim.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.compiled.library import load
 from flexfmu.cosim.coupling_error import CouplingError
 from flexfmu.cosim.delays import SignalDelay, signal_delays
-from flexfmu.cosim.ending import blown_up, message_of, outcome_of
+from flexfmu.cosim.dependencies import Connection
+from flexfmu.cosim.ending import blown_up, message_of, outcome_of, overshot
 from flexfmu.cosim.grid import Clock, TimeGrid, time_grid
 from flexfmu.cosim.links import Transport
 from flexfmu.cosim.outcome import Outcome, Simulation
@@ -16,7 +19,7 @@ from flexfmu.cosim.run import Progress, Run
 from flexfmu.cosim.schedule import Schedule
 from flexfmu.cosim.selection import EVERYTHING, Selection
 from flexfmu.cosim.slave import HasBreakpoints, Sampled, Terminates, offset
-from flexfmu.cosim.stability import Instability, find_instability
+from flexfmu.cosim.stability import Instability, find_alternation, find_instability
 from flexfmu.cosim.state import check_can_save, revocable
 from flexfmu.cosim.step_control import StepDoubling
 from flexfmu.cosim.stepping_order import feedback_signals
@@ -55,6 +58,7 @@ class Simulator:
             check_can_save(revocable(system.slaves), "step control")
             self._coupling_error(step_control)
         self._feedback = self._extrapolated_feedback()
+        self._loops = feedback_signals(system, sampled=True)
         self._delays: dict[float, tuple[SignalDelay, ...]] = {}
 
     def run(self, tolerance: float | None = None, progress: Progress | None = None) -> Simulation:
@@ -87,9 +91,12 @@ class Simulator:
         recording, reached = self._recorder.recording(), run.reached
         outcome = outcome_of(error, run.initialized)
         message = message_of(error, outcome, self._schedule.activity.name, reached.time)
-        unstable = None if outcome is Outcome.INTERRUPTED else self._instability(recording)
-        if unstable is not None:
-            outcome, message = Outcome.COUPLING_UNSTABLE, blown_up(unstable, message if error is not None else "")
+        if outcome is not Outcome.INTERRUPTED:
+            ending = message if error is not None else ""
+            if (unstable := self._instability(recording)) is not None:
+                outcome, message = Outcome.COUPLING_UNSTABLE, blown_up(unstable, ending)
+            elif (unstable := self._alternation(recording)) is not None:
+                outcome, message = Outcome.COUPLING_UNSTABLE, overshot(unstable, self._fed_by(unstable.signal), ending)
         kept, delays = recording.only(self._selection.keeps), self._delays_with(reached.largest_step)
         return Simulation(kept, outcome, message, error, reached.steps, reached.rejected, delays)
 
@@ -102,14 +109,27 @@ class Simulator:
         """Signals that slaves feed each other, where some of them are extrapolated and may blow up."""
         feedback, couplings = feedback_signals(self._system), self._schedule.couplings
         transports = {couplings[each.source, each.target].transport for each in feedback}
-        names = dict.fromkeys(self._system.source_name(each) for each in feedback)
-        return tuple(names) if Transport.EXTRAPOLATED in transports else ()
+        return self._source_names(feedback) if Transport.EXTRAPOLATED in transports else ()
+
+    def _source_names(self, connections: Sequence[Connection]) -> tuple[str, ...]:
+        """What is passed on by these connections, each once."""
+        return tuple(dict.fromkeys(self._system.source_name(each) for each in connections))
 
     def _instability(self, recording: Recording) -> Instability | None:
         """What blew up among these."""
         if not self._feedback:
             return None
         return find_instability(recording.time, ((name, recording[name].values) for name in self._feedback))
+
+    def _alternation(self, recording: Recording) -> Instability | None:
+        """What overshot in a closed loop, sampled ones included."""
+        names = self._source_names(self._loops)
+        return find_alternation(recording.time, ((name, recording[name].values) for name in names))
+
+    def _fed_by(self, signal: str) -> list[str]:
+        """Names of the slaves that a signal goes to in a closed loop."""
+        fed = [each.target for each in self._loops if self._system.source_name(each) == signal]
+        return [self._system.slaves[i].name for i in dict.fromkeys(fed)]
 
     def _delays_with(self, step: float) -> tuple[SignalDelay, ...]:
         """How late signals arrive, with a largest communication step [s]."""

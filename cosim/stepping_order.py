@@ -41,9 +41,9 @@ def step_order(system: System, algorithm: Algorithm) -> tuple[int, ...]:
     return tuple(i for group in step_groups(system, algorithm) for i in group.slaves)
 
 
-def feedback_signals(system: System) -> list[Connection]:
-    """Connections by which slaves that are stepped feed each other, or themselves."""
-    stepped, signals = _stepped(system)
+def feedback_signals(system: System, sampled: bool = False) -> list[Connection]:
+    """Connections by which slaves that are stepped feed each other, or themselves; on demand those that sample, too."""
+    stepped, signals = (system.step_order, system.connections) if sampled else _stepped(system)
     ring = {i: number for number, ring in enumerate(_ordered_rings(stepped, signals)) for i in ring}
     return [each for each in signals if ring[each.source] == ring[each.target]]
 

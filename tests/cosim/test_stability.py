@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.stability import find_instability
+from flexfmu.cosim.stability import find_alternation, find_instability
 
 TIME = 0.01 * np.arange(400)
 
@@ -53,3 +53,39 @@ def test_points_that_appear_twice_count_once() -> None:
     """At marks the right limit counts."""
     time = np.repeat(TIME[:100], 2)
     assert find_instability(time, [("a.y", np.repeat((-2.0) ** np.arange(100), 2))]) is not None
+
+
+STEADY = (-1.0) ** np.arange(400)
+
+
+@pytest.mark.parametrize("count", [7, 40])
+def test_overshoot_from_step_to_step(count: int) -> None:
+    """A loop that overshoots three times as far in every step is found after a few steps, also where a mechanism at its end
+    takes the growth away."""
+    values = np.concatenate([[0.0, 0.0], (-3.0) ** np.arange(count), [5.0, 4.0]])
+    found = find_alternation(TIME[: values.size], [("calm", np.sin(TIME[: values.size])), ("pd.torque", values)])
+    assert found is not None
+    assert found.signal == "pd.torque"
+    assert found.growth == pytest.approx(3.0, rel=0.1)
+    assert found.since < 0.05
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        1e3 * STEADY,
+        STEADY * 0.9 ** np.arange(400),
+        np.concatenate([1e-12 * 3.0 ** np.arange(20) * STEADY[:20], np.sin(TIME[:380])]),
+        np.sin(3.1 * np.arange(400)) * np.sin(np.arange(400) / 7.0),
+        STEADY * (1.0 + TIME),
+        TIME * np.sin(60.0 * TIME),
+        1.0 / np.maximum(4.0 - TIME, 1e-9),
+        np.exp(30.0 * TIME),
+        np.zeros(400),
+    ],
+)
+def test_what_is_no_overshoot(values: np.ndarray) -> None:
+    """Chatter, decay, rounding errors that alternate, beats, slow growth, resonance and poles don't count."""
+    assert find_alternation(TIME, [("a.y", values)]) is None
+    assert find_alternation(TIME[:2], [("a.y", values[:2])]) is None
+    assert find_alternation(np.empty(0), [("a.y", np.empty(0))]) is None
