@@ -25,6 +25,7 @@ from flexfmu.model.finite_elements.robot import FiniteElementRobot
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
 
 Array = NDArray[np.float64]
+Factors = tuple[Array, NDArray[np.int32]]
 
 R = math.sqrt(6.0)
 STAGES = np.array([(4 - R) / 10, (4 + R) / 10, 1.0])
@@ -37,11 +38,15 @@ TABLEAU = np.array(
 )
 TWICE = TABLEAU @ TABLEAU
 
-CONVERGED = 1e-7
-"""Newton's iteration is over when its accelerations change by less than this fraction of the largest."""
+CONVERGED = 1e-6
+"""Newton's iteration is over when its accelerations change by less than this fraction of the largest and `SCALE`."""
+
+SCALE = 10.0
+"""An acceleration that counts [m/s²]: links are so stiff along their axis that rounding of positions makes accelerations of
+1e-7 m/s²."""
 
 MANY = 6
-"""Iterations after which the matrix is made anew before the next step."""
+"""Iterations after which the matrix is made anew."""
 
 MAXIMUM_ITERATIONS = 30
 
@@ -103,7 +108,7 @@ class _Course:
         self._robot = robot
         self._x = equilibrium(robot, joints).coordinates
         self._v, self._a, self._force = np.zeros((3, self._x.size))
-        self._factors: tuple[Array, NDArray[np.int32]] | None = None
+        self._factors: Factors | None = None
         self._factors_step = 0.0
         self._passed: list[tuple[float, Array, Array, Array, Array]] = []
 
@@ -119,27 +124,27 @@ class _Course:
 
     def _balance(self, time: float, h: float, x: Array, v: Array, a: Array) -> Array:
         """Newton's iteration on the stages' accelerations in place; the forces (size, 3) of the last iterate."""
-        for iteration in range(MAXIMUM_ITERATIONS):
+        for iteration in range(1, MAXIMUM_ITERATIONS + 1):
             force = self._robot.forces(x, v, a)
-            change = self._solve(h, -force[HELD:])
+            change = lu_solve(self._matrix(h, x[:, 1], v[:, 1], a[:, 1]), -force[HELD:].T.ravel()).reshape(3, -1).T
             a[HELD:] += change
             v[HELD:] += h * change @ TABLEAU.T
             x[HELD:] += h**2 * change @ TWICE.T
-            if np.abs(change).max() <= CONVERGED * (1.0 + np.abs(a).max()):
-                if iteration >= MANY:
-                    self._factors = None
+            if iteration % MANY == 0:
+                self._factors = None
+            if np.abs(change).max() <= CONVERGED * (SCALE + np.abs(a).max()):
                 return self._robot.forces(x, v, a)
         raise EquilibriumError(
             f"the finite elements' forces don't balance at {time:.6g} s: take smaller steps than {h:.3g} s"
         )
 
-    def _solve(self, h: float, force: Array) -> Array:
-        """Changes of the stages' accelerations (free, 3) that make up for forces (free, 3)."""
+    def _matrix(self, h: float, x: Array, v: Array, a: Array) -> Factors:
+        """Factors of the iteration's matrix, made anew at the middle stage where they have grown old."""
         if self._factors is None or abs(h - self._factors_step) > 1e-9 * h:
-            k, c, m = (each[HELD:, HELD:] for each in self._robot.tangents(self._x, self._v, self._a))
+            k, c, m = (each[HELD:, HELD:] for each in self._robot.tangents(x, v, a))
             self._factors = lu_factor(np.kron(np.eye(3), m) + h * np.kron(TABLEAU, c) + h**2 * np.kron(TWICE, k))
             self._factors_step = h
-        return np.asarray(lu_solve(self._factors, force.T.ravel()).reshape(3, -1).T)
+        return self._factors
 
     def record(self, time: float) -> None:
         """Keep the present state."""

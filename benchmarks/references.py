@@ -1,0 +1,120 @@
+"""The model of shapes against finite elements and Exudyn: the paper's scenes, at rest and in motion.
+
+All numbers are relative differences; `flexfmu.cosim.references` says of what. Exudyn's beams have no shear, and it isn't
+needed for the rest: pip install flexfmu[peers]. Takes about two minutes.
+
+    python benchmarks/references.py [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from importlib.util import find_spec
+from itertools import groupby
+
+from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.cosim.references import (
+    Array,
+    Beam,
+    Motion,
+    compare_at_rest,
+    compare_motions,
+    full_scene,
+    sample_instants,
+    shapes_motion,
+)
+from flexfmu.model.finite_elements.motion import simulate
+from flexfmu.model.finite_elements.robot import finite_element_robot
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+SCENES = ("barnard2012-6kg", "barnard2012-0.1kg")
+BEAMS: tuple[Beam, ...] = ("euler-bernoulli", "timoshenko")
+HAS_EXUDYN = find_spec("exudyn") is not None
+
+ELEMENTS, STEP = 8, 2.5e-4
+"""A link, and of the integrator [s]: what is taken for converged."""
+
+FEWER_ELEMENTS = (1, 2, 4)
+
+EXUDYN_MESHES = ((2, 2.5e-4), (4, 2.5e-4), (4, 1e-4), (4, 5e-5))
+"""Elements a link and steps [s], the best last."""
+
+Row = dict[str, str | float]
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description="The model of shapes against other formulations.")
+    parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
+    options = parser.parse_args()
+    rows = list(measure())
+    if options.json:
+        print(json.dumps(rows, indent=2))
+        return
+    for title, table in groupby(sorted(rows, key=lambda row: str(row["table"])), key=lambda row: row["table"]):
+        print(f"\n{title}\n")
+        print_table([{key: value for key, value in row.items() if key != "table"} for row in table])
+
+
+def measure() -> Iterator[Row]:
+    """All scenes, both theories of beams; every row names the table that it belongs to."""
+    for name in SCENES:
+        for beam in BEAMS:
+            yield from compare(load_scene(name), beam)
+
+
+def compare(scene: Scene, beam: Beam) -> Iterator[Row]:
+    """The scene's robot without and with foreshortening, which all references have."""
+    motion = plan(scene)
+    instants = sample_instants(motion)
+    extensible = full_scene(scene, beam, foreshortening=True)
+    exact = run_elements(extensible, motion, instants, ELEMENTS)
+    others = {"finite elements": exact}
+    if beam == "euler-bernoulli":
+        label: Row = {"table": "Convergence, differences to 8 elements", "scene": scene.name}
+        for reference, theirs in coarser(extensible, motion, instants):
+            yield label | {"formulation": reference} | asdict(compare_motions(theirs, exact, motion, instants))
+        if HAS_EXUDYN:
+            others["Exudyn"] = theirs
+    for foreshortening in (False, True):
+        full = full_scene(scene, beam, foreshortening)
+        ours = shapes_motion(full, instants)
+        row: Row = {"scene": scene.name, "beam": beam, "foreshortening": "yes" if foreshortening else "no"}
+        at_rest = asdict(compare_at_rest(full, motion, finite_element_robot(full, ELEMENTS)))
+        yield {"table": "At rest, model of shapes against finite elements"} | row | at_rest
+        for reference, theirs in others.items():
+            row |= {"table": "In motion, model of shapes against others", "reference": reference}
+            yield row | asdict(compare_motions(ours, theirs, motion, instants))
+
+
+def coarser(scene: Scene, motion: MotionPlan, instants: Array) -> Iterator[tuple[str, Motion]]:
+    """With fewer elements, and by Exudyn with finer and finer meshes."""
+    for elements in FEWER_ELEMENTS:
+        yield f"{elements} elements", run_elements(scene, motion, instants, elements)
+    if HAS_EXUDYN:
+        from flexfmu.cosim.workprec.exudyn_peer import simulate_exudyn
+
+        for elements, step in EXUDYN_MESHES:
+            run = simulate_exudyn(scene, motion, instants, step, elements)
+            yield f"Exudyn, {elements} elements, {1e3 * step:g} ms, {run.time:.1f} s of CPU", run
+
+
+def run_elements(scene: Scene, motion: MotionPlan, instants: Array, elements: int) -> Motion:
+    """Our own finite elements."""
+    return simulate(finite_element_robot(scene, elements), motion.joints, instants, STEP)
+
+
+def print_table(rows: Sequence[Row]) -> None:
+    """As Markdown."""
+    for cells in (list(rows[0]), ["---"] * len(rows[0])):
+        print("| " + " | ".join(cell.replace("_", " ") for cell in cells) + " |")
+    for row in rows:
+        print("| " + " | ".join(each if isinstance(each, str) else f"{each:.1e}" for each in row.values()) + " |")
+
+
+if __name__ == "__main__":
+    main()
