@@ -1,6 +1,7 @@
 # make demo   set everything up and run the paper's experiment: tables, figures and report in results/
 # make test   set everything up, build the wheel and run every test against it
 # make fuzz   100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers
+# make bench  how fast everything is, against its targets and against the figures of the last release
 # make lint   formatting, linting, types
 
 PYTHON ?= python3
@@ -10,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test fuzz lint format clean
+.PHONY: demo test fuzz bench lint format clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/bin/python
@@ -28,6 +29,10 @@ test: $(VENV)/.test
 fuzz: $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
 	FLEXFMU_FUZZ=100000 $(BIN)/python -m pytest -n 2 --durations=0 tests/fmu_boundary/test_fuzzing.py
+
+bench: $(VENV)/.test
+	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
+	$(BIN)/python benchmarks/speed.py $(BENCH_ARGUMENTS)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff format --check .

@@ -16,10 +16,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from paper_scene import SCENE, best_times, timed_run
+from paper_scene import SCENE, best_times, whole_run
 
 from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.fmu_slave import FmuSlave
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.fmu_build.scene_build import build_scene
 
@@ -68,7 +67,7 @@ def measure(repeat: int) -> list[Row]:
     finest = metrics_of(simulate(min(STEPS), REFERENCE_TOLERANCE))
     exact = {step: simulate(step, REFERENCE_TOLERANCE) for step in STEPS}
     cases = [(step, tolerance) for step in STEPS for tolerance in TOLERANCES]
-    times = best_times([timed_run(FmuSlave(FMU, "plant"), *case) for case in cases], repeat)
+    times = best_times([whole_run(SCENE, *case, fmu_path=FMU) for case in cases], repeat)
     return [row(simulate(*case), exact[case[0]], finest, time) for case, time in zip(cases, times, strict=True)]
 
 

@@ -1,10 +1,8 @@
 /* What a run of an FMU costs, from within: the FMI calls of a co-simulation, and the generated functions one by one.
  *
- *     fmu_cost TABLE TOLERANCE INTEGRATOR REPEAT
- *
  * The table holds, as doubles: communication step, number of steps, inputs, highest order of their derivatives, then for every
- * step the inputs and their derivatives by order. Prints JSON: processor times in seconds, the best of several runs. */
-#define _POSIX_C_SOURCE 199309L
+ * step the inputs and their derivatives by order. Processor times are in seconds, the best of several runs. */
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -25,9 +23,7 @@ typedef struct {
 enum { STEPS, OUTPUTS, RATES, DEPTHS };
 
 static double now(void) {
-  struct timespec time;
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &time);
-  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+  return (double)clock() / CLOCKS_PER_SEC;
 }
 
 static void fail(const char *what) {
@@ -133,39 +129,39 @@ static double least(double a, double b) {
   return a < b ? a : b;
 }
 
-int main(int argc, char **argv) {
-  if (argc != 5) fail("usage: fmu_cost TABLE TOLERANCE INTEGRATOR REPEAT");
-  const table inputs = read_table(argv[1]);
-  double tolerance = atof(argv[2]);
-  int integrator = atoi(argv[3]), repeat = atoi(argv[4]), statistics[5] = {0};
+/* what is measured, in this order: counters; runs that go as far; calls of generated functions */
+enum { COUNTERS = 5, RUNS = COUNTERS, FUNCTIONS = RUNS + DEPTHS, FIGURES = FUNCTIONS + 8 };
 
+__attribute__((visibility("default"))) void fmu_cost(const char *path, double tolerance, int integrator, int repeat,
+                                                     double *figures) {
+  const table inputs = read_table(path);
+  int statistics[COUNTERS] = {0};
   const flex_model *model = &flex_the_model;
   flex_plant *p = halfway(&inputs);
   const double *y = p->integrator.y, *v = p->integrator.v, *a = p->integrator.a, *u = p->u, *u1 = p->u1, *u2 = p->u2, *d = p->d;
-  const double *const plain[] = {y, v, a, u, d}, *const position[] = {y, u, d}, 
+  const double *const plain[] = {y, v, a, u, d}, *const position[] = {y, u, d},
                       *const first[] = {y, v, a, u, d, v, a, p->jerk, u1, p->zero},
                       *const second[] = {y, v, a, p->jerk, p->snap, u, u1, u2, d};
-  double runs[DEPTHS], residual = 1.0, mass = 1.0, outputs = 1.0, margin = 1.0, rate[4] = {1.0, 1.0, 1.0, 1.0};
-  for (int depth = 0; depth < DEPTHS; depth++) runs[depth] = 1e9;
+  const struct {
+    const flex_function *function;
+    int count;
+    const double *const *arguments;
+  } functions[] = {{&model->residual, 5, plain},          {&model->mass_matrix, 3, position},
+                   {&model->singularity, 3, position},    {&model->outputs, 5, plain},
+                   {&model->residual_forward, 10, first}, {&model->outputs_forward, 10, first},
+                   {&model->residual_rate2, 9, second},   {&model->outputs_rate2, 9, second}};
+  for (int i = RUNS; i < FIGURES; i++) figures[i] = HUGE_VAL;
 
   // in rounds, because a machine is faster at one moment than at another
   for (int k = 0; k < repeat; k++) {
     for (int depth = 0; depth < DEPTHS; depth++)
-      runs[depth] = least(runs[depth], run(&inputs, tolerance, integrator, depth, statistics));
-    residual = least(residual, call_time(p, &model->residual, 5, plain));
-    mass = least(mass, call_time(p, &model->mass_matrix, 3, position));
-    margin = least(margin, call_time(p, &model->singularity, 3, position));
-    outputs = least(outputs, call_time(p, &model->outputs, 5, plain));
-    rate[0] = least(rate[0], call_time(p, &model->residual_forward, 10, first));
-    rate[1] = least(rate[1], call_time(p, &model->outputs_forward, 10, first));
-    rate[2] = least(rate[2], call_time(p, &model->residual_rate2, 9, second));
-    rate[3] = least(rate[3], call_time(p, &model->outputs_rate2, 9, second));
+      figures[RUNS + depth] = least(figures[RUNS + depth], run(&inputs, tolerance, integrator, depth, statistics));
+    for (int i = 0; i < FIGURES - FUNCTIONS; i++) {
+      double time = call_time(p, functions[i].function, functions[i].count, functions[i].arguments);
+      figures[FUNCTIONS + i] = least(figures[FUNCTIONS + i], time);
+    }
   }
-  printf("{\"steps\": %d, \"rejections\": %d, \"evaluations\": %d, ", statistics[0], statistics[1], statistics[2]);
-  printf("\"iterations\": %d, \"factorisations\": %d, ", statistics[3], statistics[4]);
-  printf("\"integration\": %.9g, \"with_outputs\": %.9g, \"whole\": %.9g, ", runs[STEPS], runs[OUTPUTS], runs[RATES]);
-  printf("\"residual\": %.9g, \"mass_matrix\": %.9g, \"singularity\": %.9g, ", residual, mass, margin);
-  printf("\"outputs\": %.9g, \"residual_forward\": %.9g, \"outputs_forward\": %.9g, ", outputs, rate[0], rate[1]);
-  printf("\"residual_rate2\": %.9g, \"outputs_rate2\": %.9g}\n", rate[2], rate[3]);
-  return 0;
+  for (int i = 0; i < COUNTERS; i++) figures[i] = statistics[i];
+  free(p);
+  free((void *)inputs.values);
 }

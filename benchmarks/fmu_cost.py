@@ -1,7 +1,7 @@
 """What a run of the robot's FMU costs and where the time goes, with the floor beside it: the generated functions alone.
 
-The paper's motion of 0.43 s with a dwell of 0.25 s is played to the FMU's own sources, compiled as FMUs are, by a small
-program in C (`fmu_cost.c`) through the FMI functions: no Python and no recording takes part. `floor` is what the calls of the
+The paper's motion of 0.43 s with a dwell of 0.25 s is played to the FMU's own sources, compiled as FMUs are, by a
+function in C (`fmu_cost.c`) through the FMI functions: no Python and no recording takes part. `floor` is what the calls of the
 generated functions in that run cost by themselves, each timed in a loop: residuals, mass matrices and margins of the
 integrator; for `whole` also the outputs and their two derivatives at every communication point.
 
@@ -12,28 +12,27 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import tempfile
 from collections.abc import Mapping
+from ctypes import CDLL, c_double, c_void_p
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from paper_scene import SCENE
+from paper_scene import SCENES
 
 from flexfmu.cosim.planning import plan
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import generate_sources
-from flexfmu.fmu_build.toolchain import COMMON_FLAGS, GENERATED_FLAGS, RUNTIME_FLAGS, Compiler, find_compiler
+from flexfmu.fmu_build.toolchain import find_compiler
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene import Scene
 
-SCENES = {"12": SCENE, "6": SCENE.replace({"effects.proximal_bending": 2, "effects.distal_axial": 1})}
-"""Degrees of freedom → scene."""
 CASES = (
     ("automatic", 1e-3),
     ("automatic", 1e-5),
@@ -42,6 +41,11 @@ CASES = (
     ("radau3", 1e-5),
     ("dopri5", 1e-5),
 )
+
+COUNTERS = ("steps", "rejections", "evaluations", "iterations", "factorisations")
+SHOWN = ("outputs", "residual_forward", "outputs_forward", "residual_rate2", "outputs_rate2")
+FIGURES = (*COUNTERS, "integration", "with_outputs", "whole", "residual", "mass_matrix", "singularity", *SHOWN)
+"""What `fmu_cost.c` gives."""
 
 
 def main() -> None:
@@ -52,33 +56,39 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="flexfmu-cost-") as folder:
-        rows = [row for name in SCENES for row in measure(name, Path(folder), options.step, options.repeat)]
+        rows = [row for n in SCENES for row in measure(n, Path(folder), options.step, options.repeat)]
     if options.json:
         print(json.dumps(rows, indent=2))
         return
     print("    n  integrator  tolerance  evaluations  each      integration  floor    ratio    whole    floor    ratio")
     for row in rows:
         print(
-            f"{row['coordinates']:>5} {row['integrator']:>11} {row['tolerance']:10.0e} {row['evaluations']:12d}"
+            f"{row['coordinates']:>5} {row['integrator']:>11} {row['tolerance']:10.0e} {row['evaluations']:12.0f}"
             f" {1e9 * row['residual']:5.0f} ns {1e3 * row['integration']:10.2f} ms {1e3 * row['integration_floor']:5.2f} ms"
             f" {row['integration'] / row['integration_floor']:7.2f} {1e3 * row['whole']:6.2f} ms"
             f" {1e3 * row['whole_floor']:5.2f} ms {row['whole'] / row['whole_floor']:7.2f}"
         )
 
 
-def measure(name: str, folder: Path, step: float, repeat: int) -> list[dict[str, Any]]:
+def measure(coordinates: int, folder: Path, step: float, repeat: int) -> list[dict[str, Any]]:
     """All cases of one scene."""
     table = folder / "inputs.bin"
-    steps = write_inputs(SCENES[name], step, table)
-    program = build(SCENES[name], folder / name)
+    steps = write_inputs(SCENES[coordinates], step, table)
+    library = build(SCENES[coordinates], folder)
     rows = []
     for integrator, tolerance in CASES:
-        arguments = [str(program), str(table), repr(tolerance), str(INTEGRATOR.items[integrator][0]), str(repeat)]
-        found = json.loads(subprocess.run(arguments, check=True, capture_output=True, text=True).stdout)
-        rows.append(
-            {"coordinates": name, "integrator": integrator, "tolerance": tolerance, **found, **floors(found, steps)}
-        )
+        found = run(library, table, integrator, tolerance, repeat)
+        case = {"coordinates": coordinates, "integrator": integrator, "tolerance": tolerance}
+        rows.append({**case, **found, **floors(found, steps)})
     return rows
+
+
+def run(library: CDLL, table: Path, integrator: str, tolerance: float, repeat: int) -> dict[str, float]:
+    """The figures of `fmu_cost.c`."""
+    figures = np.empty(len(FIGURES))
+    number = INTEGRATOR.items[integrator][0]
+    library.fmu_cost(str(table).encode(), c_double(tolerance), number, repeat, figures.ctypes.data_as(c_void_p))
+    return dict(zip(FIGURES, figures.tolist(), strict=True))
 
 
 def floors(found: Mapping[str, float], steps: int) -> dict[str, float]:
@@ -87,8 +97,7 @@ def floors(found: Mapping[str, float], steps: int) -> dict[str, float]:
     masses = found["evaluations"] if explicit else found["steps"]
     integration = found["evaluations"] * found["residual"] + masses * found["mass_matrix"]
     integration += found["steps"] * found["singularity"]
-    shown = ("outputs", "residual_forward", "outputs_forward", "residual_rate2", "outputs_rate2")
-    return {"integration_floor": integration, "whole_floor": integration + steps * sum(found[each] for each in shown)}
+    return {"integration_floor": integration, "whole_floor": integration + steps * sum(found[each] for each in SHOWN)}
 
 
 def write_inputs(scene: Scene, step: float, path: Path) -> int:
@@ -110,29 +119,14 @@ def write_inputs(scene: Scene, step: float, path: Path) -> int:
     return len(rows)
 
 
-def build(scene: Scene, folder: Path) -> Path:
-    """The measuring program with the FMU's sources in it, compiled with the FMU's flags."""
-    folder.mkdir()
-    compiler = find_compiler(native_platform())
+def build(scene: Scene, folder: Path) -> CDLL:
+    """The FMU's sources with `fmu_cost.c` among them, compiled with the FMU's flags."""
     sources = generate_sources(build_model(scene), DefaultExperiment())
-    flags = dict.fromkeys(sources.generated, GENERATED_FLAGS) | dict.fromkeys(sources.runtime, RUNTIME_FLAGS)
-    for name, text in (sources.generated | sources.runtime).items():
-        (folder / name).write_text(text, encoding="utf-8")
-    main_file = Path(__file__).with_name("fmu_cost.c")
-    (folder / main_file.name).write_bytes(main_file.read_bytes())
-    flags[main_file.name] = RUNTIME_FLAGS
-    names = [name for name in flags if name.endswith(".c")]
-    for name in names:
-        compile_one(compiler, name, flags[name], folder)
-    objects = [f"{Path(name).stem}.o" for name in names]
-    subprocess.run([*compiler.command, *objects, "-o", "fmu_cost", "-lm"], cwd=folder, check=True)
-    return folder / "fmu_cost"
-
-
-def compile_one(compiler: Compiler, name: str, flags: tuple[str, ...], folder: Path) -> None:
-    """One object file."""
-    command = [*compiler.command, *COMMON_FLAGS, *compiler.platform.compile_flags, *flags, "-c", name]
-    subprocess.run(command, cwd=folder, check=True, env=os.environ | {"LC_ALL": "C"})
+    source = Path(__file__).with_name("fmu_cost.c")
+    runtime = sources.runtime | {source.name: source.read_text(encoding="utf-8")}
+    path = folder / f"cost{len(list(folder.iterdir()))}.so"
+    path.write_bytes(compile_library(replace(sources, runtime=runtime), find_compiler(native_platform())))
+    return CDLL(str(path))
 
 
 if __name__ == "__main__":

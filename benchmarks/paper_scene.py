@@ -1,41 +1,65 @@
-"""The scene that the benchmarks run, and how they time it."""
+"""The scenes that the benchmarks run, and how they time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from time import process_time
 
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.experiment import PreparedScene
+from flexfmu.cosim.outcome import Outcome
 from flexfmu.cosim.planning import plan
+from flexfmu.cosim.simulator import Simulator
 from flexfmu.cosim.slave import Slave
 from flexfmu.cosim.system import connect
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.workprec.subject import completed
+from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 
 SCENE = load_scene("barnard2012-6kg")
+SCENES = {12: SCENE, 6: SCENE.replace({"effects.proximal_bending": 2, "effects.distal_axial": 1})}
+"""Degrees of freedom → scene."""
+
+Timed = Callable[[], float]
+"""Does something and gives the processor time [s] that it took.
+
+A run takes place in one thread, so on an idle machine this is its duration; on a busy one it still is what it costs.
+"""
 
 
-def timed_run(plant: Slave, step: float, tolerance: float) -> Callable[[], float]:
-    """A function that runs the scene through a plant and gives the processor time [s] that it took.
-
-    A run takes place in one thread, so on an idle machine this is its duration; on a busy one it still is what it costs.
-    """
-    motion = plan(SCENE)
-    references = TrajectorySlave(motion.joints)
-    names = [variable.name for variable in references.variables]
-    system = connect([references, plant], [(f"trajectory.{name}", f"{plant.name}.{name}") for name in names])
+def timed(action: Callable[[], object]) -> Timed:
+    """The action, timed."""
 
     def run() -> float:
         started = process_time()
-        result = simulate(system, motion.stop_time, step, tolerance=tolerance)
-        if result.outcome is not Outcome.COMPLETED:
-            raise SystemExit(result.message)
+        action()
         return process_time() - started
 
     return run
 
 
-def best_times(runs: Sequence[Callable[[], float]], repeat: int) -> list[float]:
+def whole_run(scene: Scene, step: float, tolerance: float, fmu_path: Path | None = None) -> Timed:
+    """A co-simulation from its first step to its complete recording; planning, building and loading are done before."""
+    prepared = PreparedScene(scene, communication_step=step, tolerance=tolerance, fmu_path=fmu_path)
+    completed(prepared.run())
+    return timed(prepared.run)
+
+
+def run_with(plant: Slave, step: float) -> Timed:
+    """A co-simulation of the paper's motion through any plant."""
+    motion = plan(SCENE)
+    references = TrajectorySlave(motion.joints)
+    names = [variable.name for variable in references.variables]
+    system = connect([references, plant], [(f"trajectory.{name}", f"{plant.name}.{name}") for name in names])
+    simulator = Simulator(system, motion.stop_time, step)
+    result = simulator.run()
+    if result.outcome is not Outcome.COMPLETED:
+        raise SystemExit(result.message)
+    return timed(simulator.run)
+
+
+def best_times(runs: Sequence[Timed], repeat: int) -> list[float]:
     """Least time of each run in so many rounds; in rounds, because a machine is faster at one moment than at another."""
     rounds = [[run() for run in runs] for _ in range(repeat)]
     return [min(times) for times in zip(*rounds, strict=True)]

@@ -75,6 +75,15 @@ def test_payload_sweep(tmp_path: Path) -> None:
     assert rows[rows[:, 0] == 6.0, 1] == pytest.approx(73.634, rel=5e-3)
 
 
+def test_many_variants(tmp_path: Path) -> None:
+    """Torque grows with the payload and falls with the duration; 6 kg in 0.43 s are the paper's scene."""
+    rows = np.array([numbers(line) for line in run_example("many_variants.py", tmp_path).splitlines()[1:]])
+    assert rows.shape == (3, 6)
+    assert np.all(np.diff(rows[:, 1:], axis=1) > 0.0)
+    assert np.all(np.diff(rows[:, 1:], axis=0) < 0.0)
+    assert rows[2, 4] == pytest.approx(73.634, rel=5e-3)
+
+
 def test_frequencies(tmp_path: Path) -> None:
     """The paper's bands of the first and third frequency; bending of the distal links puts modes below the third."""
     _, *poses, last = run_example("frequencies.py", tmp_path).splitlines()
