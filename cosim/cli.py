@@ -24,12 +24,18 @@ app = typer.Typer(
     "progress to standard error.",
 )
 
-SceneArgument = Annotated[
+_SCENE = typer.Argument(
+    metavar="SCENE",
+    help="A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg.",
+    show_default=False,
+)
+SceneArgument = Annotated[str, _SCENE]
+OptionalScene = Annotated[str | None, _SCENE]
+NamingOption = Annotated[
     str,
-    typer.Argument(
-        metavar="SCENE",
-        help="A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg.",
-        show_default=False,
+    typer.Option(
+        metavar="CONVENTION",
+        help="structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
@@ -80,13 +86,7 @@ def build(
             help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
         ),
     ] = None,
-    naming: Annotated[
-        str,
-        typer.Option(
-            metavar="CONVENTION",
-            help="structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.",
-        ),
-    ] = "structured",
+    naming: NamingOption = "structured",
     json: JsonOption = False,
 ) -> None:
     """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange."""
@@ -113,6 +113,7 @@ def fmus(
             help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
         ),
     ] = None,
+    naming: NamingOption = "structured",
     json: JsonOption = False,
 ) -> None:
     """Export a scene's slaves as FMUs: robot, trajectory, controllers, shapers and imperfections.
@@ -122,7 +123,7 @@ def fmus(
     with one_line_errors():
         from flexfmu.cosim.cli_slaves import fmus_command
 
-        raise typer.Exit(fmus_command(scene, out, slave or [], platform or [], json))
+        raise typer.Exit(fmus_command(scene, out, slave or [], platform or [], naming, json))
 
 
 @app.command()
@@ -265,28 +266,41 @@ def shaper(
 
 @app.command()
 def workprec(
-    scene: SceneArgument,
+    scene: OptionalScene = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>/workprec."),
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the results. Default: results/<name of the scene>/workprec or results/hard-cases.",
+        ),
     ] = None,
     only: Annotated[
         list[str] | None,
         typer.Option(
             metavar="FAMILY",
-            help="integrators, communication, algorithms, effects, formulations or tools; may be repeated. Default: all.",
+            help="integrators, communication, algorithms, effects, formulations or tools; with --hard a part of a case's "
+            "name; may be repeated. Default: all.",
         ),
     ] = None,
+    hard: Annotated[
+        bool,
+        typer.Option(
+            "--hard", help="Run the hard cases instead, without SCENE: what makes each hard, and what happened."
+        ),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Measure what accuracy costs in time: by integrator, communication step, coupling, effects, formulation and tool.
 
     Writes workprec.json, workprec.md, workprec.html and pictures. Takes some minutes.
+
+    With --hard, run cases that simulations of this robot are most likely to get wrong; exit status 1 if one fails. Writes
+    hard-cases.json and hard-cases.md.
     """
     with one_line_errors():
-        from flexfmu.cosim.cli_workprec import workprec_command
+        from flexfmu.cosim.cli_workprec import hard_command, workprec_command
 
-        raise typer.Exit(workprec_command(scene, out, only or [], json))
+        raise typer.Exit((hard_command if hard else workprec_command)(scene, out, only or [], json))
 
 
 @app.command()

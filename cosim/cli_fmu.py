@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.cli_console import print_text, progress
 from flexfmu.cosim.cli_errors import FAILURE
@@ -17,6 +17,22 @@ from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 from flexfmu.model.selection.words import choice_sentence
 
+if TYPE_CHECKING:
+    from flexfmu.fmu_build.naming import Naming
+
+
+def naming_convention(word: str) -> Naming:
+    """How variables are named, by the word for it.
+
+    Raises:
+        InputError: there is no such naming convention.
+    """
+    from flexfmu.fmu_build.naming import NAMINGS
+
+    if word not in NAMINGS:
+        raise InputError(f"unknown naming convention {word!r}; choose from {', '.join(NAMINGS)}")
+    return NAMINGS[word]
+
 
 def build_command(source: str, output: Path | None, platforms: list[str], naming: str, as_json: bool) -> int:
     """Build the scene's FMU and print where it is; the exit status.
@@ -24,12 +40,9 @@ def build_command(source: str, output: Path | None, platforms: list[str], naming
     Raises:
         InputError: there is no such naming convention.
     """
-    from flexfmu.fmu_build.naming import NAMINGS
     from flexfmu.fmu_build.scene_build import build_scene
 
-    if naming not in NAMINGS:
-        raise InputError(f"unknown naming convention {naming!r}; choose from {', '.join(NAMINGS)}")
-
+    convention = naming_convention(naming)
     scene = load_scene(source)
     target = output or Path(f"{scene.name}.fmu")
     with progress() as show:
@@ -38,7 +51,7 @@ def build_command(source: str, output: Path | None, platforms: list[str], naming
             scene,
             output=target,
             platforms=platforms or None,
-            naming=NAMINGS[naming],
+            naming=convention,
             progress=lambda text: show(text, None),
         )
     if as_json:

@@ -9,19 +9,30 @@ from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
+from flexfmu.cosim.cli_fmu import naming_convention
 from flexfmu.cosim.cli_run import RESULTS
 from flexfmu.cosim.cli_scene import load_resolved
+from flexfmu.cosim.exported_system import ExportedSystem
 from flexfmu.cosim.json_text import to_json
-from flexfmu.cosim.slave_export import ExportedSystem, export_slaves
+from flexfmu.cosim.slave_export import export_slaves
 
 
-def fmus_command(source: str, out: Path | None, names: list[str], platforms: list[str], as_json: bool) -> int:
-    """Export the slaves and print where they are; the exit status."""
+def fmus_command(
+    source: str, out: Path | None, names: list[str], platforms: list[str], naming: str, as_json: bool
+) -> int:
+    """Export the slaves and print where they are; the exit status.
+
+    Raises:
+        InputError: there is no such naming convention.
+    """
+    convention = naming_convention(naming)
     scene = load_resolved(source)
     folder = out or RESULTS / scene.name / "fmus"
     with progress() as show:
         show("building the FMU of the robot", None)
-        system = export_slaves(scene, folder, names=names or None, platforms=platforms or None, progress=show)
+        system = export_slaves(
+            scene, folder, names=names or None, platforms=platforms or None, naming=convention, progress=show
+        )
     if as_json:
         print_text(to_json(_facts(system)))
     else:

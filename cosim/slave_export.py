@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 from flexfmu.cosim.block_slave import BlockSlave
 from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.exported_system import ExportedSlave, ExportedSystem
 from flexfmu.cosim.fmu_slave import FmuSlave
 from flexfmu.cosim.fmu_variables import Value
-from flexfmu.cosim.loop_recording import SlaveFacts, slave_facts
+from flexfmu.cosim.loop_recording import slave_facts
 from flexfmu.cosim.loop_sections import loop_of
 from flexfmu.cosim.sampled_fmu import SampledFmu
 from flexfmu.cosim.scene_system import PLANT, SceneSystem, scene_system
@@ -24,46 +25,11 @@ from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
 
 if TYPE_CHECKING:
     from flexfmu.cosim.loop import Loop
+    from flexfmu.fmu_build.naming import Naming
     from flexfmu.model.scene import Scene
 
 Progress = Callable[[str, float | None], None]
 """Is told what is being built and the finished fraction, 0..1."""
-
-
-@dataclass(frozen=True)
-class ExportedSlave:
-    """A slave of a scene as an FMU.
-
-    Attributes:
-        facts: its name in the system, what it is, its sample time and offset.
-        path: the FMU.
-        parameters: start values that differ from those in the FMU.
-    """
-
-    facts: SlaveFacts
-    path: Path
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-
-    @property
-    def name(self) -> str:
-        """Its name in the system."""
-        return self.facts.name
-
-
-@dataclass(frozen=True)
-class ExportedSystem:
-    """All of a scene as FMUs.
-
-    Attributes:
-        slaves: the planned motion (``trajectory``), the robot (``plant``), then controllers, shapers and imperfections.
-        connections: pairs (``slave.output``, ``slave.input``), between exported slaves alone.
-        step, stop_time: communication step and end of the simulation [s].
-    """
-
-    slaves: tuple[ExportedSlave, ...]
-    connections: tuple[tuple[str, str], ...]
-    step: float
-    stop_time: float
 
 
 def export_slaves(
@@ -73,19 +39,21 @@ def export_slaves(
     names: Collection[str] | None = None,
     loop: Loop | None = None,
     platforms: Iterable[str] | None = None,
+    naming: Naming = "structured",
     cache: bool = True,
     progress: Progress = lambda text, fraction: None,
 ) -> ExportedSystem:
     """Build the FMUs of a scene's slaves, ``<folder>/<slave>.fmu``.
 
-    Slaves that come from FMU files are copied as they are. The FMUs' default experiments last as long as the scene.
+    Slaves that come from FMU files are copied as they are, whatever the naming. The FMUs' default experiments last as long as
+    the scene.
 
     Args:
         scene: the scene.
         folder: where the FMUs go; made if it is missing.
         names: slaves to export; None for all.
         loop: what stands between motion and robot, instead of the scene's own sections.
-        platforms, cache: as for `flexfmu.fmu_build.build.build_fmu`.
+        platforms, naming, cache: as for `flexfmu.fmu_build.build.build_fmu`.
         progress: is told what is being built.
 
     Raises:
@@ -100,9 +68,8 @@ def export_slaves(
     chosen = _chosen(system.slaves, names)
     for slave in chosen:
         _check_exportable(slave)
-    export = _Exporter(
-        scene, float(f"{loop.motion.stop_time:.12g}"), None if platforms is None else tuple(platforms), cache
-    )
+    options = _Options(platforms=None if platforms is None else tuple(platforms), naming=naming, cache=cache)
+    export = _Exporter(scene, float(f"{loop.motion.stop_time:.12g}"), options)
     exported = []
     for number, facts in enumerate(slave_facts(chosen)):
         progress(f"exporting {facts.name}", number / len(chosen))
@@ -110,7 +77,8 @@ def export_slaves(
         export.write(chosen[number], path)
         exported.append(ExportedSlave(facts, path, _start_values(chosen[number], system)))
     connections = _between({facts.name for facts in slave_facts(chosen)}, system.wiring.connections)
-    return ExportedSystem(tuple(exported), connections, scene.cosimulation.step, export.stop_time)
+    whole = ExportedSystem(tuple(exported), connections, scene.cosimulation.step, export.stop_time)
+    return whole.named(naming, {slave.name for slave in chosen if not _is_copied(slave)})
 
 
 @dataclass(frozen=True)
@@ -119,17 +87,16 @@ class _Exporter:
 
     scene: Scene
     stop_time: float
-    platforms: tuple[str, ...] | None
-    cache: bool
+    options: _Options
 
     def write(self, slave: Slave, path: Path) -> None:
         """Build or copy the slave's FMU."""
-        scene, options = self.scene, _Options(platforms=self.platforms, cache=self.cache)
+        scene, options = self.scene, self.options
         match slave:
-            case FmuSlave(name=name) if name == PLANT:
-                build_scene(scene, output=path, **options)
-            case FmuSlave() | SampledFmu():
+            case FmuSlave() | SampledFmu() if _is_copied(slave):
                 write_atomically(path, slave.path.read_bytes())
+            case FmuSlave():
+                build_scene(scene, output=path, **options)
             case BlockSlave():
                 build_block_fmu(slave.block, path, stop_time=self.stop_time, **options)
             case TrajectorySlave():
@@ -141,7 +108,13 @@ class _Options(TypedDict):
     """How FMUs are built."""
 
     platforms: tuple[str, ...] | None
+    naming: Naming
     cache: bool
+
+
+def _is_copied(slave: Slave) -> bool:
+    """Whether the slave has come from an FMU file: any but the robot."""
+    return isinstance(slave, (FmuSlave, SampledFmu)) and slave.name != PLANT
 
 
 def _chosen(slaves: Sequence[Slave], names: Collection[str] | None) -> tuple[Slave, ...]:

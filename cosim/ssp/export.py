@@ -9,11 +9,12 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flexfmu.cosim.exported_system import ExportedSlave, ExportedSystem
 from flexfmu.cosim.fmu_file import open_fmu
 from flexfmu.cosim.fmu_variables import Value, typed
 from flexfmu.cosim.loop_sections import loop_of
 from flexfmu.cosim.scene_parameters import scene_with_parameters
-from flexfmu.cosim.slave_export import ExportedSlave, ExportedSystem, Progress, export_slaves
+from flexfmu.cosim.slave_export import Progress, export_slaves
 from flexfmu.cosim.ssp.archive import DESCRIPTION
 from flexfmu.cosim.ssp.structure import (
     Binding,

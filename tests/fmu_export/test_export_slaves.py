@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmpy.model_description import read_model_description
 
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.exported_system import ExportedSystem
 from flexfmu.cosim.fmu_slave import FmuSlave
 from flexfmu.cosim.fmu_trajectory import FmuTrajectory
 from flexfmu.cosim.loop import make_loop
@@ -17,13 +19,22 @@ from flexfmu.cosim.master import Outcome, simulate
 from flexfmu.cosim.planning import plan
 from flexfmu.cosim.sampled_fmu import fmu_slave
 from flexfmu.cosim.slave import SlaveVariable
-from flexfmu.cosim.slave_export import ExportedSystem, export_slaves
+from flexfmu.cosim.slave_export import export_slaves
 from flexfmu.cosim.system import connect
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.fmu_build.naming import structured_name
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 
 PD = {"kind": "pd", "proportional": 5e3, "derivative": 60.0, "sample_time": 5e-4}
+RIGID = {
+    "cosimulation.drive": "torque",
+    "cosimulation.step": 1e-3,
+    "effects.proximal_bending": 0,
+    "effects.distal_axial": 0,
+    "controller": [PD],
+}
+"""A controlled robot that compiles quickly."""
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +88,32 @@ def test_the_fmus_move_as_the_scene(scene: Scene, exported: ExportedSystem) -> N
     for joint in (1, 2):
         found = simulation.recording[f"plant.joint{joint}.position"].values
         np.testing.assert_allclose(found, expected.recording[f"joint{joint}.position"].values, rtol=0.0, atol=1e-9)
+
+
+def test_flat_fmus_move_as_the_scene(tmp_path: Path) -> None:
+    """Connections and start values are told by the names that the FMUs have; our own master runs them by those of the scene."""
+    scene = load_scene("barnard2012-6kg").replace(
+        RIGID | {"imperfection": [{"kind": "payload-error", "relative": 0.1}]}
+    )
+    system = export_slaves(scene, tmp_path, naming="flat")
+    trajectory, plant, pd = system.slaves
+    assert ("plant.joint1_velocity", "pd.joint1_velocity") in system.connections
+    assert list(plant.parameters) == ["payload_mass"]
+    for slave in system.slaves:
+        description = read_model_description(str(slave.path), validate_variable_names=True)
+        names = {f"{slave.name}.{variable.name}" for variable in description.modelVariables}
+        assert description.variableNamingConvention == "flat"
+        assert {end for ends in system.connections for end in ends if end.startswith(f"{slave.name}.")} <= names
+    slaves: list[Any] = [
+        TrajectorySlave(FmuTrajectory(trajectory.path)),
+        FmuSlave(plant.path, plant.name, {structured_name(key): value for key, value in plant.parameters.items()}),
+        fmu_slave(pd.path, pd.name),
+    ]
+    wires = [(structured_name(source), structured_name(target)) for source, target in system.connections]
+    found = simulate(connect(slaves, wires), system.stop_time, system.step, tolerance=1e-6)
+    assert found.outcome is Outcome.COMPLETED, found.message
+    expected = run_scene(scene).recording["joint1.position"].values
+    np.testing.assert_allclose(found.recording["plant.joint1.position"].values, expected, rtol=0.0, atol=1e-9)
 
 
 def test_one_slave_alone(scene: Scene, tmp_path: Path) -> None:

@@ -57,6 +57,11 @@ def test_some_slaves_of_a_scene(scene_file: Path, tmp_path: Path) -> None:
     assert "pd.fmu" in result.stdout
     assert "0.001 s" in result.stdout
     assert "2 FMUs" in result.stdout
+    flat = fmus(
+        scene_file, "--out", tmp_path / "flat", "--slave", "pd", "--slave", "ahead", "--naming", "flat", "--json"
+    )
+    ends = {"from": "ahead.joint1_feedforward", "to": "pd.joint1_feedforward"}
+    assert ends in json.loads(flat.stdout)["connections"]
     wrong = fmus(scene_file, "--out", tmp_path / "out", "--slave", "pid")
     assert wrong.exit_code == 2
     assert "slaves: trajectory, plant, pd, ahead" in wrong.stderr
