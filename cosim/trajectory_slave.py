@@ -147,11 +147,10 @@ class TrajectorySlave:
         """Times at which left and right limits are taken: where breakpoints share a communication point, left of the
         first and right of the last, exactly."""
         near = COINCIDENT * float(np.diff(times).max())
-        first, last = times.copy(), times.copy()
-        for point in self.breakpoints:
-            last[abs(times - point) <= near] = point
-        for point in reversed(self.breakpoints):
-            first[abs(times - point) <= near] = point
+        points = np.array(self.breakpoints)
+        begin, end = points.searchsorted(times - near), points.searchsorted(times + near, "right")
+        first, last, lands = times.copy(), times.copy(), begin < end
+        first[lands], last[lands] = points[begin[lands]], points[end[lands] - 1]
         return first, last
 
     def _source(self, count: int) -> Trajectory:
