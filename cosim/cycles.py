@@ -6,13 +6,16 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.bernstein import Array
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.planning import MotionPlan, Repetition
 from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
+
+ROUNDING = 4.0
+"""Units in the last place of the longest time by which the same instant may differ after some operations."""
 
 
 @dataclass(frozen=True)
@@ -61,17 +64,27 @@ class ThereAndBack:
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
         """Coordinates and their time derivatives; see `flexfmu.trajectories.trajectory.Trajectory.evaluate`."""
         instants = np.atleast_1d(np.asarray(time, dtype=float))
-        near = SAME_TIME * self.duration
+        near = max(SAME_TIME * self.motion.duration, ROUNDING * float(np.spacing(self.duration)))
         count = (
             np.floor((instants + near) / self._leg) if side == "right" else np.ceil((instants - near) / self._leg) - 1
         )
         leg = np.clip(count, 0, 2 * self.cycles - 1)
-        within = instants - leg * self._leg
+        within = self._at_breakpoints(instants - leg * self._leg, leg % 2 == 1, near)
         there = self.motion.evaluate(within, order, side)
         opposite: Side = "left" if side == "right" else "right"
         back = self.motion.evaluate(self.motion.duration - within, order, opposite)
         signs = (-1.0) ** np.arange(order + 1)
         return np.asarray(np.where((leg % 2 == 1)[:, np.newaxis], signs[:, np.newaxis, np.newaxis] * back, there))
+
+    def _at_breakpoints(self, within: Array, back: NDArray[np.bool_], near: float) -> Array:
+        """Times from the start of a leg, exact where they mean a breakpoint: after hours, rounding of the time is larger than
+        what the motion takes for the same instant, and limits would come from the wrong side."""
+        there = np.array(self.motion.breakpoints)
+        for points, here in ((there, ~back), (self.motion.duration - there[::-1], back)):
+            after = points.searchsorted(within).clip(1, points.size - 1)
+            nearest = np.where(within - points[after - 1] < points[after] - within, points[after - 1], points[after])
+            within = np.where(here & (abs(within - nearest) <= near), nearest, within)
+        return within
 
     @property
     def _leg(self) -> float:

@@ -46,3 +46,16 @@ def test_nonsense_is_refused(dwell: float, cycles: int) -> None:
     """Numbers out of range are named."""
     with pytest.raises(InputError, match=r"the (dwell|number of cycles)"):
         ThereAndBack(plan(load_scene("barnard2012-6kg")).joints, dwell, cycles)
+
+
+def test_late_cycles_have_the_limits_of_early_ones() -> None:
+    """After hours, the rounding of the time is larger than what a motion takes for one instant: each side of a breakpoint must
+    still be told from the other."""
+    joints = plan(load_scene("barnard2012-6kg")).joints
+    motion = ThereAndBack(joints, 0.02, 10_000)
+    marks = len(joints.breakpoints) * 2
+    points = np.array(motion.breakpoints)
+    for side in ("left", "right"):
+        second = motion.evaluate(points[marks : 2 * marks], 4, side)
+        last = motion.evaluate(points[-marks:], 4, side)
+        np.testing.assert_array_equal(last, second)
