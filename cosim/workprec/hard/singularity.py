@@ -1,0 +1,110 @@
+"""Towards the type-2 singularity, in which the distal links lie in one line and the payload swings free."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache, partial
+from math import sqrt
+
+from flexfmu.cosim.outcome import Outcome
+from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.cosim.scene_run import Run
+from flexfmu.cosim.workprec.hard.case import Check, Finding, HardCase
+from flexfmu.cosim.workprec.hard.geometry import loop_geometry
+from flexfmu.cosim.workprec.hard.judging import error_against, not_finite, off_branch, soundness
+from flexfmu.cosim.workprec.hard.reference import Solver
+from flexfmu.cosim.workprec.hard.robots import TOLERANCE, paper_robot, run_case
+from flexfmu.cosim.workprec.hard.straight_line import StraightLine, Unguarded, straight_motion
+from flexfmu.model.plant_functions import MINIMUM_SINE
+from flexfmu.model.scene import Mechanism, Scene
+from flexfmu.trajectories.errors import TrajectoryError
+
+START = (0.02, -0.14)
+"""Where the motion starts [m]: the end effector hangs below the elbows, off the middle, so that its stop makes it swing."""
+
+DURATION, DWELL = 0.3, 0.2
+
+REFERENCE = Solver("Radau", 1e-8)
+
+NAMED = ("end_effector.position.x", "end_effector.position.y", "type-2 singularity", " s the ")
+"""What the status of a stopped run has to name: pose, measure, time."""
+
+HALF_DISTANCES = (100, 20, 5, 1)
+"""Of the elbows at the end of the motion [mm]."""
+
+
+def cases() -> Iterator[HardCase]:
+    """One for each half-distance."""
+    for half in HALF_DISTANCES:
+        sine = _sine(paper_robot().mechanism, 1e-3 * half)
+        hard = f"distal links cross at a sine of {sine:.2g} at the end of the motion; 6 kg swing there"
+        yield HardCase(f"elbows {half} mm from the middle", hard, partial(_approach, 1e-3 * half))
+
+
+@lru_cache(maxsize=1)
+def hanging_robot() -> Scene:
+    """The paper's robot with the end effector below its elbows."""
+    return paper_robot().replace(
+        {
+            "mechanism.assembly_mode": "right",
+            "trajectory.start": START,
+            "trajectory.duration": DURATION,
+            "trajectory.dwell": DWELL,
+        }
+    )
+
+
+def pose(mechanism: Mechanism, half_distance: float) -> tuple[float, float]:
+    """Where the end effector hangs [m] in the middle with the elbows so far from it on both sides [m]."""
+    across = mechanism.base_half_distance - half_distance
+    elbow = sqrt(mechanism.proximal.length**2 - across**2)
+    return 0.0, elbow - sqrt(mechanism.distal.length**2 - half_distance**2)
+
+
+def _sine(mechanism: Mechanism, half_distance: float) -> float:
+    ratio = half_distance / mechanism.distal.length
+    return 2.0 * ratio * sqrt(1.0 - ratio**2)
+
+
+def motion_to(half_distance: float, guarded: bool) -> MotionPlan:
+    """From `START` straight to the pose.
+
+    Raises:
+        TrajectoryError: the planner keeps away from it.
+    """
+    robot = hanging_robot()
+    line = StraightLine(START, pose(robot.mechanism, half_distance), DURATION)
+    keep = (lambda kinematics: kinematics) if guarded else Unguarded
+    return straight_motion(plan(paper_robot()), robot, line, keep)
+
+
+def approach(half_distance: float) -> Run:
+    """Run it whatever the planner says."""
+    return run_case(hanging_robot(), motion=motion_to(half_distance, guarded=False))
+
+
+def _approach(half_distance: float) -> Finding:
+    """Finished runs are compared with SciPy's; stopped ones have to say where and why."""
+    run, planner = approach(half_distance), _planner(half_distance)
+    happened = "; ".join([*planner, run.message])
+    if run.completed:
+        return Finding(happened, (error_against(run, hanging_robot(), REFERENCE, 100.0 * TOLERANCE), *soundness(run)))
+    geometry = loop_geometry(run.scene.mechanism, run.recording)
+    unnamed = sum(part not in run.message for part in NAMED)
+    checks = (
+        Check("outcomes other than a failed step", float(run.outcome is not Outcome.STEP_FAILED), 0.0),
+        Check("pose, measure or time not named", float(unnamed), 0.0),
+        Check("least sine overrun", max(0.0, MINIMUM_SINE - float(geometry.sine.min())), 0.0),
+        not_finite(run.recording),
+        off_branch(geometry.sine),
+    )
+    return Finding(happened, checks)
+
+
+def _planner(half_distance: float) -> list[str]:
+    """What planning says, where it refuses."""
+    try:
+        motion_to(half_distance, guarded=True)
+    except TrajectoryError as refusal:
+        return [f"the planner refuses: {refusal}; without it"]
+    return []
