@@ -10,13 +10,14 @@ from rich.text import Text
 
 from flexfmu.cosim.cli_console import print_rich, print_text, progress
 from flexfmu.cosim.effect_check import Comparison, check_choice
-from flexfmu.cosim.effect_choice import EffectRow, EffectStudy, study_effects
+from flexfmu.cosim.effect_study import EffectRow, EffectStudy, study_effects
 from flexfmu.cosim.effect_summary import choice_summary
 from flexfmu.cosim.effect_tables import comparison_table, contribution_table, frequency_table
 from flexfmu.cosim.json_text import to_json
 from flexfmu.cosim.metric_table import METRICS
 from flexfmu.model.choice_section import INTEGRATOR_SHARE, Choice, integrator_tolerance
 from flexfmu.model.scene_file import load_scene
+from flexfmu.model.selection.given import absent_effects
 from flexfmu.model.selection.words import percent, set_text
 
 
@@ -43,6 +44,7 @@ def _as_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[str,
         "scales": dict(study.estimator.scales),
         "cost": vars(study.cost),
         "poses": [pose.to_dict() for pose in study.poses],
+        "absent": absent_effects(study.scene),
         "effects": [_row_data(choice, row) for row in study.rows],
     }
     found = [
@@ -63,7 +65,7 @@ def _row_data(choice: Choice, row: EffectRow) -> dict[str, Any]:
     return {
         "effect": row.estimate.effect,
         "change": row.estimate.change,
-        "chosen": row.estimate.chosen,
+        "place": row.place,
         "contribution": dict(zip(choice.of, row.estimate.contribution, strict=True)),
         "cost": vars(row.cost),
         "poses": [pose.to_dict() for pose in row.poses],
@@ -72,15 +74,15 @@ def _row_data(choice: Choice, row: EffectRow) -> dict[str, Any]:
 
 def _report(study: EffectStudy) -> list[RenderableType]:
     """The tables of all effects, and the choice in words."""
-    choice = study.choice
+    choice, absent = study.choice, ", ".join(absent_effects(study.scene))
     worst = ", ".join(
         f"{METRICS[name].label.lower()} {percent(value)}" for name, value in zip(choice.of, choice.error, strict=True)
     )
     limit = (1.0 - INTEGRATOR_SHARE) * choice.tolerance
-    return [
-        contribution_table(study),
-        frequency_table(study),
-        Text(f"chosen for {percent(choice.tolerance)}: {set_text(study.scene)}"),
-        Text(f"estimated error of this set: {worst}; it may be {percent(limit)}"),
-        Text(f"tolerance of the FMU: {integrator_tolerance(choice.tolerance):g}"),
+    lines = [
+        *([f"the scene has no {absent}: it alone could say how large they are"] if absent else []),
+        f"chosen for {percent(choice.tolerance)}: {set_text(study.scene)}",
+        f"estimated error of this set: {worst}; it may be {percent(limit)}",
+        f"tolerance of the FMU: {integrator_tolerance(choice.tolerance):g}",
     ]
+    return [contribution_table(study), frequency_table(study), *map(Text, lines)]

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from flexfmu.cosim.effect_choice import EffectStudy, Step, quiet
+from flexfmu.cosim.effect_choice import Step, quiet
+from flexfmu.cosim.effect_study import EffectStudy
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.experiment import PreparedScene
 from flexfmu.cosim.metrics import measure_run

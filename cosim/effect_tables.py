@@ -8,7 +8,7 @@ from rich import box
 from rich.table import Table
 
 from flexfmu.cosim.effect_check import Comparison
-from flexfmu.cosim.effect_choice import EffectRow, EffectStudy
+from flexfmu.cosim.effect_study import EffectRow, EffectStudy
 from flexfmu.cosim.metric_table import METRICS
 from flexfmu.cosim.modes_table import ModalPose
 from flexfmu.model.selection.words import percent
@@ -66,7 +66,7 @@ def comparison_table(comparisons: Iterable[Comparison]) -> Table:
 
 
 def _named(row: EffectRow) -> tuple[str, str, str]:
-    return "in" if row.estimate.chosen else "out", row.estimate.effect, row.estimate.change
+    return row.place, row.estimate.effect, row.estimate.change
 
 
 def _lowest(poses: Iterable[ModalPose]) -> Iterator[str]:

@@ -16,6 +16,9 @@ from flexfmu.model.scene import MAXIMUM_MODES, Effects, Scene
 
 Changes = dict[str, Any]
 
+LOADS = ("payload.inertia", "gravity", "damping", "motor_inertia", "joint_friction", "transmission")
+"""Effects that the robot gives, as `Neighbour` names them."""
+
 
 @dataclass(frozen=True)
 class Neighbour:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import get_args
 
 import numpy as np
@@ -35,10 +36,6 @@ class Estimator:
         scene: robot and loads; its choice of elastic effects doesn't matter.
         motion: the planned motion of its motors.
         of: the metrics.
-
-    Attributes:
-        reference: metrics with the richest set.
-        scales: what errors are relative to, see `flexfmu.model.selection.measures.scales`.
     """
 
     def __init__(self, scene: Scene, motion: JointMotion, of: tuple[MeasureName, ...]) -> None:
@@ -49,10 +46,23 @@ class Estimator:
         self._known: dict[tuple[str, bool], Metrics] = {}
         robot = self._robot(self._richest.effects)
         self._rigid = robot.outputs(_still(robot.load.shape))
-        needed = tuple(dict.fromkeys(("peak_position_error", *of)))
-        full = measure_behaviour(self._behaviour(self._richest.effects, sharp=True), needed)
-        self.reference: Metrics = {name: full[name] for name in of}
-        self.scales: Metrics = {name: scales(full)[name] for name in of}
+
+    @cached_property
+    def reference(self) -> Metrics:
+        """Metrics with the richest set."""
+        return {name: self._full[name] for name in self._of}
+
+    @cached_property
+    def scales(self) -> Metrics:
+        """What errors are relative to, see `flexfmu.model.selection.measures.scales`."""
+        units = scales(self._full)
+        return {name: units[name] for name in self._of}
+
+    @cached_property
+    def _full(self) -> Metrics:
+        """What the reference and its scales need."""
+        needed = tuple(dict.fromkeys(("peak_position_error", *self._of)))
+        return measure_behaviour(self._behaviour(self._richest.effects, sharp=True), needed)
 
     def metrics(self, effects: Effects, *, sharp: bool = True) -> Metrics:
         """The metrics with a set of effects, in SI units."""

@@ -1,8 +1,8 @@
-"""The cheapest set of effects within a tolerance: start with all, and leave out what is worth least."""
+"""The cheapest set of effects within a tolerance: start with all, and leave out what is worth least, alone or in pairs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from flexfmu.model.enrichment import Neighbour, enrichments, reductions
 from flexfmu.model.scene import CHOOSABLE, Scene
@@ -15,9 +15,11 @@ HOPELESS = 3.0
 
 
 def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: float) -> Scene:
-    """A scene whose error is within the limit and from which nothing more can be left out.
+    """A scene whose error is within the limit and from which nothing more can be left out, neither one effect nor two at once.
 
-    Rigid links are tried first. Otherwise in each round, of the reductions that are within the limit, the one with the smallest quick estimate is taken.
+    Rigid links are tried first. Otherwise in each round, of the reductions that are within the limit, the one with the smallest
+    quick estimate is taken. Errors of opposite sign make up for each other, so that two effects may be left out together where
+    neither may go alone: such pairs are looked at where no single one is left.
 
     Args:
         richest, rigid: with all effects and with none.
@@ -26,13 +28,23 @@ def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: fl
     """
     if quick(rigid) <= HOPELESS * limit and sharp(rigid) <= limit:
         return rigid
+
+    def best(candidates: Iterable[Scene]) -> Scene | None:
+        ranked = sorted(((quick(each), each) for each in candidates), key=lambda pair: pair[0])
+        promising = (each for error, each in ranked if error <= HOPELESS * limit)
+        return next((each for each in promising if sharp(each) <= limit), None)
+
     scene: Scene | None = richest
     while scene is not None:
         found = scene
-        ranked = sorted(((quick(each.scene), each.scene) for each in poorer(scene)), key=lambda pair: pair[0])
-        promising = (each for error, each in ranked if error <= HOPELESS * limit)
-        scene = next((each for each in promising if sharp(each) <= limit), None)
+        scene = best(each.scene for each in poorer(found)) or best(_two_poorer(found))
     return found
+
+
+def _two_poorer(scene: Scene) -> Iterable[Scene]:
+    """All scenes with two effects or modes less, each once."""
+    pairs = [second.scene for first in poorer(scene) for second in poorer(first.scene)]
+    return {each.effects.model_dump_json(): each for each in pairs}.values()
 
 
 def poorer(scene: Scene) -> Iterator[Neighbour]:

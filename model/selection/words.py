@@ -17,6 +17,8 @@ _FAMILIES: Mapping[str, str] = {
 
 def percent(value: float) -> str:
     """A relative error for people: two digits, and no more than is worth reading."""
+    if value >= 0.1:
+        return f"{100.0 * value:.0f} %"
     return "0" if value == 0.0 else f"{100.0 * value:.2g} %" if value >= 1e-6 else "< 0.0001 %"
 
 

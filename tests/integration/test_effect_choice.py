@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 from flexfmu.cosim import effect_check
 from flexfmu.cosim.cli import app
 from flexfmu.cosim.effect_check import EVERYTHING, Observed, check_choice, comparisons
-from flexfmu.cosim.effect_choice import resolved, study_effects
+from flexfmu.cosim.effect_choice import resolved
+from flexfmu.cosim.effect_study import study_effects
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import PreparedScene
 from flexfmu.cosim.planning import plan

@@ -16,10 +16,11 @@ from flexfmu.model.scene_file import load_scene
 from flexfmu.model.selection import richest as richest_module
 from flexfmu.model.selection.choose import choose_effects, estimated_errors
 from flexfmu.model.selection.estimator import Estimator
+from flexfmu.model.selection.given import absent_effects, given_effects
 from flexfmu.model.selection.motion_grid import motion_grid
 from flexfmu.model.selection.response import LinearSystem
 from flexfmu.model.selection.richest import RICHEST, richest, with_set
-from flexfmu.model.selection.search import poorer
+from flexfmu.model.selection.search import cheapest, poorer
 
 OF: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
 HEAVY = load_scene("barnard2012-6kg")
@@ -90,6 +91,20 @@ def test_grid_has_both_sides_of_every_jump() -> None:
     assert grid.time[~grid.moving].min() == scene.trajectory.duration
 
 
+def test_effects_go_in_pairs_where_none_may_go_alone() -> None:
+    """Errors of opposite sign: without one of two effects the error is large, without both it is small."""
+    scene = with_set(HEAVY, {"proximal_bending": 1, "distal_axial": 1, "distal_bending": 1})
+
+    def error(each: Scene) -> float:
+        effects = each.effects
+        if effects.proximal_bending == 0 or effects.quasi_static:
+            return 1.0
+        return 0.1 if effects.distal_axial == effects.distal_bending else 1.0
+
+    chosen = cheapest(scene, with_set(HEAVY, {}), error, error, 0.5).effects
+    assert (chosen.proximal_bending, chosen.distal_axial, chosen.distal_bending) == (1, 0, 0)
+
+
 @pytest.mark.slow
 def test_light_and_fast_bends_the_distal_links(light: Estimator) -> None:
     """At 0.1 kg and 0.30 s bending of the distal links is worth its states for 2 %."""
@@ -141,6 +156,18 @@ def test_one_shape_more_of_each_family_changes_nothing(monkeypatch: pytest.Monke
     finer = estimator(LIGHT, names)
     for name in names:
         assert abs(estimates.reference[name] - finer.reference[name]) < 1e-3 * estimates.scales[name], name
+
+
+def test_what_the_robot_gives_is_told_too_and_what_it_lacks(heavy: Estimator) -> None:
+    """Without gravity the torque at rest is gone; without damping a vibration stays; motors and joints have nothing to leave out."""
+    motion, chosen = plan(HEAVY).joints, richest(HEAVY)
+    shares = {
+        each.effect: dict(zip(OF, each.contribution, strict=True)) for _, each in given_effects(heavy, chosen, motion)
+    }
+    assert set(shares) == {"gravity", "damping"}
+    assert shares["gravity"]["peak_torque_1"] > 0.1
+    assert shares["damping"]["residual_vibration_amplitude"] > 1.0
+    assert absent_effects(HEAVY) == ("payload.inertia", "motor_inertia", "joint_friction", "transmission")
 
 
 def test_families_that_deflect_statically_follow_the_model_of_their_own(heavy: Estimator) -> None:
