@@ -1,0 +1,172 @@
+"""The suite's verdicts can fail: on the wrong numbers, on the other branch, on NaN, and in the command's exit status."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import chain
+from math import nan
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from flexfmu.cosim.cli import app
+from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.experiment import Run
+from flexfmu.cosim.results import Column, Recording
+from flexfmu.cosim.workprec.hard import judging, singularity, stiffness, suite
+from flexfmu.cosim.workprec.hard.case import Check, Finding, HardCase
+from flexfmu.cosim.workprec.hard.parameters import STIFF
+from flexfmu.cosim.workprec.hard.robots import paper_robot, run_case
+from flexfmu.model.assembly import motor_angles
+from flexfmu.model.modes import natural_frequencies
+from flexfmu.model.scene import Scene
+
+ROOT = Path(__file__).parents[2]
+PASSED = Finding("all is well", (Check("error", 1e-6, 1e-5), Check("numbers not finite", 0.0, 0.0)))
+FAILED = Finding("it blew | up", (Check("error", nan, 1e-5, "m"),))
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """The paper's robot, shortly."""
+    return run_case(paper_robot(), {"trajectory.dwell": 0.0})
+
+
+def changed(run: Run, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Run:
+    """The run with other values of a signal."""
+    column = run.recording[name]
+    columns = {**run.recording.columns, name: Column(column.unit, change(column.values), column.first, column.second)}
+    return replace(run, recording=Recording(run.recording.time, columns))
+
+
+def values(checks: tuple[Check, ...]) -> dict[str, bool]:
+    """Name → passed."""
+    return {check.name: check.passed for check in checks}
+
+
+def test_a_number_that_is_none_never_passes() -> None:
+    """NaN compares false with everything, which must not count as within the limit; nothing measured is no success."""
+    assert not Check("error", nan, 1.0).passed
+    assert not Finding("nothing was looked at", ()).passed
+    assert not FAILED.passed
+    assert PASSED.passed
+
+
+def test_a_sound_run_is_sound(run: Run) -> None:
+    """The checks accept what is right."""
+    assert all(values(judging.soundness(run)).values())
+
+
+@pytest.mark.parametrize(
+    ("signal", "change", "complaint"),
+    [
+        ("joint1.torque", lambda x: np.where(np.arange(x.size) == 7, nan, x), judging.NOT_FINITE),
+        ("end_effector.position.y", lambda x: x + 1e-9, judging.CLOSURE),
+        ("end_effector.position.y", lambda x: x - 0.6, judging.OFF_BRANCH),
+    ],
+)
+def test_unsound_runs_are_seen(
+    run: Run, signal: str, change: Callable[[np.ndarray], np.ndarray], complaint: str
+) -> None:
+    """One NaN among thousands, an open loop by 1 nm, and an end effector on the other side of the elbows."""
+    assert not values(judging.soundness(changed(run, signal, change)))[complaint]
+
+
+def test_a_run_that_stopped_early_is_seen(run: Run) -> None:
+    """What isn't simulated isn't right."""
+    half = run.recording.time.size // 2
+    columns = {name: Column(c.unit, c.values[:half]) for name, c in run.recording.columns.items()}
+    short = replace(run, recording=Recording(run.recording.time[:half], columns))
+    assert not values(judging.soundness(short))[judging.UNFINISHED]
+
+
+@pytest.mark.slow
+def test_errors_are_counted_against_the_robot_that_was_meant(run: Run) -> None:
+    """A robot whose payload is a thousandth heavier is off by about as much, and found out."""
+    assert judging.error_against(run, paper_robot(), STIFF, 1e-5).passed
+    heavier = run_case(paper_robot(), {"trajectory.dwell": 0.0, "payload.mass": 6.006})
+    wrong = judging.error_against(replace(heavier, plan=run.plan), paper_robot(), STIFF, 1e-5)
+    assert 3e-4 < wrong.value < 3e-3
+
+
+def test_pose_of_the_singular_approach() -> None:
+    """The elbows are as far from the middle as the case says, with the end effector between and below them."""
+    mechanism = paper_robot().mechanism
+    for half in singularity.HALF_DISTANCES:
+        x, y = singularity.pose(mechanism, 1e-3 * half)
+        q1, q2 = motor_angles(singularity.hanging_robot().mechanism, (x, y))
+        elbows = [
+            (base + mechanism.proximal.length * np.cos(q), mechanism.proximal.length * np.sin(q))
+            for base, q in ((-mechanism.base_half_distance, q1), (mechanism.base_half_distance, q2))
+        ]
+        assert [elbows[0][0], elbows[1][0]] == pytest.approx([-1e-3 * half, 1e-3 * half], abs=1e-9)
+        assert all(y < elbow[1] for elbow in elbows)
+
+
+def frequencies(robot: Scene) -> np.ndarray:
+    """Natural frequencies at the start [Hz]."""
+    return natural_frequencies(robot, motor_angles(robot.mechanism, robot.trajectory.start))
+
+
+@pytest.mark.slow
+def test_figures_that_make_models_stiff() -> None:
+    """The table says how stiff the models are; the model has these frequencies."""
+    damped, many = (case.hard for case in stiffness.cases())
+    slow, fast = frequencies(stiffness.damped_robot())[[0, -1]]
+    assert f"swings at {slow:.0f} Hz" in damped
+    assert f"decays at {stiffness.DAMPING_TIME * (2.0 * np.pi * fast) ** 2 / 1e6:.1f}e6 /s" in damped
+    low, high = frequencies(stiffness.many_modes_robot())[[0, -1]]
+    assert f"at {high / 1e3:.0f} kHz, {round(high / low, -2):.0f} times" in many
+
+
+def test_command_tells_what_happened(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A failed case, and one that can't even be run, are shown beside the others, and the exit status is 1."""
+
+    def broken() -> Finding:
+        raise SlaveError("plant", "it refuses")
+
+    suspects = [("good", lambda: PASSED), ("bad", lambda: FAILED), ("broken", broken)]
+    cases = tuple(HardCase(name, "a reason", run) for name, run in suspects)
+    monkeypatch.setattr(suite, "FAMILIES", (type("Family", (), {"cases": staticmethod(lambda: cases)}),))
+    everything = CliRunner().invoke(app, ["workprec", "--hard", "--json", "--out", str(tmp_path)])
+    assert everything.exit_code == 1
+    found = json.loads(everything.stdout)
+    assert [case["passed"] for case in found["cases"]] == [True, False, False]
+    assert found["cases"][1]["checks"][0]["value"] is None
+    assert "it refuses" in found["cases"][2]["happened"]
+    table = (tmp_path / "hard-cases.md").read_text(encoding="utf-8")
+    assert "it blew \\| up. error nan m (NOT <= 1e-05) | FAILED |" in table
+    assert "2 of 3 hard cases failed: bad, broken." in table
+    good = CliRunner().invoke(app, ["workprec", "--hard", "--only", "GOOD", "--out", str(tmp_path)])
+    assert good.exit_code == 0
+    assert "All 1 hard cases passed." in good.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["workprec"], "needs a SCENE, or --hard"),
+        (["workprec", "barnard2012-6kg", "--hard"], "leave out barnard2012-6kg"),
+        (["workprec", "--hard", "--only", "easy"], "no hard case has 'easy' in its name"),
+    ],
+)
+def test_wrong_usage(arguments: list[str], complaint: str) -> None:
+    """One line says what would be right."""
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert complaint in result.stderr
+
+
+def test_documentation_has_every_case() -> None:
+    """The page shows the suite as it is."""
+    page = ROOT / "docs" / "hard-cases.md"
+    if not page.is_file():
+        pytest.skip("tests run away from the source tree")
+    rows = [line.split(" | ") for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    shown = [(row[0].removeprefix("| "), row[1]) for row in rows[2:]]
+    assert shown == [(case.name, case.hard) for case in chain.from_iterable(each.cases() for each in suite.FAMILIES)]
+    assert all(row[-1] == "passed |" for row in rows[2:])
