@@ -51,7 +51,7 @@ def _run(path: Path, kind: Kind, names: list[str], timeout: float) -> tuple[str,
     with TemporaryDirectory(prefix="flexfmu-validate-") as home:
         report = Path(home) / "report"
         module = "flexfmu.fmu_build.checks.child"
-        command = [sys.executable, "-m", module, str(path), str(report), kind.name, *names]
+        command = [sys.executable, "-m", module, str(path.absolute()), str(report), kind.name, *names]
         problem = _end_of(command, Path(home), timeout)
         lines = [json.loads(line) for line in _lines(report)]
     begun = next((line["begin"] for line in reversed(lines) if "begin" in line), names[0])
