@@ -113,7 +113,7 @@ def print_table(rows: Sequence[Row]) -> None:
     for cells in (list(rows[0]), ["---"] * len(rows[0])):
         print("| " + " | ".join(cell.replace("_", " ") for cell in cells) + " |")
     for row in rows:
-        print("| " + " | ".join(each if isinstance(each, str) else f"{each:.1e}" for each in row.values()) + " |")
+        print("| " + " | ".join(each if isinstance(each, str) else f"{each:.2e}" for each in row.values()) + " |")
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ class Cantilever:
     def bend(self, load: np.ndarray, parts: int) -> None:
         """Go to equilibrium under a load on the free coordinates, in equal parts."""
         for part in np.arange(1, parts + 1) / parts:
-            for _ in range(30):
+            for _ in range(8):
                 self.x[3:] += np.linalg.solve(self.matrices()[0], part * load - self.force())
 
 
@@ -116,11 +116,11 @@ def test_forces_are_the_energies_slopes_and_tangents_the_forces(section: BeamSec
 
 @pytest.mark.parametrize("beam", ["euler-bernoulli", "timoshenko"])
 def test_frequencies_converge_with_the_number_of_elements(beam: str) -> None:
-    """Four elements a link leave less than 3e-5 of the first two frequencies to eight."""
+    """Three elements a link leave less than 5e-5 of the first two frequencies to six."""
     scene = SCENE.replace({"effects.beam": beam})
     joints = np.array(motor_angles(scene.mechanism, (0.0, 0.295)))
-    few, many = (element_frequencies(finite_element_robot(scene, elements), joints, 2) for elements in (4, 8))
-    assert few == pytest.approx(many, rel=3e-5)
+    few, many = (element_frequencies(finite_element_robot(scene, elements), joints, 2) for elements in (3, 6))
+    assert few == pytest.approx(many, rel=5e-5)
 
 
 @pytest.mark.slow
@@ -129,7 +129,7 @@ def test_integrator_has_its_order() -> None:
     motion = plan(SCENE)
     instants = np.array([0.1])
     robot = finite_element_robot(SCENE, 1)
-    exact, *runs = (simulate(robot, motion.joints, instants, step) for step in (2.5e-4, 2e-3, 1e-3))
+    exact, *runs = (simulate(robot, motion.joints, instants, step) for step in (5e-4, 2e-3, 1e-3))
     for key in ("position", "torque"):
         coarse, fine = (np.abs(getattr(run, key) - getattr(exact, key)).max() for run in runs)
         assert np.log2(coarse / fine) == pytest.approx(5.0, abs=0.4), key
