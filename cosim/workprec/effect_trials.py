@@ -10,7 +10,7 @@ import numpy as np
 from flexfmu.cosim.experiment import PreparedScene
 from flexfmu.cosim.workprec.fmu_trials import FAILURES, Announce
 from flexfmu.cosim.workprec.subject import Subject, completed
-from flexfmu.cosim.workprec.trial import Trial, fastest
+from flexfmu.cosim.workprec.trial import Trial, fastest_in_turns
 from flexfmu.model.scene import Scene
 
 RIGID: Mapping[str, object] = {
@@ -69,27 +69,36 @@ def ladder() -> tuple[Rung, ...]:
 
 
 def effect_trials(subject: Subject, step: float, tolerance: float, announce: Announce) -> Iterator[Trial]:
-    """Every rung, its error against the richest set; the scene's own damping and loads stay."""
+    """Every rung, its error against the richest set, its time in turns with the others; the scene's damping and loads stay."""
     announce("richest set of effects")
     options = {"communication_step": step, "tolerance": tolerance}
     rich = PreparedScene(subject.scene.replace(dict(RICH)), motion=subject.motion, **options)  # type: ignore[arg-type]
     truth = replace(subject)
     truth.__dict__["reference"] = subject.positions(completed(rich.run()))
+    runs: list[tuple[Trial, PreparedScene]] = []
     for rung in ladder():
         announce(f"effects: {rung.line}, {rung.label}")
-        yield _rung_trial(truth, rung, options)
+        trial, prepared = _rung_trial(truth, rung, options)
+        if prepared is None:
+            yield trial
+        else:
+            runs.append((trial, prepared))
+    announce("effects: times")
+    times = fastest_in_turns([prepared.run for _, prepared in runs])
+    yield from (replace(trial, time=time) for (trial, _), time in zip(runs, times, strict=True))
 
 
-def _rung_trial(truth: Subject, rung: Rung, options: Mapping[str, float]) -> Trial:
+def _rung_trial(truth: Subject, rung: Rung, options: Mapping[str, float]) -> tuple[Trial, PreparedScene | None]:
+    """A rung's error, and its run where there is one to be timed."""
     try:
         scene = _with(truth.scene, rung)
         prepared = PreparedScene(scene, motion=truth.motion, **options)  # type: ignore[arg-type]
         positions = truth.positions(completed(prepared.run()))
     except FAILURES as failure:
-        return Trial("effects", rung.line, rung.label, None, None, " ".join(str(failure).split()))
+        return Trial("effects", rung.line, rung.label, None, None, " ".join(str(failure).split())), None
     if np.isnan(positions).all():
-        return Trial("effects", rung.line, rung.label, None, None, "no positions")
-    return Trial("effects", rung.line, rung.label, truth.error(positions), fastest(prepared.run))
+        return Trial("effects", rung.line, rung.label, None, None, "no positions"), None
+    return Trial("effects", rung.line, rung.label, truth.error(positions), None), prepared
 
 
 def _with(scene: Scene, rung: Rung) -> Scene:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from flexfmu.cosim.workprec.page import html
 from flexfmu.cosim.workprec.report import data, markdown
 from flexfmu.cosim.workprec.study import FAMILIES, Study, is_differential_equation
 from flexfmu.cosim.workprec.subject import Subject, subject_of
-from flexfmu.cosim.workprec.trial import Trial, fastest
+from flexfmu.cosim.workprec.trial import Trial, fastest, fastest_in_turns
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 
@@ -100,13 +101,16 @@ def test_formulations(subject: Subject) -> None:
 @pytest.mark.slow
 def test_the_ladder_climbs(subject: Subject) -> None:
     """Rigid links are wrong by all that elasticity does, and every effect that is added brings the robot nearer to the
-    one with all of them."""
+    one with all of them. A run takes the less time the less there is in the model."""
     trials = {trial.label: trial for trial in effect_trials(subject, 1e-3, 1e-8, silent)}
     assert trials.keys() == {rung.label for rung in ladder()}
     assert trials["rigid"].error == pytest.approx(1.0, rel=1e-6)
     assumed = [trials[label].error or 0.0 for label in ("rigid", "1 bending", "3 bending", "3 + 3 axial")]
     assert assumed == sorted(assumed, reverse=True)
     assert (trials["1 + 1 axial"].error or 1.0) < 0.1 * (trials["quasi-static 1 + 1"].error or 0.0)
+    for labels in (("rigid", "1 bending", "3 + 3 axial"), ("quasi-static 1 + 1", "1 + 1 axial")):
+        times = [trials[label].time or 0.0 for label in labels]
+        assert all(more > 1.3 * less > 0.0 for less, more in pairwise(times)), times
 
 
 TRIALS = (
@@ -166,6 +170,19 @@ def test_timing_takes_the_fastest() -> None:
     calls: list[int] = []
     assert fastest(lambda: calls.append(0)) >= 0.0
     assert 2 <= len(calls) <= 20
+
+
+def test_timing_in_turns_gives_each_its_own_time() -> None:
+    """What is slow in every round is slow in the end; each has had as many turns as the others."""
+    calls: list[str] = []
+
+    def slow() -> None:
+        calls.append("slow")
+        sum(range(200_000))
+
+    quick_time, slow_time = fastest_in_turns([lambda: calls.append("quick"), slow])
+    assert slow_time > 10.0 * quick_time
+    assert calls == ["quick", "slow"] * (len(calls) // 2)
 
 
 @pytest.mark.slow
