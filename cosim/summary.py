@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from flexfmu.cosim.effect_summary import choice_summary
 from flexfmu.cosim.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics import Measurement
+from flexfmu.cosim.small_deflections import exceeded
 from flexfmu.cosim.versions import versions
 
 if TYPE_CHECKING:
@@ -34,9 +35,9 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
     """Everything that ``summary.json`` says about a run, as plain data in SI units.
 
     Keys: ``scene`` (the scene file with its defaults), ``effects`` (effect → sentence), ``metrics`` (name → number or
-    None), ``health`` (outcome, integrator statistics, interpolation errors, warnings), ``slaves`` (name, description, sample
-    time), ``delays`` (for each connection how late it is), ``timing`` [s], ``versions``; with shapers also ``shaping`` (the
-    time that they add [s], how far they lead the rigid end effector off its path [m]), with an automatic choice of effects
+    None), ``health`` (outcome, integrator statistics, interpolation errors, warnings, deflections beyond linear theory),
+    ``slaves`` (name, description, sample time), ``delays`` (for each connection how late it is), ``timing`` [s],
+    ``versions``; with shapers also ``shaping`` (the time that they add [s], how far they lead the rigid end effector off its path [m]), with an automatic choice of effects
     ``effect_choice`` (tolerance, the set, estimated errors and contributions), and with a motion that is repeated
     ``learning`` (period [s] and for each cycle the tracking error of both joints [rad]).
     """
@@ -129,6 +130,7 @@ def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]
         "messages": list(run.health.messages),
         "interpolation_errors": {name: measurement.interpolation_error for name, measurement in measurements.items()},
         "warnings": [_warning(run, name, measurements[name]) for name in coarse_metrics(measurements)],
+        "large_deflections": exceeded(run),
     }
 
 

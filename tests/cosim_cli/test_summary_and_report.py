@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -16,6 +17,7 @@ from flexfmu.cosim.metric_table import METRICS
 from flexfmu.cosim.metrics import Measurement, measure_run, settings_for
 from flexfmu.cosim.plots import draw_plots
 from flexfmu.cosim.report import render_report
+from flexfmu.cosim.results import Column
 from flexfmu.cosim.summary import describe_effects, summarise
 
 MakeRun = Callable[..., Run]
@@ -94,6 +96,20 @@ def test_coarse_step_is_said(make_run: MakeRun) -> None:
     assert "end_position_error" not in names
     assert "step of 0.016 s is too coarse" in report_of(run)
     assert all("communication step of 0.016 s is too coarse" in warning["message"] for warning in warnings)
+
+
+def test_large_deflections_are_said(make_run: MakeRun) -> None:
+    """A link bent by half its length is no linear beam: summary and report say so, and of the other links nothing."""
+    run = make_run()
+    assert summarise(run, measure_run(run))["health"]["large_deflections"] == []
+    name = "link21.tip_deflection"
+    bent = Column("m", *(0.0 * table for table in (run.recording.time,) * 3))
+    bent.values[7] = -0.12
+    bent_run = replace(run, recording=run.recording.with_columns({name: bent}))
+    sentences = summarise(bent_run, measure_run(bent_run))["health"]["large_deflections"]
+    assert len(sentences) == 1
+    assert sentences[0].startswith("link21.tip_deflection reaches 0.12 m, 50 % of the link's length")
+    assert "50 % of the link&#39;s length" in report_of(bent_run)
 
 
 def test_effects_that_are_not_there_are_not_listed(make_run: MakeRun) -> None:
