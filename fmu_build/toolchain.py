@@ -19,7 +19,7 @@ from flexfmu.fmu_build.platforms import Platform, native_platform
 RUNTIME_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 """The hand-written runtime has no warnings; CI adds -Werror, a user's newer compiler may know more of them."""
 
-GENERATED_FLAGS = ("-std=c99", "-O1", "-w")
+GENERATED_FLAGS = ("-std=c99", "-O2", "-w")
 """Generated code: straight-line arithmetic, not meant to be read; warnings would be about CasADi."""
 
 COMMON_FLAGS = (

@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "elementary.h"
+#include "powers.h"
 
 /* decay of the cheap estimate per step where it passes through zero */
 #define HOLD 0.7
@@ -31,7 +32,7 @@ void flex_accuracy_clear(flex_accuracy *accuracy) {
 
 double flex_accuracy_hold(flex_accuracy *accuracy, int stages, double error, double step) {
   double ratio = fmin(step / accuracy->held_step, 1.0);
-  double held = fmax(error, HOLD * accuracy->held_error * pow(ratio, stages + 1));
+  double held = fmax(error, HOLD * accuracy->held_error * flex_whole_power(ratio, stages + 1));
   accuracy->held_error = held;
   accuracy->held_step = step;
   return held;
@@ -43,7 +44,7 @@ int flex_accuracy_applies(const flex_accuracy *accuracy, const flex_evidence *ev
 }
 
 double flex_accuracy_error(const flex_accuracy *accuracy, int excess, const flex_evidence *evidence) {
-  return evidence->error * accuracy->sharpness * pow(evidence->step / accuracy->step, excess);
+  return evidence->error * accuracy->sharpness * flex_whole_power(evidence->step / accuracy->step, excess);
 }
 
 void flex_accuracy_calibrate(flex_accuracy *accuracy, const flex_evidence *evidence, double true_error) {

@@ -46,11 +46,17 @@ static void expand_about(flex_inputs *inputs, int index, double time) {
   inputs->base[index] = time;
 }
 
+static double factorial(int order) {
+  static const double first[] = {1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0, 40320.0, 362880.0};
+  const int last = (int)(sizeof first / sizeof *first) - 1;
+  double product = first[order < last ? order : last];
+  for (int k = last + 1; k <= order; k++) product *= k;
+  return product;
+}
+
 void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, double value) {
   if (inputs->base[index] != time) expand_about(inputs, index, time);
-  double factorial = 1.0;
-  for (int k = 2; k <= order; k++) factorial *= k;
-  polynomial(inputs, index)[order] = value / factorial;
+  polynomial(inputs, index)[order] = value / factorial(order);
   if (order > inputs->degree[index]) inputs->degree[index] = order;
 }
 

@@ -41,6 +41,13 @@ static double sum_of(const double *x, int count) {
   return sum;
 }
 
+// a mass matrix without a factor has entries that are no numbers, or isn't positive definite
+static flex_outcome why_no_factor(flex_integrator *integrator, const double *y, const double *u) {
+  int n = integrator->n;
+  if (flex_mass_matrix(integrator->stages.equations, y, u, integrator->mass_factor)) return FLEX_NOT_FINITE;
+  return isfinite(sum_of(integrator->mass_factor, n * n)) ? FLEX_NOT_DEFINITE : FLEX_NOT_FINITE;
+}
+
 flex_outcome flex_step_accelerate(flex_integrator *integrator, const double *y, const double *v, const double *u, double *a) {
   flex_equations *equations = integrator->stages.equations;
   int n = integrator->n;
@@ -50,8 +57,7 @@ flex_outcome flex_step_accelerate(flex_integrator *integrator, const double *y, 
   double *r = integrator->defect;
   if (flex_mass_matrix(equations, y, u, integrator->mass_factor)) return FLEX_NOT_FINITE;
   if (flex_residual(equations, y, v, a, u, r)) return FLEX_NOT_FINITE;
-  if (!isfinite(sum_of(integrator->mass_factor, n * n))) return FLEX_NOT_FINITE;
-  if (flex_cholesky_factor(n, integrator->mass_factor)) return FLEX_NOT_DEFINITE;
+  if (flex_cholesky_factor(n, integrator->mass_factor)) return why_no_factor(integrator, y, u);
   flex_cholesky_solve(n, integrator->mass_factor, r);
 
   // a correction that is no number must not spoil the next attempt

@@ -111,13 +111,22 @@ void flex_lu_solve(int n, const double *lu, const int *pivots, double *x) {
     x[pivots[k]] = kept;
   }
 
-  // forward, then backward substitution
-  for (int k = 0; k < n; k++) add_one(n - k - 1, -x[k], lu + k * n + k + 1, x + k + 1);
-  for (int k = n - 1; k >= 0; k--) {
-    const double *column = lu + k * n;
-    x[k] *= column[k];
-    add_one(k, -x[k], column, x);
+  // forward substitution, two columns at once
+  for (int k = 0; k + 2 <= n; k += 2) {
+    const double *left = lu + k * n, *right = left + n;
+    x[k + 1] -= x[k] * left[k + 1];
+    add_two(n - k - 2, -x[k], left + k + 2, -x[k + 1], right + k + 2, x + k + 2);
   }
+
+  // backward
+  int k = n - 1;
+  for (; k >= 1; k -= 2) {
+    const double *right = lu + k * n, *left = right - n;
+    x[k] *= right[k];
+    x[k - 1] = (x[k - 1] - x[k] * right[k - 1]) * left[k - 1];
+    add_two(k - 1, -x[k], right, -x[k - 1], left, x);
+  }
+  if (k == 0) x[0] *= lu[0];
 }
 
 int flex_complex_lu_factor(int n, double *a, int *pivots) {

@@ -6,6 +6,7 @@
 #include "elementary.h"
 
 #include "linear_algebra.h"
+#include "powers.h"
 
 // weights of the values at the nodes in the value at x of the polynomial of Lagrange
 static void interpolation_weights(int n_nodes, const double *nodes, double x, double *weights) {
@@ -39,5 +40,5 @@ double flex_prediction_reach(const flex_tableau *tableau, double history, double
   int order = tableau->stages + 1 + adds_end(tableau);
   double x = 1.0 + h / history, reach = adds_end(tableau) ? x * (x - 1.0) : x;
   for (int i = 0; i < tableau->stages; i++) reach *= x - tableau->c[i];
-  return reach * pow(history, order);
+  return reach * flex_whole_power(history, order);
 }
