@@ -6,6 +6,7 @@ import weakref
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from flexfmu.cosim.fmu_capabilities import highest_input_derivative, highest_out
 from flexfmu.cosim.fmu_file import UnpackedFmu, open_fmu
 from flexfmu.cosim.fmu_instance import FmuInstance, load_calls
 from flexfmu.cosim.fmu_run import STATISTICS, FmuRun
-from flexfmu.cosim.fmu_variables import FmuVariables, Handle, Value, read_variables, settings
+from flexfmu.cosim.fmu_variables import FmuVariables, Handle, Value, read_variables, settable_variables, settings
 from flexfmu.cosim.slave import Call, Indices, RealArray
 
 
@@ -56,7 +57,7 @@ class FmuSlave:
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
         self._counters = {n: h for n, h in known.others.items() if n.startswith(STATISTICS) and h.kind == "Integer"}
-        self._settings = settings(self._fmu.description, self.parameters)
+        self._settings = settings(_settable(self._fmu), self.parameters)
         self.max_output_order = highest_output_derivative(self._fmu)
         highest = highest_input_derivative(self._fmu)
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
@@ -74,7 +75,7 @@ class FmuSlave:
         Raises:
             InputError: a parameter doesn't exist or its value doesn't suit its type or range.
         """
-        self._settings = settings(self._fmu.description, parameters)
+        self._settings = settings(_settable(self._fmu), parameters)
         self.parameters = dict(parameters)
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
@@ -197,3 +198,9 @@ class FmuSlave:
 def _variables(fmu: UnpackedFmu) -> FmuVariables:
     """What the FMU's model description says about variables, read once."""
     return read_variables(fmu.description)
+
+
+@cache
+def _settable(fmu: UnpackedFmu) -> Mapping[str, Any]:
+    """The FMU's variables that may be given start values, read once."""
+    return settable_variables(fmu.description)

@@ -89,13 +89,21 @@ class Setting:
     value: Value
 
 
-def settings(description: Any, parameters: Mapping[str, Value]) -> Sequence[Setting]:
+def settable_variables(description: Any) -> Mapping[str, Any]:
+    """Name → what fmpy has read of each variable that may have a start value from outside."""
+    return {v.name: v for v in description.modelVariables if _has_start(v)}
+
+
+def settings(known: Mapping[str, Any], parameters: Mapping[str, Value]) -> Sequence[Setting]:
     """Look up parameters by name and translate the names of numbered values.
+
+    Args:
+        known: see `settable_variables`.
+        parameters: name → value.
 
     Raises:
         InputError: there is no such parameter, or the value doesn't suit its type or range.
     """
-    known = {v.name: v for v in description.modelVariables if _has_start(v)}
     result = []
     for name, value in parameters.items():
         if name not in known:

@@ -23,7 +23,13 @@ class Recorder:
     """
 
     def __init__(self, ports: Sequence[OutputPort], capacity: int) -> None:
-        self._ports = tuple(ports)
+        self._signals = [
+            [
+                (f"{p.slave.name}.{variable.name}", variable.unit)
+                for variable in map(p.slave.variables.__getitem__, p.indices)
+            ]
+            for p in ports
+        ]
         self._count = 0
         self.time = np.empty(max(capacity, 1))
         self._rows = [np.empty((self.time.size, port.recorded, port.indices.size)) for port in ports]
@@ -55,8 +61,8 @@ class Recorder:
         """Everything recorded so far, named ``slave.variable``."""
         columns = {
             name: column
-            for port, rows in zip(self._ports, self._rows, strict=True)
-            for name, column in _columns(port, rows[: self._count])
+            for signals, rows in zip(self._signals, self._rows, strict=True)
+            for name, column in _columns(signals, rows[: self._count])
         }
         return Recording(self.time[: self._count].copy(), columns)
 
@@ -67,10 +73,10 @@ class Recorder:
         self.blocks = [(signals, rows) for (signals, _), rows in zip(self.blocks, self._rows, strict=True)]
 
 
-def _columns(port: OutputPort, rows: RealArray) -> Iterator[tuple[str, Column]]:
-    """Columns of a port from its rows (N, orders + 1, n)."""
-    by_signal = rows.transpose(2, 1, 0).copy()
-    for index, signal in zip(port.indices, by_signal, strict=True):
-        variable = port.slave.variables[index]
-        first, second = (signal[order] if order < signal.shape[0] else None for order in (1, 2))
-        yield f"{port.slave.name}.{variable.name}", Column(variable.unit, signal[0], first, second)
+def _columns(signals: Sequence[tuple[str, str]], rows: RealArray) -> Iterator[tuple[str, Column]]:
+    """Columns of signals, which have names and units, from their rows (N, orders + 1, n)."""
+    by_order = rows.transpose(1, 2, 0).copy()
+    nothing = [None] * len(signals)
+    first, second = (by_order[order] if order < len(by_order) else nothing for order in (1, 2))
+    for (name, unit), *values in zip(signals, by_order[0], first, second, strict=True):
+        yield name, Column(unit, *values)

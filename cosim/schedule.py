@@ -75,8 +75,9 @@ class Schedule:
         for i in dict.fromkeys([*self._system.visits, *range(len(self._system.slaves))]):
             slave, inputs, outputs = self._system.slaves[i], self._inputs[i], self.outputs[i]
             self.activity.name = slave.name
-            if isinstance(slave, KnowsItsFuture):
-                slave.prepare(self._grid.times)
+            for future, port in self.futures:
+                if port is outputs:
+                    future.prepare(self._grid.times)
             inputs.preset(ready)
             slave.initialize(start, stop, tolerance)
             inputs.bind()

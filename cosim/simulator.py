@@ -59,6 +59,7 @@ class Simulator:
             self._coupling_error(step_control)
         self._feedback = self._extrapolated_feedback()
         self._loops = feedback_signals(system, sampled=True)
+        self._terminating = [slave for slave in system.slaves if isinstance(slave, Terminates)]
         self._delays: dict[float, tuple[SignalDelay, ...]] = {}
 
     def run(self, tolerance: float | None = None, progress: Progress | None = None) -> Simulation:
@@ -81,9 +82,8 @@ class Simulator:
         except (Exception, KeyboardInterrupt) as failure:
             return failure
         finally:
-            for slave in self._system.slaves:
-                if isinstance(slave, Terminates):
-                    slave.terminate()
+            for slave in self._terminating:
+                slave.terminate()
         return None
 
     def _result(self, run: Run, error: BaseException | None) -> Simulation:
@@ -124,6 +124,8 @@ class Simulator:
     def _alternation(self, recording: Recording) -> Instability | None:
         """What overshot in a closed loop, sampled ones included."""
         names = self._source_names(self._loops)
+        if not names:
+            return None
         return find_alternation(recording.time, ((name, recording[name].values) for name in names))
 
     def _fed_by(self, signal: str) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 from flexfmu.cosim.errors import FmuFileError, InputError
 from flexfmu.cosim.fmu_file import open_fmu
 from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.fmu_variables import settings
+from flexfmu.cosim.fmu_variables import settable_variables, settings
 from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene_file import load_scene
@@ -31,7 +31,7 @@ def robot() -> Path:
 )
 def test_names_stand_for_numbers(robot: Path, parameters: dict[str, int | str], numbers: list[int]) -> None:
     """A script says what it means; importers without the names give the numbers."""
-    found = settings(open_fmu(robot).description, parameters)
+    found = settings(settable_variables(open_fmu(robot).description), parameters)
     assert [setting.value for setting in found] == numbers
     assert {setting.handle.kind for setting in found} == {"Integer"}
 
