@@ -16,6 +16,9 @@ from flexfmu.model.scene_file import load_scene
 TOLERANCE = 1e-7
 """Of the FMUs, where a case says nothing else."""
 
+ALLOWED = 10.0 * TOLERANCE
+"""Largest error, relative to what elasticity does, that passes."""
+
 STEP = 1e-3
 """Communication step [s], where a case says nothing else."""
 
