@@ -27,6 +27,6 @@ typedef struct {
 } flex_block_model;
 
 /* the one block of this binary, defined by the generated file */
-extern const flex_block_model flex_the_block;
+FLEX_PRIVATE const flex_block_model flex_the_block;
 
 #endif

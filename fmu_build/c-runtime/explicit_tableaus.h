@@ -2,6 +2,8 @@
 #ifndef FLEXFMU_EXPLICIT_TABLEAUS_H
 #define FLEXFMU_EXPLICIT_TABLEAUS_H
 
+#include "private.h"
+
 #define FLEX_MAX_EXPLICIT_STAGES 7
 
 typedef struct {
@@ -14,6 +16,6 @@ typedef struct {
   double a[FLEX_MAX_EXPLICIT_STAGES][FLEX_MAX_EXPLICIT_STAGES];
 } flex_explicit_tableau;
 
-extern const flex_explicit_tableau flex_dormand_prince, flex_runge_kutta_4;
+FLEX_PRIVATE const flex_explicit_tableau flex_dormand_prince, flex_runge_kutta_4;
 
 #endif

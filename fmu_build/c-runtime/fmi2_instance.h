@@ -6,12 +6,13 @@
 #include "fmi2Functions.h"
 #include "fmi2_states.h"
 #include "memory.h"
+#include "private.h"
 #include "refusal.h"
 
 /* log categories, as the model description lists them */
 typedef enum { LOG_ERROR, LOG_WARNING, LOG_DISCARD, LOG_FATAL, LOG_STATISTICS, N_LOG_CATEGORIES } flex_log_category;
 
-extern const char *const flex_log_categories[N_LOG_CATEGORIES];
+FLEX_PRIVATE const char *const flex_log_categories[N_LOG_CATEGORIES];
 
 /* the part of an instance's state that only this layer knows; saved and restored with the rest */
 typedef struct {

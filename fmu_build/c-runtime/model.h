@@ -9,6 +9,8 @@
 #ifndef FLEXFMU_MODEL_H
 #define FLEXFMU_MODEL_H
 
+#include "private.h"
+
 /* signature of every function that CasADi generates (casadi_real = double, casadi_int = int) */
 typedef int (*flex_casadi_call)(const double **arg, double **res, int *iw, double *w, int mem);
 
@@ -80,6 +82,6 @@ typedef struct {
 } flex_model;
 
 /* the one model of this binary, defined by the generated file */
-extern const flex_model flex_the_model;
+FLEX_PRIVATE const flex_model flex_the_model;
 
 #endif

@@ -13,6 +13,8 @@
 #ifndef FLEXFMU_TABLEAUS_H
 #define FLEXFMU_TABLEAUS_H
 
+#include "private.h"
+
 #define FLEX_MAX_STAGES 4
 #define FLEX_MAX_BLOCKS 2
 
@@ -36,6 +38,6 @@ typedef struct {
   flex_eigenvalue blocks[FLEX_MAX_BLOCKS];
 } flex_tableau;
 
-extern const flex_tableau flex_gauss_2, flex_gauss_3, flex_gauss_4, flex_radau_3;
+FLEX_PRIVATE const flex_tableau flex_gauss_2, flex_gauss_3, flex_gauss_4, flex_radau_3;
 
 #endif

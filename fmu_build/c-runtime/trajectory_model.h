@@ -26,6 +26,6 @@ typedef struct {
 } flex_trajectory_model;
 
 /* the one trajectory of this binary, defined by the generated file */
-extern const flex_trajectory_model flex_the_trajectory;
+FLEX_PRIVATE const flex_trajectory_model flex_the_trajectory;
 
 #endif
