@@ -11,6 +11,7 @@ from flexfmu.cosim.effect_study import EffectStudy
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.experiment import PreparedScene
 from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.workprec.trial import fastest_in_turns
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.choice_section import MeasureName
 from flexfmu.model.scene import Scene
@@ -25,10 +26,10 @@ FmuOf = Callable[[Scene], Path]
 
 @dataclass(frozen=True)
 class Observed:
-    """Metrics of a run, and how long it took [s]."""
+    """Metrics of a run, and the run, to be repeated."""
 
     metrics: Mapping[MeasureName, float]
-    seconds: float
+    run: Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Comparison:
         effect, change: what the richer set has more.
         estimated: change of each metric without a run.
         observed: change of each metric between two runs.
-        slower: time of the richer set's run over that of the chosen one's.
+        slower: processor time of the richer set's run over that of the chosen one's.
     """
 
     effect: str
@@ -93,7 +94,8 @@ def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = qu
 
     def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> Comparison:
         observed = {name: abs(other.metrics[name] - base.metrics[name]) / units[name] for name in names}
-        return Comparison(effect, change, estimated, observed, other.seconds / base.seconds)
+        own, longer = fastest_in_turns([base.run, other.run])
+        return Comparison(effect, change, estimated, observed, longer / own)
 
     yield compare(EVERYTHING, "the richest set", estimated_errors(estimator, chosen), full)
     for each in richer(chosen):
@@ -119,12 +121,13 @@ def observe(
     """
     bare = scene.replace({"controller": [], "shaper": [], "imperfection": [], "cosimulation.drive": "motion"})
     path = (fmu_of or _built)(bare)
-    run = PreparedScene(bare, fmu_path=path, tolerance=tolerance).run()
+    prepared = PreparedScene(bare, fmu_path=path, tolerance=tolerance)
+    run = prepared.run()
     if not run.completed:
         raise ResultsError(f"the comparison with {scene.name} failed: {run.message}")
     measured = measure_run(run)
     values = {name: measured[name].value for name in of}
-    return Observed({name: value for name, value in values.items() if value is not None}, run.timing.simulate)
+    return Observed({name: value for name, value in values.items() if value is not None}, prepared.run)
 
 
 def _built(scene: Scene) -> Path:

@@ -87,7 +87,7 @@ def test_comparison_has_an_effectivity_of_one_where_runs_do_as_estimated(monkeyp
 
     def as_estimated(scene: Scene, of: tuple[MeasureName, ...], *_: object) -> Observed:
         known = {"peak_position_error": 1.0, **study.estimator.metrics(scene.effects)}
-        return Observed({name: known[name] for name in of}, 1.0)
+        return Observed({name: known[name] for name in of}, lambda: sum(range(1000)))
 
     monkeypatch.setattr(effect_check, "observe", as_estimated)
     everything, *others = check_choice(study)
