@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Kind = Literal["plant", "block", "trajectory"]
 """What an FMU contains; the same FMI layer serves all of them."""
 
-_COMMON = ("backend.", "clock.", "elementary", "fmi2", "memory.", "model.", "old_glibc.", "refusal.")
+_COMMON = ("backend.", "clock.", "elementary", "fmi2", "memory.", "model.", "old_glibc.", "private.", "refusal.")
 """How the names of the runtime's files begin that every kind needs."""
 
 _OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",)}
