@@ -125,7 +125,12 @@ def variants() -> float:
 
     def all_of_them() -> None:
         found = run_variants(
-            SCENE, changes, peak_torque, communication_step=STEP, tolerance=1e-3, record=Selection(["joint1.torque"])
+            SCENE,
+            changes,
+            peak_torque,
+            communication_step=STEP,
+            tolerance=1e-3,
+            record=Selection(["joint1.torque"], order=0),
         )
         for each in found:
             if each.error is not None:

@@ -24,7 +24,7 @@ def peak_torque(run: Run) -> float:
 
 
 results = run_variants(
-    scene, variants, peak_torque, communication_step=1e-3, tolerance=1e-3, record=Selection([TORQUE])
+    scene, variants, peak_torque, communication_step=1e-3, tolerance=1e-3, record=Selection([TORQUE], order=0)
 )
 
 print("peak torque [N·m]" + "".join(f"{mass:8.1f} kg" for mass in PAYLOADS))
