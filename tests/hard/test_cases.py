@@ -10,7 +10,16 @@ from flexfmu.cosim.workprec.hard.report import figures
 
 CYCLES = 200
 
-SLOW = ("stiffness", "20 bending", "elbows 100", "elbows 5 mm", "gain", "rods of 5 mm", "a step of 1 s")
+SLOW = (
+    "stiffness",
+    "20 bending",
+    "elbows 100",
+    "elbows 5 mm",
+    "gain",
+    "rods of 5 mm",
+    "a step of 1 s",
+    "Young's modulus x 1e3",
+)
 """How the names of cases begin that take more than about three seconds, FMUs and references of their own included."""
 
 
