@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi
+import numpy as np
 
 from flexfmu.model.assembly import WORKING_MODES
 from flexfmu.model.closure import ProjectedForces
@@ -22,6 +23,9 @@ MINIMUM_SINE = 0.01
 digits above where the elastic mass matrix loses its condition (3e5 at 0.026, 8e6 at 0.005)."""
 
 MARGIN_NAME = "sine of the angle between the distal links (type-2 singularity)"
+
+MIDDLE = np.array([0.5])
+"""Where on a link, as a fraction of its length, deflections are looked at that don't move its tip."""
 
 POSE = ("end_effector.position.x", "end_effector.position.y")
 """Outputs that tell a person where the robot is."""
@@ -231,9 +235,13 @@ def moving_mass(five_bar: FiveBar) -> casadi.SX:
 
 
 def compliance(five_bar: FiveBar) -> casadi.SX:
-    """Sum of the tips' static compliances [m/N]; zero for a rigid robot."""
+    """Sum of the tips' static compliances [m/N], of the links' middles where no tip moves; zero for a rigid robot."""
     families = _vibrating(five_bar)
-    total = sum((casadi.sum1(f.tips**2 / casadi.diag(f.stiffness)) for f in families), casadi.SX(0))
+    moves = any(shape.tip for family in families for shape in family.shapes)
+    total = casadi.SX(0)
+    for family in families:
+        reach = family.tips if moves else casadi.DM([float(shape.value(MIDDLE)[0]) for shape in family.shapes])
+        total += casadi.sum1(reach**2 / casadi.diag(family.stiffness))
     if five_bar.robot.twist.numel():
         find = five_bar.registry.find_derived
         total += find("proximal_length") ** 2 / find("transmission_stiffness")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.experiment import PreparedScene, run_scene
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.results import Recording
 from flexfmu.model.rigid_dynamics import inverse_dynamics
@@ -43,6 +43,18 @@ def test_a_rigid_robot_stays_where_its_torques_hold_it() -> None:
     recording = run_scene(scene(RIGID | {"cosimulation.drive": "torque", "trajectory.dwell": 0.0})).recording
     joints = columns(recording, "joint1.position", "joint2.position")
     assert np.abs(joints - joints[:, :1]).max() < 1e-8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", ["distal_bending", "proximal_axial"])
+def test_one_family_alone_runs(family: str) -> None:
+    """Pinned links that bend move neither elbows nor end effector: their motion is resolved all the same, by what bends."""
+    one = scene(RIGID | {f"effects.{family}": 1, "effects.basis": "craig-bampton"})
+    name = "link12.bending[1]" if family == "distal_bending" else "link11.axial[1]"
+    loose, tight = (PreparedScene(one, tolerance=tolerance).run() for tolerance in (1e-6, 1e-10))
+    assert loose.completed, loose.message
+    found, exact = (run.recording[name].values for run in (loose, tight))
+    assert np.abs(found - exact).max() < 1e-5 * np.abs(exact).max()
 
 
 @pytest.mark.slow
