@@ -24,8 +24,8 @@ from pathlib import Path
 from effect_grid import GRID, Case, fmu_of
 from effect_search import all_sets, set_size, smallest
 
-from flexfmu.cosim.effect_check import EXACT, effectivity, observe
-from flexfmu.cosim.effect_choice import MEASURED
+from flexfmu.cosim.effects.check import EXACT, effectivity, observe
+from flexfmu.cosim.effects.choice import MEASURED
 from flexfmu.cosim.planning import plan
 from flexfmu.model.choice_section import INTEGRATOR_SHARE, integrator_tolerance
 from flexfmu.model.scene import Scene

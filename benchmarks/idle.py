@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from flexfmu.cosim.fmu_slave import FmuSlave
+from flexfmu.cosim.fmu.slave import FmuSlave
 from flexfmu.cosim.slave import Call, Indices, RealArray
 from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.compilation import compile_library

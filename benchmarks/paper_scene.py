@@ -7,11 +7,11 @@ from pathlib import Path
 from time import process_time
 
 from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.outcome import Outcome
+from flexfmu.cosim.master.outcome import Outcome
+from flexfmu.cosim.master.simulator import Simulator
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.simulator import Simulator
 from flexfmu.cosim.slave import Slave
-from flexfmu.cosim.system import connect
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.workprec.subject import completed
 from flexfmu.model.scene import Scene

@@ -26,11 +26,11 @@ from pathlib import Path
 import numpy as np
 
 from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.cosim.metrics import measure, settings_for
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.shaper_design import alternatives, design_modes
-from flexfmu.cosim.shaper_study import Candidate, candidates, payload_errors
+from flexfmu.cosim.shaping.design import alternatives, design_modes
+from flexfmu.cosim.shaping.study import Candidate, candidates, payload_errors
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene

@@ -16,9 +16,9 @@ from idle import IdlePlant, idle_fmu
 from paper_scene import SCENE, SCENES, Timed, best_times, run_with, timed, whole_run
 
 from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.fmu_slave import FmuSlave
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.master.selection import Selection
 from flexfmu.cosim.scene_run import Run
-from flexfmu.cosim.selection import Selection
 from flexfmu.cosim.variants import run_variants
 from flexfmu.cosim.workprec.exudyn_peer import run_exudyn
 from flexfmu.cosim.workprec.solver_trials import scipy_run, system_of

@@ -1,4 +1,4 @@
-"""The command line: what can be typed and what it says about itself. The work is done in the ``cli_*`` modules.
+"""The command line: what can be typed and what it says about itself. The work is done in `flexfmu.cosim.commands`.
 
 They are imported when their command runs: CasADi, SciPy and Matplotlib are too slow to load for ``--help``.
 """
@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from flexfmu.cosim.cli_errors import FAILURE, one_line_errors, show_error
+from flexfmu.cosim.commands.errors import FAILURE, one_line_errors, show_error
 
 app = typer.Typer(
     name="flexfmu",
@@ -38,6 +38,13 @@ NamingOption = Annotated[
         help="structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.",
     ),
 ]
+PlatformOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
 
 
@@ -46,7 +53,7 @@ def main() -> None:
     try:
         app()
     except OSError as error:  # a help text that can't be written; the commands catch their own
-        from flexfmu.cosim.cli_console import abandon_stdout
+        from flexfmu.cosim.commands.console import abandon_stdout
 
         abandon_stdout()
         show_error(f"can't write to standard output: {error.strerror or error}")
@@ -57,7 +64,7 @@ def _print_version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
 
-        from flexfmu.cosim.cli_console import print_text
+        from flexfmu.cosim.commands.console import print_text
 
         with one_line_errors():
             print_text(f"flexfmu {version('flexfmu')}\n")
@@ -79,19 +86,13 @@ def build(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.fmu", help="Default: the scene's name, here.")
     ] = None,
-    platform: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
-        ),
-    ] = None,
+    platform: PlatformOption = None,
     naming: NamingOption = "structured",
     json: JsonOption = False,
 ) -> None:
     """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange."""
     with one_line_errors():
-        from flexfmu.cosim.cli_fmu import build_command
+        from flexfmu.cosim.commands.fmu import build_command
 
         raise typer.Exit(build_command(scene, output, platform or [], naming, json))
 
@@ -106,13 +107,7 @@ def fmus(
         list[str] | None,
         typer.Option(metavar="NAME", help="Name of a slave in the scene; may be repeated. Default: all of them."),
     ] = None,
-    platform: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
-        ),
-    ] = None,
+    platform: PlatformOption = None,
     naming: NamingOption = "structured",
     json: JsonOption = False,
 ) -> None:
@@ -121,7 +116,7 @@ def fmus(
     With --json it also lists the connections between them.
     """
     with one_line_errors():
-        from flexfmu.cosim.cli_slaves import fmus_command
+        from flexfmu.cosim.commands.slaves import fmus_command
 
         raise typer.Exit(fmus_command(scene, out, slave or [], platform or [], naming, json))
 
@@ -132,13 +127,7 @@ def export(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.ssp", help="Default: the scene's name, here.")
     ] = None,
-    platform: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
-        ),
-    ] = None,
+    platform: PlatformOption = None,
     json: JsonOption = False,
 ) -> None:
     """Write a whole scene as one SSP 1.0 file: its FMUs, their connections and parameters.
@@ -146,7 +135,7 @@ def export(
     Other tools simulate the file as it is; here: flexfmu run FILE.ssp.
     """
     with one_line_errors():
-        from flexfmu.cosim.cli_export import export_command
+        from flexfmu.cosim.commands.export import export_command
 
         raise typer.Exit(export_command(scene, output, platform or [], json))
 
@@ -174,10 +163,10 @@ def run(
     The FMU is built first unless it is in the cache. An SSP file, ours or not, gives results.csv and summary.json.
     """
     with one_line_errors():
-        from flexfmu.cosim.cli_run import RESULTS, run_command
+        from flexfmu.cosim.commands.run import RESULTS, run_command
 
         if scene.lower().endswith(".ssp"):
-            from flexfmu.cosim.cli_export import run_ssp_command
+            from flexfmu.cosim.commands.export import run_ssp_command
 
             raise typer.Exit(run_ssp_command(Path(scene), out or RESULTS / Path(scene).stem, step, json))
         raise typer.Exit(run_command(scene, out, json, step))
@@ -195,7 +184,7 @@ def paper(
     Barnard, Briot and Caro, "Trajectory Generation for High Speed Pick-and-Place Robots", ESDA 2012.
     """
     with one_line_errors():
-        from flexfmu.cosim.cli_paper import paper_command
+        from flexfmu.cosim.commands.paper import paper_command
 
         raise typer.Exit(paper_command(out, json))
 
@@ -210,7 +199,7 @@ def modes(
 ) -> None:
     """Natural frequencies along the path, with the motors locked, about the static equilibrium."""
     with one_line_errors():
-        from flexfmu.cosim.cli_modes import modes_command
+        from flexfmu.cosim.commands.modes import modes_command
 
         raise typer.Exit(modes_command(scene, poses, json))
 
@@ -234,7 +223,7 @@ def effects(
 ) -> None:
     """Choose the cheapest elastic effects within a tolerance; tells what each is worth and what it costs."""
     with one_line_errors():
-        from flexfmu.cosim.cli_effects import effects_command
+        from flexfmu.cosim.commands.effects import effects_command
 
         raise typer.Exit(effects_command(scene, tolerance, of or [], check, json))
 
@@ -259,7 +248,7 @@ def shaper(
     Writes shapers.json, shapers.csv and the sensitivity picture.
     """
     with one_line_errors():
-        from flexfmu.cosim.cli_shaper import shaper_command
+        from flexfmu.cosim.commands.shaper import shaper_command
 
         raise typer.Exit(shaper_command(scene, out, json, payload_errors, payload_band))
 
@@ -298,7 +287,7 @@ def workprec(
     hard-cases.json and hard-cases.md.
     """
     with one_line_errors():
-        from flexfmu.cosim.cli_workprec import hard_command, workprec_command
+        from flexfmu.cosim.commands.workprec import hard_command, workprec_command
 
         raise typer.Exit((hard_command if hard else workprec_command)(scene, out, only or [], json))
 
@@ -312,6 +301,6 @@ def validate(
 ) -> None:
     """Check any FMU 2.0: archive, description, binaries, and each claim tried for real; exit status 1 if anything is wrong."""
     with one_line_errors():
-        from flexfmu.cosim.cli_fmu import validate_command
+        from flexfmu.cosim.commands.fmu import validate_command
 
         raise typer.Exit(validate_command(fmu, json))

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Unpack
 
 from flexfmu.cosim.experiment import Options, Run, run_scene
-from flexfmu.cosim.loop import make_loop
+from flexfmu.cosim.loop.loop import make_loop
 from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.model.scene import Scene
 
@@ -31,9 +31,9 @@ def run_loop(
     Args:
         scene: the scene; with controllers, one that is driven by torques.
         controllers: what calculates torques from references and measurements; equal names are connected.
-        shapers: `flexfmu.cosim.loop.Shaper`, an `ImpulseSequence` for the joint references, or what else the references
+        shapers: `flexfmu.cosim.loop.loop.Shaper`, an `ImpulseSequence` for the joint references, or what else the references
             shall pass.
-        imperfections: what signals pass on their way, in this order, or `flexfmu.cosim.loop.PayloadError`.
+        imperfections: what signals pass on their way, in this order, or `flexfmu.cosim.loop.loop.PayloadError`.
         connect: ``slave.input`` → ``slave.output`` or name of a signal, beyond equal names.
         motion: a motion instead of the scene's own, planned from the same scene.
         options: as for `flexfmu.cosim.experiment.run_scene`.

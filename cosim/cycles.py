@@ -8,8 +8,8 @@ from math import ceil
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.cosim.bernstein import Array
 from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.measuring.bernstein import Array
 from flexfmu.cosim.planning import MotionPlan, Repetition
 from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory

@@ -7,22 +7,22 @@ from pathlib import Path
 from time import perf_counter
 from typing import TypedDict
 
-from flexfmu.cosim.coupling import coupling_of
-from flexfmu.cosim.effect_choice import resolved
+from flexfmu.cosim.effects.choice import resolved
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.loop import Loop
-from flexfmu.cosim.loop_recording import slave_facts
-from flexfmu.cosim.loop_sections import loop_of
-from flexfmu.cosim.master import Progress
-from flexfmu.cosim.outcome import Simulation
+from flexfmu.cosim.loop.coupling import coupling_of
+from flexfmu.cosim.loop.loop import Loop
+from flexfmu.cosim.loop.recording import slave_facts
+from flexfmu.cosim.loop.sections import loop_of
+from flexfmu.cosim.master.master import Progress
+from flexfmu.cosim.master.outcome import Simulation
+from flexfmu.cosim.master.selection import EVERYTHING, Selection
+from flexfmu.cosim.master.simulator import Simulator
+from flexfmu.cosim.master.system import connect
+from flexfmu.cosim.measuring.rigid_motion import RigidMotion
 from flexfmu.cosim.planning import MotionPlan
-from flexfmu.cosim.rigid_motion import RigidMotion
 from flexfmu.cosim.scene_recording import SceneRecording
 from flexfmu.cosim.scene_run import Health, Run, Timing
 from flexfmu.cosim.scene_system import SceneSystem, scene_system
-from flexfmu.cosim.selection import EVERYTHING, Selection
-from flexfmu.cosim.simulator import Simulator
-from flexfmu.cosim.system import connect
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
 
@@ -120,7 +120,7 @@ class PreparedScene:
         if scene.effects.select is not None and not (motion is None and loop is None):
             raise InputError(
                 f"scene {scene.name} leaves the choice of effects open, but comes with a motion or a loop of its own: resolve "
-                f"it first, with `flexfmu.cosim.effect_choice.resolved(scene)`"
+                f"it first, with `flexfmu.cosim.effects.choice.resolved(scene)`"
             )
         watch = Stopwatch()
         scene = resolved(scene)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexfmu.cosim.fmu_variables import Value
-from flexfmu.cosim.loop_recording import SlaveFacts
+from flexfmu.cosim.fmu.variables import Value
+from flexfmu.cosim.loop.recording import SlaveFacts
 from flexfmu.fmu_build.naming import namer
 
 if TYPE_CHECKING:

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flexfmu.cosim.bernstein import Array, last_time_above
 from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.interpolation import HermiteSegments
-from flexfmu.cosim.metric_table import ALL_METRICS, METRICS
-from flexfmu.cosim.results import Recording
-from flexfmu.cosim.signals import (
+from flexfmu.cosim.measuring.bernstein import Array, last_time_above
+from flexfmu.cosim.measuring.metric_table import ALL_METRICS, METRICS
+from flexfmu.cosim.measuring.segments import HermiteSegments
+from flexfmu.cosim.measuring.signals import (
     JOINT_POSITIONS,
     TIP_DEFLECTIONS,
     TORQUES,
@@ -29,6 +28,7 @@ from flexfmu.cosim.signals import (
     position,
     segments,
 )
+from flexfmu.cosim.results import Recording
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment import Run

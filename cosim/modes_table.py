@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.bernstein import Array
 from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.measuring.bernstein import Array
 from flexfmu.cosim.planning import MotionPlan
 
 

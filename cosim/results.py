@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.output import write_whole
+from flexfmu.cosim.reports.output import write_whole
 
 RealArray = NDArray[np.float64]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from flexfmu.cosim.loop_recording import plain_names, with_constants
+from flexfmu.cosim.loop.recording import plain_names, with_constants
+from flexfmu.cosim.master.selection import Selection
+from flexfmu.cosim.measuring.rigid_motion import RigidMotion
 from flexfmu.cosim.results import Recording
-from flexfmu.cosim.rigid_motion import RigidMotion
 from flexfmu.cosim.scene_system import PLANT, REFERENCES, SceneSystem
-from flexfmu.cosim.selection import Selection
 
 
 class SceneRecording:

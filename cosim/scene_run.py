@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from flexfmu.cosim.delays import SignalDelay
-from flexfmu.cosim.loop_recording import SlaveFacts
-from flexfmu.cosim.outcome import Outcome
+from flexfmu.cosim.loop.recording import SlaveFacts
+from flexfmu.cosim.master.delays import SignalDelay
+from flexfmu.cosim.master.outcome import Outcome
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.results import Recording
 from flexfmu.cosim.scene_parameters import scene_with_parameters

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from flexfmu.cosim.fmu_file import open_fmu
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.fmu_variables import Value, parameter_names
-from flexfmu.cosim.loop import Loop
-from flexfmu.cosim.loop_sections import holding_torques
+from flexfmu.cosim.fmu.file import open_fmu
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.fmu.variables import Value, parameter_names
+from flexfmu.cosim.loop.loop import Loop
+from flexfmu.cosim.loop.sections import holding_torques
+from flexfmu.cosim.loop.wiring import Wiring, wire
 from flexfmu.cosim.scene_parameters import parameters_for
 from flexfmu.cosim.slave import Slave
 from flexfmu.cosim.trajectory_slave import HERMITE_ORDER, TrajectorySlave
-from flexfmu.cosim.wiring import Wiring, wire
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR
 from flexfmu.model.scene import Scene

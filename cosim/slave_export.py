@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.exported_system import ExportedSlave, ExportedSystem
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.fmu_variables import Value
-from flexfmu.cosim.loop_recording import slave_facts
-from flexfmu.cosim.loop_sections import loop_of
-from flexfmu.cosim.sampled_fmu import SampledFmu
+from flexfmu.cosim.fmu.sampled_slave import SampledFmu
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.fmu.variables import Value
+from flexfmu.cosim.loop.recording import slave_facts
+from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.cosim.scene_system import PLANT, SceneSystem, scene_system
 from flexfmu.cosim.slave import Slave
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
@@ -24,7 +24,7 @@ from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.loop import Loop
+    from flexfmu.cosim.loop.loop import Loop
     from flexfmu.fmu_build.naming import Naming
     from flexfmu.model.scene import Scene
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.hermite import two_point
+from flexfmu.cosim.measuring.hermite import two_point
 from flexfmu.cosim.slave import Indices, RealArray
 from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, tabulate
 from flexfmu.trajectories.curves import Side

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.grid import COINCIDENT
-from flexfmu.cosim.hermite import two_point
+from flexfmu.cosim.master.grid import COINCIDENT
+from flexfmu.cosim.measuring.hermite import two_point
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.tabulated_trajectory import TabulatedTrajectory
 from flexfmu.fmu_build.errors import ModelError

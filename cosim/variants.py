@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.master import Progress
+from flexfmu.cosim.master.master import Progress
+from flexfmu.cosim.master.selection import EVERYTHING, Selection
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.scene_run import Run
-from flexfmu.cosim.selection import EVERYTHING, Selection
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
 

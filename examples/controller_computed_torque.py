@@ -7,7 +7,7 @@ A gain of w² and damping of 2 w make every joint's error a critically damped os
 
 from flexfmu.cosim.closed_loop import run_loop
 from flexfmu.cosim.controllers.computed_torque import computed_torque
-from flexfmu.cosim.loop import PayloadError
+from flexfmu.cosim.loop.loop import PayloadError
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.model.rigid_dynamics import inverse_dynamics
 from flexfmu.model.scene_file import load_scene

@@ -7,7 +7,7 @@ from flexfmu.cosim.closed_loop import run_loop
 from flexfmu.cosim.controllers.anti_windup import BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.controllers.limits import symmetric
 from flexfmu.cosim.controllers.pid import pid
-from flexfmu.cosim.loop_sections import holding_torques
+from flexfmu.cosim.loop.sections import holding_torques
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.model.scene_file import load_scene
 

@@ -8,7 +8,7 @@ The same from a shell, with report.html and all: flexfmu run controller_scene.to
 from pathlib import Path
 
 from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.metric_table import display
+from flexfmu.cosim.measuring.metric_table import display
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.model.scene_file import load_scene
 

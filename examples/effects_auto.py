@@ -5,7 +5,7 @@ python effects_auto.py
 
 from pathlib import Path
 
-from flexfmu.cosim.effect_study import study_effects
+from flexfmu.cosim.effects.study import study_effects
 from flexfmu.cosim.experiment import run_scene
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.model.scene_file import load_scene

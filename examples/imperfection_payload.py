@@ -4,7 +4,7 @@ python imperfection_payload.py
 """
 
 from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.metric_table import display
+from flexfmu.cosim.measuring.metric_table import display
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.model.scene_file import load_scene
 

@@ -5,8 +5,8 @@ python many_variants.py
 
 from itertools import product
 
+from flexfmu.cosim.master.selection import Selection
 from flexfmu.cosim.scene_run import Run
-from flexfmu.cosim.selection import Selection
 from flexfmu.cosim.variants import run_variants
 from flexfmu.model.scene_file import load_scene
 

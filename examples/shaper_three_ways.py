@@ -7,10 +7,10 @@ sampled shaper is what runs in a real controller.
 """
 
 from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.loop import Shaper
+from flexfmu.cosim.loop.loop import Shaper
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.shaper_plan import deviation
+from flexfmu.cosim.shaping.plan import deviation
 from flexfmu.model.modes import damped_modes
 from flexfmu.model.scene_file import load_scene
 from flexfmu.trajectories.shapers import Oscillator, zero_vibration

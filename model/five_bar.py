@@ -69,7 +69,7 @@ def assemble(scene: Scene) -> FiveBar:
     if scene.effects.select is not None:
         raise SceneError(
             f"scene {scene.name} leaves the choice of effects open (`effects.select`): resolve it first, with "
-            f"`flexfmu.cosim.effect_choice.resolved(scene)`"
+            f"`flexfmu.cosim.effects.choice.resolved(scene)`"
         )
     registry = ParameterRegistry()
     parameters = _mechanism_parameters(registry, scene.mechanism)

@@ -15,16 +15,16 @@ from typer.main import get_command
 
 from flexfmu.cosim.cli import app
 from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.fmu_file import open_fmu
-from flexfmu.cosim.fmu_variables import parameter_names
-from flexfmu.cosim.metric_table import ALL_METRICS, METRICS, display
+from flexfmu.cosim.fmu.file import open_fmu
+from flexfmu.cosim.fmu.variables import parameter_names
+from flexfmu.cosim.measuring.metric_table import ALL_METRICS, METRICS, display
 from flexfmu.cosim.metrics import Measurement, measure_run
 from flexfmu.cosim.modes_table import modes_along_path
 from flexfmu.cosim.paper.cases import case_scene
 from flexfmu.cosim.paper.motions import blend_length, peak_task_acceleration
 from flexfmu.cosim.paper.reference import printed_table
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.summary import summarise
+from flexfmu.cosim.reports.summary import summarise
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene_file import load_scene, parse_scene
 

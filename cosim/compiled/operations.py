@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.fmi2_calls import address
+from flexfmu.cosim.fmu.calls import address
 from flexfmu.cosim.slave import RealArray
 
 OUTSIDE = CFUNCTYPE(c_int, c_size_t, c_double, c_double)

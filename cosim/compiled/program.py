@@ -8,8 +8,6 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from flexfmu.cosim.activity import Activity
-from flexfmu.cosim.binding import Both, Copy
 from flexfmu.cosim.compiled.operations import (
     Operation,
     When,
@@ -22,13 +20,15 @@ from flexfmu.cosim.compiled.operations import (
     outside,
     table_row,
 )
-from flexfmu.cosim.fmu_instance import Checked
-from flexfmu.cosim.instant_loop import InstantLoop
-from flexfmu.cosim.links import Link
-from flexfmu.cosim.ports import InputPort, OutputPort
-from flexfmu.cosim.schedule import Schedule
+from flexfmu.cosim.fmu.instance import Checked
+from flexfmu.cosim.master.activity import Activity
+from flexfmu.cosim.master.binding import Both, Copy
+from flexfmu.cosim.master.instant_loop import InstantLoop
+from flexfmu.cosim.master.links import Link
+from flexfmu.cosim.master.ports import InputPort, OutputPort
+from flexfmu.cosim.master.schedule import Schedule
+from flexfmu.cosim.master.visit import Visit
 from flexfmu.cosim.slave import Call, KnowsItsFuture, RealArray, Slave
-from flexfmu.cosim.visit import Visit
 
 
 @runtime_checkable

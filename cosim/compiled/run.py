@@ -9,9 +9,9 @@ import numpy as np
 from flexfmu.cosim.compiled.library import RunProgram
 from flexfmu.cosim.compiled.operations import CChannel, CProgram, CProgress, flags, pack
 from flexfmu.cosim.compiled.program import advance_operations, exchange_operations
-from flexfmu.cosim.fmi2_calls import address
-from flexfmu.cosim.recorder import Recorder
-from flexfmu.cosim.schedule import Schedule
+from flexfmu.cosim.fmu.calls import address
+from flexfmu.cosim.master.recorder import Recorder
+from flexfmu.cosim.master.schedule import Schedule
 from flexfmu.cosim.slave import RealArray
 
 

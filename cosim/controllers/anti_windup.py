@@ -11,8 +11,8 @@ from typing import Protocol
 
 import casadi
 
+from flexfmu.cosim.blocks.equations import Vector
 from flexfmu.cosim.controllers.limits import saturate
-from flexfmu.cosim.equations import Vector
 from flexfmu.cosim.errors import InputError
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import casadi
 
+from flexfmu.cosim.blocks.equations import Vector, block, split
 from flexfmu.cosim.controllers.joints import (
     JOINTS,
     PerJoint,
@@ -17,7 +18,6 @@ from flexfmu.cosim.controllers.joints import (
     torques,
 )
 from flexfmu.cosim.controllers.limits import Limits, saturate
-from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.cosim.errors import InputError
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.symbolic import Variable

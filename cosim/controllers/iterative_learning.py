@@ -7,6 +7,7 @@ from math import isfinite
 
 import casadi
 
+from flexfmu.cosim.blocks.equations import Vector, block, split
 from flexfmu.cosim.controllers.joints import (
     JOINTS,
     UNITS,
@@ -17,7 +18,6 @@ from flexfmu.cosim.controllers.joints import (
     measurements,
     references,
 )
-from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.cosim.errors import InputError
 from flexfmu.model.block import SymbolicBlock
 

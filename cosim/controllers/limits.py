@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import casadi
 
+from flexfmu.cosim.blocks.equations import Vector
 from flexfmu.cosim.controllers.joints import PerJoint, per_joint
-from flexfmu.cosim.equations import Vector
 from flexfmu.cosim.errors import InputError
 from flexfmu.model.symbolic import Variable
 

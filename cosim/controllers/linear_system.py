@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flexfmu.cosim.equations import check_sampling
+from flexfmu.cosim.blocks.equations import check_sampling
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.slave import RealArray
 

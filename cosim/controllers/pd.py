@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from flexfmu.cosim.blocks.equations import Vector, block, split
 from flexfmu.cosim.controllers.joints import (
     JOINTS,
     PerJoint,
@@ -14,7 +15,6 @@ from flexfmu.cosim.controllers.joints import (
     torques,
 )
 from flexfmu.cosim.controllers.limits import Limits, saturate
-from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.model.block import SymbolicBlock
 
 

@@ -8,6 +8,7 @@ from math import isfinite
 
 import casadi
 
+from flexfmu.cosim.blocks.equations import Vector, block, split
 from flexfmu.cosim.controllers.anti_windup import AntiWindup, Clamping
 from flexfmu.cosim.controllers.joints import (
     JOINTS,
@@ -20,7 +21,6 @@ from flexfmu.cosim.controllers.joints import (
     torques,
 )
 from flexfmu.cosim.controllers.limits import Limits, saturate
-from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.cosim.errors import InputError
 from flexfmu.model.block import SymbolicBlock
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from flexfmu.cosim.blocks.equations import Vector, block
 from flexfmu.cosim.controllers.limits import saturate
 from flexfmu.cosim.controllers.linear_system import LinearSystem, Signal, matrix
 from flexfmu.cosim.controllers.state_space import times, variables
-from flexfmu.cosim.equations import Vector, block
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.slave import RealArray
 from flexfmu.model.block import SymbolicBlock

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import casadi
 import numpy as np
 
+from flexfmu.cosim.blocks.equations import Vector, block
 from flexfmu.cosim.controllers.linear_system import LinearSystem, Signal
-from flexfmu.cosim.equations import Vector, block
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.slave import Causality, RealArray
 from flexfmu.model.block import SymbolicBlock

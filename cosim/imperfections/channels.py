@@ -80,7 +80,7 @@ def chain(channels: Sequence[Channel], *slaves: str) -> list[tuple[str, str]]:
         slaves: names of source, imperfections in order, receiver.
 
     Returns:
-        Pairs for `flexfmu.cosim.system.connect`.
+        Pairs for `flexfmu.cosim.master.system.connect`.
 
     Raises:
         InputError: there are fewer than two slaves.

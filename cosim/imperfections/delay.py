@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import casadi
 
-from flexfmu.cosim.equations import Vector, block
+from flexfmu.cosim.blocks.equations import Vector, block
 from flexfmu.cosim.imperfections.channels import Channel
 from flexfmu.cosim.imperfections.delay_filter import LINEAR, DelayFilter, Interpolation, delay_in_samples
 from flexfmu.cosim.imperfections.memory import cut, empty, recall, remember, repeated

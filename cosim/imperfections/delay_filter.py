@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import comb, floor, isfinite, prod
 from typing import Protocol
 
-from flexfmu.cosim.equations import check_sampling
+from flexfmu.cosim.blocks.equations import check_sampling
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.imperfections.variables import whole_number
 

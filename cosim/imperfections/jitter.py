@@ -7,7 +7,7 @@ from math import isfinite
 
 import casadi
 
-from flexfmu.cosim.equations import Vector, block, check_sampling, split
+from flexfmu.cosim.blocks.equations import Vector, block, check_sampling, split
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.imperfections.channels import Channel
 from flexfmu.cosim.imperfections.memory import empty, recall, remember

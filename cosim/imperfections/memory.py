@@ -10,7 +10,7 @@ from itertools import accumulate
 
 import casadi
 
-from flexfmu.cosim.equations import Vector
+from flexfmu.cosim.blocks.equations import Vector
 
 
 def empty(size: int) -> list[float]:

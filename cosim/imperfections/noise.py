@@ -7,7 +7,7 @@ from math import pi
 
 import casadi
 
-from flexfmu.cosim.equations import Vector, block, split
+from flexfmu.cosim.blocks.equations import Vector, block, split
 from flexfmu.cosim.imperfections.channels import Channel
 from flexfmu.cosim.imperfections.memory import empty, recall, remember
 from flexfmu.cosim.imperfections.random_streams import Streams, draw, seed_parameter, seeded

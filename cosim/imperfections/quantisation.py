@@ -7,8 +7,8 @@ from math import pi
 
 import casadi
 
+from flexfmu.cosim.blocks.equations import Vector, block
 from flexfmu.cosim.controllers.joints import JOINTS
-from flexfmu.cosim.equations import Vector, block
 from flexfmu.cosim.imperfections.channels import Channel, joint_channels
 from flexfmu.cosim.imperfections.memory import cut, empty, recall, remember, repeated
 from flexfmu.cosim.imperfections.variables import PerChannel, inputs, outputs, parameters, units, whole_number

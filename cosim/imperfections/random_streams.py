@@ -20,7 +20,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from flexfmu.cosim.equations import Vector
+from flexfmu.cosim.blocks.equations import Vector
 from flexfmu.cosim.imperfections.variables import whole_number
 from flexfmu.model.symbolic import Variable
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import casadi
 
-from flexfmu.cosim.equations import Vector, block, split
+from flexfmu.cosim.blocks.equations import Vector, block, split
 from flexfmu.cosim.imperfections.channels import Channel
 from flexfmu.cosim.imperfections.memory import empty, recall, remember
 from flexfmu.cosim.imperfections.variables import (

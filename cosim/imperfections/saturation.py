@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from flexfmu.cosim.blocks.equations import Vector, block, split
 from flexfmu.cosim.controllers.limits import saturate
-from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.imperfections.channels import Channel
 from flexfmu.cosim.imperfections.variables import PerChannel, inputs, outputs, parameters, units

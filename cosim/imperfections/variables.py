@@ -9,7 +9,7 @@ from math import isfinite
 import casadi
 import numpy as np
 
-from flexfmu.cosim.equations import Vector
+from flexfmu.cosim.blocks.equations import Vector
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.imperfections.channels import Channel
 from flexfmu.model.symbolic import Variable

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
-from flexfmu.cosim.output import OutputFolder
 from flexfmu.cosim.paper import frequencies, motions
 from flexfmu.cosim.paper.cases import Case, simulated_cases
 from flexfmu.cosim.paper.comparison import Evaluate, compare
@@ -15,7 +14,8 @@ from flexfmu.cosim.paper.output import write_report, write_simulations
 from flexfmu.cosim.paper.reference import printed_table, printed_tables, source
 from flexfmu.cosim.paper.report import PaperReport
 from flexfmu.cosim.paper.simulations import Simulation, evaluators, simulate
-from flexfmu.cosim.versions import versions
+from flexfmu.cosim.reports.output import OutputFolder
+from flexfmu.cosim.reports.versions import versions
 
 DEFAULT_FOLDER = Path("results/paper")
 """Where the results go unless the user says otherwise."""

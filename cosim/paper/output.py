@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from flexfmu.cosim.metric_table import METRICS
-from flexfmu.cosim.output import OutputFolder
+from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.paper.page import report_to_html
 from flexfmu.cosim.paper.report import PaperReport
 from flexfmu.cosim.paper.simulations import Simulation
 from flexfmu.cosim.paper.spreadsheet import table_to_csv
+from flexfmu.cosim.reports.output import OutputFolder
 
 
 def write_report(report: PaperReport, folder: Path) -> None:

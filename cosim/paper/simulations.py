@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.paper.cases import Case, canonical_curve, case_scene
 from flexfmu.cosim.paper.comparison import Evaluate

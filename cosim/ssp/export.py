@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.exported_system import ExportedSlave, ExportedSystem
-from flexfmu.cosim.fmu_file import open_fmu
-from flexfmu.cosim.fmu_variables import Value, typed
-from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.fmu.file import open_fmu
+from flexfmu.cosim.fmu.variables import Value, typed
+from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.cosim.scene_parameters import scene_with_parameters
 from flexfmu.cosim.slave_export import Progress, export_slaves
 from flexfmu.cosim.ssp.archive import DESCRIPTION
@@ -31,7 +31,7 @@ from flexfmu.cosim.ssp.writing import ssd_xml, ssv_xml
 from flexfmu.fmu_build.archive import pack, write_atomically
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.loop import Loop
+    from flexfmu.cosim.loop.loop import Loop
     from flexfmu.model.scene import Scene
 
 TOOL = f"flexfmu {version('flexfmu')}"

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from flexfmu.cosim.algorithms import Algorithm
-from flexfmu.cosim.fmu_annotations import breakpoints, sampling
-from flexfmu.cosim.fmu_file import open_fmu
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.fmu_trajectory import FmuTrajectory
-from flexfmu.cosim.fmu_variables import Value
-from flexfmu.cosim.iteration import Anderson, LoopSolver
-from flexfmu.cosim.master import Progress, Simulation, simulate
-from flexfmu.cosim.sampled_fmu import SampledFmu
+from flexfmu.cosim.fmu.annotations import breakpoints, sampling
+from flexfmu.cosim.fmu.file import open_fmu
+from flexfmu.cosim.fmu.sampled_slave import SampledFmu
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.fmu.trajectory import FmuTrajectory
+from flexfmu.cosim.fmu.variables import Value
+from flexfmu.cosim.master.algorithms import Algorithm
+from flexfmu.cosim.master.iteration import Anderson, LoopSolver
+from flexfmu.cosim.master.master import Progress, Simulation, simulate
+from flexfmu.cosim.master.step_control import StepDoubling
+from flexfmu.cosim.master.system import System, connect
 from flexfmu.cosim.slave import Slave
 from flexfmu.cosim.ssp.archive import SspArchive
 from flexfmu.cosim.ssp.parameters import start_values
@@ -23,8 +25,6 @@ from flexfmu.cosim.ssp.reading import read_structure
 from flexfmu.cosim.ssp.structure import SspError, Structure
 from flexfmu.cosim.ssp.variables import ComponentFmu, component_fmu
 from flexfmu.cosim.ssp.wiring import wires
-from flexfmu.cosim.step_control import StepDoubling
-from flexfmu.cosim.system import System, connect
 from flexfmu.cosim.trajectory_slave import REFERENCES, TrajectorySlave
 
 
@@ -55,7 +55,7 @@ class SspSystem:
         algorithm: Algorithm | None = None,
         step_control: StepDoubling | None = None,
     ) -> Simulation:
-        """Run it with `flexfmu.cosim.master.simulate`; without a tolerance the FMUs use their own.
+        """Run it with `flexfmu.cosim.master.master.simulate`; without a tolerance the FMUs use their own.
 
         Raises:
             InputError: the times make no sense, or a slave would have to go back to an earlier state but can't.

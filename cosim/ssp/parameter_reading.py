@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast, get_args
 
-from flexfmu.cosim.fmu_variables import Value
-from flexfmu.cosim.linear_map import IDENTITY, LinearMap
+from flexfmu.cosim.fmu.variables import Value
+from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.ssp.archive import DESCRIPTION, SspArchive
 from flexfmu.cosim.ssp.structure import Binding, MappingEntry, Parameter, ParameterSet, Type, Unit
 from flexfmu.cosim.ssp.xml_tree import Node, parse

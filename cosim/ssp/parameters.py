@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from flexfmu.cosim.fmu_variables import Value
-from flexfmu.cosim.linear_map import IDENTITY
+from flexfmu.cosim.fmu.variables import Value
+from flexfmu.cosim.master.linear_map import IDENTITY
 from flexfmu.cosim.ssp.structure import Binding, MappingEntry, Parameter, SspError, Structure, Unit
 from flexfmu.cosim.ssp.variables import ComponentFmu, conversion, variable_unit
 

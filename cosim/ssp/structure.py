@@ -11,8 +11,8 @@ from math import isclose
 from typing import Literal
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.fmu_variables import Value
-from flexfmu.cosim.linear_map import IDENTITY, LinearMap
+from flexfmu.cosim.fmu.variables import Value
+from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
 
 Kind = Literal["input", "output", "parameter", "calculatedParameter", "inout"]
 Type = Literal["Real", "Integer", "Boolean", "String", "Enumeration"]

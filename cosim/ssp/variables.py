@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
-from flexfmu.cosim.fmu_file import UnpackedFmu
-from flexfmu.cosim.linear_map import IDENTITY, LinearMap
+from flexfmu.cosim.fmu.file import UnpackedFmu
+from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.ssp.parameter_reading import BASE_UNITS
 from flexfmu.cosim.ssp.structure import Component, Connector, SspError, Unit
 

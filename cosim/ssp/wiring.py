@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from difflib import get_close_matches
 
-from flexfmu.cosim.linear_map import IDENTITY
+from flexfmu.cosim.master.linear_map import IDENTITY
+from flexfmu.cosim.master.system import Wire
 from flexfmu.cosim.ssp.structure import Connection, Connector, SspError, Structure, Unit
 from flexfmu.cosim.ssp.variables import ComponentFmu, conversion, unit_of
-from flexfmu.cosim.system import Wire
 
 _TYPES = {
     "Real": ("Real", "Integer"),

@@ -7,8 +7,8 @@ from typing import Any
 
 from lxml import etree
 
-from flexfmu.cosim.fmu_variables import Value
-from flexfmu.cosim.linear_map import IDENTITY, LinearMap
+from flexfmu.cosim.fmu.variables import Value
+from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.ssp.parameter_reading import BASE_UNITS
 from flexfmu.cosim.ssp.reading import FMU, OSP_STEP
 from flexfmu.cosim.ssp.structure import Binding, Component, Connection, Connector, ParameterSet, Structure, Unit

@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.block_code import compile_function
+from flexfmu.cosim.blocks.code import compile_function
 from flexfmu.cosim.workprec.motion_polynomials import DEGREE
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene import Scene

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from flexfmu.cosim.block_code import compile_function
+from flexfmu.cosim.blocks.code import compile_function
 from flexfmu.cosim.workprec.equations import NUMBERS, BoundFunction, joint_motion
 from flexfmu.cosim.workprec.fmu_trials import Announce
 from flexfmu.cosim.workprec.motion_polynomials import Piece

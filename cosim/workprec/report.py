@@ -7,7 +7,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from flexfmu.cosim.versions import versions
+from flexfmu.cosim.reports.versions import versions
 from flexfmu.cosim.workprec.conclusions import advantages, sentence
 from flexfmu.cosim.workprec.study import Study
 from flexfmu.cosim.workprec.trial import Trial

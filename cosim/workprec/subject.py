@@ -73,7 +73,7 @@ class Subject:
 
 def subject_of(scene: Scene) -> Subject:
     """A scene with its planned motion, shapers included."""
-    from flexfmu.cosim.loop_sections import loop_of
+    from flexfmu.cosim.loop.sections import loop_of
 
     return Subject(scene, loop_of(scene, plan(scene)).motion)
 

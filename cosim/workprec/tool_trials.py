@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.errors import CosimError
 from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.fmu_file import open_fmu
-from flexfmu.cosim.fmu_variables import parameter_names
+from flexfmu.cosim.fmu.file import open_fmu
+from flexfmu.cosim.fmu.variables import parameter_names
 from flexfmu.cosim.scene_parameters import parameters_for
 from flexfmu.cosim.workprec.fmu_trials import Announce
 from flexfmu.cosim.workprec.subject import SAMPLING, RunError, Subject

@@ -9,11 +9,12 @@ import casadi
 import numpy as np
 import pytest
 
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.equations import Vector, block, split
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.equations import Vector, block, split
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.slave import (
     BindsBuffers,
     DeclaresFeedthrough,
@@ -24,7 +25,6 @@ from flexfmu.cosim.slave import (
     SavesState,
     SlaveVariable,
 )
-from flexfmu.cosim.system import connect
 from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.symbolic import Variable

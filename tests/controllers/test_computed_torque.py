@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from flexfmu.cosim.block_code import block_function
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.code import block_function
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
 from flexfmu.cosim.controllers.limits import symmetric
 from flexfmu.cosim.controllers.pd import pd

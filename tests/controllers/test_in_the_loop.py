@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.controllers.computed_torque import computed_torque
 from flexfmu.cosim.controllers.from_control import control_block, from_control
 from flexfmu.cosim.controllers.iterative_learning import iterative_learning
@@ -19,10 +19,10 @@ from flexfmu.cosim.controllers.linear_system import LinearSystem
 from flexfmu.cosim.controllers.pid import pid
 from flexfmu.cosim.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
 from flexfmu.cosim.controllers.state_space import state_space
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.slave import Indices, RealArray, Slave, SlaveVariable
-from flexfmu.cosim.system import connect
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.linear import linearize, operating_point

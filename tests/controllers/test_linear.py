@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import cont2discrete
 
-from flexfmu.cosim.block_code import COMPILED_FROM, block_function
+from flexfmu.cosim.blocks.code import COMPILED_FROM, block_function
 from flexfmu.cosim.controllers.from_control import control_block, dotted, from_control
 from flexfmu.cosim.controllers.linear_system import linear_system
 from flexfmu.cosim.controllers.realisation import realise

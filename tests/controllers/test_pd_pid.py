@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.controllers.limits import Limits, symmetric
 from flexfmu.cosim.controllers.pd import pd

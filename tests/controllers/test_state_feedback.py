@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.controllers.from_control import from_control
 from flexfmu.cosim.controllers.linear_system import LinearSystem, linear_system
 from flexfmu.cosim.controllers.state_feedback import (

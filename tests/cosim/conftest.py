@@ -14,9 +14,9 @@ import fmpy
 import numpy as np
 import pytest
 
+from flexfmu.cosim.master.system import System, connect
 from flexfmu.cosim.results import Recording
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.system import System, connect
 
 FOREIGN = Path(__file__).parent / "foreign-fmu"
 

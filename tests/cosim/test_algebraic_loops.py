@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.errors import WiringError
-from flexfmu.cosim.iteration import Anderson, FixedPoint, LoopSolver
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.master.iteration import Anderson, FixedPoint, LoopSolver
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import AlgebraicLoop, connect
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.system import AlgebraicLoop, connect
 
 
 class Function:

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from flexfmu.cosim.errors import FmuFileError, InputError
-from flexfmu.cosim.fmu_file import open_fmu
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.fmu_variables import settable_variables, settings
+from flexfmu.cosim.fmu.file import open_fmu
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.fmu.variables import settable_variables, settings
 from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene_file import load_scene

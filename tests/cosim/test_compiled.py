@@ -9,13 +9,13 @@ import pytest
 
 from flexfmu.cosim.compiled import library
 from flexfmu.cosim.errors import SlaveError
-from flexfmu.cosim.loop import Loop
-from flexfmu.cosim.loop_sections import loop_of
-from flexfmu.cosim.master import Outcome, Simulation, simulate
+from flexfmu.cosim.loop.loop import Loop
+from flexfmu.cosim.loop.sections import loop_of
+from flexfmu.cosim.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.planning import plan
 from flexfmu.cosim.scene_system import scene_system
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.system import connect
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene

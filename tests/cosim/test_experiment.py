@@ -13,8 +13,8 @@ import pytest
 
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.master.master import Outcome
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.algorithms import Implicit, Jacobi
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.master.algorithms import Implicit, Jacobi
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.step_control import StepDoubling
+from flexfmu.cosim.master.system import System, connect
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.step_control import StepDoubling
-from flexfmu.cosim.system import System, connect
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene_file import load_scene

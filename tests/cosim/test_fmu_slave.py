@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.errors import FmuFileError, InputError
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.master import Outcome, Simulation, simulate
-from flexfmu.cosim.system import connect
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.master.system import connect
 
 
 def run(path: Path, **parameters: float | str) -> tuple[FmuSlave, Simulation]:

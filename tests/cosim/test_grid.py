@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.grid import COINCIDENT, Clock, time_grid
+from flexfmu.cosim.master.grid import COINCIDENT, Clock, time_grid
 
 
 def test_no_drift_after_many_steps() -> None:

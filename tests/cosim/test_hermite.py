@@ -7,7 +7,7 @@ from math import factorial
 import numpy as np
 import pytest
 
-from flexfmu.cosim.hermite import two_point
+from flexfmu.cosim.measuring.hermite import two_point
 
 
 def derivatives(coefficients: np.ndarray, x: float, count: int) -> np.ndarray:

@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import expm
 
 from flexfmu.cosim.errors import SlaveError
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.system import connect
 
 STIFFNESS, COUPLING = 4.0, 9.0
 

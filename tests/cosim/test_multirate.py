@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.grid import Clock, time_grid
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.master.grid import Clock, time_grid
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.system import connect
 
 
 class Sampler:

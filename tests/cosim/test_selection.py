@@ -7,12 +7,12 @@ import pytest
 
 from flexfmu.cosim.errors import InputError, ResultsError
 from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.master import simulate
+from flexfmu.cosim.master.master import simulate
+from flexfmu.cosim.master.selection import Selection
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.results import Recording
-from flexfmu.cosim.selection import Selection
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.system import connect
 from flexfmu.model.scene_file import load_scene
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.2, "trajectory.dwell": 0.02})

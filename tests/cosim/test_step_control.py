@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.errors import InputError, SlaveError
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.step_control import StepDoubling, fitted
+from flexfmu.cosim.master.system import System, connect
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.step_control import StepDoubling, fitted
-from flexfmu.cosim.system import System, connect
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
 from flexfmu.trajectories.blends import LameBlend
 from flexfmu.trajectories.path import PickAndPlacePath

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import pytest
 
 from flexfmu.cosim.errors import AlgebraicLoopError, WiringError
+from flexfmu.cosim.master.system import System, connect
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.system import System, connect
 
 
 class Block:

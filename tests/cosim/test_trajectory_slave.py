@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.grid import time_grid
+from flexfmu.cosim.master.grid import time_grid
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
 
 Array = NDArray[np.float64]

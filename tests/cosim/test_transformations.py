@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
-from flexfmu.cosim.linear_map import IDENTITY, LinearMap
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.system import connect
 
 FACTOR, OFFSET = 1024.0, 3.0
 """What the foreign quantity is: FACTOR times ours, plus OFFSET."""

@@ -9,8 +9,8 @@ import pytest
 
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.master.selection import Selection
 from flexfmu.cosim.scene_run import Run
-from flexfmu.cosim.selection import Selection
 from flexfmu.cosim.variants import VariantError, metrics_of, run_variants
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene_file import load_scene

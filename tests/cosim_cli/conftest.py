@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment import Health, Run, Timing
-from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.cosim.results import Column, Recording
 from flexfmu.model.scene_file import load_scene

@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from flexfmu.cosim import cli_run
 from flexfmu.cosim.cli import app
+from flexfmu.cosim.commands import run as cli_run
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.experiment import Run
-from flexfmu.cosim.master import Outcome
-from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.master.master import Outcome
+from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.results import Recording
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.errors import EquilibriumError

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from fmpy.util import read_csv
 
-from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.measuring.metric_table import METRICS
 
 FLEXFMU = (sys.executable, "-c", "from flexfmu.cosim.cli import main; main()")
 

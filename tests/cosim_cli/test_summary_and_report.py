@@ -11,14 +11,14 @@ from html.parser import HTMLParser
 import pytest
 
 from flexfmu.cosim.experiment import Run
-from flexfmu.cosim.json_text import to_json
-from flexfmu.cosim.master import Outcome
-from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.master.master import Outcome
+from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.metrics import Measurement, measure_run, settings_for
-from flexfmu.cosim.plots import draw_plots
-from flexfmu.cosim.report import render_report
+from flexfmu.cosim.reports.json_text import to_json
+from flexfmu.cosim.reports.plots import draw_plots
+from flexfmu.cosim.reports.report import render_report
+from flexfmu.cosim.reports.summary import describe_effects, summarise
 from flexfmu.cosim.results import Column
-from flexfmu.cosim.summary import describe_effects, summarise
 
 MakeRun = Callable[..., Run]
 VOID = {"meta", "br", "hr", "img", "link", "input"}

@@ -12,15 +12,15 @@ from fmpy.model_description import read_model_description
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import run_scene
 from flexfmu.cosim.exported_system import ExportedSystem
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.fmu_trajectory import FmuTrajectory
-from flexfmu.cosim.loop import make_loop
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.fmu.sampled_slave import fmu_slave
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.fmu.trajectory import FmuTrajectory
+from flexfmu.cosim.loop.loop import make_loop
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.sampled_fmu import fmu_slave
 from flexfmu.cosim.slave import SlaveVariable
 from flexfmu.cosim.slave_export import export_slaves
-from flexfmu.cosim.system import connect
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
 from flexfmu.fmu_build.naming import structured_name
 from flexfmu.model.scene import Scene

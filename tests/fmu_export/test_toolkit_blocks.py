@@ -15,7 +15,7 @@ from flexfmu.cosim.controllers.iterative_learning import iterative_learning
 from flexfmu.cosim.controllers.limits import symmetric
 from flexfmu.cosim.controllers.pd import pd
 from flexfmu.cosim.controllers.pid import pid
-from flexfmu.cosim.shaper_block import shaper_block
+from flexfmu.cosim.shaping.block import shaper_block
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.fmu_build.validate import validate_fmu
 from flexfmu.model.block import SymbolicBlock

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.controllers.pd import pd
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.imperfections.channels import Channel, chain, joint_channels
@@ -21,7 +21,7 @@ from flexfmu.cosim.imperfections.quantisation import encoder, quantisation
 from flexfmu.cosim.imperfections.rate_limit import rate_limit
 from flexfmu.cosim.imperfections.saturation import saturation
 from flexfmu.cosim.imperfections.variables import per_second
-from flexfmu.cosim.system import connect
+from flexfmu.cosim.master.system import connect
 from flexfmu.model.block import SymbolicBlock
 
 H = 1e-3

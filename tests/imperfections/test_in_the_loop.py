@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.errors import AlgebraicLoopError
 from flexfmu.cosim.imperfections.channels import Channel, chain
 from flexfmu.cosim.imperfections.delay import delay, whole_delay
@@ -17,9 +17,9 @@ from flexfmu.cosim.imperfections.noise import gaussian_noise
 from flexfmu.cosim.imperfections.quantisation import quantisation
 from flexfmu.cosim.imperfections.rate_limit import rate_limit
 from flexfmu.cosim.imperfections.saturation import saturation
-from flexfmu.cosim.master import Outcome, simulate
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.system import connect
 
 H = 0.01
 POSITION = Channel("joint1.position", "rad", 0.3)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, kurtosis, skew
 
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.imperfections.channels import Channel, joint_channels
 from flexfmu.cosim.imperfections.noise import gaussian_noise, uniform_noise

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from flexfmu.cosim import effect_check
 from flexfmu.cosim.cli import app
-from flexfmu.cosim.effect_check import EVERYTHING, Observed, check_choice, comparisons
-from flexfmu.cosim.effect_choice import resolved
-from flexfmu.cosim.effect_study import study_effects
+from flexfmu.cosim.effects import check as effect_check
+from flexfmu.cosim.effects.check import EVERYTHING, Observed, check_choice, comparisons
+from flexfmu.cosim.effects.choice import resolved
+from flexfmu.cosim.effects.study import study_effects
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import PreparedScene
 from flexfmu.cosim.planning import plan

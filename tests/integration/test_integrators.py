@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.model.errors import SceneError

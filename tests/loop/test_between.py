@@ -12,11 +12,11 @@ from flexfmu.cosim.closed_loop import run_loop
 from flexfmu.cosim.controllers.pd import pd
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.loop import Shaper
-from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.loop.loop import Shaper
+from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.slave import SlaveVariable
-from flexfmu.cosim.summary import summarise
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.scene import Scene
 from flexfmu.trajectories.shapers.oscillator import Oscillator
@@ -67,7 +67,7 @@ def test_a_shaper_along_the_path_keeps_it(motion_driven: Scene) -> None:
     """The rigid robot's end effector stays on its path."""
     scene = motion_driven.replace({"shaper": [{"kind": "zv", "modes": [MODE], "apply": "path"}]})
     loop = loop_of(scene)
-    from flexfmu.cosim.shaper_plan import deviation
+    from flexfmu.cosim.shaping.plan import deviation
 
     assert deviation(loop.motion) < 1e-9
     assert loop.motion.duration > 0.35

@@ -11,13 +11,13 @@ from flexfmu.cosim.closed_loop import run_loop
 from flexfmu.cosim.controllers.pd import pd
 from flexfmu.cosim.errors import WiringError
 from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.loop import PayloadError
-from flexfmu.cosim.loop_sections import holding_torques
-from flexfmu.cosim.master import Outcome
-from flexfmu.cosim.metric_table import ALL_METRICS, METRICS
+from flexfmu.cosim.loop.loop import PayloadError
+from flexfmu.cosim.loop.sections import holding_torques
+from flexfmu.cosim.master.master import Outcome
+from flexfmu.cosim.measuring.metric_table import ALL_METRICS, METRICS
 from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.summary import summarise
 from flexfmu.model.scene import Scene
 
 COMPUTED_TORQUE = {"kind": "computed-torque", "proportional": 6400.0, "derivative": 160.0, "sample_time": 1e-3}
@@ -117,7 +117,7 @@ def test_a_payload_error_is_known_to_the_robot_alone(controlled: Scene, run: Run
 
 def heavy_controllers(scene: Scene) -> list[object]:
     """The controllers of a scene's own sections."""
-    from flexfmu.cosim.loop_sections import loop_of
+    from flexfmu.cosim.loop.sections import loop_of
 
     return list(loop_of(scene).controllers)
 

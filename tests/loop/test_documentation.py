@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import pytest
 
-from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.model.controller_sections import ControllerSection
 from flexfmu.model.cosimulation_section import Anderson, FixedPoint, StepControl
 from flexfmu.model.imperfection_sections import ImperfectionSection

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.algorithms import GaussSeidel, Implicit, Jacobi
-from flexfmu.cosim.block_slave import BlockSlave
+from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.coupling import coupling_of
-from flexfmu.cosim.cycle_errors import cycle_errors
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.iteration import Anderson, FixedPoint
-from flexfmu.cosim.loop_sections import loop_of
+from flexfmu.cosim.fmu.sampled_slave import SampledFmu
+from flexfmu.cosim.loop.coupling import coupling_of
+from flexfmu.cosim.loop.sections import loop_of
+from flexfmu.cosim.master.algorithms import GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.master.iteration import Anderson, FixedPoint
+from flexfmu.cosim.measuring.cycle_errors import cycle_errors
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.sampled_fmu import SampledFmu
 from flexfmu.cosim.slave import Slave
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.scene import Scene

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import pytest
 
 from flexfmu.cosim.errors import WiringError
+from flexfmu.cosim.loop.wiring import Wiring, passing, wire
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.wiring import Wiring, passing, wire
 
 
 class Names:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.bernstein import Array, bisect, maximum_norm
-from flexfmu.cosim.interpolation import HermiteSegments
+from flexfmu.cosim.measuring.bernstein import Array, bisect, maximum_norm
+from flexfmu.cosim.measuring.segments import HermiteSegments
 
 
 def sine_segments(

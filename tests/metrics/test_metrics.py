@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from flexfmu.cosim.bernstein import Array
 from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.measuring.bernstein import Array
+from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.metrics import Settings, measure
 from flexfmu.cosim.results import Column, Recording
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.paper import command
 from flexfmu.cosim.paper.cases import Case
 from flexfmu.cosim.paper.errors import PaperError

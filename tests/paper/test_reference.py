@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flexfmu.cosim.metric_table import METRICS
+from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.paper import motions
 from flexfmu.cosim.paper.cases import curves, profiles, simulated_cases
 from flexfmu.cosim.paper.reference import TABLES, PrintedTable, Verdict, printed_table, printed_tables, source

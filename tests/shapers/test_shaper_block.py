@@ -8,7 +8,7 @@ import pytest
 
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.shaper_block import JOINT_REFERENCES, ShapedSignal, shaper_block
+from flexfmu.cosim.shaping.block import JOINT_REFERENCES, ShapedSignal, shaper_block
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.scene_file import load_scene
 from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory, design

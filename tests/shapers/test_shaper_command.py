@@ -18,10 +18,10 @@ from flexfmu.cosim.experiment import run_scene
 from flexfmu.cosim.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.shaper_design import Alternative, alternatives, design_modes
-from flexfmu.cosim.shaper_plan import deviation, shape_joints, shape_path
-from flexfmu.cosim.shaper_recommendation import compare_slower, recommend
-from flexfmu.cosim.shaper_study import (
+from flexfmu.cosim.shaping.design import Alternative, alternatives, design_modes
+from flexfmu.cosim.shaping.plan import deviation, shape_joints, shape_path
+from flexfmu.cosim.shaping.recommendation import compare_slower, recommend
+from flexfmu.cosim.shaping.study import (
     Candidate,
     Result,
     Trial,
@@ -32,7 +32,7 @@ from flexfmu.cosim.shaper_study import (
     slower,
     study,
 )
-from flexfmu.cosim.shaper_table import markdown, to_csv
+from flexfmu.cosim.shaping.table import markdown, to_csv
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
@@ -211,7 +211,7 @@ def test_tables_have_every_trial(motion: MotionPlan) -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command with two shapers only."""
-    import flexfmu.cosim.cli_shaper as command
+    import flexfmu.cosim.commands.shaper as command
 
     def few(modes: object) -> list[Alternative]:
         return [each for each in alternatives(modes) if each.name in ("zv", "ei")]  # type: ignore[arg-type]
@@ -281,7 +281,7 @@ def test_bad_bands_are_refused(band: str, tmp_path: Path) -> None:
 
 def test_study_says_how_far_it_is(motion: MotionPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     """Progress runs from the first simulation to 1, in equal steps, without going back."""
-    import flexfmu.cosim.shaper_study as module
+    import flexfmu.cosim.shaping.study as module
 
     monkeypatch.setattr(module, "simulate", lambda candidate, error, fmu: Trial(error, 0.0, 0.0, 1.0))
     heard: list[float] = []

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.block_slave import BlockSlave
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.master import simulate
+from flexfmu.cosim.blocks.slave import BlockSlave
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.master.master import simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.planning import plan
-from flexfmu.cosim.shaper_block import JOINT_REFERENCES, SHAPED, shaper_block
-from flexfmu.cosim.system import connect
+from flexfmu.cosim.shaping.block import JOINT_REFERENCES, SHAPED, shaper_block
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.scene_file import load_scene

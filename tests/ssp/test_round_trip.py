@@ -11,8 +11,8 @@ from fmpy import read_model_description
 from fmpy.ssp.ssd import read_ssd, read_ssv
 
 from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.loop_recording import plain_names
-from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.loop.recording import plain_names
+from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.results import Column
 from flexfmu.cosim.ssp.export import PARAMETERS, export_ssp
 from flexfmu.cosim.ssp.loading import load_ssp

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from ssp_support.packages import CONNECTION, NAMESPACES, SSD, binding, inline, of_second, of_system, parameter_set
 
-from flexfmu.cosim.master import Outcome
+from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.ssp.loading import load_ssp
 
 MakeSsp = Callable[..., Path]

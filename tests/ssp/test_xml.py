@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ssp_support.packages import package
 
-from flexfmu.cosim.linear_map import LinearMap
+from flexfmu.cosim.master.linear_map import LinearMap
 from flexfmu.cosim.ssp.archive import SspArchive
 from flexfmu.cosim.ssp.parameter_reading import BASE_UNITS
 from flexfmu.cosim.ssp.reading import read_structure

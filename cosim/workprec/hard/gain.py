@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.outcome import Outcome
+from flexfmu.cosim.master.outcome import Outcome
 from flexfmu.cosim.scene_run import Run
 from flexfmu.cosim.workprec.hard.case import Check, Finding, HardCase
 from flexfmu.cosim.workprec.hard.judging import not_finite

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.fmu_slave import FmuSlave
+from flexfmu.cosim.fmu.slave import FmuSlave
 from flexfmu.cosim.slave import SlaveVariable
 from flexfmu.cosim.workprec.hard.reference import Phase, Solver, signals_of_held
 from flexfmu.cosim.workprec.hard.robots import TOLERANCE, fmu_of, paper_robot

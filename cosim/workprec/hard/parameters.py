@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from flexfmu.cosim.small_deflections import exceeded
+from flexfmu.cosim.measuring.small_deflections import exceeded
 from flexfmu.cosim.workprec.hard.case import Check, Finding, HardCase
 from flexfmu.cosim.workprec.hard.judging import error_against, soundness
 from flexfmu.cosim.workprec.hard.reference import Solver

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.cycles import repeated
 from flexfmu.cosim.experiment import PreparedScene
+from flexfmu.cosim.master.selection import Selection
 from flexfmu.cosim.planning import plan
 from flexfmu.cosim.scene_run import Run
-from flexfmu.cosim.selection import Selection
 from flexfmu.cosim.workprec.hard.case import Check, Finding, HardCase
 from flexfmu.cosim.workprec.hard.geometry import LOOP_SIGNALS
 from flexfmu.cosim.workprec.hard.judging import soundness

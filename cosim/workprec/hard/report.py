@@ -10,7 +10,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from flexfmu.cosim.versions import versions
+from flexfmu.cosim.reports.versions import versions
 from flexfmu.cosim.workprec.hard.case import Check, Finding
 from flexfmu.cosim.workprec.hard.suite import Result
 

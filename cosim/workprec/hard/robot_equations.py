@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import casadi
 
-from flexfmu.cosim.block_code import compile_function
+from flexfmu.cosim.blocks.code import compile_function
 from flexfmu.cosim.workprec.equations import NUMBERS, Symbol, joint_motion
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene import Scene

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import lru_cache, partial
 from math import sqrt
 
-from flexfmu.cosim.outcome import Outcome
+from flexfmu.cosim.master.outcome import Outcome
 from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.cosim.scene_run import Run
 from flexfmu.cosim.workprec.hard.case import Check, Finding, HardCase

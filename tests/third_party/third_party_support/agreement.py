@@ -19,12 +19,12 @@ import fmpy
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.algorithms import Algorithm, GaussSeidel, Jacobi
-from flexfmu.cosim.fmu_slave import FmuSlave
-from flexfmu.cosim.master import simulate
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel, Jacobi
+from flexfmu.cosim.master.master import simulate
+from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.planning import plan
 from flexfmu.cosim.slave_export import export_slaves
-from flexfmu.cosim.system import connect
 from flexfmu.model.scene import Scene
 from third_party_support import maestro, masters
 from third_party_support.tools import python_tool, run

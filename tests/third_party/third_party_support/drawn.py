@@ -15,7 +15,7 @@ from flexfmu.cosim.imperfections.delay import delay
 from flexfmu.cosim.imperfections.lag import lag
 from flexfmu.cosim.imperfections.noise import gaussian_noise
 from flexfmu.cosim.imperfections.quantisation import encoder
-from flexfmu.cosim.shaper_block import shaper_block
+from flexfmu.cosim.shaping.block import shaper_block
 from flexfmu.fmu_build.block_description import block_description, with_starts
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.experiment import DefaultExperiment

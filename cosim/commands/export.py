@@ -1,0 +1,107 @@
+"""`flexfmu export`: a scene as one SSP file, and `flexfmu run` of such a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from flexfmu.cosim.commands.console import print_rich, print_text, progress
+from flexfmu.cosim.commands.errors import FAILURE, show_error
+from flexfmu.cosim.commands.scene import load_resolved
+from flexfmu.cosim.loop.recording import slave_facts
+from flexfmu.cosim.master.master import Outcome, Simulation
+from flexfmu.cosim.reports.json_text import to_json
+from flexfmu.cosim.reports.output import OutputFolder
+from flexfmu.cosim.ssp.export import export_ssp
+from flexfmu.cosim.ssp.loading import SspSystem, load_ssp
+
+
+def export_command(source: str, output: Path | None, platforms: list[str], as_json: bool) -> int:
+    """Write the scene as an SSP file and print where it is; the exit status."""
+    scene = load_resolved(source)
+    target = output or Path(f"{scene.name}.ssp")
+    with progress() as show:
+        export_ssp(scene, target, platforms=platforms or None, progress=show)
+    size = target.stat().st_size
+    if as_json:
+        print_text(to_json({"path": str(target), "bytes": size}))
+    else:
+        print_text(f"{target}: {size / 1000:.0f} kB, SSP 1.0; run it with: flexfmu run {target}\n")
+    return 0
+
+
+def run_ssp_command(source: Path, out: Path, step: float | None, as_json: bool) -> int:
+    """Simulate an SSP file; write results.csv and summary.json, print how it went; the exit status.
+
+    What was recorded before a failure is written too.
+    """
+    loaded = load_ssp(source, step=step)
+    folder = OutputFolder(out)
+    folder.prepare()
+    with progress() as show:
+        simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction))
+        show("writing the results", None)
+        simulation.recording.write_csv(folder.path / "results.csv")
+        summary = _summary(loaded, simulation)
+        folder.write("summary.json", to_json(summary))
+    if as_json:
+        print_text(to_json(summary))
+    else:
+        _print(summary, simulation, folder.path)
+    if simulation.outcome is not Outcome.COMPLETED:
+        show_error(f"{simulation.message}; what was recorded is in {folder.path}")
+        return FAILURE
+    return 0
+
+
+def _summary(loaded: SspSystem, simulation: Simulation) -> Mapping[str, Any]:
+    """What was run and how it ended."""
+    time = simulation.recording.time
+    return {
+        "system": loaded.structure.name,
+        "outcome": simulation.outcome.name.lower(),
+        "message": simulation.message,
+        "start_time": loaded.start,
+        "stop_time": loaded.stop,
+        "end_time": float(time[-1]) if time.size else None,
+        "communication_step": loaded.step,
+        "steps": simulation.steps,
+        "slaves": [
+            {"name": each.name, "sample_time": each.sample_time, "offset": each.offset}
+            for each in slave_facts(loaded.system.slaves)
+        ],
+        "connections": [loaded.system.describe(each) for each in loaded.system.connections],
+        "ignored_parameters": list(loaded.ignored),
+    }
+
+
+def _print(summary: Mapping[str, Any], simulation: Simulation, folder: Path) -> None:
+    """The outputs' ranges, how the run ended, and where the files are."""
+    parts: list[RenderableType] = [_ranges(summary["system"], simulation)]
+    parts.append(
+        Text(f"{simulation.message}: {summary['end_time'] or 0.0:g} s in steps of {summary['communication_step']:g} s")
+    )
+    if summary["ignored_parameters"]:
+        names = ", ".join(summary["ignored_parameters"])
+        parts.append(Text(f"warning: parameters that fit no variable were ignored: {names}", style="yellow"))
+    parts.append(Text(f"results.csv and summary.json are in {folder}"))
+    print_rich(*parts)
+
+
+def _ranges(title: str, simulation: Simulation) -> Table:
+    """Smallest, largest and last value of every output."""
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold")
+    table.add_column("Output")
+    for heading in ("Smallest", "Largest", "Last"):
+        table.add_column(heading, justify="right")
+    for name, column in simulation.recording.columns.items():
+        if column.values.size:
+            values = column.values.min(), column.values.max(), column.values[-1]
+            table.add_row(Text(f"{name} [{column.unit or '-'}]"), *(f"{value:.6g}" for value in values))
+    return table

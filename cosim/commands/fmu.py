@@ -1,0 +1,97 @@
+"""`flexfmu build` and `flexfmu validate`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flexfmu.cosim.commands.console import print_text, progress
+from flexfmu.cosim.commands.errors import FAILURE
+from flexfmu.cosim.effects.choice import resolved
+from flexfmu.cosim.effects.summary import choice_summary
+from flexfmu.cosim.errors import FmuFileError, InputError
+from flexfmu.cosim.reports.json_text import to_json
+from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.selection.words import choice_sentence
+
+if TYPE_CHECKING:
+    from flexfmu.fmu_build.naming import Naming
+
+
+def naming_convention(word: str) -> Naming:
+    """How variables are named, by the word for it.
+
+    Raises:
+        InputError: there is no such naming convention.
+    """
+    from flexfmu.fmu_build.naming import NAMINGS
+
+    if word not in NAMINGS:
+        raise InputError(f"unknown naming convention {word!r}; choose from {', '.join(NAMINGS)}")
+    return NAMINGS[word]
+
+
+def build_command(source: str, output: Path | None, platforms: list[str], naming: str, as_json: bool) -> int:
+    """Build the scene's FMU and print where it is; the exit status.
+
+    Raises:
+        InputError: there is no such naming convention.
+    """
+    from flexfmu.fmu_build.scene_build import build_scene
+
+    convention = naming_convention(naming)
+    scene = load_scene(source)
+    target = output or Path(f"{scene.name}.fmu")
+    with progress() as show:
+        scene = resolved(scene, show)
+        built = build_scene(
+            scene,
+            output=target,
+            platforms=platforms or None,
+            naming=convention,
+            progress=lambda text: show(text, None),
+        )
+    if as_json:
+        print_text(to_json(asdict(built) | {"path": str(built.path)} | _choice(scene)))
+        return 0
+    if scene.effects.choice is not None:
+        print_text(f"{choice_sentence(scene)}\n")
+    origin = "taken from the cache" if built.cached else "built"
+    print_text(
+        f"{built.path}: {origin} in {built.seconds:.2f} s, {built.fmu_bytes / 1000:.0f} kB "
+        f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}\n"
+    )
+    return 0
+
+
+def _choice(scene: Scene) -> dict[str, Any]:
+    """What was chosen automatically, if anything was."""
+    choice = choice_summary(scene)
+    return {"effect_choice": choice} if choice else {}
+
+
+def validate_command(fmu: Path, as_json: bool) -> int:
+    """Check an FMU and print the findings, one a line; the exit status: mere notes leave it at 0.
+
+    Raises:
+        FmuFileError: there is no FMU at this path.
+    """
+    from flexfmu.fmu_build.finding import Severity
+    from flexfmu.fmu_build.validate import validate_fmu
+
+    try:
+        with progress() as show:
+            show(f"checking {fmu.name}", None)
+            findings = validate_fmu(fmu)
+    except ArchiveError as error:
+        raise FmuFileError(str(error)) from error
+    if as_json:
+        print_text(to_json({"fmu": str(fmu), "findings": [asdict(finding) for finding in findings]}))
+    elif findings:
+        print_text("".join(f"{finding}\n" for finding in findings))
+    else:
+        print_text(f"{fmu}: no findings\n")
+    return FAILURE if any(finding.severity is not Severity.NOTE for finding in findings) else 0

@@ -1,0 +1,149 @@
+"""`flexfmu shaper`: design input shapers for a scene, try them all in co-simulation, and recommend one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.text import Text
+
+from flexfmu.cosim.commands.console import Step, print_rich, print_text, progress
+from flexfmu.cosim.commands.scene import load_resolved
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.planning import plan
+from flexfmu.cosim.reports.json_text import to_json
+from flexfmu.cosim.reports.output import OutputFolder
+from flexfmu.cosim.shaping.design import DesignModes, alternatives, design_modes
+from flexfmu.cosim.shaping.figure import save_sensitivity
+from flexfmu.cosim.shaping.recommendation import Recommendation, compare_slower, recommend
+from flexfmu.cosim.shaping.study import Result, candidates, motion_driven, payload_errors, slower, study
+from flexfmu.cosim.shaping.table import (
+    design_data,
+    markdown,
+    recommendation_data,
+    result_data,
+    terminal_table,
+    to_csv,
+)
+from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.model.scene import Scene
+
+RESULTS = Path("results")
+"""Where results go unless the user says otherwise, in a folder named after the scene."""
+
+COARSE, FINE = 5, 7
+"""Number of payload errors over the band. The residual vibration goes up and down with the payload, since the vibrations
+of start, corners and end meet in another phase: its ends and middle alone would miss the worst."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """Everything that was found out about a scene.
+
+    Attributes:
+        scene: what was simulated.
+        design: what the shapers were designed for.
+        results: unshaped motion and shapers.
+        slower: the unshaped motion with the time that the recommended shaper adds; None where that adds none.
+        recommendation: which shaper to take.
+        left_out: shaper and what it shapes → why it can't be applied.
+    """
+
+    scene: Scene
+    design: DesignModes
+    results: Sequence[Result]
+    slower: Result | None
+    recommendation: Recommendation
+    left_out: Mapping[str, str]
+
+
+def shaper_command(source: str, out: Path | None, as_json: bool, all_errors: bool, band: float) -> int:
+    """Design, simulate, write, print; the exit status."""
+    if not 0.0 <= band < 1.0:
+        raise InputError(f"--payload-band must be at least 0 and below 1 (0.3 is 30 %), got {band:g}")
+    scene = load_resolved(source)
+    folder = OutputFolder(out or RESULTS / scene.name)
+    folder.prepare()
+    with progress() as show:
+        found = examine(scene, band, FINE if all_errors else COARSE, show)
+        show("writing the results", None)
+        text = to_json(_data(found))
+        folder.write("shapers.json", text)
+        folder.write("shapers.csv", to_csv(found.results))
+        if all_errors:
+            folder.write("payload_errors.md", markdown(f"Input shapers on {scene.name}", found.results))
+        save_sensitivity(
+            found.results, found.design, found.recommendation.result, scene.cosimulation.settling_band, folder.path
+        )
+    if as_json:
+        print_text(text)
+    else:
+        _print(found, folder.path)
+    return 0
+
+
+def examine(scene: Scene, band: float, count: int, show: Step) -> Study:
+    """Design shapers for a scene and co-simulate them.
+
+    Args:
+        scene: the scene.
+        band: largest relative error of the payload's mass.
+        count: number of payload errors, odd.
+        show: called with what is being done and the finished fraction.
+
+    Raises:
+        InputError: nothing vibrates.
+        CosimError: a simulation failed.
+    """
+    show("looking at the modes along the path", None)
+    errors = payload_errors(scene, band, count)
+    design = design_modes(plan(scene), errors)
+    scene = motion_driven(scene, design.modes[0].frequency)
+    motion = plan(scene)
+    tried, left_out = candidates(motion, alternatives(design))
+    fmu_path = build_scene(scene).path
+
+    def simulating(fraction: float) -> None:
+        show("simulating", fraction)
+
+    results = list(study(tried, errors, motion.duration, fmu_path, simulating))
+    recommendation = recommend(results, scene.cosimulation.settling_band)
+    added = recommendation.result.added_time
+    compared = next(study([slower(motion, added)], errors, motion.duration, fmu_path)) if added > 0.0 else None
+    return Study(scene, design, results, compared, recommendation, left_out)
+
+
+def _data(found: Study) -> dict[str, Any]:
+    """The study as plain data."""
+    return {
+        "scene": found.scene.name,
+        "design": design_data(found.design),
+        "alternatives": [result_data(result) for result in found.results],
+        "slower": None if found.slower is None else result_data(found.slower),
+        "left_out": dict(found.left_out),
+        "recommendation": recommendation_data(found.recommendation),
+    }
+
+
+def _print(found: Study, folder: Path) -> None:
+    recommended = found.recommendation.result
+    lines = [f"Recommended: {recommended.candidate.label}: {found.recommendation.reason}."]
+    if found.slower is not None:
+        lines.append(compare_slower(recommended, found.slower, found.scene.cosimulation.settling_band) + ".")
+    lines += [f"Left out: {what}: {why}." for what, why in found.left_out.items()]
+    lines.append(f"shapers.json, shapers.csv, sensitivity.png and sensitivity.svg are in {folder}")
+    print_rich(
+        Text(_modes_line(found.design)),
+        terminal_table(f"{found.scene.name}: input shapers, co-simulated", found.results, recommended),
+        *(Text(line) for line in lines),
+    )
+
+
+def _modes_line(design: DesignModes) -> str:
+    modes = ", ".join(f"{mode.frequency:.2f} Hz (damping ratio {mode.ratio:.4f})" for mode in design.modes)
+    return (
+        f"Designed for {modes} at the end pose; the first mode is {design.path_range[0]:.2f} to {design.path_range[1]:.2f} Hz "
+        f"along the path and {design.first_band[0]:.2f} to {design.first_band[1]:.2f} Hz over the payload band."
+    )

@@ -1,0 +1,1 @@
+"""The choice of effects along a scene's motion, and runs that check it."""

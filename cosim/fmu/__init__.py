@@ -1,0 +1,1 @@
+"""FMUs as slaves: files, instances, variables, and the FMI 2.0 calls."""

@@ -1,0 +1,38 @@
+"""What an FMU can do with derivatives, as far as its model description tells."""
+
+from __future__ import annotations
+
+from functools import cache
+from xml.etree import ElementTree
+
+from flexfmu.cosim.errors import FmuFileError
+from flexfmu.cosim.fmu.file import UnpackedFmu
+
+INTERPOLATION_ORDER = 1
+"""Highest input derivative of an FMU that says no more than that it interpolates inputs: all that FMI 2.0 lets it say."""
+
+ANNOTATION = "VendorAnnotations/Tool[@name='flexfmu']/InputDerivatives"
+"""Where our FMUs say more: the attribute ``maxOrder`` is the highest order that fmi2SetRealInputDerivatives takes."""
+
+
+@cache
+def highest_input_derivative(fmu: UnpackedFmu) -> int:
+    """Order of the highest input derivative that the FMU takes; 0 where it doesn't interpolate inputs.
+
+    Raises:
+        FmuFileError: the annotation is no order.
+    """
+    if not fmu.description.coSimulation.canInterpolateInputs:
+        return 0
+    stated = ElementTree.parse(fmu.folder / "modelDescription.xml").find(ANNOTATION)
+    if stated is None:
+        return INTERPOLATION_ORDER
+    text = stated.get("maxOrder", "")
+    if not text.isdecimal():
+        raise FmuFileError(f"{fmu.path} is a broken FMU: its InputDerivatives have maxOrder = {text!r}; build it again")
+    return int(text)
+
+
+def highest_output_derivative(fmu: UnpackedFmu) -> int:
+    """Order of the highest output derivative that the FMU gives."""
+    return int(fmu.description.coSimulation.maxOutputDerivativeOrder or 0)

@@ -1,0 +1,142 @@
+"""The life of one FMU instance: made, checked at every call, and always freed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ctypes import byref
+from functools import cache
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from fmpy.fmi2 import FMU2Slave
+
+from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.fmu import calls as fmi2
+from flexfmu.cosim.fmu.file import UnpackedFmu, attempt
+from flexfmu.cosim.fmu.log import FmuLog
+from flexfmu.cosim.slave import Call
+
+StatusCall = Callable[[], int]
+"""An FMI call with all its arguments bound; gives an fmi2Status."""
+
+_STATUS = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
+
+_serial = count(1)
+"""Instance names must differ within a process for FMUs that keep a table of them."""
+
+
+@cache
+def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
+    """Load the FMU's library with fmpy, which stays loaded, and take its functions.
+
+    Raises:
+        FmuFileError: the library can't be loaded or lacks a function of FMI 2.0.
+    """
+    description = fmu.description
+    arguments = {
+        "guid": description.guid,
+        "modelIdentifier": description.coSimulation.modelIdentifier,
+        "unzipDirectory": str(fmu.folder),
+    }
+    slave: Any = attempt(fmu.path, lambda: FMU2Slave(**arguments))
+    return fmi2.fmi2_calls(slave.dll)
+
+
+class FmuInstance:
+    """An instantiated FMU.
+
+    Attributes:
+        component: the instance's handle.
+        fmi: the FMI functions.
+        log: what the FMU says.
+
+    Raises:
+        SlaveError: the FMU refuses to be instantiated.
+    """
+
+    def __init__(self, fmu: UnpackedFmu, fmi: fmi2.Calls, name: str) -> None:
+        self.fmi = fmi
+        self.log = FmuLog()
+        self._name = name
+        self._initialized = self._fatal = False
+        resources = Path(fmu.folder, "resources").as_uri()
+        component: int | None = fmi["fmi2Instantiate"](
+            f"{name} {next(_serial)}".encode(),
+            fmi2.CO_SIMULATION,
+            fmu.description.guid.encode(),
+            resources.encode(),
+            byref(self.log.callbacks),
+            0,
+            0,
+        )
+        if component is None:
+            self.log.close()
+            raise self.error("instantiation", fmi2.ERROR)
+        self.component = component
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Set up the experiment and go through initialisation mode."""
+        setup = self.fmi["fmi2SetupExperiment"]
+        given, relative = tolerance is not None, tolerance or 0.0
+        self.check("fmi2SetupExperiment", lambda: setup(self.component, given, relative, start_time, 1, stop_time))
+        self.check("initialisation", lambda: self.fmi["fmi2EnterInitializationMode"](self.component))
+        self.check("initialisation", lambda: self.fmi["fmi2ExitInitializationMode"](self.component))
+        self._initialized = True
+
+    def check(self, what: str, call: StatusCall) -> None:
+        """Do something and raise what the FMU says if it fails."""
+        if (status := call()) > fmi2.WARNING:
+            raise self.error(what, status)
+
+    def checked(self, what: str, call: StatusCall) -> Call:
+        """The call as one that raises what the FMU says if it fails."""
+        return Checked(self, what, call)
+
+    def error(self, what: str, status: int, time: float | None = None) -> SlaveError:
+        """The error with the FMU's own words, or what there is without any."""
+        self._fatal = self._fatal or status == fmi2.FATAL
+        name = _STATUS[status] if 0 <= status < len(_STATUS) else f"status {status}"
+        return SlaveError(
+            self._name, self.log.complaint() or f"{what} failed with {name}; the FMU gave no reason", time
+        )
+
+    def free(self) -> None:
+        """Terminate and free; after fmi2Fatal nothing may be called any more, and the instance is left alone."""
+        if not self._fatal:
+            if self._initialized:
+                self.fmi["fmi2Terminate"](self.component)
+            self.fmi["fmi2FreeInstance"](self.component)
+        self.log.close()
+
+    @property
+    def alive(self) -> bool:
+        """Whether functions may still be called."""
+        return not self._fatal
+
+    @property
+    def initialized(self) -> bool:
+        """Whether the FMU has been initialised and may still be called."""
+        return self._initialized and not self._fatal
+
+
+class Checked:
+    """A call that raises what the FMU says if it fails.
+
+    Attributes:
+        call: the FMI call.
+    """
+
+    __slots__ = ("_instance", "_what", "call")
+
+    def __init__(self, instance: FmuInstance, what: str, call: StatusCall) -> None:
+        self.call = call
+        self._instance, self._what = instance, what
+
+    def __call__(self) -> None:
+        if (status := self.call()) > fmi2.WARNING:
+            raise self.error(status)
+
+    def error(self, status: int) -> SlaveError:
+        """What the FMU says about a failure."""
+        return self._instance.error(self._what, status)

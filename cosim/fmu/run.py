@@ -1,0 +1,83 @@
+"""One run of an FMU: steps, saved states, and the statistics at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from ctypes import byref, c_double, c_int, c_void_p
+from functools import partial
+
+import numpy as np
+
+from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.fmu import calls as fmi2
+from flexfmu.cosim.fmu.instance import FmuInstance
+from flexfmu.cosim.fmu.transfers import Transfers
+from flexfmu.cosim.fmu.variables import Handle
+
+STATISTICS = "statistics."
+"""Prefix of the integer variables that tell how the FMU fared."""
+
+
+class FmuRun:
+    """One run of an instance, from its start values to its end."""
+
+    def __init__(self, instance: FmuInstance) -> None:
+        self.instance = instance
+        self.transfers = Transfers(instance.fmi, instance.component)
+        self.do_step: partial[int] = partial(instance.fmi["fmi2DoStep"], instance.component)
+        self.no_rollback = 1
+        self._states: list[c_void_p] = []
+        self._spare: list[c_void_p] = []
+
+    def step_error(self, status: int, time: float, step: float) -> SlaveError:
+        """What a failed step has to say, with the last time that the FMU reached."""
+        reached, terminated = c_double(time), c_int(0)
+        component, fmi = self.instance.component, self.instance.fmi
+        error = self.instance.error(f"the step from {time:.9g} s by {step:.9g} s", status, time)
+        if status == fmi2.DISCARD:
+            fmi["fmi2GetRealStatus"](component, fmi2.LAST_SUCCESSFUL_TIME, byref(reached))
+            fmi["fmi2GetBooleanStatus"](component, fmi2.TERMINATED, byref(terminated))
+            ended = "; the FMU asks to end the simulation" if terminated.value else ""
+            return SlaveError(error.slave, error.reason + ended, reached.value)
+        return error
+
+    def save(self) -> object:
+        """The complete state, in the memory of a released one where there is any."""
+        state = self._spare.pop() if self._spare else c_void_p()
+        call = partial(self.instance.fmi["fmi2GetFMUstate"], self.instance.component, byref(state))
+        try:
+            self.instance.check("saving the state", call)
+        finally:
+            # whatever it points to now must be freed at the end
+            if state.value is not None and not any(each is state for each in self._states):
+                self._states.append(state)
+        self.no_rollback = 0
+        return state
+
+    def release(self, state: object) -> None:
+        """Keep the memory of a saved state for the next one."""
+        if isinstance(state, c_void_p) and not any(each is state for each in self._spare):
+            self._spare.append(state)
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        call = partial(self.instance.fmi["fmi2SetFMUstate"], self.instance.component, state)
+        self.instance.check("restoring a state", call)
+
+    def statistics(self, counters: Mapping[str, Handle]) -> dict[str, int]:
+        """The counters that can be read."""
+        values = np.zeros(len(counters))
+        if (
+            not counters
+            or not self.instance.initialized
+            or self.transfers.get([*counters.values()], values)() > fmi2.WARNING
+        ):
+            return {}
+        return {name.removeprefix(STATISTICS): int(value) for name, value in zip(counters, values, strict=True)}
+
+    def free(self) -> None:
+        """Free states and instance; to be called once."""
+        if self.instance.alive:
+            for state in self._states:
+                self.instance.fmi["fmi2FreeFMUstate"](self.instance.component, byref(state))
+        self.instance.free()

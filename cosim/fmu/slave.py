@@ -1,0 +1,206 @@
+"""An FMI 2.0 co-simulation FMU as a slave: loaded with fmpy, called on preallocated buffers."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.fmu import calls as fmi2
+from flexfmu.cosim.fmu.capabilities import highest_input_derivative, highest_output_derivative
+from flexfmu.cosim.fmu.file import UnpackedFmu, open_fmu
+from flexfmu.cosim.fmu.instance import FmuInstance, load_calls
+from flexfmu.cosim.fmu.run import STATISTICS, FmuRun
+from flexfmu.cosim.fmu.variables import FmuVariables, Handle, Value, read_variables, settable_variables, settings
+from flexfmu.cosim.master.binding import nothing
+from flexfmu.cosim.slave import Call, Indices, RealArray
+
+
+class FmuSlave:
+    """One instance of an FMU at a time; may run again and again, each time anew from its start values.
+
+    Args:
+        path: the FMU file.
+        name: name of the slave.
+        parameters: start values of parameters (and inputs) by name, in the FMU's units.
+        input_order: highest input derivative to use where the FMU interpolates inputs; None for the highest that its
+            model description states.
+
+    Attributes:
+        path: the FMU file.
+        parameters: the start values that were given.
+        statistics: Integer variables ``statistics.*`` at the end of the last run, without the prefix.
+        can_save: whether the FMU can save and restore its state.
+        messages: what the FMU logged in the last run, warnings and worse.
+
+    Raises:
+        FmuFileError: the FMU is missing or broken, of another kind, or has no binary for this platform.
+        InputError: a parameter doesn't exist or its value doesn't suit its type or range.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        name: str = "fmu",
+        parameters: Mapping[str, Value] | None = None,
+        input_order: int | None = None,
+    ) -> None:
+        self.name = name
+        self.path, self.parameters = Path(path), dict(parameters or {})
+        self._fmu = open_fmu(self.path)
+        known = _variables(self._fmu)
+        self.variables, self.feedthrough = known.connectable, known.feedthrough
+        self._handles = known.handles
+        self._counters = {n: h for n, h in known.others.items() if n.startswith(STATISTICS) and h.kind == "Integer"}
+        self._settings = settings(_settable(self._fmu), self.parameters)
+        self.max_output_order = highest_output_derivative(self._fmu)
+        highest = highest_input_derivative(self._fmu)
+        self.max_input_order = highest if input_order is None or highest == 0 else input_order
+        self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
+        self._fmi = load_calls(self._fmu)
+        self._presets: dict[int, float] = {}
+        self._run: FmuRun | None = None
+        self._free: Call = nothing
+        self.statistics: Mapping[str, int] = {}
+        self.messages: tuple[str, ...] = ()
+
+    def configure(self, parameters: Mapping[str, Value]) -> None:
+        """Start values of parameters and inputs for the runs to come, instead of those given so far.
+
+        Raises:
+            InputError: a parameter doesn't exist or its value doesn't suit its type or range.
+        """
+        self._settings = settings(_settable(self._fmu), parameters)
+        self.parameters = dict(parameters)
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Instantiate, set parameters and inputs, and go through initialisation mode.
+
+        Raises:
+            SlaveError: the FMU refuses, with its own sentence.
+        """
+        self.terminate()
+        self._run = run = FmuRun(FmuInstance(self._fmu, self._fmi, self.name))
+        self._free = weakref.finalize(self, run.free)
+        for setting in self._settings:
+            run.instance.check(f"setting {setting.name} = {setting.value}", run.transfers.setting(setting))
+        handles = [self._handles[index] for index in self._presets]
+        if handles:
+            run.instance.check("setting inputs", run.transfers.set(handles, np.array([*self._presets.values()])))
+        run.instance.initialize(start_time, stop_time, tolerance)
+
+    def step(self, time: float, step: float) -> None:
+        """Let the FMU advance.
+
+        Raises:
+            SlaveError: the FMU fails or gets through only a part of the step; carries the last time that it reached.
+        """
+        run = self._running()
+        if (status := run.do_step(time, step, run.no_rollback)) > fmi2.WARNING:
+            raise run.step_error(status, time, step)
+
+    def bound_step(self) -> tuple[partial[int], int, Callable[[int, float, float], BaseException]]:
+        """fmi2DoStep of the present run, noSetFMUStatePriorToCurrentPoint, and what makes the error of a failed step."""
+        run = self._running()
+        return run.do_step, run.no_rollback, run.step_error
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """Set inputs; before initialisation they are kept for it."""
+        if self._run is None:
+            self._presets.update(zip(indices.tolist(), values.tolist(), strict=True))
+        else:
+            self.bind_set(indices, np.ascontiguousarray(values))()
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Read variables."""
+        buffer = np.empty(values.shape)
+        self.bind_get(indices, buffer)()
+        values[:] = buffer
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Set derivatives of inputs."""
+        self.bind_set_derivatives(indices, np.ascontiguousarray(derivatives))()
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Read derivatives of outputs."""
+        buffer = np.empty(derivatives.shape)
+        self.bind_get_derivatives(indices, buffer)()
+        derivatives[:] = buffer
+
+    def bind_set(self, indices: Indices, values: RealArray) -> Call:
+        """A call that sets inputs from the buffer."""
+        run = self._running()
+        return run.instance.checked("setting inputs", run.transfers.set(self._select(indices), values))
+
+    def bind_get(self, indices: Indices, values: RealArray) -> Call:
+        """A call that reads variables into the buffer."""
+        run = self._running()
+        return run.instance.checked("reading variables", run.transfers.get(self._select(indices), values))
+
+    def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
+        """A call that sets derivatives of inputs from the buffer."""
+        run = self._running()
+        call = run.transfers.set_derivatives(self._select(indices), derivatives)
+        return run.instance.checked("setting input derivatives", call)
+
+    def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
+        """A call that reads derivatives of outputs into the buffer."""
+        run = self._running()
+        call = run.transfers.get_derivatives(self._select(indices), derivatives)
+        return run.instance.checked("reading output derivatives", call)
+
+    def save(self) -> object:
+        """The FMU's complete state; valid until it is released, or until `terminate`.
+
+        Raises:
+            SlaveError: the FMU can't save its state.
+        """
+        return self._running().save()
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        self._running().restore(state)
+
+    def release(self, state: object) -> None:
+        """Keep the memory of a saved state for the next one."""
+        if self._run is not None:
+            self._run.release(state)
+
+    def terminate(self) -> None:
+        """Read the statistics, then terminate and free the instance; nothing to do without one."""
+        if self._run is not None:
+            run, self._run = self._run, None
+            self.statistics = run.statistics(self._counters)
+            self._free()
+            self.messages = tuple(run.instance.log.messages)
+
+    def _select(self, indices: Indices) -> list[Handle]:
+        """Handles of variables."""
+        return [self._handles[index] for index in indices]
+
+    def _running(self) -> FmuRun:
+        """The present run.
+
+        Raises:
+            SlaveError: there is none.
+        """
+        if self._run is None:
+            raise SlaveError(self.name, "not initialised; call initialize first")
+        return self._run
+
+
+@cache
+def _variables(fmu: UnpackedFmu) -> FmuVariables:
+    """What the FMU's model description says about variables, read once."""
+    return read_variables(fmu.description)
+
+
+@cache
+def _settable(fmu: UnpackedFmu) -> Mapping[str, Any]:
+    """The FMU's variables that may be given start values, read once."""
+    return settable_variables(fmu.description)

@@ -1,0 +1,1 @@
+"""What a scene puts between its motion and its robot: from sections and objects to wired slaves."""

@@ -1,0 +1,142 @@
+"""A run on its way, from point to point of its grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexfmu.cosim.compiled.library import RunProgram
+from flexfmu.cosim.compiled.program import can_compile
+from flexfmu.cosim.compiled.run import CompiledRun
+from flexfmu.cosim.master.controlled_steps import ControlledSteps
+from flexfmu.cosim.master.coupling_error import CouplingError
+from flexfmu.cosim.master.grid import TimeGrid
+from flexfmu.cosim.master.recorder import Recorder
+from flexfmu.cosim.master.schedule import Schedule
+from flexfmu.cosim.master.step_control import StepDoubling
+
+Progress = Callable[[float], None]
+"""Called now and then with the simulated fraction, 0..1."""
+
+PROGRESS_CALLS = 100
+"""How often progress is told in a run."""
+
+UNINTERRUPTED = 100
+"""Points that are run without looking whether the user interrupts."""
+
+
+@dataclass(frozen=True)
+class Reached:
+    """How far a run came.
+
+    Attributes:
+        time: end of the last completed step [s].
+        steps: completed communication steps.
+        rejected: steps that were taken back.
+        largest_step: [s].
+    """
+
+    time: float
+    steps: int
+    rejected: int
+    largest_step: float
+
+
+class Run:
+    """Goes from point to point of a grid and records them.
+
+    Args:
+        schedule: whose turn it is.
+        grid: the points.
+        recorder: gets every instant.
+        progress: told now and then.
+        library: the C side of the loop, used where the schedule allows it; None for Python.
+
+    Attributes:
+        initialized: whether all slaves have been initialised.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        grid: TimeGrid,
+        recorder: Recorder,
+        progress: Progress | None,
+        library: RunProgram | None = None,
+    ) -> None:
+        self._recorder = recorder
+        self.initialized = False
+        self._schedule, self._grid = schedule, grid
+        self._library = library if library is not None and can_compile(schedule) else None
+        self._cross = schedule.advance
+        self._controlled: ControlledSteps | None = None
+        self._times: list[float] = grid.times.tolist()
+        self._marked: list[bool] = grid.marked.tolist()
+        self._largest = float(np.diff(grid.times).max())
+        self._passed = 0
+        self._progress = progress
+
+    def control_steps(self, control: StepDoubling, error: CouplingError, first: float) -> None:
+        """Take as many steps between the grid's points as a tolerance needs, the first one of length ``first`` [s]."""
+        self._controlled = ControlledSteps(self._schedule, self._recorder, control, error, first)
+        self._cross = self._controlled.cross
+
+    def go(self, tolerance: float | None) -> None:
+        """Initialise, then go from point to point.
+
+        An instant is recorded once where signals are continuous, on both sides where they may jump.
+        """
+        self._schedule.initialize(tolerance)
+        self.initialized = True
+        self._start()
+        if self._library is not None and self._controlled is None:
+            self._go_in_c(self._library)
+        else:
+            self._go_in_python()
+
+    def _go_in_c(self, library: RunProgram) -> None:
+        """A piece of the way at a time, between which progress is told and the user can interrupt."""
+        compiled = CompiledRun(library, self._schedule, self._recorder, self._grid.times, self._marked)
+        count = len(self._times) - 1
+        pieces = min(PROGRESS_CALLS, count) if self._progress is not None else 1 + count // UNINTERRUPTED
+        try:
+            for piece in range(1, pieces + 1):
+                compiled.go(count * piece // pieces)
+                if self._progress is not None:
+                    self._progress(piece / pieces)
+        finally:
+            self._passed = compiled.points
+
+    def _go_in_python(self) -> None:
+        times, marked, cross = self._times, self._marked, self._cross
+        exchange, record = self._schedule.exchange, self._recorder.append
+        count = len(times) - 1
+        every = max(1, count // PROGRESS_CALLS)
+        for n in range(count):
+            time, jump = times[n + 1], marked[n + 1]
+            cross(times[n], time)
+            self._passed += 1
+            if jump:
+                record(time)
+            exchange(n + 1, time, jump)
+            record(time)
+            if self._progress is not None and (self._passed % every == 0 or self._passed == count):
+                self._progress((time - times[0]) / (times[-1] - times[0]))
+
+    @property
+    def reached(self) -> Reached:
+        """How far the run came."""
+        time, steps = self._times[self._passed], self._passed
+        if self._controlled is None:
+            return Reached(time, steps, 0, self._largest)
+        taken = self._controlled
+        return Reached(max(time, taken.time), taken.accepted, taken.rejected, taken.largest or self._largest)
+
+    def _start(self) -> None:
+        """Exchange and record the first instant."""
+        if self._marked[0]:
+            self._recorder.append(self._times[0])
+        self._schedule.exchange(0, self._times[0], jump=True)
+        self._recorder.append(self._times[0])

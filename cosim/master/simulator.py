@@ -1,0 +1,157 @@
+"""A system with its order of calls and its time grid, ready to be run again and again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from flexfmu.cosim.compiled.library import load
+from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel
+from flexfmu.cosim.master.coupling_error import CouplingError
+from flexfmu.cosim.master.delays import SignalDelay, signal_delays
+from flexfmu.cosim.master.dependencies import Connection
+from flexfmu.cosim.master.ending import blown_up, message_of, outcome_of, overshot
+from flexfmu.cosim.master.grid import Clock, TimeGrid, time_grid
+from flexfmu.cosim.master.links import Transport
+from flexfmu.cosim.master.outcome import Outcome, Simulation
+from flexfmu.cosim.master.recorder import Recorder
+from flexfmu.cosim.master.run import Progress, Run
+from flexfmu.cosim.master.schedule import Schedule
+from flexfmu.cosim.master.selection import EVERYTHING, Selection
+from flexfmu.cosim.master.stability import Instability, find_alternation, find_instability
+from flexfmu.cosim.master.state import check_can_save, revocable
+from flexfmu.cosim.master.step_control import StepDoubling
+from flexfmu.cosim.master.stepping_order import feedback_signals
+from flexfmu.cosim.master.system import System
+from flexfmu.cosim.results import Recording
+from flexfmu.cosim.slave import HasBreakpoints, Sampled, Terminates, offset
+
+
+class Simulator:
+    """What runs of a system have in common, made once: time grid, ports, order of calls, room for the recording.
+
+    Slaves keep their sample times and breakpoints as long as the simulator is in use. Args and errors as for
+    `flexfmu.cosim.master.master.simulate`.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        stop: float,
+        step: float,
+        *,
+        start: float = 0.0,
+        algorithm: Algorithm | None = None,
+        step_control: StepDoubling | None = None,
+        compiled: bool | None = None,
+        record: Selection = EVERYTHING,
+    ) -> None:
+        record.check(_outputs(system))
+        self._system, self._step, self._control, self._selection = system, step, step_control, record
+        self._grid = _grid(system, start, stop, step, step_control is None)
+        chosen = GaussSeidel() if algorithm is None else algorithm
+        # step control judges outputs that need not be recorded
+        read = record if step_control is None else EVERYTHING
+        self._schedule = Schedule(system, self._grid, chosen, read)
+        self._library = None if compiled is False else load()
+        self._recorder = Recorder(self._schedule.outputs, self._grid.times.size + int(self._grid.marked.sum()))
+        if step_control is not None:
+            check_can_save(revocable(system.slaves), "step control")
+            self._coupling_error(step_control)
+        self._feedback = self._extrapolated_feedback()
+        self._loops = feedback_signals(system, sampled=True)
+        self._terminating = [slave for slave in system.slaves if isinstance(slave, Terminates)]
+        self._delays: dict[float, tuple[SignalDelay, ...]] = {}
+
+    def run(self, tolerance: float | None = None, progress: Progress | None = None) -> Simulation:
+        """Co-simulate from start to stop; see `flexfmu.cosim.master.master.simulate`.
+
+        Args:
+            tolerance: relative tolerance for the slaves' own integrators; None for their default.
+            progress: called now and then with the simulated fraction.
+        """
+        self._recorder.rewind(0)
+        run = Run(self._schedule, self._grid, self._recorder, progress, self._library)
+        if self._control is not None:
+            run.control_steps(self._control, self._coupling_error(self._control), self._step)
+        return self._result(run, self._completed(run, tolerance))
+
+    def _completed(self, run: Run, tolerance: float | None) -> BaseException | None:
+        """Let it run and terminate the slaves; what went wrong, if anything."""
+        try:
+            run.go(tolerance)
+        except (Exception, KeyboardInterrupt) as failure:
+            return failure
+        finally:
+            for slave in self._terminating:
+                slave.terminate()
+        return None
+
+    def _result(self, run: Run, error: BaseException | None) -> Simulation:
+        """What the run gave."""
+        recording, reached = self._recorder.recording(), run.reached
+        outcome = outcome_of(error, run.initialized)
+        message = message_of(error, outcome, self._schedule.activity.name, reached.time)
+        if outcome is not Outcome.INTERRUPTED:
+            ending = message if error is not None else ""
+            if (unstable := self._instability(recording)) is not None:
+                outcome, message = Outcome.COUPLING_UNSTABLE, blown_up(unstable, ending)
+            elif (unstable := self._alternation(recording)) is not None:
+                outcome, message = Outcome.COUPLING_UNSTABLE, overshot(unstable, self._fed_by(unstable.signal), ending)
+        kept, delays = recording.only(self._selection.keeps), self._delays_with(reached.largest_step)
+        return Simulation(kept, outcome, message, error, reached.steps, reached.rejected, delays)
+
+    def _coupling_error(self, control: StepDoubling) -> CouplingError:
+        """Judges steps; learns in a run, so that each needs its own."""
+        span = float(self._grid.times[-1] - self._grid.times[0])
+        return CouplingError(self._system, self._schedule.outputs, self._schedule.couplings, control, span)
+
+    def _extrapolated_feedback(self) -> tuple[str, ...]:
+        """Signals that slaves feed each other, where some of them are extrapolated and may blow up."""
+        feedback, couplings = feedback_signals(self._system), self._schedule.couplings
+        transports = {couplings[each.source, each.target].transport for each in feedback}
+        return self._source_names(feedback) if Transport.EXTRAPOLATED in transports else ()
+
+    def _source_names(self, connections: Sequence[Connection]) -> tuple[str, ...]:
+        """What is passed on by these connections, each once."""
+        return tuple(dict.fromkeys(self._system.source_name(each) for each in connections))
+
+    def _instability(self, recording: Recording) -> Instability | None:
+        """What blew up among these."""
+        if not self._feedback:
+            return None
+        return find_instability(recording.time, ((name, recording[name].values) for name in self._feedback))
+
+    def _alternation(self, recording: Recording) -> Instability | None:
+        """What overshot in a closed loop, sampled ones included."""
+        names = self._source_names(self._loops)
+        if not names:
+            return None
+        return find_alternation(recording.time, ((name, recording[name].values) for name in names))
+
+    def _fed_by(self, signal: str) -> list[str]:
+        """Names of the slaves that a signal goes to in a closed loop."""
+        fed = [each.target for each in self._loops if self._system.source_name(each) == signal]
+        return [self._system.slaves[i].name for i in dict.fromkeys(fed)]
+
+    def _delays_with(self, step: float) -> tuple[SignalDelay, ...]:
+        """How late signals arrive, with a largest communication step [s]."""
+        if step not in self._delays:
+            self._delays = {step: signal_delays(self._system, self._schedule.couplings, step)}
+        return self._delays[step]
+
+
+def _grid(system: System, start: float, stop: float, step: float, ticks: bool) -> TimeGrid:
+    """The communication points."""
+    clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
+    marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
+    return time_grid(start, stop, step, marks, clocks, ticks=ticks)
+
+
+def _outputs(system: System) -> list[str]:
+    """All that can be recorded."""
+    return [
+        f"{slave.name}.{variable.name}"
+        for slave in system.slaves
+        for variable in slave.variables
+        if variable.causality == "output"
+    ]

@@ -1,0 +1,178 @@
+"""The report of a run: one HTML file that needs no network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from flexfmu.cosim.measuring.metric_table import ALL_METRICS, display
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.reports.plots import Plot
+
+TILES = (
+    "peak_torque_1",
+    "peak_tip_deflection_1",
+    "peak_position_error",
+    "rms_acceleration_error",
+    "residual_vibration_amplitude",
+    "settling_time",
+)
+"""The metrics that stand on top."""
+
+
+_NAMES: Mapping[str, str] = {
+    "lame": "Lamé",
+    "clothoid": "clothoid",
+    "polar": "polar polynomial",
+    "poly7": "seventh-degree polynomial",
+    "bang-bang": "bang-bang",
+    "trapezoidal": "trapezoidal",
+}
+"""Kinds of blends and profiles in the scene file → what people call them."""
+
+
+def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
+    """The report as HTML.
+
+    Args:
+        summary: what `flexfmu.cosim.reports.summary.summarise` returns.
+        plots: drawn by `flexfmu.cosim.reports.plots.draw_plots`.
+    """
+    environment = Environment(
+        loader=PackageLoader("flexfmu.cosim", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=False,
+    )
+    health, metrics = summary["health"], summary["metrics"]
+    return environment.get_template("report.html.j2").render(
+        scene=summary["scene"],
+        effects=summary["effects"],
+        motion=_motion_sentence(summary["scene"]),
+        completed=health["outcome"] == "completed",
+        health=health,
+        coarse=[_coarse_row(warning) for warning in health["warnings"]],
+        tiles=[{"label": ALL_METRICS[name].label, "value": display(name, metrics[name], digits=4)} for name in TILES],
+        metrics=[_metric_row(name, metrics[name], health["interpolation_errors"][name]) for name in metrics],
+        plots=list(plots),
+        parameters=_scene_rows(summary["scene"]),
+        tables=_filled(
+            {
+                "Shaping": _shaping_rows(summary.get("shaping")),
+                "Learning": _learning_rows(summary.get("learning")),
+                "Health": _health_rows(health),
+                "Slaves": _slave_rows(summary["slaves"]),
+                "Signals": _delay_rows(summary["delays"]),
+                "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
+                "Versions": {name: value or "–" for name, value in summary["versions"].items()},
+            }
+        ),
+        versions=summary["versions"],
+    )
+
+
+def _motion_sentence(scene: Mapping[str, Any]) -> str:
+    trajectory = scene["trajectory"]
+    blend, profile = _NAMES[trajectory["blend"]["kind"]], _NAMES[trajectory["profile"]["kind"]]
+    return (
+        f"Pick-and-place motion of {1e3 * trajectory['height']:g} mm × {1e3 * trajectory['width']:g} mm in "
+        f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile, then a dwell of "
+        f"{trajectory['dwell']:g} s; payload {scene['payload']['mass']:g} kg."
+    )
+
+
+def _metric_row(name: str, value: float | None, error: float) -> dict[str, str]:
+    info = ALL_METRICS[name]
+    return {
+        "label": info.label,
+        "value": display(name, value),
+        "error": "–" if value is None else f"{error * info.display_factor:.1g} {info.display_unit}",
+        "description": info.description,
+    }
+
+
+def _coarse_row(warning: Mapping[str, Any]) -> dict[str, str]:
+    name = warning["metric"]
+    return {"label": ALL_METRICS[name].label, "error": f"± {display(name, warning['estimated_error'], digits=1)}"}
+
+
+def _scene_rows(section: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """The scene file flattened to dotted keys; entries of lists of tables have a number."""
+    rows: dict[str, str] = {}
+    for key, value in section.items():
+        if isinstance(value, Mapping):
+            rows |= _scene_rows(value, f"{prefix}{key}.")
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            for index, item in enumerate(value):
+                rows |= _scene_rows(item, f"{prefix}{key}[{index}].")
+        elif not isinstance(value, list) or value:
+            rows[prefix + key] = _scene_value(value)
+    return rows
+
+
+def _scene_value(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(f"[{_scene_value(item)}]" if isinstance(item, list) else _scene_value(item) for item in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _filled(tables: Mapping[str, Mapping[str, str]]) -> dict[str, Mapping[str, str]]:
+    """The tables that have rows."""
+    return {title: rows for title, rows in tables.items() if rows}
+
+
+def _slave_rows(slaves: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Name of each slave → what it is and when it is sampled."""
+    return {slave["name"]: slave["description"] + _sampling(slave) for slave in slaves}
+
+
+def _sampling(slave: Mapping[str, Any]) -> str:
+    if slave["sample_time"] is None:
+        return ""
+    return f", every {slave['sample_time']:g} s" + (f" from {slave['offset']:g} s on" if slave["offset"] else "")
+
+
+def _shaping_rows(shaping: Mapping[str, float] | None) -> dict[str, str]:
+    """What shapers cost."""
+    if shaping is None:
+        return {}
+    return {
+        "added time": f"{1e3 * shaping['added_time']:.4g} ms",
+        "path deviation": f"{1e3 * shaping['path_deviation']:.4g} mm",
+    }
+
+
+def _learning_rows(learning: Mapping[str, Any] | None) -> dict[str, str]:
+    """Tracking error of both joints, cycle by cycle."""
+    if learning is None:
+        return {}
+    return {
+        f"cycle {number}": f"{_milliradians(each['rms'])} mrad RMS, {_milliradians(each['largest'])} mrad at most"
+        for number, each in enumerate(learning["tracking_errors"], start=1)
+    }
+
+
+def _milliradians(values: Iterable[float]) -> str:
+    return " / ".join(f"{1e3 * value:.4g}" for value in values)
+
+
+def _delay_rows(delays: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Connection → how late it is."""
+    rows = {}
+    for delay in delays:
+        rows[delay["connection"]] = delay["description"].removeprefix(f"{delay['connection']}: ")
+    return rows
+
+
+def _health_rows(health: Mapping[str, Any]) -> dict[str, str]:
+    rows = {
+        "outcome": health["outcome"],
+        "simulated": f"{health['end_time'] or 0.0:g} s of {health['stop_time']:g} s",
+        "communication step": f"{health['communication_step']:g} s",
+        "tolerance": f"{health['tolerance']:g}",
+        "input polynomials": f"degree {health['input_order']}",
+    }
+    return rows | {name: f"{count:,}" for name, count in health["statistics"].items()}

@@ -1,0 +1,175 @@
+"""The summary of a run as plain data: what ``summary.json`` holds and what the report is made from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from flexfmu.cosim.effects.summary import choice_summary
+from flexfmu.cosim.measuring.metric_table import ALL_METRICS
+from flexfmu.cosim.measuring.small_deflections import exceeded
+from flexfmu.cosim.metrics import Measurement
+from flexfmu.cosim.reports.versions import versions
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.experiment import Run
+    from flexfmu.cosim.master.delays import SignalDelay
+    from flexfmu.model.scene import Effects, Scene
+
+COARSE = 1e-5
+"""Estimated interpolation error, relative to a metric's value, from which the communication step counts as too coarse."""
+
+_FAMILIES: Mapping[str, str] = {
+    "proximal_bending": "Bending of the proximal links",
+    "proximal_axial": "Stretching of the proximal links",
+    "distal_bending": "Bending of the distal links",
+    "distal_axial": "Stretching of the distal links",
+}
+
+_SHAPES = {"assumed-modes": "assumed mode", "craig-bampton": "static or fixed-interface shape"}
+"""Basis → what it calls a shape."""
+
+
+def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
+    """Everything that ``summary.json`` says about a run, as plain data in SI units.
+
+    Keys: ``scene`` (the scene file with its defaults), ``effects`` (effect → sentence), ``metrics`` (name → number or
+    None), ``health`` (outcome, integrator statistics, interpolation errors, warnings, deflections beyond linear theory),
+    ``slaves`` (name, description, sample time), ``delays`` (for each connection how late it is), ``timing`` [s],
+    ``versions``; with shapers also ``shaping`` (the time that they add [s], how far they lead the rigid end effector off its path [m]), with an automatic choice of effects
+    ``effect_choice`` (tolerance, the set, estimated errors and contributions), and with a motion that is repeated
+    ``learning`` (period [s] and for each cycle the tracking error of both joints [rad]).
+    """
+    return {
+        "scene": run.scene.model_dump(mode="json", exclude_none=True),
+        "effects": describe_effects(run.scene),
+        **({"effect_choice": choice} if (choice := choice_summary(run.scene)) else {}),
+        "metrics": {name: measurement.value for name, measurement in measurements.items()},
+        "health": _health(run, measurements),
+        **_shaping(run),
+        **_learning(run),
+        "slaves": [asdict(slave) for slave in run.slaves],
+        "delays": [_delay(delay) for delay in run.delays],
+        "timing": _timing(run),
+        "versions": dict(versions(run.fmu_path)),
+    }
+
+
+def describe_effects(scene: Scene) -> dict[str, str]:
+    """Effect → sentence, for the effects that the scene's model contains."""
+    effects, found = scene.effects, {}
+    for key, what in _FAMILIES.items():
+        modes = getattr(effects, key)
+        if modes:
+            found[key] = f"{what}: {modes} {_SHAPES[effects.basis]}{'s' if modes > 1 else ''} each"
+        if key in effects.quasi_static:
+            found[key] += ", deflecting statically"
+    if effects.beam == "timoshenko":
+        found["beam"] = "Shear and rotary inertia of the links (Timoshenko)"
+    if effects.foreshortening:
+        found["foreshortening"] = "Foreshortening of links that bend (geometric stiffening)"
+    found |= _damping(effects)
+    found |= _drives(effects)
+    if any(effects.gravity):
+        found["gravity"] = "Gravity of ({:g}, {:g}) m/s2".format(*effects.gravity)
+    if scene.payload.inertia:
+        found["payload_inertia"] = f"Rotary inertia of the payload of {scene.payload.inertia:g} kg m2, on link 12"
+    if scene.payload.mass:
+        found["payload"] = f"Point mass of {scene.payload.mass:g} kg at the end effector"
+    return found or {"rigid": "Rigid links without gravity and payload"}
+
+
+def coarse_metrics(measurements: Mapping[str, Measurement]) -> Iterator[str]:
+    """Names of the metrics for which the communication step is too coarse."""
+    for name, measurement in measurements.items():
+        value, error = measurement.value, measurement.interpolation_error
+        if value is not None and error > max(COARSE * abs(value), ALL_METRICS[name].negligible):
+            yield name
+
+
+def _damping(effects: Effects) -> dict[str, str]:
+    damping = effects.damping
+    if damping.kind == "modal":
+        return {"damping": f"Modal damping of every link mode, ratio {damping.ratio:g}"}
+    if damping.kind == "stiffness":
+        return {"damping": f"Damping proportional to the stiffness, time constant {damping.time:g} s"}
+    if damping.kind == "mass":
+        return {"damping": f"Damping proportional to the mass, rate {damping.rate:g} 1/s"}
+    if damping.kind == "rayleigh":
+        return {"damping": f"Damping {damping.rate:g} 1/s times the mass and {damping.time:g} s times the stiffness"}
+    return {}
+
+
+def _drives(effects: Effects) -> dict[str, str]:
+    """Motors, friction and transmissions."""
+    friction, transmission = effects.joint_friction, effects.transmission
+    found = {}
+    if effects.motor_inertia:
+        found["motor_inertia"] = f"Inertia of {effects.motor_inertia:g} kg m2 of each motor"
+    if friction.viscous or friction.coulomb:
+        found["joint_friction"] = (
+            f"Friction of each motor: {friction.viscous:g} N m s/rad viscous, {friction.coulomb:g} N m dry"
+        )
+    if transmission is not None:
+        found["transmission"] = f"Elastic transmissions of {transmission.stiffness:g} N m/rad"
+    return found
+
+
+def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
+    time = run.recording.time
+    return {
+        "outcome": run.outcome.name.lower().replace("_", " "),
+        "message": run.message,
+        "end_time": float(time[-1]) if len(time) else None,
+        "stop_time": run.plan.stop_time,
+        "communication_step": run.communication_step,
+        "tolerance": run.tolerance,
+        "input_order": run.input_order,
+        "statistics": dict(run.health.statistics),
+        "messages": list(run.health.messages),
+        "interpolation_errors": {name: measurement.interpolation_error for name, measurement in measurements.items()},
+        "warnings": [_warning(run, name, measurements[name]) for name in coarse_metrics(measurements)],
+        "large_deflections": exceeded(run),
+    }
+
+
+def _warning(run: Run, name: str, measurement: Measurement) -> dict[str, Any]:
+    info, error, value = ALL_METRICS[name], measurement.interpolation_error, measurement.value
+    relative = f" ({error / abs(value):.1g} of its value)" if value else ""
+    sentence = (
+        f"{info.label} may be off by about {error:.1g} {info.unit}{relative}: the communication step of "
+        f"{run.communication_step:g} s is too coarse for the highest frequency in this signal; reduce `cosimulation.step`"
+    )
+    return {"metric": name, "estimated_error": error, "message": sentence}
+
+
+def _shaping(run: Run) -> dict[str, Any]:
+    """What shapers cost: the time that they add [s], and how far they lead the rigid end effector off its path [m]."""
+    motion = run.plan.once
+    if motion.task is motion.along_path:
+        return {}
+    from flexfmu.cosim.shaping.plan import deviation
+
+    added = motion.duration - motion.along_path.duration
+    return {"shaping": {"added_time": added, "path_deviation": deviation(motion)}}
+
+
+def _learning(run: Run) -> dict[str, Any]:
+    """How a repeated motion is followed, cycle by cycle: root mean square and largest error of both joints [rad]."""
+    if run.plan.repetition is None:
+        return {}
+    from flexfmu.cosim.measuring.cycle_errors import cycle_errors
+
+    cycles = [asdict(each) for each in cycle_errors(run.plan, run.recording)]
+    return {"learning": {"period": run.plan.repetition.period, "tracking_errors": cycles}}
+
+
+def _delay(delay: SignalDelay) -> dict[str, Any]:
+    return {"connection": delay.connection, "seconds": delay.seconds, "description": str(delay)}
+
+
+def _timing(run: Run) -> dict[str, float]:
+    timing = run.timing
+    parts = {"plan": timing.plan, "build": timing.build, "load": timing.load, "simulate": timing.simulate}
+    return {**parts, "total": sum(parts.values())}

@@ -1,0 +1,1 @@
+"""Input shapers for a scene: designed, tried, compared and recommended."""

@@ -1,0 +1,76 @@
+"""Which shaper to take: the one after which the robot is at rest soonest, whatever the payload in its band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from flexfmu.cosim.shaping.study import UNSHAPED_NAME, Result
+
+RESOLUTION = 1e-4
+"""Times to rest [s] that differ by less count as equal; then the smaller path deviation decides."""
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """The choice among the results.
+
+    Attributes:
+        result: the recommended one; the unshaped motion where no shaper is of use.
+        reason: why, in one sentence.
+    """
+
+    result: Result
+    reason: str
+
+
+def recommend(results: Sequence[Result], settling_band: float) -> Recommendation:
+    """The result with the shortest time to rest over the payload band; of equal ones that with the smallest deviation.
+
+    Where none comes to rest within the dwell for all payloads, the one with the smallest worst residual vibration.
+
+    Args:
+        results: the unshaped motion and the shaped ones.
+        settling_band: radius around the equilibrium that counts as rest [m].
+    """
+    unshaped = next(result for result in results if result.candidate.name == UNSHAPED_NAME)
+    settled = [(result.time_to_rest, result) for result in results if result.time_to_rest is not None]
+    if not settled:
+        best = min(results, key=lambda result: result.worst_residual)
+        return Recommendation(best, _smallest_residual(best, unshaped, settling_band))
+    shortest = min(time for time, _ in settled)
+    best = min((r for time, r in settled if time <= shortest + RESOLUTION), key=lambda result: result.path_deviation)
+    if best is unshaped:
+        return Recommendation(
+            best,
+            f"no shaper brings the robot to rest sooner; the unshaped motion: {_rest(best, settling_band)}{_payloads(best)}",
+        )
+    return Recommendation(
+        best,
+        f"{_rest(best, settling_band)}{_payloads(best)}, with a path deviation of {1e3 * best.path_deviation:.3g} mm; "
+        f"the unshaped motion: {_rest(unshaped, settling_band)}",
+    )
+
+
+def compare_slower(result: Result, slower: Result, settling_band: float) -> str:
+    """What the added time would bring without a shaper, as a sentence."""
+    return f"An unshaped motion slower by the same {1e3 * result.added_time:.1f} ms: {_rest(slower, settling_band)}"
+
+
+def _rest(result: Result, band: float) -> str:
+    """When a motion comes to rest, for all payloads."""
+    if result.time_to_rest is None:
+        return f"{1e6 * result.worst_residual:.3g} µm, no rest within {1e6 * band:g} µm during the dwell"
+    return f"rest within {1e6 * band:g} µm {1e3 * result.time_to_rest:.1f} ms after the end of the scene's own motion"
+
+
+def _smallest_residual(best: Result, unshaped: Result, band: float) -> str:
+    return (
+        f"nothing comes to rest within {1e6 * band:g} µm during the dwell{_payloads(best)}; this leaves the smallest "
+        f"residual vibration, {1e6 * best.worst_residual:.3g} µm at worst instead of {1e6 * unshaped.worst_residual:.3g} µm"
+    )
+
+
+def _payloads(result: Result) -> str:
+    errors = [trial.payload_error for trial in result.trials]
+    return f" for payloads from {min(errors):+.0%} to {max(errors):+.0%}" if len(errors) > 1 else ""
