@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import lzma
 import tempfile
 import zipfile
+import zlib
 from functools import cache
 from io import BytesIO
 from pathlib import Path, PurePosixPath
@@ -21,6 +23,9 @@ LARGEST_XML = 64_000_000
 
 LARGEST_FMU = 4_000_000_000
 """Bytes of an FMU within the archive."""
+
+DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, EOFError, OSError, ValueError)
+"""What Python's zip reader raises at an entry that is damaged, encrypted or packed by an unknown method."""
 
 
 class SspArchive:
@@ -40,7 +45,7 @@ class SspArchive:
             self._archive = zipfile.ZipFile(BytesIO(self._content))
         except OSError as error:
             raise SspError(f"can't read {path}: {error.strerror}; check the path") from error
-        except zipfile.BadZipFile:
+        except (zipfile.BadZipFile, NotImplementedError):
             raise SspError(f"{path} is no SSP: not a zip file; check the path or export it again") from None
         self._entries = {entry.filename: entry for entry in self._archive.infolist()}
         if DESCRIPTION not in self._entries:
@@ -70,7 +75,7 @@ class SspArchive:
         try:
             with self._archive.open(file) as stream:
                 return stream.read(largest)
-        except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as error:
+        except DAMAGED as error:
             raise SspError(f"{prefix} can't be unpacked: {error}; export it again") from None
 
     def resolve(self, source: str, where: str, base: str = DESCRIPTION) -> str:

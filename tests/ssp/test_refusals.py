@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -21,7 +21,9 @@ from ssp_support.packages import (
 )
 
 from flexfmu.cosim.errors import FmuFileError, InputError
+from flexfmu.cosim.ssp.archive import DESCRIPTION, SspArchive
 from flexfmu.cosim.ssp.loading import load_ssp
+from flexfmu.cosim.ssp.structure import SspError
 
 MakeSsp = Callable[..., Path]
 
@@ -176,12 +178,12 @@ def test_external_entities_are_not_read(reference: str, make_ssp: MakeSsp, tmp_p
     assert "is no XML" in message or "has a document type declaration" in message
 
 
-def test_entities_do_not_grow(make_ssp: MakeSsp) -> None:
-    """A billion laughs end before they begin."""
-    begin = time.perf_counter()
-    message = refusal(make_ssp(SSD.replace("?>", "?>" + LAUGHS).replace("</ssd:Elements>", "&a9;</ssd:Elements>")))
+@pytest.mark.parametrize("depth", [2, 9])
+def test_entities_do_not_grow(depth: int, make_ssp: MakeSsp) -> None:
+    """Neither a hundred laughs, which libxml2 lets pass, nor a billion are read."""
+    laughing = SSD.replace("?>", "?>" + LAUGHS).replace("</ssd:Elements>", f"&a{depth};</ssd:Elements>")
+    message = refusal(make_ssp(laughing))
     assert "is no XML" in message or "has a document type declaration" in message
-    assert time.perf_counter() - begin < 5.0
 
 
 def test_nothing_leaves_the_archive(make_ssp: MakeSsp, make_decay: Callable[..., bytes], tmp_path: Path) -> None:
@@ -206,10 +208,16 @@ def test_bombs_are_not_unpacked(tmp_path: Path) -> None:
     assert "at most 64000000 are read" in refusal(path)
 
 
-def test_a_damaged_archive(make_ssp: MakeSsp) -> None:
-    """Flipped bits in an entry are found."""
-    path = make_ssp()
-    content = bytearray(path.read_bytes())
-    content[200] ^= 0xFF
-    path.write_bytes(content)
-    assert refusal(path)
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA])
+def test_a_damaged_archive(method: int, tmp_path: Path) -> None:
+    """Wherever a byte of the file is wrong, the file is refused, or what is read is right all the same."""
+    path = tmp_path / "damaged.ssp"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr(DESCRIPTION, SSD)
+    content, found = path.read_bytes(), []
+    for i in range(0, len(content), 5):
+        path.write_bytes(content[:i] + bytes([content[i] ^ 0xFF]) + content[i + 1 :])
+        with suppress(SspError):
+            found.append(SspArchive(path).read(DESCRIPTION))
+    assert set(found) <= {SSD.encode()}
+    assert len(found) < 0.2 * len(content) / 5
