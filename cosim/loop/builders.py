@@ -11,8 +11,9 @@ from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.loop.controller_builder import controller_block
 from flexfmu.cosim.loop.imperfection_builder import imperfection_block
-from flexfmu.cosim.loop.loop import Names, PayloadError, Shaper, as_slave
+from flexfmu.cosim.loop.loop import PayloadError, Shaper
 from flexfmu.cosim.loop.python_source import from_source
+from flexfmu.cosim.loop.slaves import Names, as_slave
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.slave import Slave
 from flexfmu.model.block import SymbolicBlock

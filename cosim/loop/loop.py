@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from os import PathLike, fspath
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.loop.slaves import Names, as_slave
 from flexfmu.cosim.loop.wiring import Insert, passing
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.slave import Slave
@@ -199,58 +198,3 @@ def _payload(motion: MotionPlan, error: PayloadError) -> Mapping[str, float]:
     from flexfmu.cosim.imperfections.payload_error import with_payload_error
 
     return {"payload.mass": with_payload_error(motion.scene, error.relative).payload.mass}
-
-
-class Names:
-    """Names for slaves that can be renamed, each given once."""
-
-    def __init__(self) -> None:
-        self._given: set[str] = {"plant", "trajectory"}
-
-    def unused(self, wanted: str) -> str:
-        """The name, or the name with a number."""
-        name, number = wanted, 1
-        while name in self._given:
-            number += 1
-            name = f"{wanted}{number}"
-        self._given.add(name)
-        return name
-
-    def of_file(self, path: str) -> str:
-        """A name from a file's name."""
-        return self.unused("".join(c if c.isalnum() else "_" for c in Path(path).stem) or "fmu")
-
-
-def as_slave(source: Any, names: Names | None = None, name: str | None = None) -> Slave:
-    """A slave from a block, a python-control system, the path of an FMU, or a slave.
-
-    Args:
-        source: what it is made from.
-        names: names given so far.
-        name: its name; by default what the block, file or slave is called.
-
-    Raises:
-        InputError: it is none of these.
-    """
-    from flexfmu.cosim.blocks.slave import BlockSlave
-    from flexfmu.cosim.fmu.slave import FmuSlave
-    from flexfmu.model.block import SymbolicBlock
-
-    names = names or Names()
-    if isinstance(source, SymbolicBlock):
-        return BlockSlave(source, names.unused(name or source.name))
-    if type(source).__module__.partition(".")[0] == "control":
-        from flexfmu.cosim.controllers.from_control import control_block
-
-        return BlockSlave(control_block(source), names.unused(name or "controller"))
-    if isinstance(source, (str, PathLike)):
-        path = fspath(source)
-        return FmuSlave(path, names.unused(name) if name else names.of_file(path))
-    if all(hasattr(source, part) for part in ("name", "variables", "initialize", "set", "get")):
-        slave: Slave = source
-        if name is not None and slave.name != name:
-            slave.name = name  # type: ignore[misc]
-        return slave
-    raise InputError(
-        f"a {type(source).__name__} can't be a slave: take a SymbolicBlock, a slave, a python-control system or an FMU's path"
-    )

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 from flexfmu.cosim.cycles import repeated
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.loop.loop import Loop, Names, close_loop, shape
+from flexfmu.cosim.loop.loop import Loop, close_loop, shape
+from flexfmu.cosim.loop.slaves import Names
 from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.model.controller_sections import LearningSection
 from flexfmu.model.scene import Scene

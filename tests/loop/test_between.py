@@ -160,6 +160,20 @@ def test_an_exported_controller_in_the_scene_file(robot: Scene, tmp_path: Path) 
     assert "mine.joint1.torque" in exported.columns
 
 
+def test_an_exported_controller_by_its_path(robot: Scene, tmp_path: Path) -> None:
+    """An FMU's path stands for the block that it was exported from: sampled at the same instants, no step late."""
+    short = robot.replace({"trajectory.dwell": 0.0, "cosimulation.step": 1e-3})
+    block = pd(5e3, 100.0, sample_time=1e-3)
+    build_block_fmu(block, tmp_path / "mine.fmu")
+    exported = run_loop(short, [tmp_path / "mine.fmu"])
+    assert {each.name: each.sample_time for each in exported.slaves}["mine"] == 1e-3
+    for delay in exported.delays:
+        assert delay.seconds == 0.0
+    python = run_loop(short, [block]).recording["joint1.position"]
+    found = exported.recording["joint1.position"]
+    np.testing.assert_allclose(found.values, python.values, rtol=0.0, atol=1e-12)
+
+
 class Constant:
     """A slave with foreign names that puts out what it was told."""
 
