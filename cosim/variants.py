@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from flexfmu.cosim.errors import CosimError
 from flexfmu.cosim.experiment import PreparedScene
 from flexfmu.cosim.master.master import Progress
 from flexfmu.cosim.master.selection import EVERYTHING, Selection
@@ -39,7 +40,7 @@ class Result(Generic[T]):
     error: Exception | None = None
 
 
-class VariantError(RuntimeError):
+class VariantError(CosimError):
     """A variant's run ended before its time; the message is the run's."""
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from flexfmu.cosim.errors import CosimError
 from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.workprec.subject import RunError, Subject, completed
+from flexfmu.cosim.workprec.subject import Subject, completed
 from flexfmu.cosim.workprec.trial import Trial, fastest
 from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.loop_section import SampledSection
@@ -32,7 +32,7 @@ ORDERS = (0, 1, 2, 3, 5, 9)
 TIGHT = 1e-10
 """Tolerance of the integrator where the coupling is looked at."""
 
-FAILURES = (CosimError, RunError, BuildError)
+FAILURES = (CosimError, BuildError)
 
 
 def integrator_trials(subject: Subject, step: float, announce: Announce) -> Iterator[Trial]:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from flexfmu.cosim.errors import CosimError
 from flexfmu.cosim.experiment import PreparedScene, Run
 from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.model.scene import Scene
@@ -89,5 +90,5 @@ def completed(run: Run) -> Run:
     return run
 
 
-class RunError(RuntimeError):
+class RunError(CosimError):
     """A run under test ended before its time."""

@@ -14,7 +14,7 @@ from flexfmu.cosim.fmu.file import open_fmu
 from flexfmu.cosim.fmu.variables import parameter_names
 from flexfmu.cosim.scene_parameters import parameters_for
 from flexfmu.cosim.workprec.fmu_trials import Announce
-from flexfmu.cosim.workprec.subject import SAMPLING, RunError, Subject
+from flexfmu.cosim.workprec.subject import SAMPLING, Subject, completed
 from flexfmu.cosim.workprec.trial import Trial, fastest
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.fmu_build.scene_build import build_scene
@@ -78,10 +78,8 @@ def paper_trial(subject: Subject, announce: Announce) -> Trial:
     try:
         prepared = PreparedScene(subject.scene.replace(changes), communication_step=SAMPLING, motion=subject.motion)
         prepared.stop_time = share
-        run = prepared.run()
-        if not run.completed:
-            raise RunError(run.message)
-    except (CosimError, RunError) as failure:
+        run = completed(prepared.run())
+    except CosimError as failure:
         return Trial("tools", "fixed step of 10 MHz", "", None, None, " ".join(str(failure).split()))
     note = f"simulated to {1e3 * share:.0f} ms, the time multiplied by {subject.stop / share:.0f}"
     time = fastest(prepared.run) * subject.stop / share

@@ -12,12 +12,13 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from flexfmu.cosim.cli import app
-from flexfmu.cosim.commands import run as cli_run
+from flexfmu.cosim.commands import run as run_module
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.experiment import Run
 from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.results import Recording
+from flexfmu.cosim.workprec.subject import RunError
 from flexfmu.fmu_build.errors import MissingCompilerError
 from flexfmu.model.errors import EquilibriumError
 from flexfmu.model.scene_file import load_scene
@@ -41,7 +42,7 @@ def simulated(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> Callable[..
                 raise error
             return make_run(**options)
 
-        monkeypatch.setattr(cli_run, "run_scene", run_scene)
+        monkeypatch.setattr(run_module, "run_scene", run_scene)
 
     return replace
 
@@ -100,7 +101,7 @@ def test_metrics_that_cannot_be_computed_do_not_lose_the_recording(
         raise EquilibriumError("no static equilibrium")
 
     simulated()
-    monkeypatch.setattr(cli_run, "settings_for", no_equilibrium)
+    monkeypatch.setattr(run_module, "settings_for", no_equilibrium)
     result = flexfmu("run", SCENE, "--out", str(tmp_path))
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     assert (tmp_path / "summary.json").is_file()
@@ -113,6 +114,7 @@ def test_metrics_that_cannot_be_computed_do_not_lose_the_recording(
         (KeyboardInterrupt(), 1),
         (ResultsError("can't write results.csv: No space left on device"), 1),
         (OSError(28, "No space left on device"), 1),
+        (RunError("plant failed at 0.1 s"), 1),
     ],
 )
 def test_failures_are_one_line(

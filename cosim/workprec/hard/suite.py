@@ -9,7 +9,6 @@ from itertools import chain
 from flexfmu.cosim.errors import CosimError, InputError
 from flexfmu.cosim.workprec.hard import gain, motions, parameters, repetition, singularity, steps, stiffness
 from flexfmu.cosim.workprec.hard.case import Finding, HardCase
-from flexfmu.cosim.workprec.subject import RunError
 from flexfmu.model.errors import EquilibriumError
 from flexfmu.trajectories.errors import TrajectoryError
 
@@ -67,7 +66,7 @@ def run_cases(cases: Iterable[HardCase], announce: Callable[[str], object]) -> l
 def _finding(case: HardCase) -> Finding:
     try:
         return case.run()
-    except (CosimError, EquilibriumError, TrajectoryError, RunError) as failure:
+    except (CosimError, EquilibriumError, TrajectoryError) as failure:
         return Finding(f"{type(failure).__name__}: {failure}", ())
 
 
