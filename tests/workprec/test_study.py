@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +22,7 @@ from flexfmu.cosim.workprec.page import html
 from flexfmu.cosim.workprec.report import data, markdown
 from flexfmu.cosim.workprec.study import FAMILIES, Study, is_differential_equation
 from flexfmu.cosim.workprec.subject import Subject, subject_of
-from flexfmu.cosim.workprec.trial import Trial, fastest, fastest_in_turns
+from flexfmu.cosim.workprec.trial import MOST, Trial, fastest, fastest_in_turns
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 
@@ -165,24 +166,33 @@ def test_what_can_be_asked() -> None:
     assert not is_differential_equation(SCENE.replace({"cosimulation.drive": "torque"}))
 
 
-def test_timing_takes_the_fastest() -> None:
-    """Repeats short runs, and doesn't repeat long ones for ever."""
-    calls: list[int] = []
-    assert fastest(lambda: calls.append(0)) >= 0.0
-    assert 2 <= len(calls) <= 20
+@pytest.fixture
+def spend(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Lets processor time [s] pass on a clock that stands still otherwise."""
+    passed = [0.0]
+    monkeypatch.setattr("flexfmu.cosim.workprec.trial.process_time", lambda: sum(passed))
+    return passed.append
 
 
-def test_timing_in_turns_gives_each_its_own_time() -> None:
-    """What is slow in every round is slow in the end; each has had as many turns as the others."""
-    calls: list[str] = []
+def test_timing_takes_the_fastest(spend: Callable[[float], None]) -> None:
+    """Runs are repeated until they have taken a tenth of a second in all, or often enough; a long one is not repeated."""
+    times = iter([0.04, 0.02, 0.03, 0.02, 0.01])
+    assert fastest(lambda: spend(next(times))) == pytest.approx(0.02)
+    assert list(times) == [0.01]
+    short = [1e-3] * (MOST + 2)
+    assert fastest(lambda: spend(short.pop())) == pytest.approx(1e-3)
+    assert len(short) == 1
+    long = [0.5, 0.2]
+    assert fastest(lambda: spend(long.pop())) == pytest.approx(0.2)
+    assert long == [0.5]
 
-    def slow() -> None:
-        calls.append("slow")
-        sum(range(200_000))
 
-    quick_time, slow_time = fastest_in_turns([lambda: calls.append("quick"), slow])
-    assert slow_time > 10.0 * quick_time
-    assert calls == ["quick", "slow"] * (len(calls) // 2)
+def test_timing_in_turns_gives_each_its_own_time(spend: Callable[[float], None]) -> None:
+    """Both are compared on a machine that is slow at first and gets faster: each has had as many turns as the other."""
+    quick, slow = iter([0.02, 0.01, 0.01]), iter([0.2, 0.1, 0.1])
+    assert fastest_in_turns([lambda: spend(next(quick)), lambda: spend(next(slow))]) == pytest.approx((0.02, 0.2))
+    quick, slow = iter([0.02, 0.01, 0.01]), iter([0.08, 0.04, 0.07])
+    assert fastest_in_turns([lambda: spend(next(quick)), lambda: spend(next(slow))]) == pytest.approx((0.01, 0.04))
 
 
 @pytest.mark.slow
