@@ -43,7 +43,7 @@ CASES = (
 )
 
 COUNTERS = ("steps", "rejections", "evaluations", "iterations", "factorisations")
-SHOWN = ("outputs", "residual_forward", "outputs_forward", "residual_rate2", "outputs_rate2")
+SHOWN = ("outputs", "motion_forward", "motion_rate2")
 FIGURES = (*COUNTERS, "integration", "with_outputs", "whole", "residual", "mass_matrix", "singularity", *SHOWN)
 """What `fmu_cost.c` gives."""
 

@@ -89,9 +89,10 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
 def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     """Shape of every argument and result by its name in `FUNCTION_SIGNATURES`."""
     n, m = model.degrees_of_freedom, len(model.inputs)
-    vectors = dict.fromkeys(("y", "v", "a", "j", "s", "r", "r2", "dy", "dv", "da", "dr"), n)
+    vectors = dict.fromkeys(("y", "v", "a", "j", "r", "dy", "dv"), n)
     vectors |= dict.fromkeys(("u", "u1", "u2", "du"), m)
-    vectors |= dict.fromkeys(("o", "o2", "do"), len(model.outputs))
+    vectors |= {"o": len(model.outputs), "rates2": n + len(model.outputs)}
+    vectors["changes"] = n + len(model.outputs) + len(model.acceleration_terms)
     vectors |= dict.fromkeys(("p", "dp"), len(model.parameters))
     vectors |= dict.fromkeys(("d", "dd"), n_derived := _function(model, "derive").numel_out(0))
     vectors["start_rates"] = n_derived + n

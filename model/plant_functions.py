@@ -16,7 +16,7 @@ from flexfmu.model.five_bar_drawing import draw_five_bar
 from flexfmu.model.robot import Family
 from flexfmu.model.scene import Scene
 from flexfmu.model.symbolic import SymbolicModel, Variable
-from flexfmu.model.time_derivatives import Motion, along_motion, forward
+from flexfmu.model.time_derivatives import Motion, acceleration_terms, forward, motion_forward, motion_rate2
 
 MINIMUM_SINE = 0.01
 """Smallest |sine| of the angle between the distal links that is simulated: half of what planning accepts, and still two
@@ -53,6 +53,11 @@ class PlantEquations:
     initial_coordinates: casadi.SX
     error_scale: casadi.SX
 
+    @property
+    def shown(self) -> casadi.SX:
+        """The outputs' expressions, (n_outputs, 1)."""
+        return casadi.vertcat(*(casadi.SX(expression) for _, expression in self.outputs))
+
 
 def make_plant(
     scene: Scene,
@@ -74,6 +79,7 @@ def make_plant(
         parameters=five_bar.registry.variables,
         outputs=tuple(variable for variable, _ in equations.outputs),
         functions=_functions(five_bar, equations, 1 if scene.mechanism.assembly_mode == "left" else -1),
+        acceleration_terms=acceleration_terms(equations.motion, equations.shown),
         feedthrough=_feedthrough(equations, inputs),
         static_start=scene.cosimulation.initial == "static",
         margin_name=MARGIN_NAME,
@@ -88,9 +94,8 @@ def make_plant(
 
 def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[str, casadi.Function]:
     """The functions of `flexfmu.model.symbolic.FUNCTION_SIGNATURES`; `side` is the assembly mode's sign."""
-    motion, residual = equations.motion, equations.residual
+    motion, residual, outputs = equations.motion, equations.residual, equations.shown
     y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
-    outputs = casadi.vertcat(*(casadi.SX(expression) for _, expression in equations.outputs))
     derived = five_bar.registry.resolved()
     start = casadi.vertcat(derived, equations.initial_coordinates)
     results = {
@@ -101,10 +106,8 @@ def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[
         "residual": ([y, v, a, u, d], residual),
         "mass_matrix": ([y, u, d], casadi.jacobian(residual, a)),
         "outputs": ([y, v, a, u, d], outputs),
-        "residual_forward": forward([y, v, a, u, d], residual),
-        "residual_rate2": along_motion(motion, residual, d),
-        "outputs_forward": forward([y, v, a, u, d], outputs),
-        "outputs_rate2": along_motion(motion, outputs, d),
+        "motion_forward": motion_forward(motion, residual, outputs, d),
+        "motion_rate2": motion_rate2(motion, residual, outputs, d),
         "singularity": ([y, u, d], side * five_bar.closure.sine),
         "error_scale": ([d], equations.error_scale),
     }

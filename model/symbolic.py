@@ -28,10 +28,8 @@ FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
     "residual": (("y", "v", "a", "u", "d"), "r"),
     "mass_matrix": (("y", "u", "d"), "m"),
     "outputs": (("y", "v", "a", "u", "d"), "o"),
-    "residual_forward": (("y", "v", "a", "u", "d", "dy", "dv", "da", "du", "dd"), "dr"),
-    "residual_rate2": (("y", "v", "a", "j", "s", "u", "u1", "u2", "d"), "r2"),
-    "outputs_forward": (("y", "v", "a", "u", "d", "dy", "dv", "da", "du", "dd"), "do"),
-    "outputs_rate2": (("y", "v", "a", "j", "s", "u", "u1", "u2", "d"), "o2"),
+    "motion_forward": (("y", "v", "a", "u", "d", "dy", "dv", "du", "dd"), "changes"),
+    "motion_rate2": (("y", "v", "a", "j", "u", "u1", "u2", "d"), "rates2"),
     "singularity": (("y", "u", "d"), "margin"),
     "error_scale": (("d",), "scale"),
 }
@@ -94,6 +92,7 @@ class SymbolicModel:
         unknowns: names of the ``n`` unknown coordinates, in the order of ``y``.
         inputs, parameters, outputs: variables in the order of ``u``, ``p`` and ``o``.
         functions: one CasADi function for each entry of `FUNCTION_SIGNATURES`, all arguments and results dense.
+        acceleration_terms: (output, unknown) of each entry of do/da, in the order in which `motion_forward` gives them.
         feedthrough: for each output the names of the inputs that it depends on algebraically.
         static_start: start value of the FMI parameter ``initial``: True for static equilibrium, False for undeformed.
         margin_name: what `singularity` measures, with its unit, for messages.
@@ -114,6 +113,7 @@ class SymbolicModel:
     parameters: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     functions: Mapping[str, casadi.Function]
+    acceleration_terms: tuple[tuple[int, int], ...]
     feedthrough: Mapping[str, tuple[str, ...]]
     static_start: bool
     margin_name: str

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi
 
@@ -29,15 +30,39 @@ def forward(arguments: Sequence[casadi.SX], expression: casadi.SX) -> tuple[list
     return [*arguments, *seeds], casadi.jtimes(expression, casadi.vertcat(*arguments), casadi.vertcat(*seeds))
 
 
-def along_motion(motion: Motion, expression: casadi.SX, derived: casadi.SX) -> tuple[list[casadi.SX], casadi.SX]:
-    """The second total time derivative of an expression in y, v, a, u and constants d.
+def acceleration_terms(motion: Motion, outputs: casadi.SX) -> tuple[tuple[int, int], ...]:
+    """(output, unknown) of each entry of do/da, column by column."""
+    return tuple(zip(*casadi.jacobian(outputs, motion.a).sparsity().get_triplet(), strict=True))
+
+
+def motion_forward(
+    motion: Motion, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
+) -> tuple[list[casadi.SX], casadi.SX]:
+    """What changes of y, v, u and constants d make of residual r (n, 1) and outputs o (n_outputs, 1) while a is held.
 
     Returns:
-        arguments [y, v, a, j, s, u, u1, u2, d] and the derivative, with jerk j = a', s = j', u1 = u', u2 = u''.
+        arguments [y, v, a, u, d, dy, dv, du, dd], and dr, do and the entries of do/da, one after the other. Both belong
+        to one function since they share most of their operations.
+    """
+    varied = [motion.y, motion.v, motion.u, derived]
+    (*_, dy, dv, du, dd), change = forward(varied, casadi.vertcat(residual, outputs))
+    entries: Any = casadi.jacobian(outputs, motion.a).nonzeros()
+    arguments = [motion.y, motion.v, motion.a, motion.u, derived, dy, dv, du, dd]
+    return arguments, casadi.vertcat(change, *entries)
+
+
+def motion_rate2(
+    motion: Motion, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
+) -> tuple[list[casadi.SX], casadi.SX]:
+    """The second total time derivatives of residual and outputs, without what the snap s = d2a/dt2 adds to them.
+
+    Returns:
+        arguments [y, v, a, j, u, u1, u2, d] with jerk j = a', u1 = u', u2 = u'', and d2r/dt2 and d2o/dt2, one after the
+        other; the snap would add M s and do/da s.
     """
     y, v, a, u = motion.y, motion.v, motion.a, motion.u
-    j, s = casadi.SX.sym("j", y.numel()), casadi.SX.sym("s", y.numel())
-    u1, u2 = casadi.SX.sym("u1", u.numel()), casadi.SX.sym("u2", u.numel())
-    first = casadi.jtimes(expression, casadi.vertcat(y, v, a, u), casadi.vertcat(v, a, j, u1))
-    second = casadi.jtimes(first, casadi.vertcat(y, v, a, j, u, u1), casadi.vertcat(v, a, j, s, u1, u2))
-    return [y, v, a, j, s, u, u1, u2, derived], second
+    j, u1, u2 = casadi.SX.sym("j", y.numel()), casadi.SX.sym("u1", u.numel()), casadi.SX.sym("u2", u.numel())
+    no_snap, both = casadi.SX.zeros(y.numel()), casadi.vertcat(residual, outputs)
+    first = casadi.jtimes(both, casadi.vertcat(y, v, a, u), casadi.vertcat(v, a, j, u1))
+    second = casadi.jtimes(first, casadi.vertcat(y, v, a, j, u, u1), casadi.vertcat(v, a, j, no_snap, u1, u2))
+    return [y, v, a, j, u, u1, u2, derived], second

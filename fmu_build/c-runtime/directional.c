@@ -8,11 +8,6 @@
 
 #define refuse(plant, ...) flex_refuse((plant)->message, __VA_ARGS__)
 
-/* arguments of residual and outputs, or their changes */
-typedef struct {
-  const double *y, *v, *a, *u, *d;
-} flex_point;
-
 // index of the state that an output shows, y and v one after the other; -1 if it shows none
 static int state_of(const flex_model *model, unsigned output) {
   for (int i = 0; model->state_outputs && i < 2 * model->n; i++)
@@ -55,13 +50,6 @@ static int gather(flex_plant *plant, const flex_direction *direction) {
   return 0;
 }
 
-static int differentiate(flex_plant *plant, const flex_function *function, const flex_point *at, const flex_point *change,
-                         double *result) {
-  const double *const arguments[] = {at->y,     at->v,     at->a,     at->u,     at->d,
-                                     change->y, change->v, change->a, change->u, change->d};
-  return flex_call(&plant->equations, function, 10, arguments, result);
-}
-
 // changes of derived parameters, and of the coordinates at the start
 static int follow_parameters(flex_plant *plant) {
   const flex_model *model = plant->model;
@@ -80,12 +68,12 @@ static int follow_parameters(flex_plant *plant) {
 // stiffness dr/dy of the free unknowns at rest, factorised
 static int factor_stiffness(flex_plant *plant, const flex_point *rest) {
   int n = plant->model->n, locked = plant->model->n_locked, free = n - locked, refused = 0;
-  double *unit = plant->tangent.a, *column = plant->tangent.residual, *stiffness = plant->statics.stiffness;
-  const flex_point change = {unit, plant->zero, plant->zero, plant->zero, plant->zero};
+  double *unit = plant->tangent.unit, *column = plant->tangent.changes, *stiffness = plant->statics.stiffness;
+  const flex_point change = {unit, plant->zero, NULL, plant->zero, plant->zero};
   memset(unit, 0, (size_t)n * sizeof *unit);
   for (int k = 0; k < free; k++) {
     unit[locked + k] = 1.0;
-    refused |= differentiate(plant, &plant->model->residual_forward, rest, &change, column);
+    refused |= flex_motion_forward(&plant->equations, rest, &change, column);
     memcpy(stiffness + k * free, column + locked, (size_t)free * sizeof *column);
     unit[locked + k] = 0.0;
   }
@@ -102,33 +90,31 @@ static int follow_equilibrium(flex_plant *plant) {
   if (factor_stiffness(plant, &rest)) return 1;
 
   // rates among the inputs stay zero at rest
-  double *dy = tangent->y, *du = tangent->rest_u, *dr = tangent->residual;
+  double *dy = tangent->y, *du = tangent->rest_u, *dr = tangent->changes;
   memset(dy + locked, 0, (size_t)free * sizeof *dy);
   memcpy(du, tangent->u, (size_t)m * sizeof *du);
   for (int i = m - model->n_rate_inputs; i < m; i++) du[i] = 0.0;
 
-  const flex_point change = {dy, zero, zero, du, tangent->d};
-  if (differentiate(plant, &model->residual_forward, &rest, &change, dr)) return 1;
+  const flex_point change = {dy, zero, NULL, du, tangent->d};
+  if (flex_motion_forward(&plant->equations, &rest, &change, dr)) return 1;
   flex_lu_solve(free, plant->statics.stiffness, plant->statics.pivots, dr + locked);
   for (int i = locked; i < n; i++) dy[i] = -dr[i];
   return 0;
 }
 
-// changes of accelerations and outputs with those of everything else
+// changes of accelerations and outputs with those of everything else: M da = -(dr with the acceleration held)
 static int follow_motion(flex_plant *plant) {
   const flex_model *model = plant->model;
   const flex_integrator *now = &plant->integrator;
-  flex_tangent *tangent = &plant->tangent;
-  int n = model->n, refused = 0;
+  const flex_tangent *tangent = &plant->tangent;
   const flex_point at = {now->y, now->v, now->a, plant->u, plant->d};
-  if (n > 0) {
-    const flex_point held = {tangent->y, tangent->v, plant->zero, tangent->u, tangent->d};
-    refused |= differentiate(plant, &model->residual_forward, &at, &held, tangent->a);
-    flex_cholesky_solve(n, now->mass_factor, tangent->a);
-    for (int i = 0; i < n; i++) tangent->a[i] = -tangent->a[i];
-  }
-  const flex_point change = {tangent->y, tangent->v, tangent->a, tangent->u, tangent->d};
-  return refused | differentiate(plant, &model->outputs_forward, &at, &change, tangent->outputs);
+  const flex_point change = {tangent->y, tangent->v, NULL, tangent->u, tangent->d};
+  double *da = tangent->changes, *outputs = da + model->n, *entries = outputs + model->n_outputs;
+  if (flex_motion_forward(&plant->equations, &at, &change, tangent->changes)) return 1;
+  flex_cholesky_solve(model->n, now->mass_factor, da);
+  for (int i = 0; i < model->n; i++) da[i] = -da[i];
+  flex_add_acceleration(model, entries, da, outputs);
+  return 0;
 }
 
 // changes of all outputs with what was gathered
@@ -149,11 +135,12 @@ int flex_differentiate(flex_plant *plant, const flex_direction *direction) {
   if (failure.outcome != FLEX_DONE) flex_explain(plant, "differentiation", &failure);
   if (failure.outcome != FLEX_DONE) return 1;
 
+  const double *changed_outputs = plant->tangent.changes + plant->model->n;
   for (size_t i = 0; i < direction->n_unknown; i++) {
     unsigned index = direction->unknown[i];
     if (flex_refuse_reference(plant->message, index, (int)first + plant->model->n_outputs)) return 1;
     if (index < first) return refuse(plant, "value reference %u is no output, it has no directional derivative", index);
-    double change = plant->tangent.outputs[index - first];
+    double change = changed_outputs[index - first];
     if (!isfinite(change))
       return refuse(plant, "the directional derivative of %s is no finite number here",
                     plant->model->output_variables[index - first].name);

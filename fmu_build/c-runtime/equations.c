@@ -7,15 +7,18 @@ static void widen(const flex_function *function, int *n_arg, int *n_res, int *n_
   if (function->n_w > *n_w) *n_w = function->n_w;
 }
 
+size_t flex_changes_count(const flex_model *model) {
+  return (size_t)model->n + (size_t)model->n_outputs + (size_t)model->n_acceleration_terms;
+}
+
 void flex_equations_take(flex_equations *equations, const flex_model *model, flex_arena *arena) {
   const flex_function *functions[] = {&model->derive,         &model->initial_inputs, &model->residual,
-                                      &model->mass_matrix,    &model->outputs,        &model->residual_forward,
-                                      &model->residual_rate2, &model->outputs_forward,   &model->outputs_rate2,
-                                      &model->singularity,    &model->error_scale,    &model->initial_coordinates,
-                                      &model->start_forward};
+                                      &model->mass_matrix,    &model->outputs,        &model->motion_forward,
+                                      &model->motion_rate2,   &model->singularity,    &model->error_scale,
+                                      &model->initial_coordinates, &model->start_forward};
 
   // the largest work space that any function needs, at least room for the arguments
-  int n_arg = 10, n_res = 1, n_iw = 1, n_w = 1;
+  int n_arg = 9, n_res = 1, n_iw = 1, n_w = 1;
   for (size_t i = 0; i < sizeof functions / sizeof *functions; i++) widen(functions[i], &n_arg, &n_res, &n_iw, &n_w);
 
   equations->model = model;
@@ -52,4 +55,14 @@ int flex_call(flex_equations *equations, const flex_function *function, int n_ar
   for (int i = 0; i < n_arguments; i++) equations->arg[i] = arguments[i];
   equations->res[0] = result;
   return function->call(equations->arg, equations->res, equations->iw, equations->w, 0);
+}
+
+int flex_motion_forward(flex_equations *equations, const flex_point *at, const flex_point *change, double *changes) {
+  const double *const arguments[] = {at->y, at->v, at->a, at->u, at->d, change->y, change->v, change->u, change->d};
+  return flex_call(equations, &equations->model->motion_forward, 9, arguments, changes);
+}
+
+void flex_add_acceleration(const flex_model *model, const double *entries, const double *a, double *outputs) {
+  const flex_term *terms = model->acceleration_terms;
+  for (int k = 0; k < model->n_acceleration_terms; k++) outputs[terms[k].output] += entries[k] * a[terms[k].unknown];
 }

@@ -30,8 +30,22 @@ int flex_mass_matrix(flex_equations *equations, const double *y, const double *u
 /* singularity margin, one number */
 int flex_margin(flex_equations *equations, const double *y, const double *u, double *margin);
 
-/* any function of the model: up to 10 arguments, then the result */
+/* any function of the model: up to 9 arguments, then the result */
 int flex_call(flex_equations *equations, const flex_function *function, int n_arguments, const double *const *arguments,
               double *result);
+
+/* arguments of residual and outputs, or their changes; a is held where changes are meant */
+typedef struct {
+  const double *y, *v, *a, *u, *d;
+} flex_point;
+
+/* how many numbers flex_motion_forward gives */
+size_t flex_changes_count(const flex_model *model);
+
+/* changes of residual and outputs with those of everything but the acceleration, and the entries of do/da */
+int flex_motion_forward(flex_equations *equations, const flex_point *at, const flex_point *change, double *changes);
+
+/* adds do/da a to changes of the outputs */
+void flex_add_acceleration(const flex_model *model, const double *entries, const double *a, double *outputs);
 
 #endif

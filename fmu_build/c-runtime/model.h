@@ -28,6 +28,11 @@ typedef struct {
   int tunable; /* parameters: 1 = may change between communication steps, 0 = fixed after initialisation */
 } flex_variable;
 
+/* an entry of do/da: this output depends on the acceleration of this unknown */
+typedef struct {
+  int output, unknown;
+} flex_term;
+
 typedef struct {
   const char *name;
   const char *guid;
@@ -48,6 +53,9 @@ typedef struct {
   const int *state_outputs;     /* which output shows each of the 2 n states y and v; NULL if none does */
   const double *state_nominals; /* their usual sizes [2 n], positive; NULL for 1 */
 
+  int n_acceleration_terms;
+  const flex_term *acceleration_terms; /* the entries of do/da that motion_forward gives; NULL if there are none */
+
   int n_pose;              /* outputs that tell a person where the mechanism is, for messages */
   const int *pose_outputs; /* which they are; NULL if there are none */
 
@@ -63,16 +71,15 @@ typedef struct {
   flex_function mass_matrix;    /* (y, u, d) -> M [n x n], symmetric, positive definite */
   flex_function outputs;        /* (y, v, a, u, d) -> o [n_outputs] */
 
-  /* directional derivatives: what small changes dy, dv, .. of the arguments make of the results. Along a motion the seeds
-   * v, a, da/dt, du/dt, 0 give the rates. residual_forward is M da + (terms without da). */
-  flex_function residual_forward; /* (y, v, a, u, d, dy, dv, da, du, dd) -> dr [n] */
-  flex_function outputs_forward;  /* (y, v, a, u, d, dy, dv, da, du, dd) -> do [n_outputs] */
-  flex_function start_forward;    /* (p, dp) -> [dd, dy] of derive and initial_coordinates */
+  /* directional derivatives: what small changes dy, dv, .. of the arguments make of the results. Residual and outputs
+   * share most of their operations, so one function gives both, without what changes of the acceleration add: M da to dr,
+   * do/da da to do. Along a motion the seeds v, a, du/dt, 0 give the rates without the jerk. */
+  flex_function motion_forward; /* (y, v, a, u, d, dy, dv, du, dd) -> [dr (n), do (n_outputs), entries of do/da] */
+  flex_function start_forward;  /* (p, dp) -> [dd, dy] of derive and initial_coordinates */
 
-  /* second time derivatives along the motion; j = da/dt, s = dj/dt, u1 = du/dt, u2 = d2u/dt2.
-   * residual_rate2 is M s + (terms without s). */
-  flex_function residual_rate2; /* (y, v, a, j, s, u, u1, u2, d) -> d2r/dt2 [n] */
-  flex_function outputs_rate2;  /* (y, v, a, j, s, u, u1, u2, d) -> d2o/dt2 [n_outputs] */
+  /* second time derivatives along the motion without what the snap s = d2a/dt2 adds: M s and do/da s; j = da/dt,
+   * u1 = du/dt, u2 = d2u/dt2 */
+  flex_function motion_rate2; /* (y, v, a, j, u, u1, u2, d) -> [d2r/dt2 (n), d2o/dt2 (n_outputs)] */
 
   flex_function singularity; /* (y, u, d) -> one number, at least minimum_margin at admissible poses, NaN where the
                                 mechanism cannot be assembled */

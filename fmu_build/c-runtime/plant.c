@@ -20,10 +20,8 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->scale = flex_take_doubles(arena, 2 * n + 1);
   plant->u = flex_take_doubles(arena, m);
   plant->outputs = flex_take_doubles(arena, outputs);
-  plant->first_rates = flex_take_doubles(arena, outputs);
-  plant->second_rates = flex_take_doubles(arena, outputs);
-  plant->jerk = flex_take_doubles(arena, n);
-  plant->snap = flex_take_doubles(arena, n);
+  plant->jerk = flex_take_doubles(arena, flex_changes_count(model));
+  plant->snap = flex_take_doubles(arena, n + outputs);
   flex_inputs_take(&plant->inputs, model->n_inputs, model->max_input_order, arena);
   flex_integrator_take_state(&plant->integrator, model->n, arena);
   plant->state_size = arena->used - begin;
@@ -52,6 +50,11 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
   flex_plant *plant = flex_take(&arena, sizeof *plant);
   take(plant, model, &arena);
   plant->model = model;
+
+  // results of the functions that give rates lie one after the other
+  plant->first_rates = plant->jerk + model->n;
+  plant->acceleration_entries = plant->first_rates + model->n_outputs;
+  plant->second_rates = plant->snap + model->n;
 
   // seams between the parts
   flex_integrator *integrator = &plant->integrator;
@@ -304,40 +307,28 @@ flex_failure flex_plant_need_outputs(flex_plant *plant) {
   return failure;
 }
 
-// M x = -(rate of the residual without x), x being jerk or snap
-static void solve_rate(const flex_plant *plant, double *x) {
+// M x = -(rate of the residual without x), x being jerk or snap, which then adds its part to the rates of the outputs
+static void solve_rate(const flex_plant *plant, double *x, double *rates) {
   flex_cholesky_solve(plant->model->n, plant->integrator.mass_factor, x);
   for (int i = 0; i < plant->model->n; i++) x[i] = -x[i];
+  flex_add_acceleration(plant->model, plant->acceleration_entries, x, rates);
 }
 
 static int first_rates(flex_plant *plant) {
-  const flex_model *model = plant->model;
   const flex_integrator *g = &plant->integrator;
-  const double *u = plant->u, *u1 = plant->u1, *d = plant->d, *zero = plant->zero;
-  int refused = 0;
-  if (model->n > 0) {
-    const double *const arguments[] = {g->y, g->v, g->a, u, d, g->v, g->a, zero, u1, zero};
-    refused |= flex_call(&plant->equations, &model->residual_forward, 10, arguments, plant->jerk);
-    solve_rate(plant, plant->jerk);
-  }
-  const double *const arguments[] = {g->y, g->v, g->a, u, d, g->v, g->a, plant->jerk, u1, zero};
-  refused |= flex_call(&plant->equations, &model->outputs_forward, 10, arguments, plant->first_rates);
-  return refused || !all_finite(plant->first_rates, model->n_outputs);
+  const flex_point now = {g->y, g->v, g->a, plant->u, plant->d}, rates = {g->v, g->a, NULL, plant->u1, plant->zero};
+  int refused = flex_motion_forward(&plant->equations, &now, &rates, plant->jerk);
+  solve_rate(plant, plant->jerk, plant->first_rates);
+  return refused || !all_finite(plant->jerk, plant->model->n + plant->model->n_outputs);
 }
 
 static int second_rates(flex_plant *plant) {
   const flex_model *model = plant->model;
   const flex_integrator *g = &plant->integrator;
-  const double *u = plant->u, *u1 = plant->u1, *u2 = plant->u2, *d = plant->d;
-  int refused = 0;
-  if (model->n > 0) {
-    const double *const arguments[] = {g->y, g->v, g->a, plant->jerk, plant->zero, u, u1, u2, d};
-    refused |= flex_call(&plant->equations, &model->residual_rate2, 9, arguments, plant->snap);
-    solve_rate(plant, plant->snap);
-  }
-  const double *const arguments[] = {g->y, g->v, g->a, plant->jerk, plant->snap, u, u1, u2, d};
-  refused |= flex_call(&plant->equations, &model->outputs_rate2, 9, arguments, plant->second_rates);
-  return refused || !all_finite(plant->second_rates, model->n_outputs);
+  const double *const arguments[] = {g->y, g->v, g->a, plant->jerk, plant->u, plant->u1, plant->u2, plant->d};
+  int refused = flex_call(&plant->equations, &model->motion_rate2, 8, arguments, plant->snap);
+  solve_rate(plant, plant->snap, plant->second_rates);
+  return refused || !all_finite(plant->snap, model->n + model->n_outputs);
 }
 
 flex_failure flex_plant_need_rates(flex_plant *plant, int order) {

@@ -39,8 +39,8 @@ typedef struct {
   flex_plant_record *record;
   size_t state_size; /* bytes of the numeric state, which begins with the record */
 
-  /* numeric state; rates: o1, o2; jerk da/dt, snap d2a/dt2 */
-  double *p, *d, *scale, *u, *outputs, *first_rates, *second_rates, *jerk, *snap;
+  /* numeric state; rates: o1, o2; jerk da/dt, snap d2a/dt2; entries of do/da */
+  double *p, *d, *scale, *u, *outputs, *jerk, *first_rates, *acceleration_entries, *snap, *second_rates;
   flex_inputs inputs;
   flex_integrator integrator;
 

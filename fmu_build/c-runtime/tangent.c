@@ -8,12 +8,11 @@ void flex_tangent_take(flex_tangent *tangent, const flex_model *model, flex_aren
   tangent->d = flex_take_doubles(arena, derived);
   tangent->y = flex_take_doubles(arena, n);
   tangent->v = flex_take_doubles(arena, n);
-  tangent->a = flex_take_doubles(arena, n);
   tangent->u = flex_take_doubles(arena, m);
-  tangent->outputs = flex_take_doubles(arena, (size_t)model->n_outputs);
   tangent->start = flex_take_doubles(arena, derived + n);
   tangent->rest_u = flex_take_doubles(arena, m);
-  tangent->residual = flex_take_doubles(arena, n);
+  tangent->unit = flex_take_doubles(arena, n);
+  tangent->changes = flex_take_doubles(arena, flex_changes_count(model));
 }
 
 static void clear(double *x, int count) {
@@ -25,6 +24,5 @@ void flex_tangent_clear(flex_tangent *tangent, const flex_model *model) {
   clear(tangent->d, model->n_derived);
   clear(tangent->y, model->n);
   clear(tangent->v, model->n);
-  clear(tangent->a, model->n);
   clear(tangent->u, model->n_inputs);
 }

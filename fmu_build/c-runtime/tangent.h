@@ -2,14 +2,16 @@
 #ifndef FLEXFMU_TANGENT_H
 #define FLEXFMU_TANGENT_H
 
+#include "equations.h"
 #include "memory.h"
 #include "model.h"
 
 typedef struct {
-  double *p, *d, *y, *v, *a, *u, *outputs; /* changes, named like what changes */
+  double *p, *d, *y, *v, *u; /* changes, named like what changes */
   double *start;    /* changes of derived parameters and start coordinates with p, one after the other */
   double *rest_u;   /* changes of the inputs of the robot at rest */
-  double *residual; /* changes of the residual */
+  double *unit;     /* one coordinate changes at a time [n] */
+  double *changes;  /* of residual and outputs, as flex_motion_forward gives them */
 } flex_tangent;
 
 void flex_tangent_take(flex_tangent *tangent, const flex_model *model, flex_arena *arena);

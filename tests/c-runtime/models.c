@@ -120,24 +120,24 @@ static int oscillators_outputs(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-// arg: y, v, a, u, d, dy, dv, da, du, dd
-static int oscillators_residual_forward(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, u, d, dy, dv, du, dd
+static int oscillators_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  oscillators_balance(arg[5], arg[6], arg[7], arg[8], arg[4], res[0]);
+  const double held[3] = {0.0, 0.0, 0.0};
+  oscillators_balance(arg[5], arg[6], held, arg[7], arg[4], res[0]);
 
   // changes of frequencies and damping: d(2 zeta w) p + d(w^2) q
   for (int k = 0; k < 3; k++) {
     double q = 0.0, p = 0.0, frequency = arg[4][k], damping = arg[4][3];
     for (int i = 0; i < 3; i++) q += rotation[i][k] * (arg[0][i] - arg[3][i]), p += rotation[i][k] * arg[1][i];
-    double f = 2.0 * (arg[9][3] * frequency + damping * arg[9][k]) * p + 2.0 * frequency * arg[9][k] * q;
+    double f = 2.0 * (arg[8][3] * frequency + damping * arg[8][k]) * p + 2.0 * frequency * arg[8][k] * q;
     for (int i = 0; i < 3; i++) res[0][i] += rotation[i][k] * f;
   }
-  return 0;
-}
 
-static int oscillators_outputs_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
-  for (int k = 0; k < 3; k++) memcpy(res[0] + 3 * k, arg[k + 5], 3 * sizeof(double));
+  // the outputs show y, v, a
+  memcpy(res[0] + 3, arg[5], 3 * sizeof(double));
+  memcpy(res[0] + 6, arg[6], 3 * sizeof(double));
+  for (int i = 0; i < 3; i++) res[0][9 + i] = 0.0, res[0][12 + i] = 1.0;
   return 0;
 }
 
@@ -148,16 +148,14 @@ static int oscillators_start_forward(in arg, out res, int *iw, double *w, int me
   return origin(res[0] + 4, 3);
 }
 
-// arg: y, v, a, j, s, u, u1, u2, d
-static int oscillators_residual_rate2(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, j, u, u1, u2, d
+static int oscillators_rate2(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  oscillators_balance(arg[2], arg[3], arg[4], arg[7], arg[8], res[0]);
-  return 0;
-}
-
-static int oscillators_outputs_rate2(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
-  for (int k = 0; k < 3; k++) memcpy(res[0] + 3 * k, arg[k + 2], 3 * sizeof(double));
+  const double no_snap[3] = {0.0, 0.0, 0.0};
+  oscillators_balance(arg[2], arg[3], no_snap, arg[6], arg[7], res[0]);
+  memcpy(res[0] + 3, arg[2], 3 * sizeof(double));
+  memcpy(res[0] + 6, arg[3], 3 * sizeof(double));
+  memcpy(res[0] + 9, no_snap, 3 * sizeof(double));
   return 0;
 }
 
@@ -174,6 +172,7 @@ static int oscillators_scale(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
+static const flex_term shown_accelerations[] = {{6, 0}, {7, 1}, {8, 2}};
 static const flex_variable oscillator_inputs[] = {{"equilibrium1", "m", 0.0, LIMITLESS, 0},
                                                   {"equilibrium2", "m", 0.0, LIMITLESS, 0},
                                                   {"equilibrium3", "m", 0.0, LIMITLESS, 0}};
@@ -197,6 +196,8 @@ const flex_model oscillators = {.name = "oscillators",
                                 .input_variables = oscillator_inputs,
                                 .parameter_variables = oscillator_parameters,
                                 .output_variables = oscillator_outputs,
+                                .n_acceleration_terms = 3,
+                                .acceleration_terms = shown_accelerations,
                                 .static_start = 1,
                                 .default_tolerance = 1e-6,
                                 .minimum_margin = 0.0,
@@ -207,11 +208,9 @@ const flex_model oscillators = {.name = "oscillators",
                                 .residual = FUNCTION(oscillators_residual),
                                 .mass_matrix = FUNCTION(oscillators_mass),
                                 .outputs = FUNCTION(oscillators_outputs),
-                                .residual_forward = FUNCTION(oscillators_residual_forward),
-                                .residual_rate2 = FUNCTION(oscillators_residual_rate2),
-                                .outputs_forward = FUNCTION(oscillators_outputs_forward),
+                                .motion_forward = FUNCTION(oscillators_forward),
+                                .motion_rate2 = FUNCTION(oscillators_rate2),
                                 .start_forward = FUNCTION(oscillators_start_forward),
-                                .outputs_rate2 = FUNCTION(oscillators_outputs_rate2),
                                 .singularity = FUNCTION(ample_margin),
                                 .error_scale = FUNCTION(oscillators_scale)};
 
@@ -229,31 +228,20 @@ static int pendulum_energy(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-// arg: y, v, a, u, d, dy, dv, da, du, dd
-static int pendulum_residual_forward(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, u, d, dy, dv, du, dd
+static int pendulum_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[7][0] + cos(arg[0][0]) * arg[5][0] - arg[8][0];
+  res[0][0] = cos(arg[0][0]) * arg[5][0] - arg[7][0];
+  res[0][1] = arg[1][0] * arg[6][0] + sin(arg[0][0]) * arg[5][0];
   return 0;
 }
 
-static int pendulum_energy_forward(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[1][0] * arg[6][0] + sin(arg[0][0]) * arg[5][0];
-  return 0;
-}
-
-// arg: y, v, a, j, s, u, u1, u2, d
-static int pendulum_residual_rate2(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
-  double y = arg[0][0], v = arg[1][0];
-  res[0][0] = arg[4][0] - sin(y) * v * v + cos(y) * arg[2][0] - arg[7][0];
-  return 0;
-}
-
-static int pendulum_energy_rate2(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, j, u, u1, u2, d
+static int pendulum_rate2(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
   double y = arg[0][0], v = arg[1][0], a = arg[2][0];
-  res[0][0] = a * (a + sin(y)) + v * (arg[3][0] + cos(y) * v);
+  res[0][0] = -sin(y) * v * v + cos(y) * a - arg[6][0];
+  res[0][1] = a * (a + sin(y)) + v * (arg[3][0] + cos(y) * v);
   return 0;
 }
 
@@ -277,11 +265,9 @@ const flex_model pendulum = {.name = "pendulum",
                              .residual = FUNCTION(pendulum_residual),
                              .mass_matrix = FUNCTION(unit_mass_1),
                              .outputs = FUNCTION(pendulum_energy),
-                             .residual_forward = FUNCTION(pendulum_residual_forward),
-                             .residual_rate2 = FUNCTION(pendulum_residual_rate2),
-                             .outputs_forward = FUNCTION(pendulum_energy_forward),
+                             .motion_forward = FUNCTION(pendulum_forward),
+                             .motion_rate2 = FUNCTION(pendulum_rate2),
                              .start_forward = FUNCTION(origin_1),
-                             .outputs_rate2 = FUNCTION(pendulum_energy_rate2),
                              .singularity = FUNCTION(ample_margin),
                              .error_scale = FUNCTION(unit_scale_1)};
 
@@ -330,11 +316,9 @@ const flex_model orbit = {.name = "orbit",
                           .residual = FUNCTION(orbit_residual),
                           .mass_matrix = FUNCTION(orbit_mass),
                           .outputs = FUNCTION(orbit_invariants),
-                          .residual_forward = FUNCTION(unknown_rates),
-                          .residual_rate2 = FUNCTION(unknown_rates),
-                          .outputs_forward = FUNCTION(unknown_rates),
+                          .motion_forward = FUNCTION(unknown_rates),
+                          .motion_rate2 = FUNCTION(unknown_rates),
                           .start_forward = FUNCTION(unknown_rates),
-                          .outputs_rate2 = FUNCTION(unknown_rates),
                           .singularity = FUNCTION(ample_margin),
                           .error_scale = FUNCTION(unit_scale_2)};
 
@@ -376,11 +360,9 @@ const flex_model double_pendulum = {.name = "double_pendulum",
                                     .residual = FUNCTION(double_pendulum_residual),
                                     .mass_matrix = FUNCTION(double_pendulum_mass),
                                     .outputs = FUNCTION(double_pendulum_energy),
-                                    .residual_forward = FUNCTION(unknown_rates),
-                                    .residual_rate2 = FUNCTION(unknown_rates),
-                                    .outputs_forward = FUNCTION(unknown_rates),
+                                    .motion_forward = FUNCTION(unknown_rates),
+                                    .motion_rate2 = FUNCTION(unknown_rates),
                           .start_forward = FUNCTION(unknown_rates),
-                                    .outputs_rate2 = FUNCTION(unknown_rates),
                                     .singularity = FUNCTION(ample_margin),
                                     .error_scale = FUNCTION(unit_scale_2)};
 
@@ -392,15 +374,17 @@ static int rigid_outputs(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-static int rigid_outputs_forward(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, u, d, dy, dv, du, dd
+static int rigid_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = 2.0 * arg[3][0] * arg[8][0];
+  res[0][0] = 2.0 * arg[3][0] * arg[7][0];
   return 0;
 }
 
-static int rigid_outputs_rate2(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, j, u, u1, u2, d
+static int rigid_rate2(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = 2.0 * (arg[6][0] * arg[6][0] + arg[5][0] * arg[7][0]);
+  res[0][0] = 2.0 * (arg[5][0] * arg[5][0] + arg[4][0] * arg[6][0]);
   return 0;
 }
 
@@ -436,11 +420,9 @@ const flex_model rigid = {.name = "rigid",
                           .residual = FUNCTION(no_inputs),
                           .mass_matrix = FUNCTION(no_inputs),
                           .outputs = FUNCTION(rigid_outputs),
-                          .residual_forward = FUNCTION(no_inputs),
-                          .residual_rate2 = FUNCTION(no_inputs),
-                          .outputs_forward = FUNCTION(rigid_outputs_forward),
+                          .motion_forward = FUNCTION(rigid_forward),
+                          .motion_rate2 = FUNCTION(rigid_rate2),
                           .start_forward = FUNCTION(no_inputs),
-                          .outputs_rate2 = FUNCTION(rigid_outputs_rate2),
                           .singularity = FUNCTION(margin_below_one),
                           .error_scale = FUNCTION(unit_floor)};
 
@@ -465,21 +447,19 @@ static int first_coordinate(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
-static int fragile_residual_forward(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, u, d, dy, dv, du, dd
+static int fragile_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[7][0] + arg[5][0] - arg[8][0] - arg[9][1];
+  res[0][0] = arg[5][0] - arg[7][0] - arg[8][1];
+  res[0][1] = arg[5][0];
   return 0;
 }
 
-static int fragile_residual_rate2(in arg, out res, int *iw, double *w, int mem) {
+// arg: y, v, a, j, u, u1, u2, d
+static int fragile_rate2(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[4][0] + arg[2][0] - arg[7][0];
-  return 0;
-}
-
-static int sixth_argument(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[5][0];
+  res[0][0] = arg[2][0] - arg[6][0];
+  res[0][1] = arg[2][0];
   return 0;
 }
 
@@ -488,12 +468,6 @@ static int fragile_start_forward(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
   memcpy(res[0], arg[1], 2 * sizeof(double));
   return origin(res[0] + 2, 1);
-}
-
-static int third_argument(in arg, out res, int *iw, double *w, int mem) {
-  (void)iw, (void)w, (void)mem;
-  res[0][0] = arg[2][0];
-  return 0;
 }
 
 static int margin_below_two(in arg, out res, int *iw, double *w, int mem) {
@@ -532,11 +506,9 @@ static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS
    .residual = FUNCTION(fragile_residual),             \
    .mass_matrix = FUNCTION(unit_mass_1),               \
    .outputs = FUNCTION(first_coordinate),              \
-   .residual_forward = FUNCTION(fragile_residual_forward), \
-   .residual_rate2 = FUNCTION(fragile_residual_rate2), \
-   .outputs_forward = FUNCTION(sixth_argument),        \
+   .motion_forward = FUNCTION(fragile_forward),        \
+   .motion_rate2 = FUNCTION(fragile_rate2),            \
    .start_forward = FUNCTION(fragile_start_forward),   \
-   .outputs_rate2 = FUNCTION(third_argument),          \
    .singularity = FUNCTION(margin_below_two),          \
    .error_scale = FUNCTION(unit_scale_1)}
 

@@ -9,7 +9,7 @@ import casadi
 import pytest
 
 from flexfmu.model.symbolic import EffectNote, SymbolicModel, Variable
-from flexfmu.model.time_derivatives import forward
+from flexfmu.model.time_derivatives import Motion, acceleration_terms, forward, motion_forward, motion_rate2
 
 MakeModel = Callable[..., SymbolicModel]
 
@@ -50,18 +50,12 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
     M y'' + C y' + K y = B u with M = m I, K = [[k + c, -c], [-c, k + c]], C = t K, B = [1, 0].
     """
     p = casadi.SX.sym("p", 5)
-    y, v, a, j, s = (casadi.SX.sym(symbol, 2) for symbol in "yvajs")
-    u, u1, u2 = (casadi.SX.sym(symbol, 1) for symbol in ("u", "u1", "u2"))
-    d = casadi.SX.sym("d", 4)
+    y, v, a = (casadi.SX.sym(symbol, 2) for symbol in "yva")
+    u, d = casadi.SX.sym("u", 1), casadi.SX.sym("d", 4)
     K = casadi.vertcat(casadi.horzcat(d[1] + d[2], -d[2]), casadi.horzcat(-d[2], d[1] + d[2]))
     residual = d[0] * a + d[3] * K @ v + K @ y - casadi.vertcat(u, 0)
     outputs = casadi.vertcat(y[0], v[0], a[0], y[1], v[1], a[1], -d[1] * y[0], u * v[0])
-
-    state, rates = casadi.vertcat(y, v, a, j, u, u1), casadi.vertcat(v, a, j, s, u1, u2)
-
-    def rate(expression: casadi.SX) -> casadi.SX:
-        return casadi.jtimes(expression, state, rates)
-
+    motion = Motion(y, v, a, u)
     results = {
         "derive": ([p], p[:4]),
         "initial_inputs": ([p], p[4]),
@@ -70,10 +64,8 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
         "residual": ([y, v, a, u, d], residual),
         "mass_matrix": ([y, u, d], d[0] * casadi.SX.eye(2)),
         "outputs": ([y, v, a, u, d], outputs),
-        "residual_forward": forward([y, v, a, u, d], residual),
-        "residual_rate2": ([y, v, a, j, s, u, u1, u2, d], rate(rate(residual))),
-        "outputs_forward": forward([y, v, a, u, d], outputs),
-        "outputs_rate2": ([y, v, a, j, s, u, u1, u2, d], rate(rate(outputs))),
+        "motion_forward": motion_forward(motion, residual, outputs, d),
+        "motion_rate2": motion_rate2(motion, residual, outputs, d),
         "singularity": ([y, u, d], casadi.SX(1)),
         "error_scale": ([d], casadi.vertcat(d[1], d[1], d[0], d[0], 1e-6)),
     }
@@ -96,6 +88,7 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
             Variable("power", "W", "Power of the force", "output"),
         ),
         functions={key: _function(key, *result) for key, result in results.items()},
+        acceleration_terms=acceleration_terms(motion, outputs),
         feedthrough={
             "first.position": (),
             "der(first.position)": (),
@@ -115,21 +108,19 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
 
 def lever(name: str = "lever") -> SymbolicModel:
     """A rigid lever: no unknowns, the output is the input times the ratio."""
-    empty = [casadi.SX.sym(symbol, 0) for symbol in "yvajs"]
-    p, u, u1, u2, d = (casadi.SX.sym(symbol, 1) for symbol in ("p", "u", "u1", "u2", "d"))
-    none = casadi.SX(0, 1)
+    empty = [casadi.SX.sym(symbol, 0) for symbol in "yva"]
+    p, u, d = (casadi.SX.sym(symbol, 1) for symbol in "pud")
+    none, motion = casadi.SX(0, 1), Motion(*empty, u)
     results = {
         "derive": ([p], p),
         "initial_inputs": ([p], casadi.SX(0)),
         "initial_coordinates": ([p], none),
         "start_forward": forward([p], p),
-        "residual": ([*empty[:3], u, d], none),
+        "residual": ([*empty, u, d], none),
         "mass_matrix": ([empty[0], u, d], casadi.SX(0, 0)),
-        "outputs": ([*empty[:3], u, d], d * u),
-        "residual_forward": forward([*empty[:3], u, d], none),
-        "residual_rate2": ([*empty, u, u1, u2, d], none),
-        "outputs_forward": forward([*empty[:3], u, d], d * u),
-        "outputs_rate2": ([*empty, u, u1, u2, d], d * u2),
+        "outputs": ([*empty, u, d], d * u),
+        "motion_forward": motion_forward(motion, none, d * u, d),
+        "motion_rate2": motion_rate2(motion, none, d * u, d),
         "singularity": ([empty[0], u, d], casadi.SX(1)),
         "error_scale": ([d], casadi.SX(1)),
     }
@@ -141,6 +132,7 @@ def lever(name: str = "lever") -> SymbolicModel:
         parameters=(Variable("ratio", "1", "Transmission", "parameter", start=2.0),),
         outputs=(Variable("angle_out", "rad", "Angle out", "output"),),
         functions={key: _function(key, *result) for key, result in results.items()},
+        acceleration_terms=(),
         feedthrough={"angle_out": ("angle",)},
         static_start=True,
         margin_name="distance to nothing",

@@ -42,7 +42,7 @@ def test_the_dynamics_are_those_without_the_family(scene: Scene, family: str) ->
     """No state and not one operation more in the equations of motion."""
     left_out, static = build_model(without(scene, family)), build_model(statically(scene, family))
     assert static.unknowns == left_out.unknowns
-    for function in ("residual", "mass_matrix", "residual_rate2"):
+    for function in ("residual", "mass_matrix"):
         assert static.functions[function].n_instructions() == left_out.functions[function].n_instructions()
     joints = motor_angles(scene.mechanism, POSE)
     np.testing.assert_allclose(
