@@ -163,12 +163,12 @@ def run(
     The FMU is built first unless it is in the cache. An SSP file, ours or not, gives results.csv and summary.json.
     """
     with one_line_errors():
-        from flexfmu.cosim.commands.run import RESULTS, run_command
+        from flexfmu.cosim.commands.run import run_command
 
         if scene.lower().endswith(".ssp"):
             from flexfmu.cosim.commands.export import run_ssp_command
 
-            raise typer.Exit(run_ssp_command(Path(scene), out or RESULTS / Path(scene).stem, step, json))
+            raise typer.Exit(run_ssp_command(Path(scene), out, step, json))
         raise typer.Exit(run_command(scene, out, json, step))
 
 

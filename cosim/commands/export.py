@@ -17,7 +17,7 @@ from flexfmu.cosim.commands.scene import load_resolved
 from flexfmu.cosim.loop.recording import slave_facts
 from flexfmu.cosim.master.master import Outcome, Simulation
 from flexfmu.cosim.reports.json_text import to_json
-from flexfmu.cosim.reports.output import OutputFolder
+from flexfmu.cosim.reports.output import RESULTS, OutputFolder
 from flexfmu.cosim.ssp.export import export_ssp
 from flexfmu.cosim.ssp.loading import SspSystem, load_ssp
 
@@ -36,13 +36,13 @@ def export_command(source: str, output: Path | None, platforms: list[str], as_js
     return 0
 
 
-def run_ssp_command(source: Path, out: Path, step: float | None, as_json: bool) -> int:
+def run_ssp_command(source: Path, out: Path | None, step: float | None, as_json: bool) -> int:
     """Simulate an SSP file; write results.csv and summary.json, print how it went; the exit status.
 
     What was recorded before a failure is written too.
     """
     loaded = load_ssp(source, step=step)
-    folder = OutputFolder(out)
+    folder = OutputFolder(out or RESULTS / source.stem)
     folder.prepare()
     with progress() as show:
         simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction))

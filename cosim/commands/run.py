@@ -19,14 +19,11 @@ from flexfmu.cosim.experiment import Run, run_scene
 from flexfmu.cosim.measuring.metric_table import ALL_METRICS, METRICS, display
 from flexfmu.cosim.metrics import Measurement, Settings, measure, settings_for
 from flexfmu.cosim.reports.json_text import to_json
-from flexfmu.cosim.reports.output import OutputFolder
+from flexfmu.cosim.reports.output import RESULTS, OutputFolder
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.errors import EquilibriumError
 from flexfmu.model.scene_file import load_scene
 from flexfmu.model.selection.words import choice_sentence
-
-RESULTS = Path("results")
-"""Where results go unless the user says otherwise, in a folder named after the scene."""
 
 
 def run_command(source: str, out: Path | None, as_json: bool, step: float | None = None) -> int:

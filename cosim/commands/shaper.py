@@ -14,7 +14,7 @@ from flexfmu.cosim.commands.scene import load_resolved
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.planning import plan
 from flexfmu.cosim.reports.json_text import to_json
-from flexfmu.cosim.reports.output import OutputFolder
+from flexfmu.cosim.reports.output import RESULTS, OutputFolder
 from flexfmu.cosim.shaping.design import DesignModes, alternatives, design_modes
 from flexfmu.cosim.shaping.figure import save_sensitivity
 from flexfmu.cosim.shaping.recommendation import Recommendation, compare_slower, recommend
@@ -29,9 +29,6 @@ from flexfmu.cosim.shaping.table import (
 )
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
-
-RESULTS = Path("results")
-"""Where results go unless the user says otherwise, in a folder named after the scene."""
 
 COARSE, FINE = 5, 7
 """Number of payload errors over the band. The residual vibration goes up and down with the payload, since the vibrations

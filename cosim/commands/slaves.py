@@ -10,10 +10,10 @@ from rich.text import Text
 
 from flexfmu.cosim.commands.console import print_rich, print_text, progress
 from flexfmu.cosim.commands.fmu import naming_convention
-from flexfmu.cosim.commands.run import RESULTS
 from flexfmu.cosim.commands.scene import load_resolved
 from flexfmu.cosim.exported_system import ExportedSystem
 from flexfmu.cosim.reports.json_text import to_json
+from flexfmu.cosim.reports.output import RESULTS
 from flexfmu.cosim.slave_export import export_slaves
 
 

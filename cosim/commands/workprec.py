@@ -12,10 +12,7 @@ from flexfmu.cosim.commands.errors import FAILURE
 from flexfmu.cosim.commands.scene import load_resolved
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.reports.json_text import to_json
-from flexfmu.cosim.reports.output import OutputFolder
-
-RESULTS = Path("results")
-"""Where results go unless the user says otherwise, in a folder named after the scene."""
+from flexfmu.cosim.reports.output import RESULTS, OutputFolder
 
 HARD_CASES = "hard-cases"
 """Name of the suite's folder and files."""

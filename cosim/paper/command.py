@@ -14,10 +14,10 @@ from flexfmu.cosim.paper.output import write_report, write_simulations
 from flexfmu.cosim.paper.reference import printed_table, printed_tables, source
 from flexfmu.cosim.paper.report import PaperReport
 from flexfmu.cosim.paper.simulations import Simulation, evaluators, simulate
-from flexfmu.cosim.reports.output import OutputFolder
+from flexfmu.cosim.reports.output import RESULTS, OutputFolder
 from flexfmu.cosim.reports.versions import versions
 
-DEFAULT_FOLDER = Path("results/paper")
+DEFAULT_FOLDER = RESULTS / "paper"
 """Where the results go unless the user says otherwise."""
 
 TRAJECTORY_TABLES = ("table-02", "table-05", "table-06")

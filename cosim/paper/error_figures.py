@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from flexfmu.cosim.paper.cases import Case
+from flexfmu.cosim.paper.colours import CURVE_COLOURS, PROFILE_COLOURS
 from flexfmu.cosim.paper.simulations import Simulation
-from flexfmu.cosim.paper.style import CURVE_COLOURS, PROFILE_COLOURS, draw, mark_end
+from flexfmu.cosim.reports.figure_style import draw, mark_end
 
 SCENE = "barnard2012-6kg"
 

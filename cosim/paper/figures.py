@@ -10,7 +10,7 @@ from matplotlib.figure import Figure as Drawing
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.paper import path_figures, spectrum_figures
 from flexfmu.cosim.paper.report import Figure
-from flexfmu.cosim.paper.style import save, style
+from flexfmu.cosim.reports.figure_style import save, style
 
 Draw = Callable[[], Drawing]
 

@@ -7,9 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 
+from flexfmu.cosim.paper.colours import SEQUENCE
 from flexfmu.cosim.paper.motions import smooth_pieces
-from flexfmu.cosim.paper.style import GREY, INK, PALE, SEQUENCE
 from flexfmu.cosim.planning import MotionPlan
+from flexfmu.cosim.reports.figure_style import GREY, INK, PALE
 
 Points = NDArray[np.float64]
 

@@ -9,12 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from flexfmu.cosim.paper.cases import Case, case_scene
+from flexfmu.cosim.paper.colours import CURVE_COLOURS
 from flexfmu.cosim.paper.comparison import ComparisonTable
 from flexfmu.cosim.paper.error_figures import SCENE, draw_errors
 from flexfmu.cosim.paper.mechanism import draw_bases, draw_mechanism, draw_path
 from flexfmu.cosim.paper.simulations import Simulation
-from flexfmu.cosim.paper.style import CURVE_COLOURS, GREY, INK, draw
 from flexfmu.cosim.planning import plan
+from flexfmu.cosim.reports.figure_style import GREY, INK, draw
 
 PARITY = {
     "peak_torque_1": ("torque [N m]", "o"),

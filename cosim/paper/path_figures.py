@@ -7,10 +7,11 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from flexfmu.cosim.paper.cases import trajectory_scene
+from flexfmu.cosim.paper.colours import CURVE_COLOURS, PROFILE_COLOURS
 from flexfmu.cosim.paper.mechanism import MILLI, draw_bases, draw_mechanism, draw_path, draw_workspace
 from flexfmu.cosim.paper.motions import smooth_pieces
-from flexfmu.cosim.paper.style import CURVE_COLOURS, GREY, PROFILE_COLOURS, draw
 from flexfmu.cosim.planning import plan
+from flexfmu.cosim.reports.figure_style import GREY, draw
 from flexfmu.trajectories.profiles import Profile
 
 POLYNOMIAL = "7th order polynomial"

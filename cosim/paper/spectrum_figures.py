@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from flexfmu.cosim.paper.cases import trajectory_scene
+from flexfmu.cosim.paper.colours import PROFILE_COLOURS, SEQUENCE
 from flexfmu.cosim.paper.motions import smooth_pieces
 from flexfmu.cosim.paper.spectrum import acceleration_spectrum, band_average
-from flexfmu.cosim.paper.style import GREY, PROFILE_COLOURS, SEQUENCE, draw
 from flexfmu.cosim.planning import plan
+from flexfmu.cosim.reports.figure_style import GREY, draw
 from flexfmu.model.scene import Scene
 
 POLYNOMIAL, LAME = "7th order polynomial", "Lamé"

@@ -10,6 +10,9 @@ from pathlib import Path
 
 from flexfmu.cosim.errors import ResultsError
 
+RESULTS = Path("results")
+"""Where results go unless the user says otherwise, in a folder named after the scene."""
+
 
 @dataclass(frozen=True)
 class OutputFolder:

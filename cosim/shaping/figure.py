@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter
 
 from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.paper.style import GREY, INK, PALE, draw, save, style
+from flexfmu.cosim.reports.figure_style import GREY, INK, PALE, draw, save, style
 from flexfmu.cosim.shaping.design import DesignModes
 from flexfmu.cosim.shaping.study import UNSHAPED_NAME, Result
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.paper.style import GREY, draw, save, style
+from flexfmu.cosim.reports.figure_style import GREY, draw, save, style
 from flexfmu.cosim.workprec.study import FAMILIES, Study
 from flexfmu.cosim.workprec.trial import Trial
 

@@ -1,4 +1,4 @@
-"""How the figures look: one style, one colour for each motion profile and each curve."""
+"""How figures in files look: one style, without window or global state."""
 
 from __future__ import annotations
 
@@ -9,21 +9,7 @@ from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Drawing
-
-PROFILE_COLOURS: Mapping[str, str] = {
-    "7th order polynomial": "#0b5fa5",
-    "Bang-bang": "#d1495b",
-    "1/4 Trapezoidal": "#2a9d6f",
-    "1/8 Trapezoidal": "#e09f1f",
-}
-"""Label of a motion profile → colour; distinct for colour-blind readers in lightness too."""
-
-CURVE_COLOURS: Mapping[str, str] = {"Lamé": "#0b5fa5", "Clothoid": "#d1495b", "Polar": "#2a9d6f"}
-"""Label of a curve → colour."""
-
-SEQUENCE = ("#0b5fa5", "#d1495b", "#2a9d6f")
-"""Colours of lines that are told apart by a number (cycle times, blend lengths)."""
+from matplotlib.figure import Figure
 
 INK, GREY, PALE = "#22303c", "#7b8794", "#e6eaee"
 """Text and mechanism, secondary lines, fills."""
@@ -52,13 +38,13 @@ _RC: Mapping[str, Any] = {
 }
 
 
-def draw(width: float, height: float) -> Drawing:
+def draw(width: float, height: float) -> Figure:
     """An empty drawing in the common style; it belongs to no window and no global state.
 
     Args:
         width, height: size in inches.
     """
-    return Drawing(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def style() -> AbstractContextManager[None]:
@@ -67,7 +53,7 @@ def style() -> AbstractContextManager[None]:
     return context
 
 
-def save(drawing: Drawing, stem: Path) -> None:
+def save(drawing: Figure, stem: Path) -> None:
     """Write a drawing as ``<stem>.png`` at 150 dpi and as ``<stem>.svg``, without a date in them.
 
     Raises:
