@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from flexfmu.cosim.compiled.library import load
 from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel
@@ -76,15 +76,15 @@ class Simulator:
         return self._result(run, self._completed(run, tolerance))
 
     def _completed(self, run: Run, tolerance: float | None) -> BaseException | None:
-        """Let it run and terminate the slaves; what went wrong, if anything."""
+        """Let it run and terminate all slaves; what went wrong first, if anything."""
         try:
-            run.go(tolerance)
-        except (Exception, KeyboardInterrupt) as failure:
-            return failure
+            error = _failure(lambda: run.go(tolerance))
         finally:
-            for slave in self._terminating:
-                slave.terminate()
-        return None
+            late = [(slave.name, _failure(slave.terminate)) for slave in self._terminating]
+        for name, failure in late:
+            if error is None and failure is not None:
+                error, self._schedule.activity.name = failure, name
+        return error
 
     def _result(self, run: Run, error: BaseException | None) -> Simulation:
         """What the run gave."""
@@ -138,6 +138,15 @@ class Simulator:
         if step not in self._delays:
             self._delays = {step: signal_delays(self._system, self._schedule.couplings, step)}
         return self._delays[step]
+
+
+def _failure(action: Callable[[], None]) -> BaseException | None:
+    """What goes wrong in an action, if anything."""
+    try:
+        action()
+    except (Exception, KeyboardInterrupt) as failure:
+        return failure
+    return None
 
 
 def _grid(system: System, start: float, stop: float, step: float, ticks: bool) -> TimeGrid:
