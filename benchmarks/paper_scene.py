@@ -8,6 +8,7 @@ from time import process_time
 
 from flexfmu.cosim.experiment import PreparedScene
 from flexfmu.cosim.master.outcome import Outcome
+from flexfmu.cosim.master.selection import EVERYTHING, Selection
 from flexfmu.cosim.master.simulator import Simulator
 from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.planning import plan
@@ -39,9 +40,11 @@ def timed(action: Callable[[], object]) -> Timed:
     return run
 
 
-def whole_run(scene: Scene, step: float, tolerance: float, fmu_path: Path | None = None) -> Timed:
+def whole_run(
+    scene: Scene, step: float, tolerance: float, fmu_path: Path | None = None, record: Selection = EVERYTHING
+) -> Timed:
     """A co-simulation from its first step to its complete recording; planning, building and loading are done before."""
-    prepared = PreparedScene(scene, communication_step=step, tolerance=tolerance, fmu_path=fmu_path)
+    prepared = PreparedScene(scene, communication_step=step, tolerance=tolerance, fmu_path=fmu_path, record=record)
     completed(prepared.run())
     return timed(prepared.run)
 

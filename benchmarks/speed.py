@@ -1,6 +1,7 @@
 """How fast flexfmu is, against its targets, and whether it has become slower.
 
-The paper's motion of 0.43 s with a dwell of 0.25 s, recorded at 1 kHz. Times are processor times of one core, the best of
+The paper's motion of 0.43 s with a dwell of 0.25 s, recorded at 1 kHz: the values of all outputs, or these and two derivatives
+of each, which metrics and interpolation need. Times are processor times of one core, the best of
 several runs, after building and loading. `floor` is what the generated functions take that a run calls, by themselves
 (`fmu_cost.py` shows more of it). Other tools are compared by the errors that they reach.
 
@@ -53,11 +54,11 @@ def told(figures: Iterator[Figure]) -> Iterator[Figure]:
         yield each
 
 
-def counters(runs: dict[tuple[int, float], Whole]) -> dict[str, float]:
+def counters(runs: dict[tuple[int, float, str], Whole]) -> dict[str, float]:
     """What doesn't depend on the machine."""
     return {
         f"{name}, {n} degrees of freedom, {tolerance:.0e}": value
-        for (n, tolerance), each in runs.items()
+        for (n, tolerance, _), each in runs.items()
         for name, value in each.counters.items()
     }
 
