@@ -77,6 +77,7 @@ def test_overshoot_from_step_to_step(count: int) -> None:
         STEADY * 0.9 ** np.arange(400),
         np.concatenate([1e-12 * 3.0 ** np.arange(20) * STEADY[:20], np.sin(TIME[:380])]),
         np.sin(3.1 * np.arange(400)) * np.sin(np.arange(400) / 7.0),
+        np.concatenate([[1.0], np.zeros(380), 1e-3 * (-3.0) ** np.arange(8), np.zeros(11)]),
         STEADY * (1.0 + TIME),
         TIME * np.sin(60.0 * TIME),
         1.0 / np.maximum(4.0 - TIME, 1e-9),
@@ -85,7 +86,8 @@ def test_overshoot_from_step_to_step(count: int) -> None:
     ],
 )
 def test_what_is_no_overshoot(values: np.ndarray) -> None:
-    """Chatter, decay, rounding errors that alternate, beats, slow growth, resonance and poles don't count."""
+    """Chatter, decay, rounding errors that alternate, beats, a vibration that comes up again, slow growth, resonance and
+    poles don't count."""
     assert find_alternation(TIME, [("a.y", values)]) is None
     assert find_alternation(TIME[:2], [("a.y", values[:2])]) is None
     assert find_alternation(np.empty(0), [("a.y", np.empty(0))]) is None

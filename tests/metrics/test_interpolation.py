@@ -73,6 +73,16 @@ def test_error_estimate_ignores_jumps_at_breakpoints() -> None:
     assert shifted.error_estimate().max() < 4 * smooth.error_estimate().max()
 
 
+def test_error_estimate_ignores_tiny_steps() -> None:
+    """A sample instant next to a communication point makes a step so short that high derivatives are all rounding."""
+    omega, orders = 10.0, np.arange(3)[:, np.newaxis]
+    time = np.sort(np.append(np.linspace(0.0, 1.0, 101), 0.5 + 1e-6))
+    nodes = (omega**orders * np.sin(omega * time + orders * np.pi / 2))[:, :, np.newaxis]
+    nodes *= 1.0 + 1e-13 * np.random.default_rng(1).normal(size=nodes.shape)  # an integrator's own noise
+    segments = HermiteSegments(time[:-1], time[1:], nodes[:, :-1], nodes[:, 1:])
+    assert segments.error_estimate().max() < 4 * sine_segments(0.01, omega).error_estimate().max()
+
+
 def test_error_estimate_of_a_single_segment_is_pessimistic() -> None:
     """A piece of one segment has no neighbours to learn from: the estimate bounds the error from above."""
     alone = sine_segments(1.0, 2.0)
