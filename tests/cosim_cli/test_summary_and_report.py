@@ -8,11 +8,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment import Run
 from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.measuring.metric_table import METRICS
+from flexfmu.cosim.measuring.small_deflections import exceeded
 from flexfmu.cosim.metrics import Measurement, measure_run, settings_for
 from flexfmu.cosim.reports.json_text import to_json
 from flexfmu.cosim.reports.plots import draw_plots
@@ -110,6 +112,17 @@ def test_large_deflections_are_said(make_run: MakeRun) -> None:
     assert len(sentences) == 1
     assert sentences[0].startswith("link21.tip_deflection reaches 0.12 m, 50 % of the link's length")
     assert "50 % of the link&#39;s length" in report_of(bent_run)
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.009, 0), (0.011, 1)])
+def test_large_elongations_are_said(make_run: MakeRun, share: float, said: int) -> None:
+    """No metal stretches by more than a hundredth; the distal links' own length counts."""
+    run = make_run()
+    stretched = np.zeros_like(run.recording.time)
+    stretched[5] = share * run.scene.mechanism.distal.length
+    columns = {"link12.elongation": Column("m", stretched)}
+    found = exceeded(replace(run, recording=run.recording.with_columns(columns)))
+    assert len(found) == said
 
 
 def test_effects_that_are_not_there_are_not_listed(make_run: MakeRun) -> None:

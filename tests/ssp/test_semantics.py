@@ -127,10 +127,16 @@ def test_mapping(make_ssp: MakeSsp, external: bool) -> None:
 
 
 def test_units_of_parameters(make_ssp: MakeSsp) -> None:
-    """A start value in millimetres for a state in metres."""
+    """A start value in millimetres for a state in metres, converted before it is transformed."""
     units = '<ssv:Units><ssc:Unit name="mm"><ssc:BaseUnit m="1" factor="0.001"/></ssc:Unit></ssv:Units>'
     values = parameter_set(x='Real value="2000" unit="mm"').replace("</ssv:Parameters>", f"</ssv:Parameters>{units}")
     assert end(make_ssp(of_second(inline(values)))) == pytest.approx(closed_form(start=2.0), rel=1e-12)
+    entry = (
+        '<ssm:MappingEntry source="x" target="x"><ssc:LinearTransformation factor="3" offset="-1"/></ssm:MappingEntry>'
+    )
+    held = f'<ssd:ParameterMapping><ssm:ParameterMapping {NAMESPACES} version="1.0">{entry}</ssm:ParameterMapping></ssd:ParameterMapping>'
+    mapped = make_ssp(of_second(inline(values, mapping=held)))
+    assert end(mapped) == pytest.approx(closed_form(start=5.0), rel=1e-12)
 
 
 def test_the_systems_own_connectors(make_ssp: MakeSsp) -> None:
