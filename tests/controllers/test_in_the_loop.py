@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -20,6 +21,7 @@ from flexfmu.cosim.controllers.pid import pid
 from flexfmu.cosim.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
 from flexfmu.cosim.controllers.state_space import state_space
 from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.lqg import LqgWeights, lqg
 from flexfmu.cosim.master.master import Outcome, simulate
 from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.slave import Indices, RealArray, Slave, SlaveVariable
@@ -165,6 +167,40 @@ def test_lqg_holds_the_robot() -> None:
     angles = regulate(plant, block, equilibrium, np.array([1e-3, -2e-3]), 2000)
     np.testing.assert_allclose(angles[0], 0.0, atol=1e-12)
     np.testing.assert_allclose(angles[-1], [1e-3, -2e-3], atol=1e-7)
+
+
+def test_only_ratios_of_lqg_weights_count() -> None:
+    """Twice all costs, or twice all standard deviations, is the same controller; other ratios are another one."""
+    scene = load_scene("barnard2012-6kg").replace({"effects.proximal_bending": 1, "effects.distal_axial": 0})
+    weights = LqgWeights()
+    twice = LqgWeights(
+        position_error=(2e-3, 2e-3),
+        velocity_error=(0.2, 0.2),
+        torque_deviation=(20.0, 20.0),
+        torque_noise=3.0 * weights.torque_noise,
+        measurement_noise=3.0 * weights.measurement_noise,
+    )
+    other = replace(weights, torque_noise=3.0 * weights.torque_noise)
+    one, same, another = (
+        _step_of(lqg(scene, scene.trajectory.start, each, sample_time=H)) for each in (weights, twice, other)
+    )
+    np.testing.assert_allclose(same, one, rtol=1e-6, atol=1e-9 * abs(one).max())
+    assert abs(another - one).max() > 1e-3 * abs(one).max()
+
+
+def _step_of(block: SymbolicBlock) -> Array:
+    """(50, outputs) what a controller puts out when a measured angle jumps by a milliradian."""
+    slave = BlockSlave(block)
+    inputs = [each.start or 0.0 for each in block.inputs]
+    first = [each.name for each in block.inputs].index("joint1.position")
+    outputs = np.arange(len(block.inputs) + len(block.parameters), len(slave.variables))
+    slave.initialize(0.0, 1.0, None)
+    found = np.empty((50, outputs.size))
+    for k in range(len(found)):
+        slave.set(np.array([first]), np.array([inputs[first] + 1e-3]))
+        slave.sample(k * block.sample_time)
+        slave.get(outputs, found[k])
+    return found
 
 
 def regulate(plant: LinearSystem, block: SymbolicBlock, point: Equilibrium, step: Array, count: int) -> Array:

@@ -65,6 +65,28 @@ def test_an_fmu_goes_back_exactly(plant: FmuSlave) -> None:
     plant.terminate()
 
 
+def test_second_derivatives_follow_saved_first_ones(plant: FmuSlave) -> None:
+    """A state saved between the first and the second derivatives of the outputs has all that the second ones need."""
+    plant.initialize(0.0, 1.0, 1e-6)
+    outputs = np.array([i for i, each in enumerate(plant.variables) if each.causality == "output"])
+    inputs = np.array([i for i, each in enumerate(plant.variables) if each.name == "joint1.reference.acceleration"])
+    plant.set(inputs, np.array([30.0]))
+    plant.step(0.0, 1e-3)
+    before = plant.save()
+    first, expected, elsewhere, found = (np.empty((order, outputs.size)) for order in (1, 2, 2, 2))
+    plant.get_derivatives(outputs, expected)
+    plant.restore(before)
+    plant.get_derivatives(outputs, first)
+    between = plant.save()
+    plant.step(1e-3, 5e-2)
+    plant.get_derivatives(outputs, elsewhere)
+    plant.restore(between)
+    plant.get_derivatives(outputs, found)
+    np.testing.assert_array_equal(found, expected)
+    assert not np.array_equal(elsewhere, expected)
+    plant.terminate()
+
+
 def test_step_control_on_a_robot() -> None:
     """With references that are sent with one derivative, chosen steps keep the end effector where short steps put it."""
     control = StepDoubling(tolerance=1e-3, largest=0.02, signals=POSITION)

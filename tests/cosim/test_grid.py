@@ -63,9 +63,17 @@ def test_sample_instants_are_points() -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "stop", "step"), [(0, 1, 0), (0, 1, -1), (1, 1, 0.1), (0, 1, 1e-9), (0, np.nan, 0.1)]
+    ("start", "stop", "step", "problem"),
+    [
+        (0, 1, 0, "step must be above 0 s and finite, got 0 s"),
+        (0, 1, -1, "got -1 s"),
+        (0, 1, np.nan, "got nan s"),
+        (1, 1, 0.1, "must end after its start, got start 1 s, stop 1 s"),
+        (0, np.nan, 0.1, "stop nan s"),
+        (0, 1, 1e-9, r"makes 1e\+09 steps; take a larger one"),
+    ],
 )
-def test_senseless_grids_are_refused(start: float, stop: float, step: float) -> None:
-    """A step in the wrong unit is an error, not a full memory."""
-    with pytest.raises(InputError):
+def test_senseless_grids_are_refused(start: float, stop: float, step: float, problem: str) -> None:
+    """A step in the wrong unit is an error, not a full memory, and the error names what is wrong."""
+    with pytest.raises(InputError, match=problem):
         time_grid(start, stop, step)

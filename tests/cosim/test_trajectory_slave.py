@@ -135,3 +135,16 @@ def test_impossible_orders(order: int) -> None:
     """Only degrees that can be made are accepted."""
     with pytest.raises(InputError, match="must be 0 to 9"):
         TrajectorySlave(Swing(), order=order)
+
+
+@pytest.mark.parametrize("order", [4, 6, 8, 9])
+def test_few_points_are_as_good_as_many(order: int) -> None:
+    """A master that chooses its steps on the way asks for a few points again and again: it gets what a grid of many gives,
+    whatever the degree."""
+    times = np.arange(0.0, 1.0, 0.05)
+    many = started(TrajectorySlave(Swing(), order=order), times)
+    few = started(TrajectorySlave(Swing(), order=order), times)
+    few.prepare(times[5:8])
+    share = np.array([0.05**k / factorial(k) for k in range(order + 1)])[:, None]  # what a derivative makes of a step
+    np.testing.assert_allclose(share * few.announced[0], share * many.announced[5], rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(share[:5] * few.ended[1], share[:5] * many.ended[6], rtol=0.0, atol=1e-11)
