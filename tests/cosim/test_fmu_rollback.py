@@ -84,6 +84,8 @@ def test_second_derivatives_follow_saved_first_ones(plant: FmuSlave) -> None:
     plant.get_derivatives(outputs, found)
     np.testing.assert_array_equal(found, expected)
     assert not np.array_equal(elsewhere, expected)
+    for state in (before, between):
+        plant.release(state)
     plant.terminate()
 
 
