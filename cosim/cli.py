@@ -163,9 +163,11 @@ def run(
     The FMU is built first unless it is in the cache. An SSP file, ours or not, gives results.csv and summary.json.
     """
     with one_line_errors():
+        from zipfile import is_zipfile
+
         from flexfmu.cosim.commands.run import run_command
 
-        if scene.lower().endswith(".ssp"):
+        if scene.lower().endswith(".ssp") or is_zipfile(scene):
             from flexfmu.cosim.commands.export import run_ssp_command
 
             raise typer.Exit(run_ssp_command(Path(scene), out, step, json))
@@ -192,10 +194,13 @@ def paper(
 @app.command()
 def modes(
     scene: SceneArgument,
-    json: JsonOption = False,
     poses: Annotated[
-        int, typer.Option(metavar="N", min=3, help="Poses along the path: an odd number, so that the middle is one.")
+        int,
+        typer.Option(
+            metavar="N", min=3, max=10_001, help="Poses along the path: an odd number, so that the middle is one."
+        ),
     ] = 11,
+    json: JsonOption = False,
 ) -> None:
     """Natural frequencies along the path, with the motors locked, about the static equilibrium."""
     with one_line_errors():
@@ -234,7 +239,6 @@ def shaper(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>.")
     ] = None,
-    json: JsonOption = False,
     payload_errors: Annotated[
         bool,
         typer.Option("--payload-errors", help="Seven payload errors instead of five; writes payload_errors.md too."),
@@ -242,6 +246,7 @@ def shaper(
     payload_band: Annotated[
         float, typer.Option(metavar="FRACTION", help="Largest error of the payload's mass, either way.")
     ] = 0.3,
+    json: JsonOption = False,
 ) -> None:
     """Design input shapers for a scene, try them all in co-simulation and recommend one.
 

@@ -107,10 +107,17 @@ def settings(known: Mapping[str, Any], parameters: Mapping[str, Value]) -> Seque
     result = []
     for name, value in parameters.items():
         if name not in known:
-            hint = get_close_matches(name, known, n=1)
-            raise InputError(f"the FMU has no parameter {name!r}" + (f"; did you mean {hint[0]!r}?" if hint else ""))
+            raise InputError(f"the FMU has no parameter {name!r}; {_remedy(name, known)}")
         result.append(Setting(name, _handle(known[name]), _in_range(known[name], typed(known[name], value))))
     return result
+
+
+def _remedy(name: str, known: Mapping[str, Any]) -> str:
+    """The name that may have been meant, or all parameters."""
+    near = get_close_matches(name, known, n=1)
+    if near:
+        return f"did you mean {near[0]!r}?"
+    return f"it has: {', '.join(name for name, v in known.items() if v.causality == 'parameter') or 'none'}"
 
 
 def _has_start(variable: Any) -> bool:

@@ -93,10 +93,14 @@ def time_grid(
         InputError: the step isn't positive, the stop isn't after the start, there would be far too many points, or a
             clock and the step have no common tick.
     """
-    if not (0.0 < step < np.inf and -np.inf < start < stop < np.inf):
-        raise InputError(f"need a step > 0 and start < stop, got start {start} s, stop {stop} s, step {step} s")
+    if not 0.0 < step < np.inf:
+        raise InputError(f"the communication step must be above 0 s and finite, got {step:g} s")
+    if not -np.inf < start < stop < np.inf:
+        raise InputError(f"the run must end after its start, got start {start:g} s, stop {stop:g} s")
     if (stop - start) / step > MAXIMUM_POINTS:
-        raise InputError(f"a communication step of {step} s makes {(stop - start) / step:.3g} steps; take a larger one")
+        raise InputError(
+            f"a communication step of {step:g} s makes {(stop - start) / step:.3g} steps; take a larger one"
+        )
     near = COINCIDENT * step
     instants = [sample_instants(clock, start, stop, near) for clock in clocks]
     regular = _regular_points(start, stop, step, clocks, instants, ticks)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 from ssp_support.packages import SSD, inline, of_second, parameter_set
@@ -40,6 +41,18 @@ def test_export_then_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     )
     recording = Recording.read_csv(tmp_path / "results" / "barnard2012-6kg" / "results.csv")
     assert recording["plant.end_effector.position.x"].values[-1] == pytest.approx(0.175, abs=1e-3)
+
+
+def test_files_are_known_by_their_content(make_ssp: MakeSsp, tmp_path: Path) -> None:
+    """What `flexfmu export -o robot.zip` wrote runs too, as that command says; an FMU is no scene and is named."""
+    renamed = make_ssp().rename(tmp_path / "robot.zip")
+    ran = flexfmu("run", str(renamed), "--step", "0.1", "--out", str(tmp_path / "out"))
+    assert ran.exit_code == 0, ran.output
+    with ZipFile(tmp_path / "robot.fmu", "w") as fmu:
+        fmu.writestr("modelDescription.xml", "<fmiModelDescription/>")
+    refused = flexfmu("run", str(tmp_path / "robot.fmu"))
+    assert refused.exit_code == 2
+    assert "robot.fmu is no SSP" in refused.stderr
 
 
 def test_run_tells_what_it_ignored(make_ssp: MakeSsp, tmp_path: Path) -> None:
