@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,8 +39,8 @@ class ThereAndBack:
     def __post_init__(self) -> None:
         if not 0.0 <= self.dwell < np.inf:
             raise InputError(f"the dwell between two motions must be zero or positive, got {self.dwell} s")
-        if self.cycles != int(self.cycles) or self.cycles < 1:
-            raise InputError(f"the number of cycles must be 1 or more, got {self.cycles}")
+        if not (isinstance(self.cycles, Integral) and self.cycles >= 1):
+            raise InputError(f"the number of cycles must be a whole number from 1, got {self.cycles}")
 
     @property
     def period(self) -> float:

@@ -41,8 +41,8 @@ def test_it_comes_back(dwell: float) -> None:
     np.testing.assert_allclose(motion.evaluate(motion.duration, 0), motion.evaluate(0.0, 0), atol=1e-12)
 
 
-@pytest.mark.parametrize(("dwell", "cycles"), [(-0.1, 1), (0.1, 0), (float("nan"), 1)])
-def test_nonsense_is_refused(dwell: float, cycles: int) -> None:
+@pytest.mark.parametrize(("dwell", "cycles"), [(-0.1, 1), (0.1, 0), (float("nan"), 1), (0.1, float("nan")), (0.1, 1.5)])
+def test_nonsense_is_refused(dwell: float, cycles: float) -> None:
     """Numbers out of range are named."""
     with pytest.raises(InputError, match=r"the (dwell|number of cycles)"):
         ThereAndBack(plan(load_scene("barnard2012-6kg")).joints, dwell, cycles)

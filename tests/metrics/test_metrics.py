@@ -108,6 +108,51 @@ def test_peaks_of_a_vibration() -> None:
     assert value("peak_position_error", run) == pytest.approx(1e-3, rel=1e-9)
 
 
+LARGER = sine(10.0, OMEGA)
+"""What happens during the dwell."""
+
+
+def in_two_parts(motion: Signal, dwell: Signal, time: Array, order: int = 0) -> Column:
+    """A signal that is another one from the right limit at T on."""
+    moving = np.arange(time.size) <= np.searchsorted(time, T)
+    return Column("", *(np.where(moving, motion(time, k), dwell(time, k)) for k in range(order, order + 3)))
+
+
+@pytest.mark.parametrize(
+    ("name", "metric"),
+    [
+        ("joint1.torque", "peak_torque_1"),
+        ("link11.bending[1]", "peak_modal_deflection_1"),
+        ("link21.tip_deflection", "peak_tip_deflection_2"),
+    ],
+)
+def test_loads_are_those_of_the_motion(name: str, metric: str) -> None:
+    """What a robot does when it has arrived doesn't count."""
+    run = recording(VIBRATION, RINGING)
+    run = run.with_columns({name: in_two_parts(sine(3.0, OMEGA), LARGER, run.time)})
+    assert value(metric, run) == pytest.approx(3.0, rel=1e-7)
+
+
+def test_tracking_errors() -> None:
+    """The largest one counts during the dwell too, the root mean square over the motion alone; the plan stands still then."""
+    run = recording(VIBRATION, RINGING)
+    x = {kind: run[f"end_effector.{kind}.x"] for kind in ("position", "acceleration")}
+    errors = {
+        kind: in_two_parts(sine(1e-3, OMEGA), sine(4e-3, OMEGA), run.time, order)
+        for kind, order in (("position", 0), ("acceleration", 2))
+    }
+    columns = {f"joint2.{kind}": each for kind, each in errors.items()}
+    for kind, error in errors.items():
+        pairs = zip(
+            (x[kind].values, x[kind].first, x[kind].second), (error.values, error.first, error.second), strict=True
+        )
+        columns[f"joint1.{kind}"] = Column("rad", *(planned + deviation for planned, deviation in pairs))
+    found = measure(run.with_columns(columns), replace(settings(), joints=Quadratic()))
+    for joint in (1, 2):
+        assert found[f"peak_tracking_error_{joint}"].value == pytest.approx(4e-3, rel=1e-7)
+        assert found[f"rms_tracking_error_{joint}"].value == pytest.approx(1e-3 / math.sqrt(2.0), rel=1e-7)
+
+
 def test_root_mean_square_acceleration_error() -> None:
     """The mean square of a sine over whole periods is half its squared amplitude."""
     assert T * OMEGA / (2 * math.pi) == pytest.approx(8.0)

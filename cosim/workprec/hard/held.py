@@ -54,12 +54,14 @@ class HeldRun:
         inputs, outputs = (_indices(plant.variables, names) for names in (REFERENCES, SIGNALS))
         found = np.empty((self.times.size - 1, outputs.size))
         plant.set(inputs, self.references[0])
-        plant.initialize(0.0, float(self.times[-1]), TOLERANCE)
-        for n, (begin, end) in enumerate(zip(self.times[:-1], self.times[1:], strict=True)):
-            plant.set(inputs, self.references[n])
-            plant.step(float(begin), float(end - begin))
-            plant.get(outputs, found[n])
-        plant.terminate()
+        try:
+            plant.initialize(0.0, float(self.times[-1]), TOLERANCE)
+            for n, (begin, end) in enumerate(pairwise(self.times.tolist())):
+                plant.set(inputs, self.references[n])
+                plant.step(begin, end - begin)
+                plant.get(outputs, found[n])
+        finally:
+            plant.terminate()
         return found
 
     def reference(self, size: float) -> Array:
