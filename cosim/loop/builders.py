@@ -98,10 +98,13 @@ class LoopBuilder:
         return self._connected(as_slave(made, self._names, section.name), section)
 
     def _connected(self, slave: Slave, section: LoopSection) -> Slave:
-        """The slave, its explicit connections noted; an input without a slave's name is its own."""
+        """The slave, its explicit connections noted; an input without a slave's name is its own, misspelt or not."""
         own = {variable.name for variable in slave.variables if variable.causality == "input"}
+        heads = {head for name in own if (head := name.partition(".")[0]) not in self._names}
         for target, source in section.connect.items():
-            self.connect[f"{slave.name}.{target}" if target in own else target] = source
+            head, dot, _ = target.partition(".")
+            is_own = target in own or not dot or head in heads
+            self.connect[f"{slave.name}.{target}" if is_own else target] = source
         return slave
 
     def _before(self, kind: str) -> Sequence[float]:

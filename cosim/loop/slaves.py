@@ -16,6 +16,10 @@ class Names:
     def __init__(self) -> None:
         self._given: set[str] = {"plant", "trajectory"}
 
+    def __contains__(self, name: str) -> bool:
+        """Whether a slave has this name."""
+        return name in self._given
+
     def unused(self, wanted: str) -> str:
         """The name, or the name with a number."""
         name, number = wanted, 1

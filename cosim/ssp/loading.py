@@ -172,7 +172,8 @@ def _known(what: str, archive: SspArchive, *values: float | None) -> float:
     """
     known: Sequence[float] = [value for value in values if value is not None]
     if not known:
+        option = "flexfmu run --step SECONDS, " if what == "step" else ""
         raise SspError(
-            f"{archive.path} names no {what} time, nor does any FMU in it; say it: load_ssp(path, {what}=...)"
+            f"{archive.path} names no {what} time, nor does any FMU in it; say it: {option}load_ssp(path, {what}=...)"
         )
     return known[0]

@@ -10,7 +10,7 @@ import pytest
 
 from flexfmu.cosim.closed_loop import run_loop
 from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.errors import InputError, WiringError
 from flexfmu.cosim.experiment import Run, run_scene
 from flexfmu.cosim.loop.loop import Shaper
 from flexfmu.cosim.loop.sections import loop_of
@@ -206,6 +206,21 @@ def test_foreign_names_are_connected_explicitly(robot: Scene) -> None:
     assert loop.connect == {"foreign.in": "joint1.position", "plant.joint1.torque": "foreign.out"}
     run = run_loop(robot.replace({"trajectory.dwell": 0.0}), [Constant(-15.0)], connect=loop.connect)
     assert run.recording["joint1.torque"].values[-1] == -15.0
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("joint1.positon", "pd has no input 'joint1.positon'; did you mean 'joint1.position'"),
+        ("foo", "pd has no input 'foo'; it has: joint1.reference.position"),
+        ("nobody.foo", "there is no slave 'nobody'"),
+    ],
+)
+def test_misspelt_connections_name_their_table(robot: Scene, target: str, message: str) -> None:
+    """A name in `connect` that fits no input is told with the slave whose table it stands in."""
+    section = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
+    with pytest.raises(WiringError, match=message):
+        run_scene(robot.replace({"controller": [section | {"connect": {target: "joint1.position"}}]}))
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,8 @@ def test_no_components(make_ssp: MakeSsp) -> None:
 def test_times_that_nobody_names(make_ssp: MakeSsp) -> None:
     """A step isn't guessed."""
     with pytest.raises(
-        InputError, match=r"names no step time, nor does any FMU in it; say it: load_ssp\(path, step=...\)"
+        InputError,
+        match=r"names no step time, nor does any FMU in it; say it: .* --step SECONDS, load_ssp\(path, step=...\)",
     ):
         load_ssp(make_ssp())
 
