@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from ctypes import byref
 from itertools import count
 from typing import Any
@@ -35,7 +36,7 @@ class FmuLog:
 
     def __init__(self) -> None:
         self.messages: list[str] = []
-        self._complaints: list[str] = []
+        self._complaints: deque[str] = deque(maxlen=MAXIMUM_COMPLAINTS)
         self._key = next(_keys)
         self.callbacks: Any = fmi2CallbackFunctions()
         self.callbacks.logger = _logger
@@ -56,7 +57,7 @@ class FmuLog:
 
     def complaint(self) -> str:
         """The last messages that came with a failure, as one line; empty when the FMU fails without a word."""
-        return "; ".join(dict.fromkeys(self._complaints[-MAXIMUM_COMPLAINTS:]))
+        return "; ".join(dict.fromkeys(self._complaints))
 
     def add(self, status: int, message: str) -> None:
         """Keep a message that matters."""

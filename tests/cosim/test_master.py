@@ -75,6 +75,40 @@ def test_feedforward_is_interpolated() -> None:
     np.testing.assert_allclose(result.recording["recorder.y"].values, values, rtol=0, atol=1e-15)
 
 
+class Wave(Source):
+    """The same with some derivatives."""
+
+    def __init__(self, order: int) -> None:
+        self.max_output_order = order
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        for k, row in enumerate(derivatives, start=1):
+            row[:] = 3.0**k * np.sin(3.0 * self.time + 0.5 * k * np.pi)
+
+
+class Limited(Recorder):
+    """Takes so many derivatives and no more."""
+
+    def __init__(self, order: int) -> None:
+        super().__init__()
+        self.max_input_order = order
+        self.orders: set[int] = set()
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        self.orders.add(len(derivatives))
+
+
+@pytest.mark.parametrize("taken", range(7))
+@pytest.mark.parametrize("given", range(4))
+def test_nobody_is_told_more_derivatives_than_he_takes(given: int, taken: int) -> None:
+    """Whatever the source knows; the interpolating polynomial has the highest odd degree that fits."""
+    target = Limited(taken)
+    result = simulate(connect([Wave(given), target], [("source.y", "recorder.u")]), stop=1.0, step=0.1)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    degree = max(min(given, taken), min(2 * given + 1, taken - (taken + 1) % 2))
+    assert target.orders == ({degree} if taken else set())
+
+
 def test_breakpoints_and_ticks_are_exact() -> None:
     """Slaves are told times without drift: the same numbers as start + n * step."""
     target = Recorder()
