@@ -116,6 +116,12 @@ def test_files_and_targets_exist() -> None:
     assert (ROOT / "docs" / "overview.png").stat().st_size < 300_000
 
 
+def test_every_example_is_listed() -> None:
+    """Nobody has to find an example by chance."""
+    for script in (ROOT / "examples").glob("*.py"):
+        assert f"](examples/{script.name})" in README, script.name
+
+
 def test_scene_file_is_the_shipped_one() -> None:
     """The explained scene file is the 6 kg scene to the last value."""
     (text,) = blocks("toml")

@@ -50,4 +50,5 @@ def _figure(study: Study, name: str) -> Any:
             )
     axes = {"xaxis_title": "error, relative to what elasticity does", "yaxis_title": "time [ms]"}
     figure.update_layout(title=TITLES[name], xaxis_type="log", yaxis_type="log", template="plotly_white", **axes)
+    figure.update_xaxes(exponentformat="e", dtick=1)
     return figure
