@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -206,26 +205,9 @@ def test_senseless_requests_are_refused(arguments: tuple[object, ...], message: 
         planned().evaluate(*arguments)  # type: ignore[arg-type]
 
 
-def test_ten_thousand_points_take_as_many_calls_as_a_hundred() -> None:
+def test_ten_thousand_points_take_as_many_calls_as_a_hundred(count_calls: Callable[..., int]) -> None:
     """Protects vectorisation: no loop goes over the points."""
     trajectory = planned()
     few, many = (np.linspace(0.0, 0.43, count) for count in (101, 10_001))
     trajectory.evaluate(many, 6)  # from here on all tables are made
-    assert calls(lambda: trajectory.evaluate(many, 6)) == calls(lambda: trajectory.evaluate(few, 6)) > 0
-
-
-def calls(action: Callable[[], object]) -> int:
-    """How many functions an action calls, those of Python and those of C."""
-    count = 0
-
-    def profile(frame: object, event: str, argument: object) -> None:
-        nonlocal count
-        count += event in ("call", "c_call")
-
-    before = sys.getprofile()
-    sys.setprofile(profile)
-    try:
-        action()
-    finally:
-        sys.setprofile(before)
-    return count
+    assert count_calls(lambda: trajectory.evaluate(many, 6)) == count_calls(lambda: trajectory.evaluate(few, 6)) > 0
