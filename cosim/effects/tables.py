@@ -32,7 +32,8 @@ def contribution_table(study: EffectStudy) -> Table:
     table.add_row("", "the set itself", "", *("" for _ in metrics), *own)
     for row in study.rows:
         states, operations = row.cost.states - cost.states, row.cost.operations - cost.operations
-        more = f"{states:+d}" if states else "", f"{operations:+d}", f"{row.cost.time / cost.time - 1.0:+.0%}"
+        slower = 100.0 * (row.cost.time / cost.time - 1.0)
+        more = f"{states:+d}" if states else "", f"{operations:+d}", f"{slower:+.0f} %"
         table.add_row(*_named(row), *map(percent, row.estimate.contribution), *more)
     return table
 

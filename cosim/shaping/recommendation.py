@@ -73,4 +73,4 @@ def _smallest_residual(best: Result, unshaped: Result, band: float) -> str:
 
 def _payloads(result: Result) -> str:
     errors = [trial.payload_error for trial in result.trials]
-    return f" for payloads from {min(errors):+.0%} to {max(errors):+.0%}" if len(errors) > 1 else ""
+    return f" for payloads from {100.0 * min(errors):+.0f} % to {100.0 * max(errors):+.0f} %" if len(errors) > 1 else ""
