@@ -23,7 +23,15 @@ from pathlib import Path
 
 from baseline import regressions, update
 from speed_measurements import Whole, whole_runs, yardstick
-from speed_targets import REPEAT, Figure, overhead_figures, peer_figures, variant_figures, whole_figures
+from speed_targets import (
+    REPEAT,
+    Figure,
+    build_figures,
+    overhead_figures,
+    peer_figures,
+    variant_figures,
+    whole_figures,
+)
 
 
 def main() -> int:
@@ -36,7 +44,7 @@ def main() -> int:
         folder = Path(name)
         unit, runs = yardstick(folder), whole_runs(folder, REPEAT)
         figures = [*told(whole_figures(runs)), *told(overhead_figures(folder))]
-    figures += [*told(variant_figures()), *told(peer_figures())]
+    figures += [*told(build_figures()), *told(variant_figures()), *told(peer_figures())]
     compared = {"counters": counters(runs), "times": times(figures, unit)}
     write(options.out, figures, compared)
     if options.update:

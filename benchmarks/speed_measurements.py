@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -119,6 +120,13 @@ def overheads(folder: Path, repeat: int) -> dict[str, float]:
 def peak_torque(run: Run) -> float:
     """What is measured of each variant."""
     return float(np.abs(run.recording["joint1.torque"].values).max())
+
+
+def cold_build() -> float:
+    """Processor time [s] of a build without cache, the compiler's included."""
+    before = os.times()
+    build_scene(SCENE, cache=False)
+    return sum(os.times()[:4]) - sum(before[:4])
 
 
 def variants() -> float:

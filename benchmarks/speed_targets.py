@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from speed_measurements import Peers, Whole, overheads, variants
+from speed_measurements import Peers, Whole, cold_build, overheads, variants
 
 REPEAT = 21
 """Runs of which the fastest counts."""
@@ -73,6 +73,11 @@ def overhead_figures(folder: Path) -> Iterator[Figure]:
 def variant_figures() -> Iterator[Figure]:
     """Many runs in one process."""
     yield Figure("1,000 variants of one FMU, 1e-3", variants(), 5.0, "s", note="planning included, peak torque of each")
+
+
+def build_figures() -> Iterator[Figure]:
+    """The way from a scene to its FMU."""
+    yield Figure("cold build of the FMU", cold_build(), 10.0, "s", note="model, C, compiler, archive; nothing cached")
 
 
 def peer_figures() -> Iterator[Figure]:

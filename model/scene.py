@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from flexfmu.model.choice_section import Choice, ChoiceTolerance, MeasureNames, contradictions, fill_in
 from flexfmu.model.controller_sections import ControllerSection
 from flexfmu.model.cosimulation_section import Cosimulation
+from flexfmu.model.errors import SceneError
 from flexfmu.model.imperfection_sections import ImperfectionSection
 from flexfmu.model.section import Seconds, SecondsOrZero, Section, as_tuple, quantity
 from flexfmu.model.shaper_sections import ShaperSection
@@ -228,7 +229,7 @@ class Scene(Section):
         ``scene.replace({"payload.mass": 0.1, "trajectory.duration": 0.30})`` is the same scene with two values changed.
     """
 
-    name: Annotated[str, Field(min_length=1, pattern=r"^[\w.+-]+$")]
+    name: Annotated[str, Field(min_length=1, pattern=r"^[\w.+-]*\w[\w.+-]*$")]
     mechanism: Mechanism
     payload: Payload
     effects: Effects
@@ -279,5 +280,9 @@ class Scene(Section):
             section = data
             for parent in parents:
                 section = section.setdefault(parent, {})
+                if not isinstance(section, dict):
+                    raise SceneError(
+                        f"scene {self.name} has no key {key}: {parent} is the value {section!r}, not a section"
+                    )
             section[last] = value
         return parse_scene(data, source=f"scene {self.name}")

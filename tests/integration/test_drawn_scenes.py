@@ -167,7 +167,7 @@ def test_a_drawn_scene_runs(scene: Scene) -> None:
 
 # without damping Radau would have to follow vibrations at 60 kHz; the energy test looks after that case
 @pytest.mark.slow
-@drawn(8)
+@drawn(5)
 @given(scenes(DAMPED))
 def test_a_drawn_scene_runs_and_agrees_with_another_integrator(scene: Scene) -> None:
     """The end state of any feasible scene is that of SciPy's Radau on the CasADi functions."""

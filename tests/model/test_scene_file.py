@@ -197,3 +197,16 @@ def test_junk_is_a_scene_or_a_scene_error_never_a_crash(key: str, value: object)
     except SceneError as error:
         message = str(error)
     assert "\n" not in message
+
+
+@pytest.mark.parametrize("name", [".", "..", "-", "+."])
+def test_names_are_names_of_folders_too(name: str) -> None:
+    """Results go into a folder of the scene's name: dots alone would lead elsewhere."""
+    with pytest.raises(SceneError, match="name"):
+        load_scene("barnard2012-6kg").replace({"name": name})
+
+
+def test_values_have_no_keys() -> None:
+    """A dotted key that goes on below a value is told with that value."""
+    with pytest.raises(SceneError, match=r"payload\.mass\.x: mass is the value 6\.0, not a section"):
+        load_scene("barnard2012-6kg").replace({"payload.mass.x": 3})
