@@ -11,7 +11,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.archive import fmu_facts, pack, write_atomically
-from flexfmu.fmu_build.cache import cached_fmu, digest, digest_path, package_fingerprint, read_intact
+from flexfmu.fmu_build.cache import cache_folder, digest, digest_name, fmu_name, package_fingerprint, read_intact, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.experiment import DefaultExperiment
@@ -124,12 +124,13 @@ def build_from_sources(
         sources = make_sources()
         key, make_sources = sources.guid, lambda: sources
 
-    stored = cached_fmu(_cache_key(key, targets, experiment))
+    name = fmu_name(_cache_key(key, targets, experiment))
+    stored = cache_folder() / name
     content = read_intact(stored) if cache else None
     is_cached = content is not None
     if content is None:
         content = _build(make_sources, targets, cache, progress)
-        _store(stored, content, is_needed=output is None)
+        stored = _keep(name, content, is_needed=output is None)
     if output is not None:
         write_atomically(output, content)
 
@@ -144,14 +145,15 @@ def _cache_key(key: str, platforms: tuple[Platform, ...], experiment: DefaultExp
     return content_hash(part.encode() for part in parts)
 
 
-def _store(path: Path, content: bytes, is_needed: bool) -> None:
-    """Put a built FMU into the cache; a cache that cannot be written is no obstacle where the FMU goes elsewhere."""
+def _keep(name: str, content: bytes, is_needed: bool) -> Path:
+    """Put a built FMU into the cache; its path. No room even for temporary files is no obstacle where it goes elsewhere."""
     try:
-        write_atomically(path, content)
-        write_atomically(digest_path(path), digest(content))
+        store(digest_name(name), digest(content))
+        return store(name, content)
     except ArchiveError as error:
         if is_needed:
             raise ArchiveError(f"{error}, name it in the variable FLEXFMU_CACHE, or give an output file") from error
+        return cache_folder() / name
 
 
 def _generate(

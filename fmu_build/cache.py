@@ -7,11 +7,16 @@ from __future__ import annotations
 
 import hashlib
 import os
+import warnings
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Lock
 
 import platformdirs
 
+from flexfmu.fmu_build.archive import write_atomically
+from flexfmu.fmu_build.errors import ArchiveError, CacheWarning
 from flexfmu.fmu_build.hashing import content_hash
 
 FOLDER_VARIABLE = "FLEXFMU_CACHE"
@@ -20,16 +25,48 @@ FOLDER_VARIABLE = "FLEXFMU_CACHE"
 _PACKAGES = ("flexfmu.fmu_build", "flexfmu.model")
 _SOURCE_SUFFIXES = {".py", ".c", ".h", ".j2", ".txt"}
 
+_stand_ins: dict[Path, TemporaryDirectory[str]] = {}
+"""Temporary folders, until the process ends, in place of those that turned out not to be writable."""
+_stand_ins_lock = Lock()
+
 
 def cache_folder() -> Path:
-    """Where built FMUs are kept."""
-    chosen = os.environ.get(FOLDER_VARIABLE)
-    return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("flexfmu"))
+    """Where built FMUs are kept: in a temporary folder once the chosen one has turned out not to be writable."""
+    folder = _chosen_folder()
+    return Path(_stand_ins[folder].name) if folder in _stand_ins else folder
 
 
-def cached_fmu(key: str) -> Path:
-    """Path of the FMU with this key, whether it is there or not."""
-    return cache_folder() / f"{key}.fmu"
+def cached(name: str) -> Path | None:
+    """Path of a file in the cache; None where it is missing or can't be looked at."""
+    path = cache_folder() / name
+    try:
+        return path if path.is_file() else None
+    except OSError:
+        return None
+
+
+def store(name: str, content: bytes) -> Path:
+    """Put a file into the cache; where it is now.
+
+    Warns:
+        CacheWarning: the folder can't be written, so that a temporary one takes its place until the process ends.
+
+    Raises:
+        ArchiveError: the temporary folder can't be written either.
+    """
+    folder = cache_folder()
+    try:
+        write_atomically(folder / name, content)
+    except ArchiveError as error:
+        _replace(folder, error)
+        folder = cache_folder()
+        write_atomically(folder / name, content)
+    return folder / name
+
+
+def fmu_name(key: str) -> str:
+    """Name of the FMU with this key in the cache."""
+    return f"{key}.fmu"
 
 
 def package_fingerprint() -> str:
@@ -38,9 +75,9 @@ def package_fingerprint() -> str:
     return content_hash(part for path in files for part in (path.name.encode(), path.read_bytes()))
 
 
-def digest_path(path: Path) -> Path:
-    """Where the digest of a cached FMU is kept: beside it."""
-    return path.with_suffix(".sha256")
+def digest_name(name: str) -> str:
+    """Name of a cached FMU's digest, which is kept beside it."""
+    return f"{Path(name).stem}.sha256"
 
 
 def digest(content: bytes) -> bytes:
@@ -51,10 +88,39 @@ def digest(content: bytes) -> bytes:
 def read_intact(path: Path) -> bytes | None:
     """Content of a cached FMU; None where it is missing or not what was stored, so that it gets built again."""
     try:
-        content, stored = path.read_bytes(), digest_path(path).read_bytes()
+        content, stored = path.read_bytes(), path.with_name(digest_name(path.name)).read_bytes()
     except OSError:
         return None
     return content if digest(content) == stored else None
+
+
+def _chosen_folder() -> Path:
+    """The folder that the user has named, or the system's place for caches."""
+    chosen = os.environ.get(FOLDER_VARIABLE)
+    return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("flexfmu"))
+
+
+def _replace(folder: Path, error: ArchiveError) -> None:
+    """Let a temporary folder take the place of one that can't be written, and say so.
+
+    Raises:
+        ArchiveError: it is a temporary folder itself, or there is none.
+    """
+    with _stand_ins_lock:
+        if folder != _chosen_folder():
+            raise error
+        if folder in _stand_ins:  # another thread was faster
+            return
+        try:
+            _stand_ins[folder] = TemporaryDirectory(prefix="flexfmu-cache-", ignore_cleanup_errors=True)
+        except OSError:
+            raise error from None
+    warnings.warn(
+        f"cannot write to the cache's folder {folder} ({getattr(error.__cause__, 'strerror', None) or error}): what is built "
+        f"is gone when this process ends; name a writable folder with free space in the variable {FOLDER_VARIABLE}",
+        CacheWarning,
+        stacklevel=3,
+    )
 
 
 def _source_files(package: str) -> list[Path]:

@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexfmu.fmu_build.archive import write_atomically
-from flexfmu.fmu_build.cache import cache_folder
+from flexfmu.fmu_build.cache import cache_folder, store
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.hashing import content_hash
 from flexfmu.fmu_build.toolchain import FIRST_HEADER, GENERATED_FLAGS, RUNTIME_FLAGS, CompileJob, Compiler
@@ -52,7 +51,7 @@ def compile_library(
         for file, text in texts.items():
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
         kept = {job: _kept_object(job, texts, compiler) for job in jobs.values()}
-        missing = [job for job, path in kept.items() if not (cache and _fetch(path, folder / job.object_file))]
+        missing = [job for job, name in kept.items() if not (cache and _fetch(name, folder / job.object_file))]
         compiler.compile(missing, folder)
         for job in missing:
             _keep(folder / job.object_file, kept[job])
@@ -71,26 +70,26 @@ def _work_folder() -> Iterator[Path]:
         raise ArchiveError(f"cannot compile in a temporary folder: {error.strerror}; {remedy}") from error
 
 
-def _kept_object(job: CompileJob, texts: dict[str, str], compiler: Compiler) -> Path:
-    """Where the cache keeps the object file of a job: named by source, all headers, flags and compiler."""
+def _kept_object(job: CompileJob, texts: dict[str, str], compiler: Compiler) -> str:
+    """Name of a job's object file in the cache: by source, all headers, flags and compiler."""
     headers = [text for name, text in sorted(texts.items()) if name.endswith(".h")]
     parts = (compiler.identity(), repr(job), compiler.platform.name, texts[job.source], *headers)
-    return cache_folder() / "objects" / f"{content_hash(part.encode() for part in parts)}.o"
+    return f"objects/{content_hash(part.encode() for part in parts)}.o"
 
 
-def _keep(object_file: Path, path: Path) -> None:
-    """Store an object file after its own hash, so that damage is seen; a cache that cannot be written is left alone."""
+def _keep(object_file: Path, name: str) -> None:
+    """Store an object file after its own hash, so that damage is seen; it is not needed again for this library."""
     content = object_file.read_bytes()
     try:
-        write_atomically(path, content_hash([content]).encode() + content)
+        store(name, content_hash([content]).encode() + content)
     except ArchiveError:
         return
 
 
-def _fetch(path: Path, target: Path) -> bool:
+def _fetch(name: str, target: Path) -> bool:
     """Copy an intact object file out of the cache; False where there is none."""
     try:
-        stored = path.read_bytes()
+        stored = (cache_folder() / name).read_bytes()
     except OSError:
         return False
     digest, content = stored[:_DIGEST_BYTES], stored[_DIGEST_BYTES:]

@@ -29,3 +29,7 @@ class CompileError(BuildError):
 
 class ArchiveError(BuildError):
     """A file could not be written or read: missing, read-only, full or damaged."""
+
+
+class CacheWarning(UserWarning):
+    """What is built can't be kept; said once for a folder."""

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import casadi
 
-from flexfmu.fmu_build.archive import write_atomically
 from flexfmu.fmu_build.block_codegen import sample_function
-from flexfmu.fmu_build.cache import cache_folder
+from flexfmu.fmu_build.cache import cached, store
 from flexfmu.fmu_build.codegen import with_elementary_functions
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.hashing import content_hash
@@ -51,7 +50,7 @@ def compile_function(function: casadi.Function) -> casadi.Function:
     Raises:
         MissingCompilerError: there is no C compiler.
         CompileError: the compiler refuses.
-        ArchiveError: the cache's folder can't be written.
+        ArchiveError: neither the cache's folder nor a temporary one can be written.
     """
     generator = casadi.CodeGenerator(f"{function.name()}.c")
     generator.add(function)
@@ -65,7 +64,6 @@ def _library(name: str, code: str) -> Path:
     sources = Sources(name, "", "", {f"{name}.c": code}, elementary_sources(), {})
     platform = native_platform()
     content = compile_library(sources, find_compiler(platform), generated_flags=EXPORTED_FLAGS)
-    path = cache_folder() / "blocks" / f"{content_hash([content])}{platform.suffix}"
-    if not (path.is_file() and path.read_bytes() == content):
-        write_atomically(path, content)
-    return path
+    file = f"blocks/{content_hash([content])}{platform.suffix}"
+    path = cached(file)
+    return path if path is not None and path.read_bytes() == content else store(file, content)

@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any, TextIO
 
 import typer
 
@@ -19,10 +20,12 @@ FAILURE, USAGE = 1, 2
 def one_line_errors() -> Iterator[None]:
     """Turn every error that a user can meet into one line on standard error and the exit status.
 
-    Anything else is a mistake in flexfmu and keeps its traceback.
+    Anything else is a mistake in flexfmu and keeps its traceback. Warnings that concern the user are one line each as well.
     """
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _showing(warnings.showwarning)
+            yield
     except typer.Exit:
         raise
     except KeyboardInterrupt:
@@ -46,6 +49,19 @@ def show_note(message: str) -> None:
     stderr: TextIO | None = sys.stderr
     if stderr is not None:
         print(f"flexfmu: {' '.join(message.split())}", file=stderr)
+
+
+def _showing(others: Callable[..., None]) -> Callable[..., None]:
+    """Shows a warning that concerns the user without the line of code that it comes from; others as before."""
+    from flexfmu.fmu_build.errors import CacheWarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
+        if issubclass(category, CacheWarning):
+            show_note(f"warning: {message}")
+        else:
+            others(message, category, *where)
+
+    return show
 
 
 def _exit_status(error: Exception) -> int | None:

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from flexfmu.cosim.compiled.operations import CProgram, CProgress
-from flexfmu.fmu_build.archive import write_atomically
-from flexfmu.fmu_build.cache import cache_folder
+from flexfmu.fmu_build.cache import cached, store
 from flexfmu.fmu_build.errors import BuildError
 from flexfmu.fmu_build.hashing import content_hash
 from flexfmu.fmu_build.platforms import native_platform
@@ -41,10 +40,8 @@ def _library() -> Path:
     platform = native_platform()
     compiler = find_compiler(platform)
     key = content_hash(part.encode() for part in (compiler.identity(), *(t for _, t in sorted(texts.items()))))
-    path = cache_folder() / "master" / f"{key}{platform.suffix}"
-    if not path.is_file():
-        write_atomically(path, _compile(texts, compiler))
-    return path
+    file = f"master/{key}{platform.suffix}"
+    return cached(file) or store(file, _compile(texts, compiler))
 
 
 def _compile(texts: dict[str, str], compiler: Compiler) -> bytes:

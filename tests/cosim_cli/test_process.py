@@ -63,6 +63,15 @@ def test_missing_compiler(tmp_path: Path) -> None:
     assert "no-such-cc" in outcome.stderr
 
 
+def test_useless_cache(tmp_path: Path) -> None:
+    """A file in place of the cache's folder: one line says so, and the command does its work."""
+    (tmp_path / "file").write_text("")
+    outcome = flexfmu("run", SCENE, "--out", str(tmp_path / "results"), "--json", FLEXFMU_CACHE=str(tmp_path / "file"))
+    assert (outcome.returncode, outcome.stderr.count("\n")) == (0, 1)
+    assert outcome.stderr.startswith(f"flexfmu: warning: cannot write to the cache's folder {tmp_path / 'file'} (")
+    assert json.loads(outcome.stdout)["health"]["outcome"] == "completed"
+
+
 def test_reader_that_goes_away() -> None:
     """`flexfmu modes ... | head -1` ends without a traceback."""
     command = f"{shlex.join(FLEXFMU)} modes {SCENE} --poses 3 --json | head -c 1"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import subprocess
@@ -14,12 +15,12 @@ from pathlib import Path
 
 import pytest
 
-from flexfmu.fmu_build import build, toolchain
+from flexfmu.fmu_build import build, cache, toolchain
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.checks.functions import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.elf import exported_symbols
-from flexfmu.fmu_build.errors import ArchiveError, MissingCompilerError, PlatformError
+from flexfmu.fmu_build.errors import ArchiveError, CacheWarning, MissingCompilerError, PlatformError
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import generate_sources
 from flexfmu.model.symbolic import SymbolicModel
@@ -29,6 +30,10 @@ MakeModel = Callable[..., SymbolicModel]
 
 def _never() -> SymbolicModel:
     raise AssertionError("the model must not be made")
+
+
+def _no_space(**options: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def _library(path: Path) -> bytes:
@@ -158,15 +163,29 @@ def test_output_is_written_from_the_cache(make_oscillators: MakeModel, tmp_path:
     assert stat.S_IMODE(built.path.stat().st_mode) == 0o644
 
 
-def test_useless_cache_folder_does_not_matter_with_an_output(
+def test_useless_cache_folder_is_said_once(
     make_oscillators: MakeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A read-only home directory is no reason to refuse a build; without an output it is, and the message helps."""
+    """A read-only home directory is no reason to refuse a build, but it costs time: what, where and the remedy are said."""
+    useless = tmp_path / "file" / "cache"
+    useless.parent.write_text("")
+    monkeypatch.setenv("FLEXFMU_CACHE", str(useless))
+    with pytest.warns(CacheWarning, match=f"{useless} .Not a directory.*FLEXFMU_CACHE") as warned:
+        assert build_fmu(make_oscillators(), key="oscillators", output=tmp_path / "robot.fmu").path.is_file()
+    assert len(warned) == 1
+    again = build_fmu(_never, key="oscillators")
+    assert again.cached
+    assert again.path.read_bytes() == (tmp_path / "robot.fmu").read_bytes()
+
+
+def test_no_room_anywhere(make_oscillators: MakeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where not even a temporary folder takes the FMU, the error names the variable."""
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / "file" / "cache"))
-    assert build_fmu(make_oscillators(), output=tmp_path / "robot.fmu").path.is_file()
-    with pytest.raises(ArchiveError, match="FLEXFMU_CACHE"):
+    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path / "file"))
+    monkeypatch.setattr(cache, "TemporaryDirectory", _no_space)
+    with pytest.raises(ArchiveError, match=r"file/\w+\.sha256: .*FLEXFMU_CACHE"):
         build_fmu(make_oscillators())
+    assert build_fmu(make_oscillators(), output=tmp_path / "robot.fmu").path.is_file()
 
 
 def test_missing_compiler_is_found_out_first(monkeypatch: pytest.MonkeyPatch) -> None:
