@@ -11,6 +11,7 @@ from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import ICON_SIZE
 from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.fmu_build.picture import Picture, block_picture, mechanism_picture
+from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
@@ -30,6 +31,7 @@ def documentation(model: SymbolicModel, description: Description, experiment: De
         states=_states(model),
         initial_states=INITIAL.items,
         integrators=INTEGRATOR.items,
+        least_tolerance=LEAST_TOLERANCE,
     )
 
 

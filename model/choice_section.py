@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator
 
+from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
 from flexfmu.model.section import Section, as_tuple, quantity
 
 MeasureName = Literal[
@@ -22,13 +23,16 @@ MeasureName = Literal[
 
 MEASURES: tuple[MeasureName, ...] = get_args(MeasureName)
 
-ChoiceTolerance = Annotated[float, quantity("1", gt=0.0, le=10.0)]
+INTEGRATOR_SHARE = 0.5
+"""Share of the tolerance that is left to the integrator; the other half is that of the effects left out."""
+
+SMALLEST, LARGEST = LEAST_TOLERANCE / INTEGRATOR_SHARE, 10.0
+"""Limits of the tolerance for effects."""
+
+ChoiceTolerance = Annotated[float, quantity("1", ge=SMALLEST, le=LARGEST)]
 """Relative error; from 1 on even a deflection that is left out altogether is tolerable."""
 
 MeasureNames = Annotated[tuple[MeasureName, ...], BeforeValidator(as_tuple)]
-
-INTEGRATOR_SHARE = 0.5
-"""Share of the tolerance that is left to the integrator; the other half is that of the effects left out."""
 
 LOOSEST_INTEGRATOR = 1e-2
 """Largest tolerance that an automatic choice gives the FMU; a looser one saves no more time."""
@@ -60,8 +64,8 @@ class Choice(Section):
 
 
 def integrator_tolerance(tolerance: float) -> float:
-    """The FMU's relative tolerance that goes with a tolerance for effects."""
-    return min(INTEGRATOR_SHARE * tolerance, LOOSEST_INTEGRATOR)
+    """The FMU's relative tolerance that goes with a tolerance for effects; always one that it can keep."""
+    return max(LEAST_TOLERANCE, min(INTEGRATOR_SHARE * tolerance, LOOSEST_INTEGRATOR))
 
 
 def fill_in(effects: Any, cosimulation: Any) -> tuple[Any, Any]:
@@ -69,8 +73,9 @@ def fill_in(effects: Any, cosimulation: Any) -> tuple[Any, Any]:
     if not isinstance(effects, Mapping) or effects.get("select") != "auto":
         return effects, cosimulation
     tolerance = effects.get("tolerance")
-    if isinstance(cosimulation, Mapping) and isinstance(tolerance, float) and tolerance > 0.0:
-        cosimulation = {"tolerance": integrator_tolerance(tolerance), **cosimulation}
+    if isinstance(cosimulation, Mapping):  # a wrong tolerance for effects is told by that key alone
+        number = tolerance if isinstance(tolerance, float | int) else LARGEST
+        cosimulation = {"tolerance": integrator_tolerance(number), **cosimulation}
     return {"basis": "craig-bampton", **effects}, cosimulation
 
 

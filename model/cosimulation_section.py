@@ -10,6 +10,11 @@ from flexfmu.model.section import Seconds, SecondsOrZero, Section, quantity
 
 Tolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
 
+LEAST_TOLERANCE = 1e-13
+"""Smallest relative tolerance of the FMU: below it the rounding errors of its equations decide."""
+
+FmuTolerance = Annotated[float, quantity("1", ge=LEAST_TOLERANCE, le=0.1)]
+
 
 class StepControl(Section):
     """Communication steps chosen on the way, so that the error of the coupling over the whole run stays below `tolerance`
@@ -56,7 +61,7 @@ class Cosimulation(Section):
 
     drive: Literal["motion", "torque"] = "motion"
     step: Seconds
-    tolerance: Tolerance
+    tolerance: FmuTolerance
     initial: Literal["static", "undeformed"] = "static"
     integrator: Literal["automatic", "gauss2", "gauss3", "gauss4", "radau3", "dopri5", "rk4"] = "automatic"
     integrator_step: SecondsOrZero = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from flexfmu.cosim.planning import plan
-from flexfmu.model.choice_section import MEASURES, MeasureName
+from flexfmu.model.choice_section import LARGEST, MEASURES, SMALLEST, MeasureName
 from flexfmu.model.errors import SceneError
 from flexfmu.model.scene import Scene
 
@@ -52,8 +52,8 @@ def wanted(
     usual = tuple(name for name in MEASURED if dwells or not name.startswith("residual"))
     names = tuple(_measure(name, dwells) for name in of) or scene.effects.of or usual
     value = tolerance if tolerance is not None else scene.effects.tolerance or TOLERANCE
-    if not 0.0 < value <= 10.0:
-        raise SceneError(f"the tolerance must be above 0 and at most 10 (relative error), got {value:g}")
+    if not SMALLEST <= value <= LARGEST:
+        raise SceneError(f"the tolerance must be between {SMALLEST:g} and {LARGEST:g} (relative error), got {value:g}")
     return value, tuple(dict.fromkeys(names))
 
 

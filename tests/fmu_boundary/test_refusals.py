@@ -18,6 +18,7 @@ from boundary_support.raw import (
     OK,
     PENDING_STATUS,
     TERMINATED,
+    WARNING,
     RawInstance,
     raw_instance,
 )
@@ -25,6 +26,7 @@ from boundary_support.subjects import FILES, fail_a_step
 from export_support.blocks import saturation
 
 from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
 
 
 @pytest.fixture(params=FILES)
@@ -129,6 +131,14 @@ def test_wrong_experiments_are_refused(instance: RawInstance) -> None:
         assert instance.call("fmi2SetupExperiment", 0, 0.0, start, 1, stop) == ERROR
         assert "time must be" in instance.sentence
     instance.start()
+
+
+@pytest.mark.parametrize("name", ["robot"], indirect=True)
+def test_tolerance_below_rounding_is_said(instance: RawInstance) -> None:
+    """The smallest tolerance of a scene is the FMU's own: a smaller one counts as that one, with a warning."""
+    assert instance.call("fmi2SetupExperiment", 1, LEAST_TOLERANCE, 0.0, 0, 0.0) == OK
+    assert instance.call("fmi2SetupExperiment", 1, 0.99 * LEAST_TOLERANCE, 0.0, 0, 0.0) == WARNING
+    assert f"9.9e-14 is beyond double precision, {LEAST_TOLERANCE:g} is used" in instance.sentence
 
 
 def test_unknown_value_references_are_refused(instance: RawInstance) -> None:

@@ -14,6 +14,7 @@ from flexfmu.fmu_build.description import plant_description
 from flexfmu.fmu_build.documentation import documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import png
+from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene_file import load_scene
 from flexfmu.model.symbolic import SymbolicModel
@@ -81,6 +82,11 @@ def test_page_needs_nothing_else(robot: SymbolicModel) -> None:
 def test_page_shows_values_as_people_read_them(robot: SymbolicModel) -> None:
     """In the unit of the variable, and in the one that its drawing would have."""
     assert "0.24 m = 240 mm" in unescape(_page(robot))
+
+
+def test_page_tells_which_tolerances_are_kept(robot: SymbolicModel) -> None:
+    """What the FMU does with one beyond its range: an error, or its smallest one with a warning."""
+    assert f"between 0 and 1, anything else is an error; below {LEAST_TOLERANCE} it counts as" in _page(robot)
 
 
 def test_mechanism_is_drawn_to_scale(robot: SymbolicModel) -> None:

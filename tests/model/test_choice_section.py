@@ -31,6 +31,7 @@ def test_the_other_half_of_the_tolerance_is_the_integrators() -> None:
     """Half the tolerance goes to the FMU unless the scene gives one, and no looser one than saves time."""
     assert parse_scene(data(), "test").cosimulation.tolerance == 0.005
     assert parse_scene(data(tolerance=0.5), "test").cosimulation.tolerance == 0.01
+    assert parse_scene(data(tolerance=2), "test").cosimulation.tolerance == 0.01
     own = data()
     own["cosimulation"]["tolerance"] = 1e-7
     assert parse_scene(own, "test").cosimulation.tolerance == 1e-7
@@ -59,7 +60,8 @@ def test_the_scene_file_of_the_shipped_scenes_can_be_left_to_the_choice() -> Non
         ({"tolerance": None}, r"`tolerance` is missing: `select = \"auto\"` needs `tolerance = 0\.01`"),
         ({"of": []}, r"`of` is missing"),
         ({"of": ["settling_time"]}, r"`effects\.of\[0\]` must be 'peak_torque_1', .* got 'settling_time'"),
-        ({"tolerance": 0.0}, r"`effects\.tolerance` must be above 0\.0, got 0\.0"),
+        ({"tolerance": 1e-30}, r"^`effects\.tolerance` must be at least 2e-13, got 1e-30 \(test\)$"),
+        ({"tolerance": "fine"}, r"^`effects\.tolerance` must be a valid number, got 'fine' \(test\)$"),
         (
             {"select": None, "basis": "craig-bampton"},
             r"`tolerance` belongs to `select = \"auto\"`: add that, or remove",

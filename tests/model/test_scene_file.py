@@ -87,6 +87,10 @@ WRONG_VALUES = {
     "blends that overlap": ({"trajectory.blend.width": 0.2}, r"`blend\.width` must be at most `width`/2 = 0\.175 m"),
     "lift without a direction": ({"trajectory.lift": [0.0, 0.0]}, r"`lift` must be a direction"),
     "tolerance out of range": ({"cosimulation.tolerance": 1.0}, r"`cosimulation\.tolerance` must be at most 0\.1"),
+    "tolerance below rounding": (
+        {"cosimulation.tolerance": 1e-30},
+        r"`cosimulation\.tolerance` must be at least 1e-13, got 1e-30",
+    ),
     "unknown beam theory": ({"effects.beam": "thick"}, r"`effects\.beam` must be 'euler-bernoulli' or 'timoshenko'"),
     "unknown basis": ({"effects.basis": "finite-elements"}, r"must be 'assumed-modes' or 'craig-bampton'"),
     "impossible material": (
