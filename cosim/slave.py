@@ -201,7 +201,8 @@ class BindsBuffers(Protocol):
     """Prepares repeated transfers between fixed variables and fixed buffers, which is faster than `get` and `set`.
 
     Buffers are C-contiguous; shapes as in `Slave.set`, `Slave.get`, `TakesInputDerivatives.set_derivatives` and
-    `GivesOutputDerivatives.get_derivatives`. A call is valid until the slave is terminated.
+    `GivesOutputDerivatives.get_derivatives`. A call may be bound before the slave is initialised and serves all its runs;
+    it is made only between `Slave.initialize` and the end of a run.
     """
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call: ...

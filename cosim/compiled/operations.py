@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from ctypes import CFUNCTYPE, Structure, c_double, c_int, c_size_t, c_ubyte, c_void_p, cast
+from ctypes import CFUNCTYPE, Structure, addressof, c_double, c_int, c_size_t, c_ubyte, c_void_p, cast
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import partial
@@ -49,7 +49,7 @@ class COperation(Structure):
     """``master_operation``."""
 
     _fields_ = (
-        *((name, c_int) for name in ("kind", "condition", "flag")),
+        *((name, c_int) for name in ("kind", "condition")),
         *((name, c_size_t) for name in ("count", "stride")),
         *((name, c_void_p) for name in _FIELDS),
     )
@@ -91,7 +91,7 @@ class Operation:
         kind, when: what it does, and when.
         owner: name of the slave that is at work.
         failure: makes the error where it fails.
-        numbers: its fields ``flag``, ``count`` and ``stride``, as far as it needs them.
+        numbers: its fields ``count`` and ``stride``, as far as it needs them.
         addresses: its pointers, by field.
         kept: what these point to.
     """
@@ -123,17 +123,21 @@ def pack(operations: Sequence[Operation]) -> Any:
 
 def fmi_transfer(call: partial[int], when: When, owner: str, failure: Failure) -> Operation:
     """fmi2GetReal, fmi2SetReal or their derivatives with bound arguments, see `Transfers`."""
-    component, references, count, *orders, target = call.args
-    pointers = {"function": pointer(call.func), "component": component, "references": references, "target": target}
+    _, references, count, *orders, target = call.args
+    pointers = {**_reached(call), "references": references, "target": target}
     kind = Kind.DERIVATIVES if orders else Kind.VALUES
     more = {"orders": orders[0]} if orders else {}
     return Operation(kind, when, owner, failure, {"count": count}, {**pointers, **more}, (call,))
 
 
-def fmi_step(call: partial[int], no_rollback: int, owner: str, failure: Failure) -> Operation:
-    """fmi2DoStep of a component."""
-    pointers: dict[str, int | None] = {"function": pointer(call.func), "component": call.args[0]}
-    return Operation(Kind.STEP, When.ALWAYS, owner, failure, {"flag": no_rollback}, pointers, (call,))
+def fmi_step(call: partial[int], owner: str, failure: Failure) -> Operation:
+    """fmi2DoStep, never to go back to an earlier point."""
+    return Operation(Kind.STEP, When.ALWAYS, owner, failure, {}, _reached(call), (call,))
+
+
+def _reached(call: partial[int]) -> dict[str, int | None]:
+    """An FMI function, and where the handle of the instance is that it is bound to."""
+    return {"function": pointer(call.func), "component": addressof(call.args[0])}
 
 
 def table_row(table: RealArray, signals: RealArray, owner: str, rows: int) -> Operation:

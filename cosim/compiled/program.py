@@ -35,6 +35,8 @@ from flexfmu.cosim.slave import Call, KnowsItsFuture, RealArray, Slave
 class HasTables(Protocol):
     """Knows its future, all of it: what `announce` and `step` change over to is in tables, a row for each point.
 
+    Tables are never written to again; for the same points each run finds the same.
+
     Attributes:
         announced: (N, orders, n) value and derivatives after `announce` at each communication point.
         ended: (N, orders, n) value and derivatives after the `step` that ends at each communication point.
@@ -50,8 +52,8 @@ class HasTables(Protocol):
 class StepsInC(Protocol):
     """Is stepped by fmi2DoStep."""
 
-    def bound_step(self) -> tuple[partial[int], int, Callable[[int, float, float], BaseException]]:
-        """The function with its component bound, noSetFMUStatePriorToCurrentPoint, and what makes the error."""
+    def bound_step(self) -> tuple[partial[int], Callable[[int, float, float], BaseException]]:
+        """The function with its component bound, and what makes the error."""
 
 
 def can_compile(schedule: Schedule) -> bool:
@@ -163,8 +165,8 @@ def _step(slave: Slave, activity: Activity) -> Operation:
     """Advance one slave."""
     name = slave.name
     if isinstance(slave, StepsInC):
-        call, no_rollback, failure = slave.bound_step()
-        return fmi_step(call, no_rollback, name, lambda status, begin, end: failure(status, begin, end - begin))
+        call, failure = slave.bound_step()
+        return fmi_step(call, name, lambda status, begin, end: failure(status, begin, end - begin))
 
     def step(point: int, begin: float, end: float) -> None:
         activity.name = name

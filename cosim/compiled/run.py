@@ -1,46 +1,60 @@
-"""Carrying a compiled program out: in pieces, so that progress can be told and the user can interrupt."""
+"""Carrying a compiled program out, run by run: in pieces, so that progress can be told and the user can interrupt."""
 
 from __future__ import annotations
 
 from ctypes import addressof
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.compiled.library import RunProgram
-from flexfmu.cosim.compiled.operations import CChannel, CProgram, CProgress, flags, pack
+from flexfmu.cosim.compiled.operations import CChannel, CProgram, CProgress, Operation, flags, pack
 from flexfmu.cosim.compiled.program import advance_operations, exchange_operations
 from flexfmu.cosim.fmu.calls import address
+from flexfmu.cosim.master.grid import TimeGrid
 from flexfmu.cosim.master.recorder import Recorder
 from flexfmu.cosim.master.schedule import Schedule
-from flexfmu.cosim.slave import RealArray
 
 
 class CompiledRun:
-    """Goes through the points of a grid; slaves have been initialised, and the first instant is recorded.
+    """Goes through the points of a grid, in one run after the other.
 
     Args:
         library: the C side.
         schedule: whose turn it is.
         recorder: gets every instant; has room for all of them.
-        times: (N + 1,) communication points [s].
-        jumps: (N + 1,) where signals may jump.
+        grid: the points.
     """
 
-    def __init__(
-        self, library: RunProgram, schedule: Schedule, recorder: Recorder, times: RealArray, jumps: list[bool]
-    ) -> None:
-        self._library, self._activity, self._recorder = library, schedule.activity, recorder
-        self._operations = [advance_operations(schedule), exchange_operations(schedule)]
-        self._times = np.ascontiguousarray(times)
-        self._jumps = flags(jumps)
-        self._packed = [pack(each) for each in self._operations]
-        self._channels = (CChannel * max(len(recorder.blocks), 1))()
-        for channel, (signals, rows) in zip(self._channels, recorder.blocks, strict=False):
-            channel.signals, channel.rows, channel.count = address(signals), address(rows), signals.size
-        self._program = self._c_program()
-        self._progress = CProgress(points=0, records=recorder.count)
+    def __init__(self, library: RunProgram, schedule: Schedule, recorder: Recorder, grid: TimeGrid) -> None:
+        self._library, self._schedule, self._recorder = library, schedule, recorder
+        self._times, self._jumps = np.ascontiguousarray(grid.times), flags(grid.marked)
+        self._progress = CProgress()
 
-    def _c_program(self) -> CProgram:
+    def begin(self) -> None:
+        """Begin a run; slaves have been initialised, and the first instant is recorded."""
+        self._progress = CProgress(points=0, records=self._recorder.count)
+
+    @cached_property
+    def _operations(self) -> tuple[list[Operation], list[Operation]]:
+        """What happens over a step, and at its end; of slaves that have been initialised once."""
+        return advance_operations(self._schedule), exchange_operations(self._schedule)
+
+    @cached_property
+    def _packed(self) -> list[Any]:
+        return [pack(each) for each in self._operations]
+
+    @cached_property
+    def _channels(self) -> Any:
+        blocks = self._recorder.blocks
+        channels = (CChannel * max(len(blocks), 1))()
+        for channel, (signals, rows) in zip(channels, blocks, strict=False):
+            channel.signals, channel.rows, channel.count = address(signals), address(rows), signals.size
+        return channels
+
+    @cached_property
+    def _program(self) -> CProgram:
         (advance, exchange), (n_advance, n_exchange) = self._packed, map(len, self._operations)
         return CProgram(
             advance=addressof(advance),
@@ -76,7 +90,7 @@ class CompiledRun:
         index = int(self._progress.operation)
         stepping = index < len(advance)
         operation = advance[index] if stepping else exchange[index - len(advance)]
-        self._activity.name = operation.owner
+        self._schedule.activity.name = operation.owner
         begin, end = self._times[self.points], self._times[self.points + 1] if stepping else self._times[self.points]
         status = int(self._progress.status)
         return operation.failure(status, float(begin), float(end))

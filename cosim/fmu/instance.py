@@ -1,9 +1,9 @@
-"""The life of one FMU instance: made, checked at every call, and always freed."""
+"""The life of an FMU's instances, one at a time: made, checked at every call, and always freed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from ctypes import byref
+from ctypes import byref, c_void_p
 from functools import cache
 from itertools import count
 from pathlib import Path
@@ -44,36 +44,44 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
 
 
 class FmuInstance:
-    """An instantiated FMU.
+    """The instance of an FMU that is in use, and after it the next one.
 
     Attributes:
-        component: the instance's handle.
+        component: place of the instance's handle; empty where there is none. A call that is bound to it reaches whichever
+            instance there is when it is made.
         fmi: the FMI functions.
-        log: what the FMU says.
-
-    Raises:
-        SlaveError: the FMU refuses to be instantiated.
+        log: what the FMU says, or said in its last life.
     """
 
-    def __init__(self, fmu: UnpackedFmu, fmi: fmi2.Calls, name: str) -> None:
+    def __init__(self, fmu: UnpackedFmu, fmi: fmi2.Calls) -> None:
+        self.component = c_void_p()
         self.fmi = fmi
         self.log = FmuLog()
-        self._name = name
+        self._name = ""
+        self._guid = fmu.description.guid.encode()
+        self._resources = Path(fmu.folder, "resources").as_uri().encode()
         self._initialized = self._fatal = False
-        resources = Path(fmu.folder, "resources").as_uri()
-        component: int | None = fmi["fmi2Instantiate"](
+
+    def instantiate(self, name: str) -> None:
+        """Make the instance; the one before has been freed.
+
+        Raises:
+            SlaveError: the FMU refuses.
+        """
+        self._name, self._initialized, self._fatal = name, False, False
+        self.log.open()
+        self.component.value = self.fmi["fmi2Instantiate"](
             f"{name} {next(_serial)}".encode(),
             fmi2.CO_SIMULATION,
-            fmu.description.guid.encode(),
-            resources.encode(),
+            self._guid,
+            self._resources,
             byref(self.log.callbacks),
             0,
             0,
         )
-        if component is None:
+        if self.component.value is None:
             self.log.close()
             raise self.error("instantiation", fmi2.ERROR)
-        self.component = component
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Set up the experiment and go through initialisation mode."""
@@ -107,6 +115,7 @@ class FmuInstance:
             if self._initialized:
                 self.fmi["fmi2Terminate"](self.component)
             self.fmi["fmi2FreeInstance"](self.component)
+        self.component.value = None
         self.log.close()
 
     @property

@@ -27,7 +27,7 @@ MAXIMUM_COMPLAINTS = 3
 
 
 class FmuLog:
-    """Messages of one instance, oldest first.
+    """Messages of one instance at a time, oldest first.
 
     Attributes:
         messages: what the FMU said with status warning or worse.
@@ -39,14 +39,15 @@ class FmuLog:
         self._complaints: deque[str] = deque(maxlen=MAXIMUM_COMPLAINTS)
         self._key = next(_keys)
         self.callbacks: Any = fmi2CallbackFunctions()
-        self.callbacks.logger = _logger
         self.callbacks.allocateMemory = _allocate
         self.callbacks.freeMemory = _free
         self.callbacks.componentEnvironment = self._key
-        self.listen()
 
-    def listen(self) -> None:
-        """Receive the messages; fmpy's formatting proxy serves one listener at a time in a process."""
+    def open(self) -> None:
+        """Forget the messages of the instance before and receive those of the next one; fmpy's formatting proxy serves one
+        listener at a time in a process."""
+        self.messages.clear()
+        self._complaints.clear()
         _logs[self._key] = self
         self.callbacks.logger = _logger
         addLoggerProxy(byref(self.callbacks))

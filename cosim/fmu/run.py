@@ -1,21 +1,13 @@
-"""One run of an FMU: steps, saved states, and the statistics at its end."""
+"""One run of an FMU: its failed step, saved states and end."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from ctypes import byref, c_double, c_int, c_void_p
 from functools import partial
-
-import numpy as np
 
 from flexfmu.cosim.errors import SlaveError
 from flexfmu.cosim.fmu import calls as fmi2
 from flexfmu.cosim.fmu.instance import FmuInstance
-from flexfmu.cosim.fmu.transfers import Transfers
-from flexfmu.cosim.fmu.variables import Handle
-
-STATISTICS = "statistics."
-"""Prefix of the integer variables that tell how the FMU fared."""
 
 
 class FmuRun:
@@ -23,8 +15,6 @@ class FmuRun:
 
     def __init__(self, instance: FmuInstance) -> None:
         self.instance = instance
-        self.transfers = Transfers(instance.fmi, instance.component)
-        self.do_step: partial[int] = partial(instance.fmi["fmi2DoStep"], instance.component)
         self.no_rollback = 1
         self._states: list[c_void_p] = []
         self._spare: list[c_void_p] = []
@@ -63,17 +53,6 @@ class FmuRun:
         """Go back to a saved state."""
         call = partial(self.instance.fmi["fmi2SetFMUstate"], self.instance.component, state)
         self.instance.check("restoring a state", call)
-
-    def statistics(self, counters: Mapping[str, Handle]) -> dict[str, int]:
-        """The counters that can be read."""
-        values = np.zeros(len(counters))
-        if (
-            not counters
-            or not self.instance.initialized
-            or self.transfers.get([*counters.values()], values)() > fmi2.WARNING
-        ):
-            return {}
-        return {name.removeprefix(STATISTICS): int(value) for name, value in zip(counters, values, strict=True)}
 
     def free(self) -> None:
         """Free states and instance; to be called once."""

@@ -15,7 +15,9 @@ from flexfmu.cosim.fmu import calls as fmi2
 from flexfmu.cosim.fmu.capabilities import highest_input_derivative, highest_output_derivative
 from flexfmu.cosim.fmu.file import UnpackedFmu, open_fmu
 from flexfmu.cosim.fmu.instance import FmuInstance, load_calls
-from flexfmu.cosim.fmu.run import STATISTICS, FmuRun
+from flexfmu.cosim.fmu.run import FmuRun
+from flexfmu.cosim.fmu.statistics import Statistics
+from flexfmu.cosim.fmu.transfers import Transfers
 from flexfmu.cosim.fmu.variables import FmuVariables, Handle, Value, read_variables, settable_variables, settings
 from flexfmu.cosim.master.binding import nothing
 from flexfmu.cosim.slave import Call, Indices, RealArray
@@ -56,13 +58,16 @@ class FmuSlave:
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
-        self._counters = {n: h for n, h in known.others.items() if n.startswith(STATISTICS) and h.kind == "Integer"}
         self._settings = settings(_settable(self._fmu), self.parameters)
         self.max_output_order = highest_output_derivative(self._fmu)
         highest = highest_input_derivative(self._fmu)
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
-        self._fmi = load_calls(self._fmu)
+        fmi = load_calls(self._fmu)
+        self._instance = FmuInstance(self._fmu, fmi)
+        self._transfers = Transfers(fmi, self._instance.component)
+        self._do_step: partial[int] = partial(fmi["fmi2DoStep"], self._instance.component)
+        self._counters = Statistics(known.others, self._transfers)
         self._presets: dict[int, float] = {}
         self._run: FmuRun | None = None
         self._free: Call = nothing
@@ -85,14 +90,16 @@ class FmuSlave:
             SlaveError: the FMU refuses, with its own sentence.
         """
         self.terminate()
-        self._run = run = FmuRun(FmuInstance(self._fmu, self._fmi, self.name))
+        instance, transfers = self._instance, self._transfers
+        instance.instantiate(self.name)
+        self._run = run = FmuRun(instance)
         self._free = weakref.finalize(self, run.free)
         for setting in self._settings:
-            run.instance.check(f"setting {setting.name} = {setting.value}", run.transfers.setting(setting))
+            instance.check(f"setting {setting.name} = {setting.value}", transfers.setting(setting))
         handles = [self._handles[index] for index in self._presets]
         if handles:
-            run.instance.check("setting inputs", run.transfers.set(handles, np.array([*self._presets.values()])))
-        run.instance.initialize(start_time, stop_time, tolerance)
+            instance.check("setting inputs", transfers.set(handles, np.array([*self._presets.values()])))
+        instance.initialize(start_time, stop_time, tolerance)
 
     def step(self, time: float, step: float) -> None:
         """Let the FMU advance.
@@ -101,13 +108,12 @@ class FmuSlave:
             SlaveError: the FMU fails or gets through only a part of the step; carries the last time that it reached.
         """
         run = self._running()
-        if (status := run.do_step(time, step, run.no_rollback)) > fmi2.WARNING:
+        if (status := self._do_step(time, step, run.no_rollback)) > fmi2.WARNING:
             raise run.step_error(status, time, step)
 
-    def bound_step(self) -> tuple[partial[int], int, Callable[[int, float, float], BaseException]]:
-        """fmi2DoStep of the present run, noSetFMUStatePriorToCurrentPoint, and what makes the error of a failed step."""
-        run = self._running()
-        return run.do_step, run.no_rollback, run.step_error
+    def bound_step(self) -> tuple[partial[int], Callable[[int, float, float], BaseException]]:
+        """fmi2DoStep with its component bound, and what makes the error of a failed step."""
+        return self._do_step, lambda status, time, step: self._running().step_error(status, time, step)
 
     def set(self, indices: Indices, values: RealArray) -> None:
         """Set inputs; before initialisation they are kept for it."""
@@ -118,41 +124,40 @@ class FmuSlave:
 
     def get(self, indices: Indices, values: RealArray) -> None:
         """Read variables."""
+        self._running()
         buffer = np.empty(values.shape)
         self.bind_get(indices, buffer)()
         values[:] = buffer
 
     def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         """Set derivatives of inputs."""
+        self._running()
         self.bind_set_derivatives(indices, np.ascontiguousarray(derivatives))()
 
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         """Read derivatives of outputs."""
+        self._running()
         buffer = np.empty(derivatives.shape)
         self.bind_get_derivatives(indices, buffer)()
         derivatives[:] = buffer
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
         """A call that sets inputs from the buffer."""
-        run = self._running()
-        return run.instance.checked("setting inputs", run.transfers.set(self._select(indices), values))
+        return self._instance.checked("setting inputs", self._transfers.set(self._select(indices), values))
 
     def bind_get(self, indices: Indices, values: RealArray) -> Call:
         """A call that reads variables into the buffer."""
-        run = self._running()
-        return run.instance.checked("reading variables", run.transfers.get(self._select(indices), values))
+        return self._instance.checked("reading variables", self._transfers.get(self._select(indices), values))
 
     def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
         """A call that sets derivatives of inputs from the buffer."""
-        run = self._running()
-        call = run.transfers.set_derivatives(self._select(indices), derivatives)
-        return run.instance.checked("setting input derivatives", call)
+        call = self._transfers.set_derivatives(self._select(indices), derivatives)
+        return self._instance.checked("setting input derivatives", call)
 
     def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
         """A call that reads derivatives of outputs into the buffer."""
-        run = self._running()
-        call = run.transfers.get_derivatives(self._select(indices), derivatives)
-        return run.instance.checked("reading output derivatives", call)
+        call = self._transfers.get_derivatives(self._select(indices), derivatives)
+        return self._instance.checked("reading output derivatives", call)
 
     def save(self) -> object:
         """The FMU's complete state; valid until it is released, or until `terminate`.
@@ -174,10 +179,10 @@ class FmuSlave:
     def terminate(self) -> None:
         """Read the statistics, then terminate and free the instance; nothing to do without one."""
         if self._run is not None:
-            run, self._run = self._run, None
-            self.statistics = run.statistics(self._counters)
+            self._run = None
+            self.statistics = self._counters.read() if self._instance.initialized else {}
             self._free()
-            self.messages = tuple(run.instance.log.messages)
+            self.messages = tuple(self._instance.log.messages)
 
     def _select(self, indices: Indices) -> list[Handle]:
         """Handles of variables."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from ctypes import c_char_p
+from ctypes import c_char_p, c_void_p
 from functools import partial
 
 import numpy as np
@@ -25,10 +25,10 @@ class Transfers:
 
     Args:
         fmi: the FMI functions.
-        component: the instance.
+        component: place of the instance's handle, looked up in every call.
     """
 
-    def __init__(self, fmi: Calls, component: int) -> None:
+    def __init__(self, fmi: Calls, component: c_void_p) -> None:
         self._fmi = fmi
         self._component = component
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from math import lcm
 
 import numpy as np
@@ -67,6 +68,11 @@ class TimeGrid:
     times: Instants
     marked: Flags
     due: tuple[Flags, ...] = ()
+
+    @cached_property
+    def largest_step(self) -> float:
+        """Longest distance of two neighbouring points [s]."""
+        return float(np.diff(self.times).max())
 
 
 def time_grid(

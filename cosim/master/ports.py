@@ -48,20 +48,15 @@ class OutputPort:
         self.signals = np.zeros((max(self.recorded, 1 + coupling_order), self.indices.size))
         self._finite = np.ones(self.signals.shape, dtype=np.bool_)
         self.transfer = self.read_announced = nothing
+        if self.indices.size:
+            # a slave that knows its future gives more derivatives at the beginning of a step than at its end
+            rows = self.recorded if isinstance(slave, KnowsItsFuture) else self.signals.shape[0]
+            self.transfer = bind_get(slave, self.indices, self.signals[:rows])
+            self.read_announced = bind_get(slave, self.indices, self.signals)
 
     def reset(self) -> None:
         """Forget the signals of a run before."""
         self.signals.fill(0.0)
-
-    def bind(self) -> None:
-        """Prepare the transfers, once the slave has been initialised.
-
-        A slave that knows its future gives more derivatives at the beginning of a step than at its end.
-        """
-        if self.indices.size:
-            rows = self.recorded if isinstance(self.slave, KnowsItsFuture) else self.signals.shape[0]
-            self.transfer = bind_get(self.slave, self.indices, self.signals[:rows])
-            self.read_announced = bind_get(self.slave, self.indices, self.signals)
 
     @property
     def reads_all(self) -> bool:
@@ -104,16 +99,11 @@ class InputPort:
         self.interpolating = tuple(link for link in links if link.interpolates)
         self._begins: list[RealArray] = []
         self._indices = indices
-        self.send = nothing
+        self.send = bind_set(slave, indices, self.fed) if links else nothing
 
     def reset(self) -> None:
         """Forget the signals of a run before."""
         self.fed.fill(0.0)
-
-    def bind(self) -> None:
-        """Prepare the transfers, once the slave has been initialised."""
-        if self.links:
-            self.send = bind_set(self.slave, self._indices, self.fed)
 
     def preset(self, ready: Collection[OutputPort]) -> None:
         """Set values before the slave is initialised, those whose sources are ready; the others keep their starts."""

@@ -5,10 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
-from flexfmu.cosim.compiled.library import RunProgram
-from flexfmu.cosim.compiled.program import can_compile
 from flexfmu.cosim.compiled.run import CompiledRun
 from flexfmu.cosim.master.controlled_steps import ControlledSteps
 from flexfmu.cosim.master.coupling_error import CouplingError
@@ -52,7 +48,7 @@ class Run:
         grid: the points.
         recorder: gets every instant.
         progress: told now and then.
-        library: the C side of the loop, used where the schedule allows it; None for Python.
+        compiled: the loop in C; None for Python.
 
     Attributes:
         initialized: whether all slaves have been initialised.
@@ -64,17 +60,14 @@ class Run:
         grid: TimeGrid,
         recorder: Recorder,
         progress: Progress | None,
-        library: RunProgram | None = None,
+        compiled: CompiledRun | None = None,
     ) -> None:
         self._recorder = recorder
         self.initialized = False
         self._schedule, self._grid = schedule, grid
-        self._library = library if library is not None and can_compile(schedule) else None
+        self._compiled = compiled
         self._cross = schedule.advance
         self._controlled: ControlledSteps | None = None
-        self._times: list[float] = grid.times.tolist()
-        self._marked: list[bool] = grid.marked.tolist()
-        self._largest = float(np.diff(grid.times).max())
         self._passed = 0
         self._progress = progress
 
@@ -91,15 +84,15 @@ class Run:
         self._schedule.initialize(tolerance)
         self.initialized = True
         self._start()
-        if self._library is not None and self._controlled is None:
-            self._go_in_c(self._library)
+        if self._compiled is not None:
+            self._go_in_c(self._compiled)
         else:
             self._go_in_python()
 
-    def _go_in_c(self, library: RunProgram) -> None:
+    def _go_in_c(self, compiled: CompiledRun) -> None:
         """A piece of the way at a time, between which progress is told and the user can interrupt."""
-        compiled = CompiledRun(library, self._schedule, self._recorder, self._grid.times, self._marked)
-        count = len(self._times) - 1
+        compiled.begin()
+        count = self._grid.times.size - 1
         pieces = min(PROGRESS_CALLS, count) if self._progress is not None else 1 + count // UNINTERRUPTED
         try:
             for piece in range(1, pieces + 1):
@@ -110,7 +103,7 @@ class Run:
             self._passed = compiled.points
 
     def _go_in_python(self) -> None:
-        times, marked, cross = self._times, self._marked, self._cross
+        times, marked, cross = self._grid.times.tolist(), self._grid.marked.tolist(), self._cross
         exchange, record = self._schedule.exchange, self._recorder.append
         count = len(times) - 1
         every = max(1, count // PROGRESS_CALLS)
@@ -128,15 +121,16 @@ class Run:
     @property
     def reached(self) -> Reached:
         """How far the run came."""
-        time, steps = self._times[self._passed], self._passed
+        time, steps, largest = float(self._grid.times[self._passed]), self._passed, self._grid.largest_step
         if self._controlled is None:
-            return Reached(time, steps, 0, self._largest)
+            return Reached(time, steps, 0, largest)
         taken = self._controlled
-        return Reached(max(time, taken.time), taken.accepted, taken.rejected, taken.largest or self._largest)
+        return Reached(max(time, taken.time), taken.accepted, taken.rejected, taken.largest or largest)
 
     def _start(self) -> None:
         """Exchange and record the first instant."""
-        if self._marked[0]:
-            self._recorder.append(self._times[0])
-        self._schedule.exchange(0, self._times[0], jump=True)
-        self._recorder.append(self._times[0])
+        start = float(self._grid.times[0])
+        if self._grid.marked[0]:
+            self._recorder.append(start)
+        self._schedule.exchange(0, start, jump=True)
+        self._recorder.append(start)

@@ -80,8 +80,6 @@ class Schedule:
                     future.prepare(self._grid.times)
             inputs.preset(ready)
             slave.initialize(start, stop, tolerance)
-            inputs.bind()
-            outputs.bind()
             outputs.read(start)
             ready.append(outputs)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from flexfmu.cosim.compiled.library import load
+from flexfmu.cosim.compiled.program import can_compile
+from flexfmu.cosim.compiled.run import CompiledRun
 from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.master.coupling_error import CouplingError
 from flexfmu.cosim.master.delays import SignalDelay, signal_delays
@@ -52,8 +54,8 @@ class Simulator:
         # step control judges outputs that need not be recorded
         read = record if step_control is None else EVERYTHING
         self._schedule = Schedule(system, self._grid, chosen, read)
-        self._library = None if compiled is False else load()
         self._recorder = Recorder(self._schedule.outputs, self._grid.times.size + int(self._grid.marked.sum()))
+        self._compiled = self._compiled_run() if compiled is not False and step_control is None else None
         if step_control is not None:
             check_can_save(revocable(system.slaves), "step control")
             self._coupling_error(step_control)
@@ -70,10 +72,16 @@ class Simulator:
             progress: called now and then with the simulated fraction.
         """
         self._recorder.rewind(0)
-        run = Run(self._schedule, self._grid, self._recorder, progress, self._library)
+        run = Run(self._schedule, self._grid, self._recorder, progress, self._compiled)
         if self._control is not None:
             run.control_steps(self._control, self._coupling_error(self._control), self._step)
         return self._result(run, self._completed(run, tolerance))
+
+    def _compiled_run(self) -> CompiledRun | None:
+        """The loop over the points in C, where the schedule allows it and there is a compiler."""
+        if not can_compile(self._schedule) or (library := load()) is None:
+            return None
+        return CompiledRun(library, self._schedule, self._recorder, self._grid)
 
     def _completed(self, run: Run, tolerance: float | None) -> BaseException | None:
         """Let it run and terminate all slaves; what went wrong first, if anything."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ctypes import POINTER, c_int32, c_uint32, cast
+from ctypes import POINTER, c_int32, c_uint32, c_void_p, cast
 
 import numpy as np
 
@@ -16,12 +16,12 @@ def test_integers_are_rounded() -> None:
     """What comes out of a calculation is nearly a whole number, and the nearest one is meant."""
     told: list[tuple[int, int]] = []
 
-    def set_integer(component: int, references: int, count: int, values: int) -> int:
+    def set_integer(component: c_void_p, references: int, count: int, values: int) -> int:
         names, numbers = cast(references, POINTER(c_uint32)), cast(values, POINTER(c_int32))
         told.extend((names[i], numbers[i]) for i in range(count))
         return 0
 
-    transfers = Transfers({"fmi2SetInteger": set_integer}, 1)
+    transfers = Transfers({"fmi2SetInteger": set_integer}, c_void_p(1))
     handles = [Handle("Integer", 7), Handle("Integer", 9)]
     assert transfers.set(handles, np.array([2.9999999999, -1.0000000001]))() == 0
     assert told == [(7, 3), (9, -1)]

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #define FMI2_WARNING 1
+#define NO_ROLLBACK 1
 
 #if defined(_WIN32)
 #define EXPORTED __declspec(dllexport)
@@ -32,13 +33,13 @@ static int carry_out(const master_operation *op, size_t point, double begin, dou
   *status = 0;
   switch (op->kind) {
     case MASTER_VALUES:
-      *status = ((values_call)op->function)(op->component, op->references, op->count, op->target);
+      *status = ((values_call)op->function)(*op->component, op->references, op->count, op->target);
       return *status > FMI2_WARNING;
     case MASTER_DERIVATIVES:
-      *status = ((derivatives_call)op->function)(op->component, op->references, op->count, op->orders, op->target);
+      *status = ((derivatives_call)op->function)(*op->component, op->references, op->count, op->orders, op->target);
       return *status > FMI2_WARNING;
     case MASTER_STEP:
-      *status = ((step_call)op->function)(op->component, begin, end - begin, op->flag);
+      *status = ((step_call)op->function)(*op->component, begin, end - begin, NO_ROLLBACK);
       return *status > FMI2_WARNING;
     case MASTER_COPY:
       memcpy(op->target, op->source, op->count * sizeof(double));

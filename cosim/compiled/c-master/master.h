@@ -7,11 +7,11 @@
 
 #include <stddef.h>
 
-/* what an operation does, and which of its fields it needs */
+/* what an operation does, and which of its fields it needs; `component` is where the handle of an FMU's instance is */
 enum {
   MASTER_VALUES,      /* fmi2SetReal or fmi2GetReal: function, component, references, count, target */
   MASTER_DERIVATIVES, /* fmi2SetRealInputDerivatives or fmi2GetRealOutputDerivatives: the same and orders */
-  MASTER_STEP,        /* fmi2DoStep: function, component, flag = noSetFMUStatePriorToCurrentPoint */
+  MASTER_STEP,        /* fmi2DoStep: function, component */
   MASTER_COPY,        /* target[0 .. count - 1] = source[..] */
   MASTER_TABLE,       /* the same from row `point` of a table: source, stride between the rows */
   MASTER_GATHER,      /* target[places[i]] = source[columns[i]], i < count */
@@ -27,10 +27,10 @@ enum {
 };
 
 typedef struct {
-  int kind, condition, flag;
+  int kind, condition;
   size_t count, stride;
   void (*function)(void);
-  void *component;
+  void *const *component;
   const unsigned *references;
   const int *orders;
   const long long *columns, *places;
