@@ -4,9 +4,10 @@ user's own."""
 from __future__ import annotations
 
 from pathlib import Path
+from sys import float_info
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from flexfmu.model.section import Seconds, SecondsOrZero, Section
 
@@ -21,6 +22,16 @@ def _from_scene_file(path: str, info: ValidationInfo) -> str:
     """A path that counts from the scene file's folder, in full; as it is where the scene doesn't come from a file."""
     folder: Path | None = (info.context or {}).get(FOLDER)
     return path if folder is None else str(folder / path)
+
+
+def _one_value(value: Any) -> Any:
+    """What a parameter may be, checked at once: pydantic would say it for each type of the union."""
+    if isinstance(value, str | bool) or (isinstance(value, float | int) and abs(value) <= float_info.max):
+        return value
+    raise ValueError(f"give one finite number, true, false or a text in quotes, got {value!r}")
+
+
+ParameterValue = Annotated[float | int | bool | str, BeforeValidator(_one_value)]
 
 
 class LoopSection(Section):
@@ -62,4 +73,4 @@ class FmuSection(LoopSection):
 
     kind: Literal["fmu"]
     path: Annotated[str, AfterValidator(_from_scene_file)]
-    parameters: dict[str, float | int | bool | str] = Field(default_factory=dict)
+    parameters: dict[str, ParameterValue] = Field(default_factory=dict)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from numbers import Real
+from sys import float_info
 from typing import Any, Literal, cast
 
 from flexfmu.cosim.errors import InputError
@@ -120,6 +121,15 @@ def _remedy(name: str, known: Mapping[str, Any]) -> str:
     return f"it has: {', '.join(name for name, v in known.items() if v.causality == 'parameter') or 'none'}"
 
 
+def _number_for(variable: Any, value: Value) -> Value:
+    """The value, if it is one number, and a whole one where the variable is no Real."""
+    if not isinstance(value, Real):
+        raise InputError(f"{variable.name} must be one number, got {value!r}")
+    if variable.type != "Real" and value % 1 != 0:
+        raise InputError(f"{variable.name} must be a whole number, got {value}")
+    return value
+
+
 def _has_start(variable: Any) -> bool:
     """Whether a variable may be set before initialisation (FMI 2.0.4, section 2.2.7)."""
     settable = variable.initial in ("exact", "approx") and variable.variability != "constant"
@@ -131,7 +141,7 @@ def _in_range(variable: Any, value: Value) -> Value:
     if variable.type not in ("Real", "Integer") or isinstance(value, str):
         return value
     low, high = (_bound(variable, bound) for bound in ("min", "max"))
-    if (low is None or value >= low) and (high is None or value <= high) and math.isfinite(value):
+    if (low is None or value >= low) and (high is None or value <= high) and abs(value) <= float_info.max:
         return value
     unit = _unit(variable)
     unit = "" if unit in ("", "1") else f" {unit}"
@@ -158,12 +168,12 @@ def typed(variable: Any, value: Value) -> Value:
     """The value as the variable's type has it: of enumerations and numbered choices the number.
 
     Raises:
-        InputError: the value has no such name, or the variable takes numbers alone.
+        InputError: the value has no such name, the variable takes one number alone, or whole ones.
     """
     if variable.type == "String":
         return str(value)
     if not isinstance(value, str):
-        return value
+        return _number_for(variable, value)
     items = {item.name: int(item.value) for item in variable.declaredType.items} if variable.declaredType else {}
     if not items:
         raise InputError(f"{variable.name} is a number, got {value!r}")

@@ -6,6 +6,7 @@ import ctypes
 import math
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -108,9 +109,12 @@ def test_dropped_slaves_leave_no_instance(foreign_fmu: Path) -> None:
         ({"rats": 1.0}, "no parameter 'rats'; did you mean 'rate'"),
         ({"trouble": "sings"}, "must be one of none, fails, discards, forgets"),
         ({"rate": "fast"}, "rate is a number"),
+        ({"rate": [1.0, 2.0]}, r"rate must be one number, got \[1\.0, 2\.0\]"),
+        ({"rate": 10**400}, r"rate must be a finite number, got 10"),
+        ({"trouble": 0.5}, r"trouble must be a whole number, got 0\.5"),
     ],
 )
-def test_wrong_parameters(foreign_fmu: Path, parameters: dict[str, float | str], message: str) -> None:
+def test_wrong_parameters(foreign_fmu: Path, parameters: dict[str, Any], message: str) -> None:
     """A wrong parameter is refused before anything runs."""
     with pytest.raises(InputError, match=message):
         FmuSlave(foreign_fmu, parameters=parameters)

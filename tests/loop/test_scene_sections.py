@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, get_args
 
 import pytest
@@ -14,6 +15,7 @@ from flexfmu.model.shaper_sections import ShaperKind
 from flexfmu.trajectories.shapers.catalogue import SHAPERS
 
 PD = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
+FMU = {"kind": "fmu", "path": "mine.fmu"}
 
 WRONG = {
     "negative gain": (
@@ -72,6 +74,16 @@ WRONG = {
         "controller",
         {"kind": "learning", "gain": 1.0, "cycles": 0, "sample_time": 1e-3},
         r"`controller\[0\].cycles` must be at least 1 cycles",
+    ),
+    "list for a parameter": (
+        "controller",
+        FMU | {"parameters": {"gain": [1.0, 2.0]}},
+        r"^in `controller\[0\]\.parameters\.gain`: give one finite number, .* got \[1\.0, 2\.0\] \(scene [^;()]*\)$",
+    ),
+    "no number for a parameter": (
+        "controller",
+        FMU | {"parameters": {"gain": math.nan}},
+        r"^in [^;]*got nan \(scene [^;()]*\)$",
     ),
     "signal": ("imperfection", {"kind": "delay", "time": 1e-3, "signal": "volume"}, "'torque', 'position'"),
 }
