@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from flexfmu.model.scene import Scene
     from flexfmu.trajectories.trajectory import Trajectory
 
+T = TypeVar("T")
+
 
 @dataclass(frozen=True)
 class Measurement:
@@ -49,6 +51,13 @@ class Measurement:
 
     value: float | None
     interpolation_error: float = 0.0
+
+
+class Metrics(dict[str, T]):
+    """What is known of each metric of a run, by name; a KeyError tells which names there are."""
+
+    def __missing__(self, name: str) -> T:
+        raise KeyError(f"this run has no metric {name!r}; there are: {', '.join(self)}")
 
 
 @dataclass(frozen=True)
@@ -79,7 +88,7 @@ def measure_run(run: Run) -> Mapping[str, Measurement]:
         StaticsError: the end pose has no static equilibrium.
     """
     if not run.completed:
-        return dict.fromkeys(METRICS, Measurement(None))
+        return Metrics(dict.fromkeys(METRICS, Measurement(None)))
     return measure(run.recording, settings_for(run.plan, run.robot))
 
 
@@ -117,7 +126,7 @@ def measure(recording: Recording, settings: Settings) -> Mapping[str, Measuremen
         **_residual(recording, settings),
         **_tracking(recording, settings),
     }
-    return {name: _finite(name, measurements[name]) for name in ALL_METRICS if name in measurements}
+    return Metrics({name: _finite(name, measurements[name]) for name in ALL_METRICS if name in measurements})
 
 
 def _finite(name: str, measurement: Measurement) -> Measurement:

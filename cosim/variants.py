@@ -10,7 +10,7 @@ from flexfmu.cosim.errors import CosimError
 from flexfmu.cosim.experiment import PreparedScene
 from flexfmu.cosim.master.master import Progress
 from flexfmu.cosim.master.selection import EVERYTHING, Selection
-from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.metrics import Metrics, measure_run
 from flexfmu.cosim.scene_run import Run
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
@@ -46,7 +46,7 @@ class VariantError(CosimError):
 
 def metrics_of(run: Run) -> dict[str, float | None]:
     """The metrics of a run, by name."""
-    return {name: each.value for name, each in measure_run(run).items()}
+    return Metrics({name: each.value for name, each in measure_run(run).items()})
 
 
 def run_variants(

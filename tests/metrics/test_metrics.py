@@ -248,6 +248,15 @@ def test_metrics_do_not_depend_on_the_step() -> None:
         assert coarse[name].value == pytest.approx(fine[name].value, rel=1e-6)
 
 
+def test_unknown_metric_is_told_with_those_that_exist() -> None:
+    """Whoever writes `peak_torque` reads `peak_torque_1`; without joints' motions there is no tracking error either."""
+    measurements = measure(recording(VIBRATION, RINGING), settings())
+    assert "peak_torque" not in measurements
+    for name in ("peak_torque", "peak_tracking_error_1"):
+        with pytest.raises(KeyError, match=f"no metric '{name}'; there are: {', '.join(METRICS)}"):
+            measurements[name]
+
+
 def test_missing_signal_and_missing_derivatives_are_named() -> None:
     """An incomplete recording is refused by the name of the signal."""
     run = recording(VIBRATION, RINGING)
