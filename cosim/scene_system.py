@@ -32,8 +32,7 @@ class SceneSystem:
         plant: the robot.
         others: controllers, shapers and imperfections.
         wiring: who feeds whom.
-        settings: start values of the robot by the scene.
-        changes: parameters of the robot that differ from these.
+        changes: parameters of the robot that differ from those of the scene.
         unfed: values of the robot's inputs where nothing feeds them.
     """
 
@@ -41,7 +40,6 @@ class SceneSystem:
     plant: FmuSlave
     others: tuple[Slave, ...]
     wiring: Wiring
-    settings: Mapping[str, Value]
     changes: Mapping[str, float]
     unfed: Mapping[str, float]
 
@@ -63,7 +61,7 @@ class SceneSystem:
             InputError: a parameter doesn't exist or is out of range.
         """
         changes = {**self.changes, **parameters}
-        self.plant.configure({**self.settings, **self.unfed, **changes})
+        self.plant.vary(changes)
         return replace(self, changes=changes)
 
 
@@ -90,14 +88,14 @@ def scene_system(
         InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
             slaves can't be wired.
     """
-    settings = _parameters(scene, fmu_path, initial)
     unfed = {} if loop.controllers else holding_torques(scene)
-    plant = FmuSlave(fmu_path, PLANT, input_order=input_order)
+    settings = {**_parameters(scene, fmu_path, initial), **unfed}
+    plant = FmuSlave(fmu_path, PLANT, settings, input_order)
     order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
     references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
     others = (*loop.controllers, *(insert.slave for insert in loop.inserts))
     wiring = wire(references, plant, loop.controllers, loop.inserts, loop.connect)
-    parts = SceneSystem(references, plant, others, wiring, settings, loop.parameters, unfed)
+    parts = SceneSystem(references, plant, others, wiring, loop.parameters, unfed)
     return parts.with_parameters(parameters or {})
 
 

@@ -53,12 +53,12 @@ class FmuSlave:
         input_order: int | None = None,
     ) -> None:
         self.name = name
-        self.path, self.parameters = Path(path), dict(parameters or {})
+        self.path = Path(path)
+        self.parameters = self._given = dict(parameters or {})
         self._fmu = open_fmu(self.path)
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
-        self._settings = settings(_settable(self._fmu), self.parameters)
         self.max_output_order = highest_output_derivative(self._fmu)
         highest = highest_input_derivative(self._fmu)
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
@@ -68,20 +68,28 @@ class FmuSlave:
         self._transfers = Transfers(fmi, self._instance.component)
         self._do_step: partial[int] = partial(fmi["fmi2DoStep"], self._instance.component)
         self._counters = Statistics(known.others, self._transfers)
+        self._starts = self._given_starts = self._starting(self._given)
         self._presets: dict[int, float] = {}
         self._run: FmuRun | None = None
         self._free: Call = nothing
         self.statistics: Mapping[str, int] = {}
         self.messages: tuple[str, ...] = ()
 
-    def configure(self, parameters: Mapping[str, Value]) -> None:
-        """Start values of parameters and inputs for the runs to come, instead of those given so far.
+    def vary(self, changes: Mapping[str, Value]) -> None:
+        """Start values of parameters and inputs for the runs to come; all others are those that the slave was made with.
 
         Raises:
             InputError: a parameter doesn't exist or its value doesn't suit its type or range.
         """
-        self._settings = settings(_settable(self._fmu), parameters)
-        self.parameters = dict(parameters)
+        self._starts = {**self._given_starts, **self._starting(changes)}
+        self.parameters = {**self._given, **changes}
+
+    def _starting(self, parameters: Mapping[str, Value]) -> dict[str, Call]:
+        """Name → call that sets it."""
+        return {
+            each.name: self._instance.checked(f"setting {each.name} = {each.value}", self._transfers.setting(each))
+            for each in settings(_settable(self._fmu), parameters)
+        }
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Instantiate, set parameters and inputs, and go through initialisation mode.
@@ -94,8 +102,8 @@ class FmuSlave:
         instance.instantiate(self.name)
         self._run = run = FmuRun(instance)
         self._free = weakref.finalize(self, run.free)
-        for setting in self._settings:
-            instance.check(f"setting {setting.name} = {setting.value}", transfers.setting(setting))
+        for start in self._starts.values():
+            start()
         handles = [self._handles[index] for index in self._presets]
         if handles:
             instance.check("setting inputs", transfers.set(handles, np.array([*self._presets.values()])))
