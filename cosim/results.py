@@ -49,9 +49,10 @@ class Recording:
     columns: Mapping[str, Column]
 
     def __post_init__(self) -> None:
+        shape = self.time.shape
         for name, column in self.columns.items():
             for values in (column.values, column.first, column.second):
-                if values is not None and values.shape != self.time.shape:
+                if values is not None and values.shape != shape:
                     raise ResultsError(f"{name!r} has {values.size} values for {self.time.size} instants")
 
     def __getitem__(self, name: str) -> Column:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from flexfmu.cosim.loop.recording import plain_names, with_constants
+from flexfmu.cosim.loop.recording import constants, plain_names
 from flexfmu.cosim.master.selection import Selection
 from flexfmu.cosim.measuring.rigid_motion import RigidMotion
 from flexfmu.cosim.results import Recording
@@ -35,11 +35,11 @@ class SceneRecording:
 
     def of(self, recorded: Recording, parts: SceneSystem) -> Recording:
         """What was recorded, with short names and the torques that nothing feeds."""
-        recording = plain_names(recorded, PLANT, REFERENCES, parts.wiring.feeding)
-        recording = with_constants(recording, parts.plant, parts.constants)
+        time, columns = recorded.time, plain_names(recorded.columns, PLANT, REFERENCES, parts.wiring.feeding)
+        columns |= constants(parts.plant, parts.constants, time.size)
         if self._with_rigid:
-            recording = self._rigid.beside(recording)
-        return recording if self._selection.names is None else recording.only(self._selection.keeps)
+            columns |= self._rigid.columns(time)
+        return self._selection.of(Recording(time, columns))
 
 
 def _outputs(parts: SceneSystem) -> Iterator[str]:

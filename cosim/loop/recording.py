@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexfmu.cosim.results import Column, Recording
+from flexfmu.cosim.results import Column
 from flexfmu.cosim.slave import Sampled, Slave, offset
 
 
@@ -37,25 +37,26 @@ def slave_facts(slaves: Sequence[Slave]) -> tuple[SlaveFacts, ...]:
     )
 
 
-def plain_names(recording: Recording, plant: str, references: str, feeding: Mapping[str, str]) -> Recording:
-    """The recording with short names.
+def plain_names(
+    recorded: Mapping[str, Column], plant: str, references: str, feeding: Mapping[str, str]
+) -> dict[str, Column]:
+    """What was recorded, with short names.
 
     What the plant puts out, what acts on it in the end (such as ``joint1.torque``) and, where the name isn't taken, what
     the trajectory puts out have their own names; all others, and whatever was superseded, are ``slave.variable``.
 
     Args:
-        recording: columns named ``slave.variable``.
+        recorded: columns named ``slave.variable``.
         plant, references: names of these slaves.
         feeding: input of the plant → ``slave.output`` that feeds it; left out where that wasn't recorded.
     """
     columns: dict[str, Column] = {}
-    for name, column in recording.columns.items():
+    for name, column in recorded.items():
         owner, _, variable = name.partition(".")
         superseded = owner == references and feeding.get(variable, name) != name
         columns[variable if owner in (plant, references) and not superseded else name] = column
-    known = recording.columns
-    acting = {name: held(known[source]) for name, source in feeding.items() if name not in columns and source in known}
-    return Recording(recording.time, {**columns, **acting})
+    acting = [(name, source) for name, source in feeding.items() if name not in columns and source in recorded]
+    return columns | {name: held(recorded[source]) for name, source in acting}
 
 
 def held(column: Column) -> Column:
@@ -65,12 +66,10 @@ def held(column: Column) -> Column:
     return Column(column.unit, column.values, first, zero if column.second is None else column.second)
 
 
-def with_constants(recording: Recording, plant: Slave, values: Mapping[str, float]) -> Recording:
-    """The recording with the plant's inputs that nothing feeds, at the values that they keep."""
-    size = recording.time.shape
-    units = {variable.name: variable.unit for variable in plant.variables if variable.causality == "input"}
-    columns = {name: held(Column(units[name], np.full(size, value))) for name, value in values.items()}
-    return recording.with_columns(columns)
+def constants(plant: Slave, values: Mapping[str, float], count: int) -> dict[str, Column]:
+    """The plant's inputs that nothing feeds, at the values that they keep at so many instants."""
+    units = {each.name: each.unit for each in plant.variables if each.name in values}
+    return {name: held(Column(units[name], np.full(count, value))) for name, value in values.items()}
 
 
 def _description(slave: Slave) -> str:

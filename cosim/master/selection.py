@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.results import Recording
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,10 @@ class Selection:
     def keeps(self, name: str) -> bool:
         """Whether a signal is kept."""
         return self.names is None or name in self.names
+
+    def of(self, recording: Recording) -> Recording:
+        """What is kept of a recording."""
+        return recording if self.names is None else recording.only(self.keeps)
 
     def check(self, known: Collection[str]) -> None:
         """Look for all names among those that there are.

@@ -105,7 +105,7 @@ class Simulator:
                 outcome, message = Outcome.COUPLING_UNSTABLE, blown_up(unstable, ending)
             elif (unstable := self._alternation(recording)) is not None:
                 outcome, message = Outcome.COUPLING_UNSTABLE, overshot(unstable, self._fed_by(unstable.signal), ending)
-        kept, delays = recording.only(self._selection.keeps), self._delays_with(reached.largest_step)
+        kept, delays = self._selection.of(recording), self._delays_with(reached.largest_step)
         return Simulation(kept, outcome, message, error, reached.steps, reached.rejected, delays)
 
     def _coupling_error(self, control: StepDoubling) -> CouplingError:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from flexfmu.cosim.planning import MotionPlan
-from flexfmu.cosim.results import Column, RealArray, Recording
+from flexfmu.cosim.results import Column, RealArray
 from flexfmu.trajectories.trajectory import limits
 
 KINDS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s2"))
@@ -27,12 +27,12 @@ class RigidMotion:
         """Names of the signals."""
         return tuple(f"end_effector.reference.{kind}.{axis}" for kind, _ in KINDS for axis in "xy")
 
-    def beside(self, recording: Recording) -> Recording:
-        """The recording with ``end_effector.reference.position.x`` and so on, with their derivatives, on both sides of
+    def columns(self, time: RealArray) -> Mapping[str, Column]:
+        """``end_effector.reference.position.x`` and so on at a recording's times, with their derivatives, on both sides of
         every instant that appears twice."""
-        if not np.array_equal(recording.time, self._time):
-            self._time, self._columns = recording.time, self._calculate(recording.time)
-        return recording.with_columns(self._columns)
+        if not np.array_equal(time, self._time):
+            self._time, self._columns = time, self._calculate(time)
+        return self._columns
 
     def _calculate(self, time: RealArray) -> Mapping[str, Column]:
         left = np.append(time[:-1] == time[1:], False)

@@ -40,10 +40,10 @@ def test_the_file_runs_as_its_scene_does(name: str, request: pytest.FixtureReque
     feeding = {
         each.end[1]: ".".join(map(str, each.start)) for each in loaded.structure.connections if each.end[0] == "plant"
     }
-    found = plain_names(simulation.recording, "plant", "trajectory", feeding)
-    np.testing.assert_allclose(found.time, expected.recording.time, rtol=0.0, atol=1e-12)
-    assert len(found.columns) > 50
-    for signal, column in found.columns.items():
+    found = plain_names(simulation.recording.columns, "plant", "trajectory", feeding)
+    np.testing.assert_allclose(simulation.recording.time, expected.recording.time, rtol=0.0, atol=1e-12)
+    assert len(found) > 50
+    for signal, column in found.items():
         reference = expected.recording[signal]
         assert column.unit == reference.unit
         pairs = zip(derivatives(column), derivatives(reference), strict=True)
