@@ -11,7 +11,18 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from flexfmu.model.section import Seconds, SecondsOrZero, Section
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$")]
+RESERVED = {"plant": "the robot's", "trajectory": "the planned motion's"}
+"""Names of slaves that every scene has → whose they are."""
+
+
+def _not_reserved(name: str) -> str:
+    """A name that no slave has already."""
+    if name in RESERVED:
+        raise ValueError(f"{name!r} is {RESERVED[name]} own name, choose another")
+    return name
+
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$"), AfterValidator(_not_reserved)]
 
 
 FOLDER = "folder"

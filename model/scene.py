@@ -257,6 +257,17 @@ class Scene(Section):
         return self
 
     @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        tables = (("controller", self.controller), ("shaper", self.shaper), ("imperfection", self.imperfection))
+        owners: dict[str, str] = {}
+        for key, sections in tables:
+            for index, section in enumerate(sections):
+                name, place = getattr(section, "name", None), f"`{key}[{index}].name`"
+                if name is not None and owners.setdefault(name, place) != place:
+                    raise ValueError(f"{owners[name]} and {place} are both {name!r}: give each a name of its own")
+        return self
+
+    @model_validator(mode="after")
     def _modes_agree_with_start_pose(self) -> Self:
         from flexfmu.model.assembly import check_start_pose
 

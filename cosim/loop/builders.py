@@ -80,7 +80,7 @@ class LoopBuilder:
             return PayloadError(section.relative)
         if isinstance(section, (PythonSection, FmuSection)):
             return self._custom(section)
-        name = self._names.unused(section.name or section.kind.replace("-", "_"))
+        name = self._names.chosen(section.name, section.kind.replace("-", "_"))
         block = imperfection_block(section, name, self._sample_time, self._before)
         return self._connected(BlockSlave(block, name), section)
 
@@ -92,7 +92,7 @@ class LoopBuilder:
         """A slave from Python or from an FMU."""
         if isinstance(section, FmuSection):
             path = section.path
-            named = self._names.unused(section.name) if section.name else self._names.of_file(path)
+            named = self._names.of_file(path, section.name)
             return self._connected(fmu_slave(path, named, section.parameters), section)
         made = from_source(section.source, section.arguments, section.folder)
         return self._connected(as_slave(made, self._names, section.name), section)

@@ -8,13 +8,14 @@ from typing import Any
 
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.slave import Slave
+from flexfmu.model.loop_section import RESERVED
 
 
 class Names:
     """Names for slaves that can be renamed, each given once."""
 
     def __init__(self) -> None:
-        self._given: set[str] = {"plant", "trajectory"}
+        self._given = set(RESERVED)
 
     def __contains__(self, name: str) -> bool:
         """Whether a slave has this name."""
@@ -29,9 +30,23 @@ class Names:
         self._given.add(name)
         return name
 
-    def of_file(self, path: str) -> str:
-        """A name from a file's name."""
-        return self.unused("".join(c if c.isalnum() else "_" for c in Path(path).stem) or "fmu")
+    def chosen(self, name: str | None, default: str) -> str:
+        """The name that a user has chosen, as it is; otherwise the default, with a number where it is taken.
+
+        Raises:
+            InputError: a slave has the chosen name already.
+        """
+        if name is None:
+            return self.unused(default)
+        if name in self._given:
+            raise InputError(
+                f"the name {name!r} is taken: a slave without a name of its own is called after its kind; choose another"
+            )
+        return self.unused(name)
+
+    def of_file(self, path: str, name: str | None = None) -> str:
+        """The name that a user has chosen, or one from a file's name; errors as for `chosen`."""
+        return self.chosen(name, "".join(c if c.isalnum() else "_" for c in Path(path).stem) or "fmu")
 
 
 def as_slave(source: Any, names: Names | None = None, name: str | None = None) -> Slave:
@@ -45,7 +60,7 @@ def as_slave(source: Any, names: Names | None = None, name: str | None = None) -
         name: its name; by default what the block, file or slave is called.
 
     Raises:
-        InputError: it is none of these, or the FMU can't be loaded.
+        InputError: it is none of these, the name is taken, or the FMU can't be loaded.
     """
     from flexfmu.cosim.blocks.slave import BlockSlave
     from flexfmu.cosim.fmu.sampled_slave import fmu_slave
@@ -53,14 +68,14 @@ def as_slave(source: Any, names: Names | None = None, name: str | None = None) -
 
     names = names or Names()
     if isinstance(source, SymbolicBlock):
-        return BlockSlave(source, names.unused(name or source.name))
+        return BlockSlave(source, names.chosen(name, source.name))
     if type(source).__module__.partition(".")[0] == "control":
         from flexfmu.cosim.controllers.from_control import control_block
 
-        return BlockSlave(control_block(source), names.unused(name or "controller"))
+        return BlockSlave(control_block(source), names.chosen(name, "controller"))
     if isinstance(source, (str, PathLike)):
         path = fspath(source)
-        return fmu_slave(path, names.unused(name) if name else names.of_file(path))
+        return fmu_slave(path, names.of_file(path, name))
     if all(hasattr(source, part) for part in ("name", "variables", "initialize", "set", "get")):
         slave: Slave = source
         if name is not None and slave.name != name:

@@ -7,6 +7,8 @@ from typing import Any, get_args
 
 import pytest
 
+from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.fmu_build.scene_build import scene_key
 from flexfmu.model.errors import SceneError
 from flexfmu.model.scene import Scene
@@ -85,6 +87,12 @@ WRONG = {
         FMU | {"parameters": {"gain": math.nan}},
         r"^in [^;]*got nan \(scene [^;()]*\)$",
     ),
+    "the robot's name": (
+        "controller",
+        PD | {"name": "plant"},
+        r"^in `controller\[0\].name`: 'plant' is the robot's own name, choose another",
+    ),
+    "the motion's name": ("shaper", {"kind": "zv", "name": "trajectory"}, r"'trajectory' is the planned motion's own"),
     "signal": ("imperfection", {"kind": "delay", "time": 1e-3, "signal": "volume"}, "'torque', 'position'"),
 }
 
@@ -121,6 +129,15 @@ def test_mistakes_in_the_coupling_are_named(scene: Scene, mistake: str) -> None:
     changes, message = COUPLING[mistake]
     with pytest.raises(SceneError, match=message):
         scene.replace({f"cosimulation.{key}": value for key, value in changes.items()})
+
+
+def test_names_are_given_once(scene: Scene) -> None:
+    """Two tables of one name would be told apart by a number that nobody wrote."""
+    lag = {"kind": "lag", "time_constant": 1e-3, "name": "pd"}
+    with pytest.raises(SceneError, match=r"`controller\[0\].name` and `imperfection\[1\].name` are both 'pd'"):
+        scene.replace({"controller": [PD | {"name": "pd"}], "imperfection": [lag | {"name": "other"}, lag]})
+    with pytest.raises(InputError, match="the name 'pd' is taken"):
+        loop_of(scene.replace({"controller": [PD], "imperfection": [lag]}))
 
 
 def test_a_single_table_is_explained(scene: Scene) -> None:
