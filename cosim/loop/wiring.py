@@ -83,8 +83,8 @@ def wire(
 
     Raises:
         WiringError: an input finds no source, a signal that shall pass an insert doesn't exist, two controllers put out
-            the same signal, one puts out what the plant itself does, nothing that they put out reaches the plant, or an
-            explicit connection names something unknown.
+            the same signal, one puts out what the plant itself does, nothing that they put out reaches the plant, there
+            are none and nothing else takes what passes an insert, or an explicit connection names something unknown.
     """
     slaves = (references, plant, *controllers, *(insert.slave for insert in inserts))
     bus = _Bus({slave.name: slave for slave in slaves}, dict(explicit or {}))
@@ -102,6 +102,8 @@ def wire(
     wiring = bus.finished(plant)
     if controllers and not wiring.feeding:
         raise WiringError(_nothing_arrives(controllers, plant))
+    if not controllers:
+        _check_takers(inserts, wiring)
     return wiring
 
 
@@ -234,6 +236,21 @@ def _check_roles(controller: Slave, plant: Slave) -> None:
             f"{controller.name} puts out {name}, but so does the robot, which is driven by its motion; for a robot that "
             'takes torques set `cosimulation.drive` = "torque"'
         )
+
+
+def _check_takers(inserts: Sequence[Insert], wiring: Wiring) -> None:
+    """Something takes what passes an insert.
+
+    Raises:
+        WiringError: nothing does.
+    """
+    feeding = {source.partition(".")[0] for source, _ in wiring.connections}
+    for insert in inserts:
+        name = insert.slave.name
+        if name not in feeding:
+            raise WiringError(
+                f"{name} acts on {', '.join(insert.replaces)}, which nothing takes: add a controller, or leave {name} out"
+            )
 
 
 def _nothing_arrives(controllers: Sequence[Slave], plant: Slave) -> str:

@@ -74,6 +74,15 @@ def test_an_encoder_replaces_more_than_it_takes() -> None:
     assert sources(wire(TRAJECTORY, PLANT, [damper], [passing(encoder)]))["damper.v"] == "encoder.v"
 
 
+def test_a_measurement_may_move_the_robot_by_itself() -> None:
+    """Without a controller too an insert is of use where its output is connected to the robot."""
+    spring = Names("spring", ["q"], ["q"])
+    assert sources(wire(TRAJECTORY, PLANT, [], [passing(spring)], {"plant.force": "spring.q"})) == {
+        "spring.q": "plant.q",
+        "plant.force": "spring.q",
+    }
+
+
 def test_controllers_feed_each_other_first() -> None:
     """A feedforward goes to the controller that has an input for it."""
     forward = Names("forward", ["q.reference"], ["q.feedforward"])
@@ -111,6 +120,9 @@ def test_explicit_connections_come_first() -> None:
         ([], [Names("n", ["q"], [])], {}, "n has no outputs"),
         ([], [Names("n", ["qq"], ["qq"])], {}, "n acts on qq, which doesn't exist; did you mean 'q'"),
         ([], [Names("n", ["a.torque"], ["a.torque"])], {}, "needs a controller"),
+        ([], [Names("n", ["q"], ["q"])], {}, "^n acts on q, which nothing takes: add a controller, or leave n out$"),
+        ([], [Names("m", ["q"], ["q"]), Names("n", ["q"], ["q"])], {}, "^n acts on q"),
+        ([], [Names("s", ["q.reference"], ["shaped.q.reference"])], {}, "^s acts on q.reference, which nothing takes"),
         ([PD], [], {"pd.x": "q"}, "pd has no input 'x'"),
         ([PD], [], {"pdd.q": "q"}, "no slave 'pdd'"),
         ([PD], [], {"pd.q": "plant.qq"}, "plant has no output 'qq'; did you mean 'q'"),
