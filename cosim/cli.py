@@ -156,6 +156,14 @@ def run(
     step: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Communication step. Default: what the scene or file says.")
     ] = None,
+    stop_time: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="End of an SSP file's run. Default: what the file says, or the FMUs in it.",
+            show_default=False,
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
@@ -166,11 +174,14 @@ def run(
         from zipfile import is_zipfile
 
         from flexfmu.cosim.commands.run import run_command
+        from flexfmu.cosim.errors import InputError
 
         if scene.lower().endswith(".ssp") or is_zipfile(scene):
             from flexfmu.cosim.commands.export import run_ssp_command
 
-            raise typer.Exit(run_ssp_command(Path(scene), out, step, json))
+            raise typer.Exit(run_ssp_command(Path(scene), out, step, stop_time, json))
+        if stop_time is not None:
+            raise InputError("--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`")
         raise typer.Exit(run_command(scene, out, json, step))
 
 

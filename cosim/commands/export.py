@@ -36,12 +36,12 @@ def export_command(source: str, output: Path | None, platforms: list[str], as_js
     return 0
 
 
-def run_ssp_command(source: Path, out: Path | None, step: float | None, as_json: bool) -> int:
-    """Simulate an SSP file; write results.csv and summary.json, print how it went; the exit status.
+def run_ssp_command(source: Path, out: Path | None, step: float | None, stop_time: float | None, as_json: bool) -> int:
+    """Simulate an SSP file, with step and stop time [s] instead of its own; write results.csv and summary.json, print how it went; the exit status.
 
     What was recorded before a failure is written too.
     """
-    loaded = load_ssp(source, step=step)
+    loaded = load_ssp(source, stop=stop_time, step=step)
     folder = OutputFolder(out or RESULTS / source.stem)
     folder.prepare()
     with progress() as show:

@@ -164,6 +164,10 @@ def _first(*values: float | None) -> float:
     return next(value for value in values if value is not None)
 
 
+_OPTIONS = {"stop": "--stop-time", "step": "--step"}
+"""What the file may leave open → the command's option for it."""
+
+
 def _known(what: str, archive: SspArchive, *values: float | None) -> float:
     """The first that is known.
 
@@ -172,8 +176,8 @@ def _known(what: str, archive: SspArchive, *values: float | None) -> float:
     """
     known: Sequence[float] = [value for value in values if value is not None]
     if not known:
-        option = "flexfmu run --step SECONDS, " if what == "step" else ""
         raise SspError(
-            f"{archive.path} names no {what} time, nor does any FMU in it; say it: {option}load_ssp(path, {what}=...)"
+            f"{archive.path} names no {what} time, nor does any FMU in it; say it: flexfmu run {_OPTIONS[what]} SECONDS, "
+            f"load_ssp(path, {what}=...)"
         )
     return known[0]

@@ -65,6 +65,28 @@ def test_run_tells_what_it_ignored(make_ssp: MakeSsp, tmp_path: Path) -> None:
     assert {each.name for each in (tmp_path / "out").iterdir()} == {"results.csv", "summary.json"}
 
 
+def test_files_without_a_stop_time(make_ssp: MakeSsp, tmp_path: Path) -> None:
+    """The refusal names the option, and with it the file runs."""
+    path = str(make_ssp(SSD.replace(' stopTime="1"', "")))
+    arguments = ("run", path, "--step", "0.1", "--out", str(tmp_path / "out"), "--json")
+    refused = flexfmu(*arguments)
+    assert (refused.exit_code, len(refused.stderr.splitlines())) == (2, 1)
+    assert (
+        "decays.ssp names no stop time, nor does any FMU in it; say it: flexfmu run --stop-time SECONDS"
+        in refused.stderr
+    )
+    ran = flexfmu(*arguments, "--stop-time", "0.4")
+    assert ran.exit_code == 0, ran.output
+    assert json.loads(ran.stdout)["end_time"] == 0.4
+
+
+def test_scenes_have_a_stop_time_of_their_own(tmp_path: Path) -> None:
+    """The metrics need the whole motion and its dwell."""
+    refused = flexfmu("run", "barnard2012-6kg", "--stop-time", "0.4", "--out", str(tmp_path / "out"))
+    assert (refused.exit_code, len(refused.stderr.splitlines())) == (2, 1)
+    assert "a scene ends with its motion and `trajectory.dwell`" in refused.stderr
+
+
 @pytest.mark.parametrize(
     ("ssd", "status", "problem"),
     [
