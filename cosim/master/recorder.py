@@ -23,13 +23,9 @@ class Recorder:
     """
 
     def __init__(self, ports: Sequence[OutputPort], capacity: int) -> None:
-        self._signals = [
-            [
-                (f"{p.slave.name}.{variable.name}", variable.unit)
-                for variable in map(p.slave.variables.__getitem__, p.indices)
-            ]
-            for p in ports
-        ]
+        signals = [(port.slave.name, [port.slave.variables[i] for i in port.indices]) for port in ports]
+        self._names = [[f"{slave}.{each.name}" for each in variables] for slave, variables in signals]
+        self._units = [[each.unit for each in variables] for _, variables in signals]
         self._count = 0
         self.time = np.empty(max(capacity, 1))
         self._rows = [np.empty((self.time.size, port.recorded, port.indices.size)) for port in ports]
@@ -59,11 +55,9 @@ class Recorder:
 
     def recording(self) -> Recording:
         """Everything recorded so far, named ``slave.variable``."""
-        columns = {
-            name: column
-            for signals, rows in zip(self._signals, self._rows, strict=True)
-            for name, column in _columns(signals, rows[: self._count])
-        }
+        columns: dict[str, Column] = {}
+        for names, units, rows in zip(self._names, self._units, self._rows, strict=True):
+            columns |= zip(names, _columns(units, rows[: self._count]), strict=True)
         return Recording(self.time[: self._count].copy(), columns)
 
     def _grow(self) -> None:
@@ -73,10 +67,6 @@ class Recorder:
         self.blocks = [(signals, rows) for (signals, _), rows in zip(self.blocks, self._rows, strict=True)]
 
 
-def _columns(signals: Sequence[tuple[str, str]], rows: RealArray) -> Iterator[tuple[str, Column]]:
-    """Columns of signals, which have names and units, from their rows (N, orders + 1, n)."""
-    by_order = rows.transpose(1, 2, 0).copy()
-    nothing = [None] * len(signals)
-    first, second = (by_order[order] if order < len(by_order) else nothing for order in (1, 2))
-    for (name, unit), *values in zip(signals, by_order[0], first, second, strict=True):
-        yield name, Column(unit, *values)
+def _columns(units: Sequence[str], rows: RealArray) -> Iterator[Column]:
+    """Columns of signals with these units, from their rows (N, orders + 1, n)."""
+    return map(Column, units, *rows.transpose(1, 2, 0).copy())
