@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from flexfmu.model.section import Seconds, SecondsOrZero, Section, quantity
+from flexfmu.model.section import Seconds, SecondsOrZero, Section, named_kind, quantity
 
 Tolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
 
@@ -48,7 +48,7 @@ class Anderson(Section):
     iterations: Annotated[int, quantity("iterations", ge=1, le=100_000)] = 50
 
 
-LoopSolver = Annotated[FixedPoint | Anderson, Field(discriminator="kind")]
+LoopSolver = Annotated[FixedPoint | Anderson, Field(discriminator="kind"), BeforeValidator(named_kind)]
 
 
 class Cosimulation(Section):

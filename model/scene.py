@@ -12,7 +12,7 @@ from flexfmu.model.controller_sections import ControllerSection
 from flexfmu.model.cosimulation_section import Cosimulation
 from flexfmu.model.errors import SceneError
 from flexfmu.model.imperfection_sections import ImperfectionSection
-from flexfmu.model.section import Seconds, SecondsOrZero, Section, as_tuple, quantity
+from flexfmu.model.section import Seconds, SecondsOrZero, Section, as_tuple, named_kind, quantity
 from flexfmu.model.shaper_sections import ShaperSection
 
 MAXIMUM_MODES = 40
@@ -103,7 +103,9 @@ class RayleighDamping(Section):
 
 
 Damping = Annotated[
-    NoDamping | ModalDamping | StiffnessDamping | MassDamping | RayleighDamping, Field(discriminator="kind")
+    NoDamping | ModalDamping | StiffnessDamping | MassDamping | RayleighDamping,
+    BeforeValidator(named_kind),
+    Field(discriminator="kind"),
 ]
 
 
@@ -207,7 +209,7 @@ class TrajectorySection(Section):
     height: Length
     width: Length
     blend: Blend
-    profile: Profile
+    profile: Annotated[Profile, BeforeValidator(named_kind)]
     duration: Seconds
     dwell: SecondsOrZero = 0.0
 

@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -92,21 +92,19 @@ def _sentence(error: ErrorDetails) -> str:
     unit_text = "" if unit in ("", "1") else f" {unit}"
     kind, context = error["type"], error.get("ctx", {})
     if kind == "missing":
-        return f"`{key}` is missing: add it{f' (in {unit})' if unit_text else ''}"
+        return f"`{key}` is missing: add it{f' (in {unit})' if unit_text else _one_of(_annotation(model, keys))}"
     if kind == "extra_forbidden":
         return _unknown_key(keys, model)
     if kind == "value_error":
         return f"{f'in `{key}`: ' if key else ''}{context['error']}"
-    if kind == "tuple_type" and isinstance(error["input"], dict):
-        return f"`{key}` is a list of tables: write [[{key}]] instead of [{key}]"
+    if kind == "tuple_type" and any(_sections(_annotation(model, keys))):
+        return _list_of_tables(key, error["input"])
     if kind in _BOUNDS:
         return f"`{key}` must be {_BOUNDS[kind].format(**context)}{unit_text}, got {error['input']!r}{unit_text}"
-    if kind in ("union_tag_not_found", "union_tag_invalid"):
-        return (
-            f"`{key}.kind` must be one of {context.get('expected_tags') or _tags(error['loc'])}, got {error['input'].get('kind')!r}"
-            if isinstance(error["input"], dict)
-            else f"`{key}` must be a table with a `kind`, got {error['input']!r}"
-        )
+    if kind == "union_tag_invalid":
+        return f"`{key}.kind` must be one of {context['expected_tags']}, got {error['input'].get('kind')!r}"
+    if kind == "union_tag_not_found":
+        return f"`{key}.kind` must be one of {_tags(_annotation(model, keys))}, but is missing"
     if kind in _FORMS:
         form = _FORMS[kind].format(**context, example=array_example(model, keys[-1]) if keys else "")
         return f"`{key}` must be {form}{f' in {unit}' if unit_text else ''}, got {_as_toml(error['input'])}"
@@ -134,15 +132,29 @@ _BOUNDS = {
 }
 
 
-def _tags(location: tuple[Any, ...]) -> str:
-    """All kinds of the section at one of pydantic's locations."""
-    annotation: Any = Scene
-    for part in location:
-        holder = next(_sections(annotation), None)
-        if isinstance(part, str) and holder is not None and part in holder.model_fields:
-            annotation = holder.model_fields[part].annotation
+def _annotation(model: type[BaseModel] | None, keys: list[str]) -> Any:
+    """Type of a section's key, the last one; None where it has no such key."""
+    field = model.model_fields.get(keys[-1].partition("[")[0]) if model is not None and keys else None
+    return None if field is None else field.annotation
+
+
+def _one_of(annotation: Any) -> str:
+    """The words of which a key takes one; empty where it takes something else."""
+    words = get_args(annotation) if get_origin(annotation) is Literal else ()
+    return f", one of {', '.join(map(repr, words))}" if words else ""
+
+
+def _tags(annotation: Any) -> str:
+    """All kinds of the section that a key holds."""
     kinds = [kind for model in _sections(annotation) for kind in get_args(model.model_fields["kind"].annotation)]
     return ", ".join(map(repr, kinds))
+
+
+def _list_of_tables(key: str, value: Any) -> str:
+    """What is wrong where several tables should be."""
+    if isinstance(value, dict):
+        return f"`{key}` is a list of tables: write [[{key}]] instead of [{key}]"
+    return f"`{key}` is a list of tables: write [[{key}]] and the keys below it, got {value!r}"
 
 
 def _as_toml(value: Any) -> str:

@@ -67,6 +67,11 @@ WRONG = {
         {"kind": "delay", "time": 1e-3, "interpolation": "cubic"},
         r"`imperfection\[0\].interpolation.kind` must be one of 'linear', 'lagrange', 'thiran', got 'cubic'",
     ),
+    "anti-windup without a kind": (
+        "controller",
+        PD | {"kind": "pid", "integral": 1.0, "anti_windup": {"tracking_time": 0.1}},
+        r"`controller\[0\].anti_windup.kind` must be one of 'clamping', 'back-calculation', 'none', but is missing",
+    ),
     "anti-windup": (
         "controller",
         PD | {"kind": "pid", "integral": 1.0, "anti_windup": "back-calculation"},
@@ -144,6 +149,10 @@ def test_a_single_table_is_explained(scene: Scene) -> None:
     """[controller] instead of [[controller]] is a common slip."""
     with pytest.raises(SceneError, match=r"write \[\[controller\]\] instead of \[controller\]"):
         scene.replace({"controller": PD})
+    with pytest.raises(
+        SceneError, match=r"`shaper` is a list of tables: write \[\[shaper\]\] and the keys .* got 'zv'"
+    ):
+        scene.replace({"shaper": "zv"})
 
 
 def test_one_number_stands_for_both_joints(scene: Scene) -> None:

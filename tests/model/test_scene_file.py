@@ -53,6 +53,27 @@ WRONG_VALUES = {
     ),
     "word for a table": ({"trajectory.blend": "lame"}, r"`trajectory\.blend` must be a table like \{ key = value \}"),
     "number for a damping": ({"effects.damping": 3}, r"`effects\.damping` must be a table"),
+    "word for a damping with a number": (
+        {"effects.damping": "modal"},
+        r"`effects\.damping\.ratio` is missing: add it",
+    ),
+    "unknown word for a damping": (
+        {"effects.damping": "nope"},
+        r"`effects\.damping\.kind` must be one of 'none', 'modal', 'stiffness', 'mass', 'rayleigh', got 'nope'",
+    ),
+    "damping without a kind": (
+        {"effects.damping": {"ratio": 0.1}},
+        r"`effects\.damping\.kind` must be one of 'none', 'modal', 'stiffness', 'mass', 'rayleigh', but is missing",
+    ),
+    "profile without a kind": (
+        {"trajectory.profile": {}},
+        r"`trajectory\.profile\.kind` is missing: add it, one of 'poly7', 'bang-bang', 'trapezoidal'",
+    ),
+    "word for a profile with a number": ({"trajectory.profile": "trapezoidal"}, r"needs 0 < ramp <= 0\.5"),
+    "table for a vector": (
+        {"trajectory.start": {"x": 0.1}},
+        r"`trajectory\.start` must be an array like \[1\.0, 2\.0\] in m, got \{'x': 0\.1\}",
+    ),
     "path as a name": ({"name": "a/b"}, r"`name` must be made of letters, digits"),
     "word in a vector": ({"trajectory.start": [1.0, "b"]}, r"`trajectory\.start\[1\]` must be a valid number in m"),
     "not a number": (
@@ -139,6 +160,18 @@ def test_damping_may_be_left_out_or_none(tmp_path: Path) -> None:
     assert load_scene(path).effects.damping == NoDamping()
     path.write_text(text.replace("proximal_bending = 3", 'proximal_bending = 3\ndamping = { kind = "none" }'))
     assert load_scene(path).effects.damping == NoDamping()
+
+
+def test_a_word_stands_for_a_table_of_its_kind_alone() -> None:
+    """Where a kind has no other key that must be given, its name is enough."""
+    scene = load_scene("barnard2012-6kg")
+    for key, word in (
+        ("effects.damping", "none"),
+        ("trajectory.profile", "bang-bang"),
+        ("cosimulation.loop_solver", "anderson"),
+        ("cosimulation.loop_solver", "fixed-point"),
+    ):
+        assert scene.replace({key: word}) == scene.replace({key: {"kind": word}})
 
 
 def test_errors_name_the_file(tmp_path: Path) -> None:
