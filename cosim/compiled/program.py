@@ -22,7 +22,7 @@ from flexfmu.cosim.compiled.operations import (
 )
 from flexfmu.cosim.fmu.instance import Checked
 from flexfmu.cosim.master.activity import Activity
-from flexfmu.cosim.master.binding import Both, Copy
+from flexfmu.cosim.master.binding import Both, Copy, is_range
 from flexfmu.cosim.master.instant_loop import InstantLoop
 from flexfmu.cosim.master.links import Link
 from flexfmu.cosim.master.ports import InputPort, OutputPort
@@ -135,8 +135,11 @@ def _gather(link: Link, fed: RealArray, when: When, name: str) -> Operation:
     rows = np.arange(link.coupling.order + 1)[:, None]
     columns = rows * link.source.signals.shape[1] + link.columns
     places = rows * fed.shape[1] + np.arange(fed.shape[1])[link.slots]
-    integers = [np.ascontiguousarray(each.ravel(), dtype=np.int64) for each in (columns, places)]
-    return gather(link.source.signals, integers[0], fed, integers[1], when, name)
+    columns, places = (np.ascontiguousarray(each.ravel(), dtype=np.int64) for each in (columns, places))
+    source, target = link.source.signals.reshape(-1), fed.reshape(-1)
+    if is_range(columns) and is_range(places):
+        return copy(source[columns[0] : columns[-1] + 1], target[places[0] : places[-1] + 1], when, name)
+    return gather(source, columns, target, places, when, name)
 
 
 def _read(port: OutputPort, when: When, activity: Activity) -> Iterator[Operation]:
