@@ -75,7 +75,7 @@ def test_the_same_numbers(scene: Scene) -> None:
 class Tripping:
     """A slave in Python that puts out a sine and fails at 50 ms, one way or another."""
 
-    variables = (SlaveVariable("x", "output"), SlaveVariable("u", "input", start=0.0))
+    variables: tuple[SlaveVariable, ...] = (SlaveVariable("x", "output"), SlaveVariable("u", "input", start=0.0))
 
     def __init__(self, fail: Callable[[], float]) -> None:
         self.name = "tripping"
@@ -109,6 +109,30 @@ def test_failures_end_the_run_the_same_way(fail: Callable[[], float], outcome: O
     assert runs[0].outcome is outcome
     assert runs[0].recording.time[-1] == pytest.approx(0.049)
     assert_identical(runs[0], runs[1])
+
+
+class Row(Tripping):
+    """A slave in Python with several outputs, all of them 1e308 but for one that fails."""
+
+    def __init__(self, place: int, value: float) -> None:
+        super().__init__(lambda: value)
+        self.variables = tuple(SlaveVariable(f"x{i}", "output") for i in range(7))
+        self.feedthrough = {each.name: () for each in self.variables}
+        self._place = place
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = 1e308
+        super().get(indices[: self._place + 1], values[self._place : self._place + 1])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", range(7))
+def test_no_number_goes_unseen(place: int, value: float) -> None:
+    """Whichever output it is that isn't finite, it ends the run; large numbers don't."""
+    run = simulate(connect([Row(place, value)], []), 0.1, 1e-3, compiled=True)
+    assert run.outcome is Outcome.NOT_FINITE
+    assert f"x{place} became {value}" in run.message
+    assert run.recording.time[-1] == pytest.approx(0.049)
 
 
 def test_interruption_keeps_what_was_recorded() -> None:
