@@ -9,6 +9,7 @@ from typing import Any
 from flexfmu.fmu_build.description import LOG_CATEGORIES, Description
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import FmiVariable
+from flexfmu.fmu_build.labels import FONT_SIZE
 from flexfmu.fmu_build.licences import LICENSE, copyright_line, licence_files
 from flexfmu.fmu_build.picture import Picture
 from flexfmu.fmu_build.templating import render
@@ -41,6 +42,7 @@ def documentation_files(
         about=description,
         experiment=experiment,
         picture=picture,
+        font_size=FONT_SIZE,
         groups=_groups(description.interface.variables),
         start=_start_text,
         limits=_limits_text,

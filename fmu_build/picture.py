@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import hypot
-from typing import Literal
+from math import ceil, hypot
 
+from flexfmu.fmu_build.labels import ROOM, Label, Stamp, place_labels
 from flexfmu.model.drawing import Drawing, Part, Point
 
 COLOURS: dict[Part, str] = {
@@ -32,12 +32,6 @@ PEN, FINE_PEN = 0.05, 0.018
 PAGE_SIZE = (420, 210)
 """Width and height of the pages' picture of blocks and curves [px]."""
 
-LABEL_DISTANCE, LABEL_DROP = 30.0, 5.0
-"""From what a label names to its text, and from the text's middle down to its base line [px]."""
-
-LABEL_ROOM = (125.0, 45.0)
-"""Kept free for labels at the sides, and above and below [px]."""
-
 
 @dataclass(frozen=True)
 class Line:
@@ -56,15 +50,6 @@ class Disc:
     centre: Point
     radius: float
     colour: str
-
-
-@dataclass(frozen=True)
-class Label:
-    """Text that starts at a point of its base line, ends there, or has its middle there."""
-
-    text: str
-    at: Point
-    anchor: Literal["start", "middle", "end"]
 
 
 @dataclass(frozen=True)
@@ -87,7 +72,7 @@ class Picture:
 def mechanism_picture(drawing: Drawing, width: int, height: int, labelled: bool = False) -> Picture:
     """A mechanism, as large as the picture allows; ``labelled`` with the names that the variables use."""
     side = min(width, height)
-    margins = LABEL_ROOM if labelled else (0.10 * side, 0.10 * side)
+    margins = ROOM if labelled else (0.10 * side, 0.10 * side)
     ends = [point for bar in drawing.bars for point in (bar.start, bar.end)]
     view = _View.around([*ends, *(spot.position for spot in drawing.spots)], width, height, margins)
     lines = [
@@ -98,7 +83,7 @@ def mechanism_picture(drawing: Drawing, width: int, height: int, labelled: bool 
         Disc(view(spot.position), _RADII[spot.part] * side, COLOURS[spot.part])
         for spot in sorted(drawing.spots, key=lambda spot: -_RADII[spot.part])
     ]
-    labels = _labels(drawing, view) if labelled else ()
+    labels = place_labels(drawing, view, _stamps(lines, discs), (width, height)) if labelled else ()
     return Picture(width, height, tuple(lines), tuple(discs), labels)
 
 
@@ -128,33 +113,15 @@ def _arrow(tail: Point, length: float, pen: float, colour: str) -> list[Line]:
     return [Line(tail, tip, pen, colour), *(Line(wing, tip, pen, colour) for wing in wings)]
 
 
-def _labels(drawing: Drawing, view: _View) -> tuple[Label, ...]:
-    """Names of spots and bars, outside the mechanism: away from its middle, the bars' at right angles to them."""
-    named: list[tuple[str, Point, tuple[Point, Point] | None]] = [
-        (spot.name, view(spot.position), None) for spot in drawing.spots
-    ]
-    named += [
-        (bar.name, _middle(view(bar.start), view(bar.end)), (view(bar.start), view(bar.end))) for bar in drawing.bars
-    ]
-    points = [view(spot.position) for spot in drawing.spots]
-    middle = sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
-    return tuple(_label(name, at, middle, bar) for name, at, bar in named)
-
-
-def _label(name: str, at: Point, middle: Point, bar: tuple[Point, Point] | None) -> Label:
-    away = (at[0] - middle[0], at[1] - middle[1])
-    if bar is not None:
-        along = bar[1][0] - bar[0][0], bar[1][1] - bar[0][1]
-        side = 1.0 if away[0] * along[1] - away[1] * along[0] > 0 else -1.0
-        away = side * along[1], -side * along[0]
-    length = hypot(*away) or 1.0
-    x, y = (LABEL_DISTANCE * component / length for component in away)
-    anchor: Literal["start", "middle", "end"] = "middle" if abs(x) < abs(y) else "start" if x > 0.0 else "end"
-    return Label(name, (at[0] + x, at[1] + y + LABEL_DROP), anchor)
-
-
-def _middle(a: Point, b: Point) -> Point:
-    return (a[0] + b[0]) / 2, (a[1] + b[1]) / 2
+def _stamps(lines: Sequence[Line], discs: Sequence[Disc]) -> list[Stamp]:
+    """Circles that cover lines and discs, those of a line as wide as it is."""
+    stamps = [(disc.centre, disc.radius) for disc in discs]
+    for line in lines:
+        across, down = line.end[0] - line.start[0], line.end[1] - line.start[1]
+        count = 1 + ceil(2.0 * hypot(across, down) / line.width)
+        places = (k / count for k in range(count + 1))
+        stamps += [((line.start[0] + s * across, line.start[1] + s * down), line.width / 2) for s in places]
+    return stamps
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from flexfmu.model.robot import Link, LinkGroup, Robot
 
 
 class LinkInertia(Effect):
-    """Inertia of the four links with their displacement fields, eqs. (4) to (9)."""
+    """Inertia of the four links with their displacement fields, eqs. (4) to (9) of Barnard, Briot and Caro (2012)."""
 
     def __init__(self, registry: ParameterRegistry, properties: Mapping[LinkGroup, LinkProperties]) -> None:
         self._registry, self._properties = registry, properties

@@ -68,7 +68,7 @@ class PayloadInertia(Effect):
 
 
 class Gravity(Effect):
-    """Uniform gravity of any direction in the plane, eq. (14)."""
+    """Uniform gravity of any direction in the plane, eq. (14) of Barnard, Briot and Caro (2012)."""
 
     def __init__(self, registry: ParameterRegistry, gravity: tuple[float, float]) -> None:
         self._gravity = casadi.vertcat(

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 import zlib
 from collections.abc import Callable
 from html import unescape
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from flexfmu.fmu_build.description import plant_description
-from flexfmu.fmu_build.documentation import documentation, plant_picture
+from flexfmu.fmu_build.documentation import PICTURE_SIZE, documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import png
 from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
+from flexfmu.model.drawing import Point
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene_file import load_scene
 from flexfmu.model.symbolic import SymbolicModel
@@ -96,6 +99,49 @@ def test_mechanism_is_drawn_to_scale(robot: SymbolicModel) -> None:
     assert lengths[1] / lengths[0] == pytest.approx(0.38079 / 0.24)
     assert lengths[3] / lengths[2] == pytest.approx(0.38079 / 0.24)
     assert lines[1].end == pytest.approx(lines[3].end)
+
+
+POSES: dict[str, dict[str, object]] = {
+    "as in the paper": {},
+    "end effector between the motors": {"trajectory.start": [0.0, 0.4]},
+    "elbows in": {"mechanism.working_mode": "elbows-in", "mechanism.assembly_mode": "right"},
+    "elbows to the left": {"mechanism.working_mode": "left"},
+    "elbows to the right": {"mechanism.working_mode": "right"},
+}
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_labels_can_be_read(pose: str) -> None:
+    """Names lie within the picture and touch neither each other nor a bar or spot."""
+    scene = load_scene("barnard2012-6kg").replace(POSES[pose])
+    width, height = PICTURE_SIZE
+    picture = plant_picture(build_model(scene), width, height, labelled=True)
+    boxes = {label.text: label.box for label in picture.labels}
+    assert len(boxes) == 9
+    for left, top, right, bottom in boxes.values():
+        assert 0.0 < left < right < width
+        assert 0.0 < top < bottom < height
+    for one, other in itertools.combinations(boxes.values(), 2):
+        assert max(other[0] - one[2], one[0] - other[2], other[1] - one[3], one[1] - other[3]) > 5.0
+    drawn = [(line.start, line.end, line.width / 2) for line in picture.lines]
+    drawn += [(disc.centre, disc.centre, disc.radius) for disc in picture.discs]
+    for box in boxes.values():
+        assert all(_distance(box, start, end) > radius for start, end, radius in drawn)
+
+
+def _distance(box: tuple[float, float, float, float], start: Point, end: Point) -> float:
+    """From a box to a line, in hundred points of it."""
+    shares = np.linspace(0.0, 1.0, 101)[:, None]
+    x, y = ((1.0 - shares) * start + shares * end).T
+    across = np.maximum(np.maximum(box[0] - x, x - box[2]), 0.0)
+    return float(np.hypot(across, np.maximum(np.maximum(box[1] - y, y - box[3]), 0.0)).min())
+
+
+def test_equations_are_those_of_a_named_paper(robot: SymbolicModel) -> None:
+    """Whoever has the FMU alone would not know whose eq. (14) that is."""
+    cited = [effect.sentence for effect in robot.effects if "eq" in effect.sentence]
+    assert len(cited) == 2
+    assert all("of Barnard, Briot and Caro (2012)" in sentence for sentence in cited)
 
 
 def test_names_cannot_break_the_page(make_oscillators: Callable[..., SymbolicModel]) -> None:

@@ -1,0 +1,111 @@
+"""Names beside the parts of a drawing, placed so that they cover neither each other nor the drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import cos, hypot, pi, sin
+from typing import Literal
+
+from flexfmu.model.drawing import Drawing, Point
+
+FONT_SIZE = 15.0
+"""Of the labels [px]."""
+
+DISTANCES = (30.0, 40.0)
+"""From what a label names to its text [px], the nearer one first."""
+
+ROOM = (125.0, 45.0)
+"""Kept free for labels at the sides, and above and below [px]."""
+
+GAP, LABEL_GAP = 3.0, 12.0
+"""Between a label and what is drawn, and between two labels, which must not read as one [px]."""
+
+_TURNS = [sign * step * pi / 12 for step in range(13) for sign in (1, -1)]
+"""From the direction that a label would have by itself to those that are tried after it [rad]."""
+
+Stamp = tuple[Point, float]
+"""A circle that labels keep away from: centre and radius [px]."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """Text that starts at a point of its base line, ends there, or has its middle there."""
+
+    text: str
+    at: Point
+    anchor: Literal["start", "middle", "end"]
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """Left, top, right and bottom of the text [px]: monospaced letters are 0.6 as wide as high."""
+        width = 0.6 * FONT_SIZE * len(self.text)
+        left = self.at[0] - {"start": 0.0, "middle": 0.5, "end": 1.0}[self.anchor] * width
+        return left, self.at[1] - 0.75 * FONT_SIZE, left + width, self.at[1] + 0.25 * FONT_SIZE
+
+
+def place_labels(
+    drawing: Drawing, view: Callable[[Point], Point], stamps: Sequence[Stamp], size: Point
+) -> tuple[Label, ...]:
+    """Names of spots and bars, outside the mechanism where there is room: away from its middle, the bars' at right angles.
+
+    Args:
+        drawing: what is named.
+        view: from the drawing's lengths to pixels.
+        stamps: circles that cover all that is drawn.
+        size: width and height of the picture [px].
+    """
+    points = [view(spot.position) for spot in drawing.spots]
+    middle = sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
+    named = [(spot.name, at, _between(middle, at)) for spot, at in zip(drawing.spots, points, strict=True)]
+    for bar in drawing.bars:
+        start, end = view(bar.start), view(bar.end)
+        at = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2
+        named.append((bar.name, at, _across(_between(start, end), _between(middle, at))))
+    placed: list[Label] = []
+    for name, at, away in named:
+        candidates = _candidates(name, at, away)
+        placed.append(min(candidates, key=lambda label: (not _is_inside(label, size), _covered(label, placed, stamps))))
+    return tuple(placed)
+
+
+def _candidates(name: str, at: Point, away: Point) -> Iterator[Label]:
+    """The label in all directions and distances, those that suit it best first."""
+    length = hypot(*away) or 1.0
+    for turn in _TURNS:
+        x = (cos(turn) * away[0] - sin(turn) * away[1]) / length
+        y = (sin(turn) * away[0] + cos(turn) * away[1]) / length
+        anchor: Literal["start", "middle", "end"] = "middle" if abs(x) < abs(y) else "start" if x > 0.0 else "end"
+        for distance in DISTANCES:
+            yield Label(name, (at[0] + distance * x, at[1] + distance * y + 0.25 * FONT_SIZE), anchor)
+
+
+def _is_inside(label: Label, size: Point) -> bool:
+    """Whether the picture shows all of a label."""
+    left, top, right, bottom = label.box
+    return left >= GAP and top >= GAP and right <= size[0] - GAP and bottom <= size[1] - GAP
+
+
+def _covered(label: Label, others: Sequence[Label], stamps: Sequence[Stamp]) -> int:
+    """How many labels and circles a label would touch."""
+    left, top, right, bottom = label.box
+    touched = 0
+    for (x, y), radius in stamps:
+        across, down = max(left - x, 0.0, x - right), max(top - y, 0.0, y - bottom)
+        touched += hypot(across, down) < radius + GAP
+    for other in others:
+        its_left, its_top, its_right, its_bottom = other.box
+        beside = max(its_left - right, left - its_right)
+        touched += max(beside, its_top - bottom, top - its_bottom) < LABEL_GAP
+    return touched
+
+
+def _between(a: Point, b: Point) -> Point:
+    """From one point to another."""
+    return b[0] - a[0], b[1] - a[1]
+
+
+def _across(along: Point, away: Point) -> Point:
+    """At right angles to a direction, on the side of another one."""
+    side = 1.0 if away[0] * along[1] - away[1] * along[0] > 0 else -1.0
+    return side * along[1], -side * along[0]
