@@ -14,7 +14,10 @@ INTEGRATOR = Choice(
     "integrator",
     "Integration method",
     {
-        "automatic": (1, "a Gauss method for the tolerance"),
+        "automatic": (
+            1,
+            "the cheapest of radau3, gauss3 and gauss4 for the tolerance; no radau3 where nothing damps the vibrations",
+        ),
         "gauss2": (2, "Gauss collocation, 2 stages, order 4, A-stable, without damping of its own"),
         "gauss3": (3, "Gauss collocation, 3 stages, order 6, A-stable, without damping of its own"),
         "gauss4": (4, "Gauss collocation, 4 stages, order 8, A-stable, without damping of its own"),

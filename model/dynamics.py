@@ -53,10 +53,12 @@ class RedundantDynamics:
         force: (x, rates, accelerations, d) → generalised forces that the motion needs (10 + n, 1): inertia, elasticity,
             gravity and dissipation, with minus the applied forces.
         energy: (x, rates, d) → [kinetic, potential] in J.
+        is_damped: whether anything takes energy out of the elastic deflections.
     """
 
     force: casadi.Function
     energy: casadi.Function
+    is_damped: bool
 
 
 def derive_dynamics(robot: Robot, effects: Sequence[Effect], registry: ParameterRegistry) -> RedundantDynamics:
@@ -80,6 +82,7 @@ def derive_dynamics(robot: Robot, effects: Sequence[Effect], registry: Parameter
     return RedundantDynamics(
         force=casadi.Function("force", [x, v, a, registry.d], [casadi.densify(casadi.cse(force))]),
         energy=casadi.Function("energy", [x, v, registry.d], [casadi.densify(casadi.vertcat(kinetic, potential))]),
+        is_damped=casadi.depends_on(dissipation, robot.v_e),
     )
 
 

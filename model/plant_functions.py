@@ -84,6 +84,7 @@ def make_plant(
         static_start=scene.cosimulation.initial == "static",
         margin_name=MARGIN_NAME,
         minimum_margin=MINIMUM_SINE,
+        is_damped=five_bar.dynamics.is_damped,
         locked=locked,
         rate_inputs=rate_inputs,
         effects=five_bar.notes,

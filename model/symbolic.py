@@ -97,6 +97,7 @@ class SymbolicModel:
         static_start: start value of the FMI parameter ``initial``: True for static equilibrium, False for undeformed.
         margin_name: what `singularity` measures, with its unit, for messages.
         minimum_margin: smallest admissible value of that measure.
+        is_damped: whether anything takes energy out of the vibrations; where nothing does, an integrator must not either.
         locked: number of leading unknowns that are actuated: they start at `initial_coordinates`, are held there while
             the others find their static equilibrium, and each belongs to the input of the same index, a generalised
             force that holds the equilibrium unless somebody sets it.
@@ -118,6 +119,7 @@ class SymbolicModel:
     static_start: bool
     margin_name: str
     minimum_margin: float
+    is_damped: bool = False
     locked: int = 0
     rate_inputs: int = 0
     effects: tuple[EffectNote, ...] = ()

@@ -20,6 +20,7 @@
 
 /* limits of a change of the step size, and a change that is worth new factors */
 #define MAX_GROWTH 2.0
+#define MOST_FITTING 4.0
 #define MIN_SHRINK 0.1
 #define WORTHWHILE_SHRINK 0.9
 #define WORTHWHILE_GROWTH 1.15
@@ -56,7 +57,8 @@ void flex_accuracy_calibrate(flex_accuracy *accuracy, const flex_evidence *evide
 }
 
 double flex_fitting_step(double step, double error, double allowed, int order) {
-  return error > 0.0 ? step * pow(SAFETY * allowed / error, 1.0 / order) : HUGE_VAL;
+  if (error * flex_whole_power(MOST_FITTING, order) <= SAFETY * allowed) return MOST_FITTING * step;
+  return step * pow(SAFETY * allowed / error, 1.0 / order);
 }
 
 double flex_next_step(double step, double suggested, double fitting) {

@@ -8,9 +8,11 @@
 #include "linear_algebra.h"
 #include "prediction.h"
 
-/* share of the local error that unfinished Newton iterations may use. What they leave drives stiff modes without damping
- * step by step: with 0.01 these rang so loudly after 10^4 steps that they had to be resolved, at six times the cost */
+/* share of the local error that unfinished Newton iterations may use. What they leave drives stiff modes step by step, which
+ * only methods that end in a stage damp: the others let these ring so loudly after 10^4 steps of a share of 0.01 that they
+ * had to be resolved, at six times the cost */
 #define NEWTON_SHARE 0.001
+#define DAMPED_NEWTON_SHARE 0.05
 
 /* the cheap estimate: weights of the defect at the start of a step in the rates (times h) and the positions (times h^2);
  * their size hardly matters, since calibration finds what they are worth */
@@ -52,6 +54,21 @@ static void step_increments(flex_integrator *integrator, double h) {
   }
 }
 
+// acceleration at the end of a step, and whether the mechanism may be there: the last stage's, or from the polynomial's value
+static flex_outcome accelerate_at_end(flex_integrator *integrator, double t, double h, double *margin) {
+  const flex_stages *stages = &integrator->stages;
+  int n = integrator->n, s = stages->tableau->stages;
+  if (flex_ends_in_stage(stages->tableau)) {
+    memcpy(integrator->a, stages->acceleration + (s - 1) * n, (size_t)n * sizeof(double));
+    integrator->record->is_factored = 0;
+    return flex_step_check_margin(integrator, stages->u + (s - 1) * stages->inputs->count, margin);
+  }
+  flex_combine(n, s, stages->tableau->at_end, stages->acceleration, integrator->a);
+  flex_inputs_evaluate(stages->inputs, t, h, integrator->end_u);
+  flex_outcome outcome = flex_integrator_accelerate(integrator, integrator->end_u);
+  return outcome == FLEX_DONE ? flex_step_check_margin(integrator, integrator->end_u, margin) : outcome;
+}
+
 // moves on to the end of a step whose stages are solved
 static flex_outcome finish(flex_integrator *integrator, double t, double h, double *margin) {
   flex_integrator_record *record = integrator->record;
@@ -62,15 +79,11 @@ static flex_outcome finish(flex_integrator *integrator, double t, double h, doub
   step_increments(integrator, h);
   for (int c = 0; c < n; c++) flex_step_move(integrator, c, integrator->change[c], integrator->change[n + c]);
 
-  // polynomial of this step, and its value at the end as first guess
+  // polynomial of this step
   memcpy(integrator->history, integrator->a, size);
   memcpy(integrator->history + n, integrator->stages.acceleration, (size_t)s * size);
-  flex_combine(n, s, integrator->stages.tableau->at_end, integrator->stages.acceleration, integrator->a);
 
-  // acceleration at the end
-  flex_inputs_evaluate(integrator->stages.inputs, t, h, integrator->end_u);
-  flex_outcome outcome = flex_integrator_accelerate(integrator, integrator->end_u);
-  if (outcome == FLEX_DONE) outcome = flex_step_check_margin(integrator, integrator->end_u, margin);
+  flex_outcome outcome = accelerate_at_end(integrator, t, h, margin);
   memcpy(integrator->history + (s + 1) * n, integrator->a, size);
   record->history_step = h;
   flex_step_count(integrator);
@@ -80,9 +93,10 @@ static flex_outcome finish(flex_integrator *integrator, double t, double h, doub
 // solves the stages of a step, to a part of the local error that it may make
 static flex_outcome solve(flex_integrator *integrator, double t, double h, double allowed) {
   const flex_integrator_record *record = integrator->record;
-  double share = record->step > h ? h / record->step : 1.0;
+  double share = flex_ends_in_stage(integrator->stages.tableau) ? DAMPED_NEWTON_SHARE : NEWTON_SHARE;
+  if (record->step > h) share *= h / record->step;
   return flex_stages_solve(&integrator->stages, t, h, integrator->y, integrator->v, integrator->a, record->scale,
-                           NEWTON_SHARE * share * allowed);
+                           share * allowed);
 }
 
 // the cheap estimate: acceleration at the start against the polynomial of the stages, without what stiff modes add
@@ -175,6 +189,9 @@ static flex_outcome control(flex_integrator *integrator, const flex_integrator_r
       return flex_step_reject(integrator, before, smaller, FLEX_INACCURATE);
     }
     fitting = fmax(fitting, sharp_fitting);
+  } else {
+    // where the cheap estimate stops being small, a calibration says what it is worth: it needn't be kept small
+    fitting = fmax(fitting, h);
   }
 
   // on to the end of the step

@@ -124,6 +124,8 @@ static flex_failure follow(flex_plant *plant) {
   if (failure.outcome != FLEX_DONE) return failure;
   int refused = follow_parameters(plant);
   if (!refused && !record->is_moving && record->starts_static) refused = follow_equilibrium(plant);
+  failure.outcome = flex_integrator_factor(&plant->integrator, plant->u);
+  if (failure.outcome != FLEX_DONE) return failure;
   if (refused || follow_motion(plant)) failure.outcome = FLEX_NOT_FINITE;
   return failure;
 }

@@ -35,8 +35,8 @@ void flex_inputs_default(flex_inputs *inputs, int index, double value) {
   polynomial(inputs, index)[0] = value;
 }
 
-// taylor shift: the same polynomial, expanded about another time
-static void expand_about(flex_inputs *inputs, int index, double time) {
+// taylor shift
+void flex_inputs_expand(flex_inputs *inputs, int index, double time) {
   double *c = polynomial(inputs, index);
   double shift = time - inputs->base[index];
   int degree = inputs->degree[index];
@@ -44,20 +44,6 @@ static void expand_about(flex_inputs *inputs, int index, double time) {
     for (int i = 0; i < degree; i++)
       for (int k = degree - 1; k >= i; k--) c[k] += shift * c[k + 1];
   inputs->base[index] = time;
-}
-
-static double factorial(int order) {
-  static const double first[] = {1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0, 40320.0, 362880.0};
-  const int last = (int)(sizeof first / sizeof *first) - 1;
-  double product = first[order < last ? order : last];
-  for (int k = last + 1; k <= order; k++) product *= k;
-  return product;
-}
-
-void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, double value) {
-  if (inputs->base[index] != time) expand_about(inputs, index, time);
-  polynomial(inputs, index)[order] = value / factorial(order);
-  if (order > inputs->degree[index]) inputs->degree[index] = order;
 }
 
 void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset, double *u) {

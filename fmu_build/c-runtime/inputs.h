@@ -23,8 +23,23 @@ void flex_inputs_set(flex_inputs *inputs, int index, double time, double value);
 /* the value of an input that nobody has set; derivatives that were set stay */
 void flex_inputs_default(flex_inputs *inputs, int index, double value);
 
-/* the derivative of the given order at `time`; the rest of the polynomial stays, expanded about `time` */
-void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, double value);
+/* the same polynomial, expanded about another time */
+void flex_inputs_expand(flex_inputs *inputs, int index, double time);
+
+static inline double flex_factorial(int order) {
+  static const double first[] = {1.0, 1.0, 2.0, 6.0, 24.0, 120.0, 720.0, 5040.0, 40320.0, 362880.0};
+  const int last = (int)(sizeof first / sizeof *first) - 1;
+  double product = first[order < last ? order : last];
+  for (int k = last + 1; k <= order; k++) product *= k;
+  return product;
+}
+
+/* the derivative of the given order at `time`; the rest of the polynomial stays. An importer may set dozens in every step */
+static inline void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, double value) {
+  if (inputs->base[index] != time) flex_inputs_expand(inputs, index, time);
+  inputs->coefficients[index * (inputs->order + 1) + order] = value / flex_factorial(order);
+  if (order > inputs->degree[index]) inputs->degree[index] = order;
+}
 
 /* values at time + offset; kept apart since the sum would lose the digits of short steps */
 void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset, double *u);

@@ -48,16 +48,22 @@ static flex_outcome why_no_factor(flex_integrator *integrator, const double *y, 
   return isfinite(sum_of(integrator->mass_factor, n * n)) ? FLEX_NOT_DEFINITE : FLEX_NOT_FINITE;
 }
 
+flex_outcome flex_step_factor(flex_integrator *integrator, const double *y, const double *u) {
+  if (flex_mass_matrix(integrator->stages.equations, y, u, integrator->mass_factor)) return FLEX_NOT_FINITE;
+  if (flex_cholesky_factor(integrator->n, integrator->mass_factor)) return why_no_factor(integrator, y, u);
+  integrator->record->is_factored = 1;
+  return FLEX_DONE;
+}
+
 flex_outcome flex_step_accelerate(flex_integrator *integrator, const double *y, const double *v, const double *u, double *a) {
-  flex_equations *equations = integrator->stages.equations;
   int n = integrator->n;
   if (n == 0) return FLEX_DONE;
 
   // M a = -b by one correction of the guess: r(a) = M a + b
   double *r = integrator->defect;
-  if (flex_mass_matrix(equations, y, u, integrator->mass_factor)) return FLEX_NOT_FINITE;
-  if (flex_residual(equations, y, v, a, u, r)) return FLEX_NOT_FINITE;
-  if (flex_cholesky_factor(n, integrator->mass_factor)) return why_no_factor(integrator, y, u);
+  flex_outcome outcome = flex_step_factor(integrator, y, u);
+  if (outcome != FLEX_DONE) return outcome;
+  if (flex_residual(integrator->stages.equations, y, v, a, u, r)) return FLEX_NOT_FINITE;
   flex_cholesky_solve(n, integrator->mass_factor, r);
 
   // a correction that is no number must not spoil the next attempt

@@ -25,7 +25,10 @@ flex_outcome flex_step_reject(flex_integrator *integrator, const flex_integrator
 /* adds the change over a step to one coordinate, without losing what rounding leaves of it */
 void flex_step_move(flex_integrator *integrator, int coordinate, double dy, double dv);
 
-/* acceleration a for positions y, rates v and inputs u; a: a guess before */
+/* factor of the mass matrix for positions y and inputs u */
+flex_outcome flex_step_factor(flex_integrator *integrator, const double *y, const double *u);
+
+/* the same and the acceleration a, with rates v; a: a guess before */
 flex_outcome flex_step_accelerate(flex_integrator *integrator, const double *y, const double *v, const double *u, double *a);
 
 /* margin of the mechanism at the present position for the inputs u */

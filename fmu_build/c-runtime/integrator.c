@@ -59,8 +59,10 @@ void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inpu
   flex_stages_take_scratch(&integrator->stages, n, n_inputs, arena);
 }
 
-void flex_integrator_use(flex_integrator *integrator, const flex_method *method) {
+void flex_integrator_use(flex_integrator *integrator, const flex_method *method, double tolerance) {
+  double local = LOCAL_SHARE * pow(tolerance, method->local_order / (double)method->order);
   integrator->method = method;
+  integrator->local_error = fmax(local, ROUNDING_ERROR);
   if (method->collocation) flex_stages_use(&integrator->stages, method->collocation);
 }
 
@@ -80,6 +82,10 @@ flex_outcome flex_integrator_accelerate(flex_integrator *integrator, const doubl
   return flex_step_accelerate(integrator, integrator->y, integrator->v, u, integrator->a);
 }
 
+flex_outcome flex_integrator_factor(flex_integrator *integrator, const double *u) {
+  return integrator->n == 0 || integrator->record->is_factored ? FLEX_DONE : flex_step_factor(integrator, integrator->y, u);
+}
+
 // a step in which the motion changes by about its own size, for lack of anything better
 static double first_step(const flex_integrator *integrator, double span) {
   double change = flex_error_norm(&integrator->stages, integrator->v, integrator->a);
@@ -97,15 +103,8 @@ static flex_failure advance_rigid(flex_integrator *integrator, double t0, double
   return result;
 }
 
-// local error that a step may make, relative to the size of the motion
-static double local_error(const flex_integrator *integrator, double tolerance) {
-  const flex_method *method = integrator->method;
-  return fmax(LOCAL_SHARE * pow(tolerance, method->local_order / (double)method->order), ROUNDING_ERROR);
-}
-
 // equal steps towards t1 until one fails or another size is called for; how far they came is in result->time
-static flex_outcome make_steps(flex_integrator *integrator, double t1, double local, double *attempts,
-                               flex_failure *result) {
+static flex_outcome make_steps(flex_integrator *integrator, double t1, double *attempts, flex_failure *result) {
   flex_integrator_record *record = integrator->record;
   double start = result->time, remaining = t1 - start, fixed = *integrator->fixed_step;
   double count = fmax(1.0, ceil(remaining / record->step * (1.0 - 1e-9)));
@@ -117,8 +116,8 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, double lo
       result->value = FLEX_MAX_STEPS;
       return FLEX_TOO_MANY_STEPS;
     }
-    flex_outcome outcome =
-        integrator->method->step(integrator, start + i * h, h, local * record->scale, &result->value);
+    double allowed = integrator->local_error * record->scale;
+    flex_outcome outcome = integrator->method->step(integrator, start + i * h, h, allowed, &result->value);
     if (outcome != FLEX_DONE) return outcome;
     result->time = i + 1.0 == count ? t1 : start + (i + 1.0) * h;
     if (fixed > 0.0)
@@ -137,11 +136,11 @@ static flex_failure fixed_step_failure(flex_integrator *integrator, flex_failure
   return blamed;
 }
 
-flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1, double tolerance) {
+flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1) {
   if (integrator->n == 0) return advance_rigid(integrator, t0, t1);
   flex_integrator_record *record = integrator->record;
   flex_failure result = {FLEX_DONE, t0, 0.0};
-  double attempts = 0.0, span = t1 - t0, fixed = *integrator->fixed_step, local = local_error(integrator, tolerance);
+  double attempts = 0.0, span = t1 - t0, fixed = *integrator->fixed_step;
   double least = fmax(MIN_STEP_SHARE * span, MIN_STEP_ROUNDINGS * DBL_EPSILON * fmax(fabs(t0), fabs(t1)));
   if (fixed > 0.0)
     record->step = fixed;
@@ -149,7 +148,7 @@ flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, dou
     record->step = first_step(integrator, span);
 
   while (result.time < t1) {
-    result.outcome = make_steps(integrator, t1, local, &attempts, &result);
+    result.outcome = make_steps(integrator, t1, &attempts, &result);
     if (result.outcome == FLEX_DONE) continue;
     if (result.outcome == FLEX_TOO_MANY_STEPS) return result;
     if (fixed > 0.0) return fixed_step_failure(integrator, result);

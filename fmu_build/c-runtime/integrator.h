@@ -12,12 +12,14 @@ typedef struct {
   double step;         /* step size that the error admits [s]; 0 = not known */
   double scale;        /* running maximum of the motion in the error norm */
   double history_step; /* duration of the step that is kept for prediction [s]; 0 = none */
+  int is_factored;     /* 1 = the factor of the mass matrix belongs to the present y */
   long long steps, rejections;
 } flex_integrator_record;
 
 struct flex_integrator {
   int n;
   const flex_method *method;
+  double local_error; /* that a step may make, relative to the size of the motion */
   flex_stages stages;
   flex_integrator_record *record;
   const double *floor;      /* least scale */
@@ -35,8 +37,8 @@ struct flex_integrator {
 void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *arena);
 void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena);
 
-/* chooses the method; with another one, what is known about steps has to be forgotten */
-void flex_integrator_use(flex_integrator *integrator, const flex_method *method);
+/* chooses the method and the relative tolerance; with another one, what is known about steps has to be forgotten */
+void flex_integrator_use(flex_integrator *integrator, const flex_method *method, double tolerance);
 
 /* begins a motion at the present y and v: forgets history and step size */
 void flex_integrator_start(flex_integrator *integrator);
@@ -44,8 +46,11 @@ void flex_integrator_start(flex_integrator *integrator);
 /* acceleration and factor of the mass matrix at the present y and v for the inputs u */
 flex_outcome flex_integrator_accelerate(flex_integrator *integrator, const double *u);
 
-/* integrates from t0 to t1 with a relative tolerance; a must be the acceleration at t0. Returns the outcome with the time
+/* makes the factor of the mass matrix valid at the present y for the inputs u */
+flex_outcome flex_integrator_factor(flex_integrator *integrator, const double *u);
+
+/* integrates from t0 to t1; a must be the acceleration at t0. Returns the outcome with the time
  * that was reached; y, v, a belong to that time. */
-flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1, double tolerance);
+flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1);
 
 #endif

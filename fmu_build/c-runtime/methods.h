@@ -32,7 +32,7 @@ typedef struct {
   const flex_explicit_tableau *runge_kutta;  /* NULL for collocation */
 } flex_method;
 
-/* the method of a number; FLEX_AUTOMATIC: a Gauss method for the tolerance */
-const flex_method *flex_find_method(int number, double tolerance);
+/* the method of a number; FLEX_AUTOMATIC: the cheapest for the tolerance, of those that damp nothing where the model doesn't */
+const flex_method *flex_find_method(int number, double tolerance, int is_damped);
 
 #endif

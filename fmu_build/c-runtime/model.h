@@ -60,6 +60,7 @@ typedef struct {
   const int *pose_outputs; /* which they are; NULL if there are none */
 
   int static_start;          /* start value of `initial`: 1 = static equilibrium, 0 = undeformed */
+  int is_damped;             /* 1 = something takes energy out of the vibrations */
   double default_tolerance;  /* relative tolerance where fmi2SetupExperiment gives none */
   double minimum_margin;     /* smallest admissible value of `singularity` */
   const char *margin_name;   /* what `singularity` measures, for messages */

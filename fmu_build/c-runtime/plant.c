@@ -1,9 +1,14 @@
 #include "plant.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
 #include "linear_algebra.h"
+
+/* rounding errors of the polynomials that inputs are between communication points, in units of what they reach there */
+#define INPUT_ROUNDING (256.0 * DBL_EPSILON)
 
 /* what depends on the point of the motion */
 #define POINT (FLEX_HAVE_ACCELERATION | FLEX_HAVE_OUTPUTS | FLEX_HAVE_FIRST_RATES | FLEX_HAVE_SECOND_RATES)
@@ -19,6 +24,7 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->d = flex_take_doubles(arena, (size_t)model->n_derived);
   plant->scale = flex_take_doubles(arena, 2 * n + 1);
   plant->u = flex_take_doubles(arena, m);
+  plant->previous_u = flex_take_doubles(arena, m);
   plant->outputs = flex_take_doubles(arena, outputs);
   plant->jerk = flex_take_doubles(arena, flex_changes_count(model));
   plant->snap = flex_take_doubles(arena, n + outputs);
@@ -75,7 +81,8 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
 
 static void choose_method(flex_plant *plant) {
   const flex_plant_record *record = plant->record;
-  flex_integrator_use(&plant->integrator, flex_find_method(record->method, record->tolerance));
+  const flex_method *method = flex_find_method(record->method, record->tolerance, plant->model->is_damped);
+  flex_integrator_use(&plant->integrator, method, record->tolerance);
 }
 
 void flex_plant_reset(flex_plant *plant) {
@@ -103,11 +110,6 @@ void flex_plant_restored(flex_plant *plant) {
 void flex_plant_parameters_changed(flex_plant *plant) {
   plant->record->have &= ~(FLEX_HAVE_DERIVED | FLEX_HAVE_START | POINT);
   flex_newton_clear(&plant->integrator.stages.matrix);
-}
-
-void flex_plant_inputs_changed(flex_plant *plant) {
-  plant->record->inputs_changed = 1;
-  if (!plant->record->is_moving) flex_plant_start_changed(plant);
 }
 
 void flex_plant_moved(flex_plant *plant) {
@@ -235,6 +237,15 @@ flex_failure flex_plant_need_inputs(flex_plant *plant) {
   return outcome_now(plant, outcome, 0.0);
 }
 
+// whether inputs that were set anew are what their polynomials had come to, but for rounding errors
+static int go_on(const flex_plant *plant, const double *u) {
+  for (int i = 0; i < plant->inputs.count; i++) {
+    double reached = fmax(fabs(plant->u[i]), fabs(plant->previous_u[i]));
+    if (fabs(u[i] - plant->u[i]) > INPUT_ROUNDING * reached) return 0;
+  }
+  return 1;
+}
+
 // acceleration for the present inputs, right-sided where they jump
 flex_failure flex_plant_need_acceleration(flex_plant *plant) {
   flex_plant_record *record = plant->record;
@@ -242,15 +253,13 @@ flex_failure flex_plant_need_acceleration(flex_plant *plant) {
   if (failure.outcome != FLEX_DONE) return failure;
   if ((record->have & FLEX_HAVE_ACCELERATION) && !record->inputs_changed) return failure;
 
-  // inputs that were set to what they were change nothing but the rates
-  size_t size = (size_t)plant->inputs.count * sizeof(double);
+  // inputs that go on as they were change nothing but the rates
   flex_inputs_evaluate(&plant->inputs, record->time, 0.0, plant->u1);
-  int same = (record->have & FLEX_HAVE_ACCELERATION) && memcmp(plant->u, plant->u1, size) == 0;
   record->have &= ~(FLEX_HAVE_FIRST_RATES | FLEX_HAVE_SECOND_RATES);
   record->inputs_changed = 0;
-  if (same) return failure;
+  if ((record->have & FLEX_HAVE_ACCELERATION) && go_on(plant, plant->u1)) return failure;
 
-  memcpy(plant->u, plant->u1, size);
+  memcpy(plant->u, plant->u1, (size_t)plant->inputs.count * sizeof(double));
   record->have &= ~POINT;
   flex_outcome outcome = flex_integrator_accelerate(&plant->integrator, plant->u);
   if (outcome == FLEX_DONE)
@@ -285,7 +294,8 @@ flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
 
   flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
-  failure = flex_integrator_advance(&plant->integrator, t0, t1, record->tolerance);
+  memcpy(plant->previous_u, plant->u, (size_t)plant->inputs.count * sizeof(double));
+  failure = flex_integrator_advance(&plant->integrator, t0, t1);
   if (failure.time > t0) {
     record->time = failure.time;
     flex_inputs_evaluate(&plant->inputs, record->time, 0.0, plant->u);
@@ -337,6 +347,8 @@ flex_failure flex_plant_need_rates(flex_plant *plant, int order) {
     return outcome_now(plant, FLEX_DONE, 0.0);
   flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
+  flex_outcome outcome = flex_integrator_factor(&plant->integrator, plant->u);
+  if (outcome != FLEX_DONE) return outcome_now(plant, outcome, 0.0);
   flex_inputs_rates(&plant->inputs, record->time, plant->u1, plant->u2);
   if (!(record->have & FLEX_HAVE_FIRST_RATES)) {
     if (first_rates(plant)) return outcome_now(plant, FLEX_NOT_FINITE, 0.0);

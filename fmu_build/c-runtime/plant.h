@@ -39,8 +39,9 @@ typedef struct {
   flex_plant_record *record;
   size_t state_size; /* bytes of the numeric state, which begins with the record */
 
-  /* numeric state; rates: o1, o2; jerk da/dt, snap d2a/dt2; entries of do/da */
-  double *p, *d, *scale, *u, *outputs, *jerk, *first_rates, *acceleration_entries, *snap, *second_rates;
+  /* numeric state; u, previous_u: inputs now and when the last communication step began; rates: o1, o2; jerk da/dt, snap
+   * d2a/dt2; entries of do/da */
+  double *p, *d, *scale, *u, *previous_u, *outputs, *jerk, *first_rates, *acceleration_entries, *snap, *second_rates;
   flex_inputs inputs;
   flex_integrator integrator;
 
@@ -75,8 +76,12 @@ void flex_plant_restored(flex_plant *plant);
 
 /* a changed parameter, input or choice of the start makes results stale */
 void flex_plant_parameters_changed(flex_plant *plant);
-void flex_plant_inputs_changed(flex_plant *plant);
 void flex_plant_start_changed(flex_plant *plant);
+
+static inline void flex_plant_inputs_changed(flex_plant *plant) {
+  plant->record->inputs_changed = 1;
+  if (!plant->record->is_moving) flex_plant_start_changed(plant);
+}
 
 /* somebody else has moved coordinates and rates */
 void flex_plant_moved(flex_plant *plant);

@@ -18,14 +18,9 @@ static void interpolation_weights(int n_nodes, const double *nodes, double x, do
   }
 }
 
-// whether the end of a step is a node besides those of the method
-static int adds_end(const flex_tableau *tableau) {
-  return tableau->c[tableau->stages - 1] < 1.0;
-}
-
 void flex_predict(int n, const flex_tableau *tableau, const flex_history *history, double first, double ratio,
                   double *prediction) {
-  int s = tableau->stages, n_nodes = history->has_end && adds_end(tableau) ? s + 2 : s + 1;
+  int s = tableau->stages, n_nodes = history->has_end && !flex_ends_in_stage(tableau) ? s + 2 : s + 1;
   double nodes[FLEX_MAX_STAGES + 2], weights[FLEX_MAX_STAGES + 2];
   nodes[0] = 0.0;
   memcpy(nodes + 1, tableau->c, (size_t)s * sizeof *nodes);
@@ -37,8 +32,8 @@ void flex_predict(int n, const flex_tableau *tableau, const flex_history *histor
 }
 
 double flex_prediction_reach(const flex_tableau *tableau, double history, double h) {
-  int order = tableau->stages + 1 + adds_end(tableau);
-  double x = 1.0 + h / history, reach = adds_end(tableau) ? x * (x - 1.0) : x;
+  int adds_end = !flex_ends_in_stage(tableau), order = tableau->stages + 1 + adds_end;
+  double x = 1.0 + h / history, reach = adds_end ? x * (x - 1.0) : x;
   for (int i = 0; i < tableau->stages; i++) reach *= x - tableau->c[i];
   return reach * flex_whole_power(history, order);
 }

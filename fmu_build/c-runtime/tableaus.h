@@ -38,6 +38,11 @@ typedef struct {
   flex_eigenvalue blocks[FLEX_MAX_BLOCKS];
 } flex_tableau;
 
+/* whether the last stage is the end of the step */
+static inline int flex_ends_in_stage(const flex_tableau *tableau) {
+  return tableau->c[tableau->stages - 1] == 1.0;
+}
+
 FLEX_PRIVATE const flex_tableau flex_gauss_2, flex_gauss_3, flex_gauss_4, flex_radau_3;
 
 #endif

@@ -1,4 +1,5 @@
 /* The integrator against closed forms and invariants. */
+#include <float.h>
 #include <string.h>
 
 #include "check.h"
@@ -206,6 +207,21 @@ void test_jumps_of_the_input_are_met(void) {
     for (int m = 0; m < 3; m++) CHECK_CLOSE(modal(plant->integrator.y, m), q[m], 20.0 * tolerance);
     free_plant(plant);
   }
+}
+
+// at communication points polynomials begin where others have ended, but for roundings: those call for no new acceleration
+void test_inputs_that_go_on_cost_nothing(void) {
+  flex_plant *plant = let_go((const double[]){1.0, 3.0, 7.0}, 0.0, (const double[]){0.0, 0.0, 0.0}, 1e-6);
+  set_input(plant, 0, 0.1);
+  advance(plant, 0.0, 0.1, 1);
+  long long before = plant->record->stages.evaluations;
+  set_input(plant, 0, 0.1 * (1.0 + 4.0 * DBL_EPSILON));
+  CHECK(flex_plant_need_acceleration(plant).outcome == FLEX_DONE);
+  CHECK(plant->record->stages.evaluations == before);
+  set_input(plant, 0, 0.1 * (1.0 + 1e-12));
+  CHECK(flex_plant_need_acceleration(plant).outcome == FLEX_DONE);
+  CHECK(plant->record->stages.evaluations == before + 1);
+  free_plant(plant);
 }
 
 // sum over modes of the error in the energy norm

@@ -2,6 +2,7 @@
 #include <string.h>
 
 #include "check.h"
+#include "linear_algebra.h"
 #include "models.h"
 #include "plants.h"
 #include "tests.h"
@@ -33,7 +34,7 @@ static void check_order(const flex_model *model, const double *y, const double *
     coarse += fabs(ends[0][c] - reference[c]);
     fine += fabs(ends[1][c] - reference[c]);
   }
-  int order = flex_find_method(method, 1.0)->order;
+  int order = flex_find_method(method, 1.0, 0)->order;
   CHECK_BETWEEN(log2(coarse / fine), order - 0.3, order + 0.3);
 }
 
@@ -99,6 +100,37 @@ static double energy_left(int method) {
 void test_radau_damps_and_gauss_does_not(void) {
   CHECK_BETWEEN(energy_left(FLEX_RADAU_3), 0.0, 1e-6);
   for (int method = FLEX_GAUSS_2; method <= FLEX_GAUSS_4; method++) CHECK_CLOSE(energy_left(method), 1.0, 1e-9);
+}
+
+// who has left all damping out of a scene wants to see its vibrations go on; everyone else wants the cheapest method
+void test_automatic_damps_only_what_is_damped(void) {
+  for (double tolerance = 1e-2; tolerance > 0.9e-10; tolerance *= 0.1) {
+    CHECK(flex_find_method(FLEX_AUTOMATIC, tolerance, 0)->collocation != &flex_radau_3);
+    int is_loose = tolerance > 0.5e-6;
+    CHECK((flex_find_method(FLEX_AUTOMATIC, tolerance, 1)->collocation == &flex_radau_3) == is_loose);
+  }
+}
+
+// outputs show accelerations, and their rates come from the mass matrix: both must not be those of a stage before the end
+void test_accelerations_belong_to_the_end_of_a_step(void) {
+  const double y[2] = {1.0, -0.5}, v[2] = {0.3, 0.8};
+  for (int method = FLEX_GAUSS_2; method <= FLEX_LAST_INTEGRATOR; method++) {
+    flex_plant *plant = make_plant(&double_pendulum, 1e-9);
+    const flex_integrator *g = &plant->integrator;
+    choose(plant, method, 0.0);
+    begin_at(plant, y, v);
+    advance(plant, 0.0, 0.2, 3);
+    double residual[2], mass[4];
+    CHECK(!flex_residual(&plant->equations, g->y, g->v, g->a, plant->u, residual));
+    CHECK(flex_integrator_factor(&plant->integrator, plant->u) == FLEX_DONE);
+    CHECK(!flex_mass_matrix(&plant->equations, g->y, plant->u, mass));
+    for (int c = 0; c < 2; c++) {
+      CHECK_CLOSE(residual[c], 0.0, 1e-7);
+      flex_cholesky_solve(2, g->mass_factor, mass + 2 * c);
+      for (int i = 0; i < 2; i++) CHECK_CLOSE(mass[2 * c + i], i == c ? 1.0 : 0.0, 1e-12);
+    }
+    free_plant(plant);
+  }
 }
 
 // an explicit method with steps too long for a stiff mode must say so instead of putting out nonsense

@@ -19,10 +19,13 @@
   X(stiff_modes_in_motion_are_resolved)         \
   X(forced_motion_is_exact)                     \
   X(jumps_of_the_input_are_met)                 \
+  X(inputs_that_go_on_cost_nothing)             \
   X(jerks_are_noticed)                          \
   X(every_method_has_its_order)                 \
   X(every_method_meets_the_tolerance)           \
   X(radau_damps_and_gauss_does_not)             \
+  X(automatic_damps_only_what_is_damped)        \
+  X(accelerations_belong_to_the_end_of_a_step)  \
   X(fixed_steps_that_are_too_long_are_explained) \
   X(every_method_rolls_back)                    \
   X(energy_stays_over_many_steps)               \
