@@ -10,12 +10,14 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from flexfmu.cosim.experiment import Run
 from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.measuring.small_deflections import exceeded
 from flexfmu.cosim.metrics import Measurement, measure_run, settings_for
+from flexfmu.cosim.reports import plots
 from flexfmu.cosim.reports.json_text import to_json
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import render_report
@@ -88,6 +90,37 @@ def test_metrics_of_the_run_are_plain_numbers(make_run: MakeRun) -> None:
     assert 2.0e-4 < metrics["residual_vibration_amplitude"] < 2.9e-4
     assert metrics["end_velocity_error"] == pytest.approx(0.0, abs=1e-12)
     assert 0.05 < metrics["settling_time"] < 0.08
+
+
+def test_curves_peak_at_the_metrics(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The report's curves are in the unit of their axis: the highest point of each is the metric beside it."""
+    figures: dict[str, Figure] = {}
+    monkeypatch.setattr(plots.plot_style, "to_svg", lambda figure, key, title: figures.setdefault(key, figure) and "")
+    run = tracking(make_run())
+    metrics = {name: measurement.value or 0.0 for name, measurement in measure_run(run).items()}
+    list(draw_plots(run, settings_for(run.plan).end_equilibrium))
+    peaks = {key: [np.abs(line.get_ydata()) for line in figure.axes[0].lines] for key, figure in figures.items()}
+    for key, factor, unit, names in (
+        ("torques", 1.0, "N·m", ["peak_torque_1", "peak_torque_2"]),
+        ("tracking", 1e3, "mrad", ["peak_tracking_error_1", "peak_tracking_error_2"]),
+        ("position", 1e3, "mm", ["peak_position_error"]),
+        ("dwell", 1e6, "µm", ["residual_vibration_amplitude"]),
+    ):
+        assert f"[{unit}]" in figures[key].axes[0].get_ylabel()
+        for curve, name in zip(peaks[key], names, strict=False):
+            assert curve.max() == pytest.approx(factor * metrics[name], rel=2e-3), name
+
+
+def tracking(run: Run) -> Run:
+    """The run of a robot whose joints sway about their planned motion, by 3 and 6 mrad."""
+    time, columns = run.recording.time, {}
+    for joint in (1, 2):
+        sway = [3e-3 * joint * 40.0**k * np.sin(40.0 * time + k * np.pi / 2) for k in range(5)]
+        for order, kind in ((0, "position"), (2, "acceleration")):
+            planned = run.recording[f"joint{joint}.reference.{kind}"]
+            moved = np.array([planned.values, planned.first, planned.second]) + sway[order : order + 3]
+            columns[f"joint{joint}.{kind}"] = Column("rad", *moved)
+    return replace(run, recording=run.recording.with_columns(columns))
 
 
 def test_coarse_step_is_said(make_run: MakeRun) -> None:

@@ -89,6 +89,18 @@ def test_controllers_feed_each_other_first() -> None:
     assert sources(wire(TRAJECTORY, PLANT, [PD, forward]))["pd.q.feedforward"] == "forward.q.feedforward"
 
 
+def test_nobody_feeds_itself() -> None:
+    """A signal that a slave both takes and puts out comes from somebody else: another controller, or the trajectory."""
+    filtered = Names("filter", ["q.reference", "q"], ["q.reference", "torque"])
+    assert sources(wire(TRAJECTORY, PLANT, [filtered]))["filter.q.reference"] == "trajectory.q.reference"
+    with pytest.raises(WiringError, match=r"c\.memory has no source"):
+        wire(TRAJECTORY, PLANT, [Names("c", ["q", "memory"], ["torque", "memory"])])
+    echo = Names("plant", ["torque", "force"], ["q", "force"])
+    wiring = wire(TRAJECTORY, echo, [PD])
+    assert [target for target in sources(wiring) if target.startswith("plant.")] == ["plant.torque"]
+    assert wiring.feeding == {"torque": "pd.torque"}
+
+
 def test_underscores_stand_for_dots() -> None:
     """Signals of python-control, which knows no dots, find their names."""
     lqg = Names("lqg", ["q_reference", "q"], ["torque"])

@@ -18,6 +18,7 @@ from flexfmu.cosim.experiment import run_scene
 from flexfmu.cosim.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.cosim.shaping import design as shaping_design
 from flexfmu.cosim.shaping.design import Alternative, alternatives, design_modes
 from flexfmu.cosim.shaping.plan import deviation, shape_joints, shape_path
 from flexfmu.cosim.shaping.recommendation import compare_slower, recommend
@@ -34,6 +35,7 @@ from flexfmu.cosim.shaping.study import (
 )
 from flexfmu.cosim.shaping.table import markdown, to_csv
 from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.model.modes import DampedModes
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, design
@@ -51,6 +53,26 @@ def scene() -> Scene:
 def motion(scene: Scene) -> MotionPlan:
     """Its planned motion."""
     return plan(scene)
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "shaped"),
+    [
+        ([20.0, 59.0, 61.0], [20.0, 59.0]),
+        ([20.0, 60.1], [20.0]),
+        ([20.0, 30.0, 40.0, 50.0], [20.0, 30.0, 40.0]),
+        ([20.0], [20.0]),
+    ],
+)
+def test_modes_near_the_lowest_are_shaped_for(
+    motion: MotionPlan, monkeypatch: pytest.MonkeyPatch, frequencies: list[float], shaped: list[float]
+) -> None:
+    """Up to three times the lowest frequency and no more than three: a motion hardly excites what lies above."""
+    found = DampedModes(np.array(frequencies), np.full(len(frequencies), 0.01))
+    monkeypatch.setattr(shaping_design, "damped_modes", lambda scene, pose: found)
+    wanted = design_modes(motion, (-0.3, 0.3))
+    assert [mode.frequency for mode in wanted.modes] == shaped
+    assert wanted.band == (20.0, shaped[-1])
 
 
 def result(motion: MotionPlan, name: str, added: float, settling: float | None, stray: float = 0.0) -> Result:
