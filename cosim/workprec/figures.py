@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.reports.figure_style import GREY, draw, save, style
+from flexfmu.cosim.reports.figure_style import draw, save, style
+from flexfmu.cosim.workprec.point_labels import keep_apart, label_points
 from flexfmu.cosim.workprec.study import FAMILIES, Study
 from flexfmu.cosim.workprec.trial import Trial
 
@@ -26,8 +27,16 @@ TITLES = {
 }
 """Family → title of its diagram."""
 
-PLAIN = LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.5))
-"""10 and 20 instead of powers of ten, as many as there is room for."""
+
+class PlainNumbers(LogFormatter):
+    """0.1, 10 and 20 instead of powers of ten, as many as there is room for; one for each axis, whose range it follows."""
+
+    def __init__(self) -> None:
+        super().__init__(labelOnlyBase=False, minor_thresholds=(2.0, 0.5))
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
 
 FLOOR = 1e-12
 """Errors below are drawn here: the references agree no better."""
@@ -45,8 +54,11 @@ def save_figures(study: Study, folder: Path) -> list[str]:
             for name in names:
                 figure = draw(6.6, 4.8)
                 draw_family(figure.subplots(), study, name)
+                keep_apart(figure)
                 save(figure, folder / f"workprec-{name}")
-            save(_all(study, names), folder / "workprec")
+            figure = _all(study, names)
+            keep_apart(figure)
+            save(figure, folder / "workprec")
     except OSError as error:
         reason = error.strerror or error
         raise ResultsError(f"can't write to {folder}: {reason}; choose another folder or free some space") from error
@@ -91,15 +103,12 @@ def draw_family(axes: Axes, study: Study, name: str) -> None:
         points = np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in good]).reshape(-1, 2)
         label = line + (f" ({failed} failed)" if failed else "")
         axes.plot(points[:, 0], points[:, 1], "o-", color=colour, markersize=3.5, label=label)
-        for (error, time), each in zip(points, good, strict=True):
-            axes.annotate(
-                each.label, (error, time), (3, 3), textcoords="offset points", fontsize=5.5, color=GREY, clip_on=True
-            )
+        label_points(axes, points, [each.label for each in good])
         if failed:
             axes.plot([1.0] * failed, np.linspace(0.06, 0.2, failed), "x", color=colour, transform=axes.transAxes)
     axes.set(xscale="log", yscale="log", xlabel="error, relative to what elasticity does", ylabel="time [ms]")
-    axes.yaxis.set_major_formatter(PLAIN)
-    axes.yaxis.set_minor_formatter(PLAIN)
+    axes.yaxis.set_major_formatter(PlainNumbers())
+    axes.yaxis.set_minor_formatter(PlainNumbers())
     axes.set_title(TITLES[name], fontsize=10)
     axes.legend(fontsize=6.5)
     factor = axes.secondary_yaxis(
@@ -109,6 +118,6 @@ def draw_family(axes: Axes, study: Study, name: str) -> None:
             lambda f: 1e3 * study.duration / np.maximum(f, 1e-9),
         ),
     )
-    factor.yaxis.set_major_formatter(PLAIN)
-    factor.yaxis.set_minor_formatter(PLAIN)
+    factor.yaxis.set_major_formatter(PlainNumbers())
+    factor.yaxis.set_minor_formatter(PlainNumbers())
     factor.set_ylabel("times real time")

@@ -1,0 +1,82 @@
+"""Work-precision pictures can be read: labels lie apart, axes have plain numbers."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+
+from flexfmu.cosim.reports.figure_style import draw
+from flexfmu.cosim.workprec.figures import draw_family
+from flexfmu.cosim.workprec.point_labels import keep_apart, label_points
+from flexfmu.cosim.workprec.study import Study
+from flexfmu.cosim.workprec.trial import Trial
+from flexfmu.model.scene_file import load_scene
+
+
+@pytest.fixture
+def crowded() -> Figure:
+    """Two lines whose points are nearer to each other than their labels are long, one at the edge, and one far away."""
+    figure = draw(6.6, 4.8)
+    axes = figure.subplots()
+    x = np.array([1.0, 1.3, 1.6, 2.0, 1000.0])
+    for y in (x**-0.2, 1.05 * x**-0.3):
+        axes.plot(x, y, "o-", label="a line")
+        label_points(axes, np.column_stack([x, y]), [f"automatic {number}" for number in range(5)])
+    axes.plot([30.0], [3.0], "o")
+    label_points(axes, np.array([[30.0, 3.0]]), ["alone"])
+    axes.set(xscale="log", yscale="log", xlim=(0.9, 1000.0))
+    axes.legend()
+    return figure
+
+
+def labels(figure: Figure) -> dict[str, tuple[Annotation, np.ndarray]]:
+    """Text and line of every visible label → it and its box [px], as the figure is drawn in the end."""
+    figure.draw_without_rendering()
+    texts = [each for each in figure.axes[0].texts if isinstance(each, Annotation) and each.get_visible()]
+    return {f"{each.get_text()} of {each.xy[1]:.3f}": (each, each.get_window_extent().extents) for each in texts}
+
+
+def test_labels_lie_apart(crowded: Figure) -> None:
+    """None covers another, a point or the legend, and all are within the diagram; as many as there is room for."""
+    keep_apart(crowded)
+    found = labels(crowded)
+    axes = crowded.axes[0]
+    legend = axes.get_legend()
+    assert legend is not None
+    boxes = [box for _, box in found.values()]
+    for one, other in combinations([*boxes, legend.get_window_extent().extents], 2):
+        assert max(other[0] - one[2], one[0] - other[2], other[1] - one[3], one[1] - other[3]) >= 0.0
+    frame = axes.get_window_extent().extents
+    points = np.concatenate([axes.transData.transform(np.column_stack(line.get_data())) for line in axes.lines])
+    for box in boxes:
+        assert (box[:2] >= frame[:2]).all()
+        assert (box[2:] <= frame[2:]).all()
+        assert not ((points > box[:2]) & (points < box[2:])).all(axis=1).any()
+    assert 7 <= len(found) <= 11
+
+
+def test_a_label_with_room_stays_where_it_is_looked_for(crowded: Figure) -> None:
+    """To the right above its point."""
+    keep_apart(crowded)
+    alone, _ = labels(crowded)["alone of 3.000"]
+    assert (alone.xyann, alone.get_ha(), alone.get_va()) == ((3.0, 3.0), "left", "bottom")
+
+
+def test_axes_have_plain_numbers() -> None:
+    """Times and real-time factors below one are written like those above."""
+    trials = tuple(
+        Trial("tools", "slow", label, error, time) for label, error, time in (("a", 1e-3, 9.0), ("b", 1e-5, 0.009))
+    )
+    figure = draw(6.6, 4.8)
+    axes = figure.subplots()
+    draw_family(axes, Study(load_scene("barnard2012-6kg"), 0.27, 2e-4, None, "", trials), "tools")
+    figure.draw_without_rendering()
+    (factor,) = axes.child_axes
+    for side, numbers in ((axes, {"10", "100", "1000"}), (factor, {"0.1", "1", "10"})):
+        texts = {label.get_text() for label in side.yaxis.get_ticklabels(which="both")}
+        assert numbers <= texts
+        assert not any("e" in text for text in texts)
