@@ -19,6 +19,10 @@
 #define DEFECT_RATE 0.2
 #define DEFECT_POSITION 0.05
 
+/* so many steps after the last calibration one finds out whether the cheap estimate keeps steps too short, by a change of the
+ * step size that lets stiff modes ring: only methods that end in a stage, and so damp these, can afford it */
+#define MOST_CHEAP_STEPS 20
+
 // prediction from the last step, shifted by the jump of the acceleration at the present time
 static void predict_from_history(flex_integrator *integrator, double h) {
   const flex_history history = {integrator->history, 1};
@@ -165,6 +169,12 @@ static flex_outcome calibrate(flex_integrator *integrator, const flex_integrator
   return FLEX_DONE;
 }
 
+// whether the cheap estimate has kept steps short for long, maybe in vain
+static int may_be_too_careful(const flex_integrator *integrator) {
+  return integrator->wants_longer_steps && integrator->record->accuracy.age >= MOST_CHEAP_STEPS &&
+         flex_ends_in_stage(integrator->stages.tableau);
+}
+
 // one step whose stages are solved, or two of half its size, as the error asks for
 static flex_outcome control(flex_integrator *integrator, const flex_integrator_record *before, double t, double h,
                             double allowed, double *value) {
@@ -176,7 +186,7 @@ static flex_outcome control(flex_integrator *integrator, const flex_integrator_r
   double cheap = flex_accuracy_hold(&record->accuracy, s, cheap_error(integrator, h), h);
   const flex_evidence evidence = {h, cheap, bend(integrator, h)};
   int is_small = evidence.error <= allowed, applies = flex_accuracy_applies(&record->accuracy, &evidence);
-  if (!is_small && !applies) return calibrate(integrator, before, t, &evidence, allowed, value);
+  if (!applies && (!is_small || may_be_too_careful(integrator))) return calibrate(integrator, before, t, &evidence, allowed, value);
 
   // step size that would fit, by the better one of the two estimates
   double fitting = flex_fitting_step(h, evidence.error, allowed, s + 1);

@@ -109,6 +109,7 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, double *a
   double start = result->time, remaining = t1 - start, fixed = *integrator->fixed_step;
   double count = fmax(1.0, ceil(remaining / record->step * (1.0 - 1e-9)));
   double h = remaining / count;
+  integrator->wants_longer_steps = count > 1.0;
 
   // their times are start + i h
   for (double i = 0.0; i < count; i += 1.0) {

@@ -24,6 +24,7 @@ struct flex_integrator {
   flex_integrator_record *record;
   const double *floor;      /* least scale */
   const double *fixed_step; /* [s]; 0 = the error decides */
+  int wants_longer_steps;   /* 1 = a step is shorter than what is left of the communication step */
 
   /* numeric state, one after the other in memory: position, rate, what rounding left of both, acceleration, accelerations
    * at the start, the stages and the end of the last step [(stages + 2) n], factor of the mass matrix */
