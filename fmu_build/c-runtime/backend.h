@@ -52,13 +52,16 @@ int flex_backend_begin(flex_backend *backend);
 /* from t0 to t1; where it is refused, the backend is left at the time that it has reached */
 int flex_backend_advance(flex_backend *backend, double t0, double t1);
 
-/* variables by value reference, with checks; where one is refused, nothing has changed */
-int flex_backend_get_real(flex_backend *backend, unsigned index, double *value);
+/* variables by value reference, with checks; where one is refused, nothing has changed. What importers ask for by dozens in
+ * every step comes in arrays: those before the refused one are done */
+int flex_backend_get_reals(flex_backend *backend, const unsigned *index, size_t count, double *value);
 int flex_backend_set_real(flex_backend *backend, unsigned index, double value);
 int flex_backend_get_integer(flex_backend *backend, unsigned index, int *value);
 int flex_backend_set_integer(flex_backend *backend, unsigned index, int value);
-int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int order, double value);
-int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, int order, double *value);
+int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                       const double *value);
+int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                        double *value);
 
 /* directional derivatives */
 int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction);

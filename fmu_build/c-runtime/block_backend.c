@@ -76,9 +76,8 @@ static int is_known(flex_block *block, unsigned index) {
   return !flex_refuse_reference(block->message, index, model->n_inputs + model->n_parameters + model->n_outputs);
 }
 
-int flex_backend_get_real(flex_backend *backend, unsigned index, double *value) {
-  flex_block *block = block_of(backend);
-  unsigned m = (unsigned)block->model->n_inputs, settable = backend->n_settable;
+static int get_real(flex_block *block, unsigned index, double *value) {
+  unsigned m = (unsigned)block->model->n_inputs, settable = m + (unsigned)block->model->n_parameters;
   if (!is_known(block, index)) return 1;
   if (index < m) {
     flex_inputs_evaluate(&block->inputs, block->record->time, 0.0, block->u);
@@ -91,6 +90,12 @@ int flex_backend_get_real(flex_backend *backend, unsigned index, double *value) 
     if (flex_block_need_outputs(block)) return 1;
     *value = block->y[index - settable];
   }
+  return 0;
+}
+
+int flex_backend_get_reals(flex_backend *backend, const unsigned *index, size_t count, double *value) {
+  for (size_t i = 0; i < count; i++)
+    if (get_real(block_of(backend), index[i], &value[i])) return 1;
   return 0;
 }
 
@@ -133,8 +138,7 @@ int flex_backend_set_integer(flex_backend *backend, unsigned index, int value) {
   return flex_refuse(block_of(backend)->message, "integer variable %u counts samples, it cannot be set", index);
 }
 
-int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int order, double value) {
-  flex_block *block = block_of(backend);
+static int set_input_derivative(flex_block *block, unsigned index, int order, double value) {
   const flex_block_model *model = block->model;
   if (index >= (unsigned)model->n_inputs)
     return flex_refuse(block->message, "value reference %u is no input, its derivatives cannot be set", index);
@@ -145,8 +149,17 @@ int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int
   return 0;
 }
 
-int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, int order, double *value) {
+int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                       const double *value) {
+  for (size_t i = 0; i < count; i++)
+    if (set_input_derivative(block_of(backend), index[i], order[i], value[i])) return 1;
+  return 0;
+}
+
+int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                        double *value) {
   (void)index, (void)order, (void)value;
+  if (count == 0) return 0;
   return flex_refuse(block_of(backend)->message, "outputs are held between samples and jump there, they have no derivatives");
 }
 

@@ -6,18 +6,21 @@ static int lacks_arrays(const flex_instance *instance, flex_call_id call, const 
   return flex_lacks(instance, call, "value references", vr, nvr) || flex_lacks(instance, call, "values", value, nvr);
 }
 
+// whether an output is among the variables: before initialisation nothing is computed
+static int has_output(const flex_instance *instance, const fmi2ValueReference *vr, size_t nvr) {
+  unsigned first = instance->backend->n_settable, end = first + instance->backend->n_outputs;
+  for (size_t i = 0; i < nvr; i++)
+    if (vr[i] >= first && vr[i] < end) return 1;
+  return 0;
+}
+
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[]) {
   flex_instance *instance = flex_checked(c, call_fmi2GetReal);
   if (!instance || lacks_arrays(instance, call_fmi2GetReal, vr, value, nvr)) return fmi2Error;
 
-  // before initialisation nothing is computed
-  unsigned first = instance->backend->n_settable, end = first + instance->backend->n_outputs;
-  for (size_t i = 0; i < nvr; i++) {
-    if (flex_phase_of(instance) == INSTANTIATED && vr[i] >= first && vr[i] < end)
-      return flex_log(instance, fmi2Error, LOG_ERROR, "outputs cannot be read before fmi2EnterInitializationMode");
-    if (flex_backend_get_real(instance->backend, vr[i], &value[i])) return flex_log_refusal(instance);
-  }
-  return fmi2OK;
+  if (flex_phase_of(instance) == INSTANTIATED && has_output(instance, vr, nvr))
+    return flex_log(instance, fmi2Error, LOG_ERROR, "outputs cannot be read before fmi2EnterInitializationMode");
+  return flex_backend_get_reals(instance->backend, vr, nvr, value) ? flex_log_refusal(instance) : fmi2OK;
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[]) {
@@ -80,9 +83,8 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
   flex_instance *instance = flex_checked(c, call_fmi2SetRealInputDerivatives);
   if (!instance || lacks_arrays(instance, call_fmi2SetRealInputDerivatives, vr, value, nvr)) return fmi2Error;
   if (flex_lacks(instance, call_fmi2SetRealInputDerivatives, "orders", order, nvr)) return fmi2Error;
-  for (size_t i = 0; i < nvr; i++)
-    if (flex_backend_set_input_derivative(instance->backend, vr[i], order[i], value[i])) return flex_log_refusal(instance);
-  return fmi2OK;
+  int refused = flex_backend_set_input_derivatives(instance->backend, vr, nvr, order, value);
+  return refused ? flex_log_refusal(instance) : fmi2OK;
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
@@ -90,9 +92,8 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
   flex_instance *instance = flex_checked(c, call_fmi2GetRealOutputDerivatives);
   if (!instance || lacks_arrays(instance, call_fmi2GetRealOutputDerivatives, vr, value, nvr)) return fmi2Error;
   if (flex_lacks(instance, call_fmi2GetRealOutputDerivatives, "orders", order, nvr)) return fmi2Error;
-  for (size_t i = 0; i < nvr; i++)
-    if (flex_backend_get_output_derivative(instance->backend, vr[i], order[i], &value[i])) return flex_log_refusal(instance);
-  return fmi2OK;
+  int refused = flex_backend_get_output_derivatives(instance->backend, vr, nvr, order, value);
+  return refused ? flex_log_refusal(instance) : fmi2OK;
 }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,

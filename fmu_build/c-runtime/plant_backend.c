@@ -78,8 +78,11 @@ int flex_backend_advance(flex_backend *backend, double t0, double t1) {
   return explained(backend, "integration", flex_plant_advance(plant_of(backend), t0, t1));
 }
 
-int flex_backend_get_real(flex_backend *backend, unsigned index, double *value) {
-  return flex_get_real(plant_of(backend), index, value);
+int flex_backend_get_reals(flex_backend *backend, const unsigned *index, size_t count, double *value) {
+  flex_plant *plant = plant_of(backend);
+  for (size_t i = 0; i < count; i++)
+    if (flex_get_real(plant, index[i], &value[i])) return 1;
+  return 0;
 }
 
 int flex_backend_set_real(flex_backend *backend, unsigned index, double value) {
@@ -94,12 +97,20 @@ int flex_backend_set_integer(flex_backend *backend, unsigned index, int value) {
   return flex_set_integer(plant_of(backend), index, value);
 }
 
-int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int order, double value) {
-  return flex_set_input_derivative(plant_of(backend), index, order, value);
+int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                       const double *value) {
+  flex_plant *plant = plant_of(backend);
+  for (size_t i = 0; i < count; i++)
+    if (flex_set_input_derivative(plant, index[i], order[i], value[i])) return 1;
+  return 0;
 }
 
-int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, int order, double *value) {
-  return flex_get_output_derivative(plant_of(backend), index, order, value);
+int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                        double *value) {
+  flex_plant *plant = plant_of(backend);
+  for (size_t i = 0; i < count; i++)
+    if (flex_get_output_derivative(plant, index[i], order[i], &value[i])) return 1;
+  return 0;
 }
 
 int flex_backend_differentiate(flex_backend *backend, const flex_direction *direction) {

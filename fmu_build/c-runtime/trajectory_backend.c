@@ -123,9 +123,11 @@ static double signal(trajectory_backend *backend, int order, unsigned index) {
   return backend->signals[(unsigned)(order * n_outputs()) + index];
 }
 
-int flex_backend_get_real(flex_backend *backend, unsigned index, double *value) {
-  if (flex_refuse_reference(whole(backend)->message, index, n_outputs())) return 1;
-  *value = signal(whole(backend), 0, index);
+int flex_backend_get_reals(flex_backend *backend, const unsigned *index, size_t count, double *value) {
+  for (size_t i = 0; i < count; i++) {
+    if (flex_refuse_reference(whole(backend)->message, index[i], n_outputs())) return 1;
+    value[i] = signal(whole(backend), 0, index[i]);
+  }
   return 0;
 }
 
@@ -157,18 +159,27 @@ int flex_backend_set_integer(flex_backend *backend, unsigned index, int value) {
   return 0;
 }
 
-int flex_backend_set_input_derivative(flex_backend *backend, unsigned index, int order, double value) {
+int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                       const double *value) {
   (void)order, (void)value;
-  return flex_refuse(whole(backend)->message, "value reference %u is no input, its derivatives cannot be set", index);
+  if (count == 0) return 0;
+  return flex_refuse(whole(backend)->message, "value reference %u is no input, its derivatives cannot be set", *index);
 }
 
-int flex_backend_get_output_derivative(flex_backend *backend, unsigned index, int order, double *value) {
+static int get_output_derivative(flex_backend *backend, unsigned index, int order, double *value) {
   char *message = whole(backend)->message;
   if (flex_refuse_reference(message, index, n_outputs())) return 1;
   if (order < 1 || order > FLEX_END_ORDER)
     return flex_refuse(message, "derivatives of %s are of order 1 to %d, got order %d",
                        flex_the_trajectory.output_variables[index].name, FLEX_END_ORDER, order);
   *value = signal(whole(backend), order, index);
+  return 0;
+}
+
+int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
+                                        double *value) {
+  for (size_t i = 0; i < count; i++)
+    if (get_output_derivative(backend, index[i], order[i], &value[i])) return 1;
   return 0;
 }
 

@@ -92,13 +92,9 @@ static int is_known(flex_plant *plant, unsigned index) {
   return !flex_refuse_reference(plant->message, index, (int)fixed_step_index(plant) + 1);
 }
 
-int flex_get_real(flex_plant *plant, unsigned index, double *value) {
+int flex_compute_real(flex_plant *plant, unsigned index, double *value) {
   const flex_model *model = plant->model;
-  unsigned m = (unsigned)model->n_inputs, p = (unsigned)model->n_parameters, output = index - m - p;
-  if (output < (unsigned)model->n_outputs && flex_plant_has(plant, FLEX_HAVE_OUTPUTS)) {
-    *value = plant->outputs[output];
-    return 0;
-  }
+  unsigned m = (unsigned)model->n_inputs, p = (unsigned)model->n_parameters;
   if (!is_known(plant, index)) return 1;
   if (index < m) {
     if (failed(plant, "reading inputs", flex_plant_need_inputs(plant))) return 1;
@@ -111,7 +107,7 @@ int flex_get_real(flex_plant *plant, unsigned index, double *value) {
     *value = plant->record->fixed_step;
   } else {
     if (failed(plant, "computing outputs", flex_plant_need_outputs(plant))) return 1;
-    *value = plant->outputs[output];
+    *value = plant->outputs[index - m - p];
   }
   return 0;
 }
@@ -207,14 +203,9 @@ int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, doub
   return 0;
 }
 
-int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, double *value) {
+int flex_compute_output_derivative(flex_plant *plant, unsigned index, int order, double *value) {
   const flex_model *model = plant->model;
-  unsigned output = index - (unsigned)(model->n_inputs + model->n_parameters);
-  if (output < (unsigned)model->n_outputs && (order == 1 || order == 2) &&
-      flex_plant_has(plant, order == 1 ? FLEX_HAVE_FIRST_RATES : FLEX_HAVE_SECOND_RATES)) {
-    *value = (order == 1 ? plant->first_rates : plant->second_rates)[output];
-    return 0;
-  }
+  unsigned output = flex_output_of(model, index);
   if (!is_known(plant, index)) return 1;
   if (output >= (unsigned)model->n_outputs)
     return refuse(plant, "value reference %u is no output, it has no derivatives", index);

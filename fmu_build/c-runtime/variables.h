@@ -21,14 +21,39 @@ enum {
 /* values of `initial` */
 enum { FLEX_STATIC = 1, FLEX_UNDEFORMED = 2 };
 
-int flex_get_real(flex_plant *plant, unsigned index, double *value);
 int flex_set_real(flex_plant *plant, unsigned index, double value);
 int flex_get_integer(flex_plant *plant, unsigned index, int *value);
 int flex_set_integer(flex_plant *plant, unsigned index, int value);
 
-/* time derivatives of inputs and outputs */
+/* time derivative of an input */
 int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, double value);
-int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, double *value);
+
+/* values that may have to be computed first, and time derivatives of outputs */
+int flex_compute_real(flex_plant *plant, unsigned index, double *value);
+int flex_compute_output_derivative(flex_plant *plant, unsigned index, int order, double *value);
+
+/* which output has an index, or a number beyond all outputs */
+static inline unsigned flex_output_of(const flex_model *model, unsigned index) {
+  return index - (unsigned)(model->n_inputs + model->n_parameters);
+}
+
+/* the same, short for what is there: an importer may read dozens of outputs in every step */
+static inline int flex_get_real(flex_plant *plant, unsigned index, double *value) {
+  unsigned output = flex_output_of(plant->model, index);
+  if (output >= (unsigned)plant->model->n_outputs || !flex_plant_has(plant, FLEX_HAVE_OUTPUTS))
+    return flex_compute_real(plant, index, value);
+  *value = plant->outputs[output];
+  return 0;
+}
+
+static inline int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, double *value) {
+  unsigned output = flex_output_of(plant->model, index);
+  int is_first = order == 1, needed = is_first ? FLEX_HAVE_FIRST_RATES : FLEX_HAVE_SECOND_RATES;
+  if (output >= (unsigned)plant->model->n_outputs || order < 1 || order > 2 || !flex_plant_has(plant, needed))
+    return flex_compute_output_derivative(plant, index, order, value);
+  *value = (is_first ? plant->first_rates : plant->second_rates)[output];
+  return 0;
+}
 
 /* the sentence for a failure; `what` begins it */
 void flex_explain(flex_plant *plant, const char *what, const flex_failure *failure);
