@@ -20,7 +20,6 @@
 
 /* limits of a change of the step size, and a change that is worth new factors */
 #define MAX_GROWTH 2.0
-#define MOST_FITTING 4.0
 #define MIN_SHRINK 0.1
 #define WORTHWHILE_SHRINK 0.9
 #define WORTHWHILE_GROWTH 1.15
@@ -56,8 +55,9 @@ void flex_accuracy_calibrate(flex_accuracy *accuracy, const flex_evidence *evide
   accuracy->age = 0;
 }
 
-double flex_fitting_step(double step, double error, double allowed, int order) {
-  if (error * flex_whole_power(MOST_FITTING, order) <= SAFETY * allowed) return MOST_FITTING * step;
+double flex_fitting_step(double step, double suggested, double error, double allowed, int order) {
+  double longest = fmax(MAX_GROWTH * step, suggested);
+  if (error * flex_whole_power(longest / step, order) <= SAFETY * allowed) return longest;
   return step * pow(SAFETY * allowed / error, 1.0 / order);
 }
 

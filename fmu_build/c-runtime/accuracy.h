@@ -38,8 +38,9 @@ double flex_accuracy_error(const flex_accuracy *accuracy, int excess, const flex
 /* takes note of the true error of a step */
 void flex_accuracy_calibrate(flex_accuracy *accuracy, const flex_evidence *evidence, double true_error);
 
-/* step size at which an error of the given order would be what is allowed, with a margin; at most four steps */
-double flex_fitting_step(double step, double error, double allowed, int order);
+/* step size at which an error of the given order would be what is allowed, with a margin; at most the longest that can follow
+ * a step of size `step` where `suggested` was possible before */
+double flex_fitting_step(double step, double suggested, double error, double allowed, int order);
 
 /* step size to go on with after a step of size `step`, where `suggested` was possible before and `fitting` would fit now */
 double flex_next_step(double step, double suggested, double fitting);

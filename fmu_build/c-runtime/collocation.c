@@ -158,7 +158,7 @@ static flex_outcome calibrate(flex_integrator *integrator, const flex_integrator
   }
   double error = flex_error_norm(&integrator->stages, integrator->full_y, integrator->full_v);
   if (!isfinite(error)) return flex_step_reject(integrator, before, FLEX_FAILED_SHRINK * h, FLEX_NOT_FINITE);
-  double fitting = flex_fitting_step(h, error, allowed, integrator->method->local_order);
+  double fitting = flex_fitting_step(h, record->step, error, allowed, integrator->method->local_order);
   double halves_error = error / (ldexp(1.0, order) - 1.0);
   if (halves_error > allowed) {
     *value = halves_error / record->scale;
@@ -189,10 +189,10 @@ static flex_outcome control(flex_integrator *integrator, const flex_integrator_r
   if (!applies && (!is_small || may_be_too_careful(integrator))) return calibrate(integrator, before, t, &evidence, allowed, value);
 
   // step size that would fit, by the better one of the two estimates
-  double fitting = flex_fitting_step(h, evidence.error, allowed, s + 1);
+  double fitting = flex_fitting_step(h, record->step, evidence.error, allowed, s + 1);
   if (applies) {
     double error = flex_accuracy_error(&record->accuracy, method->local_order - (s + 1), &evidence);
-    double sharp_fitting = flex_fitting_step(h, error, allowed, method->local_order);
+    double sharp_fitting = flex_fitting_step(h, record->step, error, allowed, method->local_order);
     *value = error / record->scale;
     if (!is_small && error > allowed) {
       double smaller = flex_smaller_step(h, sharp_fitting, FLEX_INACCURATE_SHRINK);

@@ -104,7 +104,7 @@ flex_outcome flex_explicit_step(flex_integrator *integrator, double t, double h,
   if (outcome != FLEX_DONE) return flex_step_reject(integrator, &before, FLEX_FAILED_SHRINK * h, outcome);
 
   // step size that would fit
-  double fitting = flex_fitting_step(h, error, allowed, integrator->method->local_order);
+  double fitting = flex_fitting_step(h, record->step, error, allowed, integrator->method->local_order);
   if (error > allowed) {
     *value = error / record->scale;
     return flex_step_reject(integrator, &before, flex_smaller_step(h, fitting, FLEX_INACCURATE_SHRINK), FLEX_INACCURATE);

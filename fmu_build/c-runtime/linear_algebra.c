@@ -103,30 +103,34 @@ int flex_lu_factor(int n, double *a, int *pivots) {
   return 0;
 }
 
-void flex_lu_solve(int n, const double *lu, const int *pivots, double *x) {
-  // permute
+static void permute(int n, const int *pivots, double *x) {
   for (int k = 0; k < n; k++) {
     double kept = x[k];
     x[k] = x[pivots[k]];
     x[pivots[k]] = kept;
   }
+}
 
-  // forward substitution, two columns at once
-  for (int k = 0; k + 2 <= n; k += 2) {
-    const double *left = lu + k * n, *right = left + n;
-    x[k + 1] -= x[k] * left[k + 1];
-    add_two(n - k - 2, -x[k], left + k + 2, -x[k + 1], right + k + 2, x + k + 2);
-  }
+// substitution with columns k and k + 1 of the factors
+static inline void forward(int n, int k, const double *lu, double *x) {
+  const double *left = lu + k * n, *right = left + n;
+  x[k + 1] -= x[k] * left[k + 1];
+  add_two(n - k - 2, -x[k], left + k + 2, -x[k + 1], right + k + 2, x + k + 2);
+}
 
-  // backward
-  int k = n - 1;
-  for (; k >= 1; k -= 2) {
-    const double *right = lu + k * n, *left = right - n;
-    x[k] *= right[k];
-    x[k - 1] = (x[k - 1] - x[k] * right[k - 1]) * left[k - 1];
-    add_two(k - 1, -x[k], right, -x[k - 1], left, x);
-  }
-  if (k == 0) x[0] *= lu[0];
+// with columns k and k - 1, or with the first alone
+static inline void backward(int n, int k, const double *lu, double *x) {
+  const double *right = lu + k * n, *left = right - n;
+  x[k] *= right[k];
+  if (k == 0) return;
+  x[k - 1] = (x[k - 1] - x[k] * right[k - 1]) * left[k - 1];
+  add_two(k - 1, -x[k], right, -x[k - 1], left, x);
+}
+
+void flex_lu_solve(int n, const double *lu, const int *pivots, double *x) {
+  permute(n, pivots, x);
+  for (int k = 0; k + 2 <= n; k += 2) forward(n, k, lu, x);
+  for (int k = n - 1; k >= 0; k -= 2) backward(n, k, lu, x);
 }
 
 int flex_complex_lu_factor(int n, double *a, int *pivots) {
@@ -165,19 +169,41 @@ int flex_complex_lu_factor(int n, double *a, int *pivots) {
   return 0;
 }
 
-void flex_complex_lu_solve(int n, const double *lu, const int *pivots, double *x) {
-  // permute
+static void permute_complex(int n, const int *pivots, double *x) {
   for (int k = 0; k < n; k++) swap_rows(1, 0, 2, x, k, pivots[k]);
+}
 
-  // forward, then backward substitution
-  for (int k = 0; k < n; k++) subtract_complex(n - k - 1, x + 2 * k, lu + 2 * (k * n + k + 1), x + 2 * (k + 1));
+// substitution with column k of the factors
+static inline void complex_forward(int n, int k, const double *lu, double *x) {
+  subtract_complex(n - k - 1, x + 2 * k, lu + 2 * (k * n + k + 1), x + 2 * (k + 1));
+}
+
+static inline void complex_backward(int n, int k, const double *lu, double *x) {
+  const double *column = lu + 2 * k * n;
+  double re = column[2 * k], im = column[2 * k + 1];
+  const double value[2] = {x[2 * k] * re - x[2 * k + 1] * im, x[2 * k] * im + x[2 * k + 1] * re};
+  x[2 * k] = value[0];
+  x[2 * k + 1] = value[1];
+  subtract_complex(k, value, column, x);
+}
+
+void flex_complex_lu_solve(int n, const double *lu, const int *pivots, double *x) {
+  permute_complex(n, pivots, x);
+  for (int k = 0; k < n; k++) complex_forward(n, k, lu, x);
+  for (int k = n - 1; k >= 0; k--) complex_backward(n, k, lu, x);
+}
+
+void flex_lu_solve_both(int n, const double *lu, const int *pivots, double *x, const double *complex_lu,
+                        const int *complex_pivots, double *z) {
+  permute(n, pivots, x);
+  permute_complex(n, complex_pivots, z);
+  for (int k = 0; k < n; k++) {
+    if (k % 2 == 0 && k + 2 <= n) forward(n, k, lu, x);
+    complex_forward(n, k, complex_lu, z);
+  }
   for (int k = n - 1; k >= 0; k--) {
-    const double *column = lu + 2 * k * n;
-    double re = column[2 * k], im = column[2 * k + 1];
-    const double value[2] = {x[2 * k] * re - x[2 * k + 1] * im, x[2 * k] * im + x[2 * k + 1] * re};
-    x[2 * k] = value[0];
-    x[2 * k + 1] = value[1];
-    subtract_complex(k, value, column, x);
+    if ((n - 1 - k) % 2 == 0) backward(n, k, lu, x);
+    complex_backward(n, k, complex_lu, z);
   }
 }
 

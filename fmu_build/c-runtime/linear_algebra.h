@@ -17,6 +17,11 @@ void flex_lu_solve(int n, const double *lu, const int *pivots, double *x);
 int flex_complex_lu_factor(int n, double *a, int *pivots);
 void flex_complex_lu_solve(int n, const double *lu, const int *pivots, double *x);
 
+/* x and z replaced by the solutions of a real and a complex system. Either solution is a chain of operations that wait for one
+ * another; side by side they take little longer than one */
+void flex_lu_solve_both(int n, const double *lu, const int *pivots, double *x, const double *complex_lu,
+                        const int *complex_pivots, double *z);
+
 /* A = L L' in place, lower triangle; the diagonal of L is stored inverted. Returns 0, or 1 if A is not positive definite. */
 int flex_cholesky_factor(int n, double *a);
 

@@ -136,37 +136,50 @@ static void real_basis(const flex_tableau *tableau, basis *found) {
   }
 }
 
-// the system of a pair of complex eigenvalues; x: real, then imaginary parts
-static void solve_complex(flex_newton_matrix *matrix, int block, double *x) {
-  int n = matrix->n;
-  double *pairs = matrix->pairs;
+// real parts, then imaginary parts → pairs, and back
+static void to_pairs(int n, const double *x, double *pairs) {
   for (int c = 0; c < n; c++) {
     pairs[2 * c] = x[c];
     pairs[2 * c + 1] = x[n + c];
   }
-  flex_complex_lu_solve(n, factors_of(matrix, block), pivots_of(matrix, block), pairs);
+}
+
+static void from_pairs(int n, const double *pairs, double *x) {
   for (int c = 0; c < n; c++) {
     x[c] = pairs[2 * c];
     x[n + c] = pairs[2 * c + 1];
   }
 }
 
+// the system of a pair of complex eigenvalues; x: real, then imaginary parts
+static void solve_complex(flex_newton_matrix *matrix, int block, double *x) {
+  int n = matrix->n;
+  to_pairs(n, x, matrix->pairs);
+  flex_complex_lu_solve(n, factors_of(matrix, block), pivots_of(matrix, block), matrix->pairs);
+  from_pairs(n, matrix->pairs, x);
+}
+
+// the systems of a real eigenvalue and of a pair of complex ones
+static void solve_both(flex_newton_matrix *matrix, double *x) {
+  int n = matrix->n;
+  to_pairs(n, x + n, matrix->pairs);
+  flex_lu_solve_both(n, factors_of(matrix, 0), pivots_of(matrix, 0), x, factors_of(matrix, 1), pivots_of(matrix, 1),
+                     matrix->pairs);
+  from_pairs(n, matrix->pairs, x + n);
+}
+
 void flex_newton_solve(flex_newton_matrix *matrix, double *x) {
   const flex_tableau *tableau = matrix->tableau;
   int n = matrix->n, s = tableau->stages;
-  double *component = matrix->component;
   basis eigenvectors;
   real_basis(tableau, &eigenvectors);
 
   // components along the eigenvectors, their solutions, back to the stages
   for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.to[i], x, matrix->component + i * n);
-  for (int k = 0; k < tableau->n_blocks; k++) {
-    if (tableau->blocks[k].is_complex)
-      solve_complex(matrix, k, component);
-    else
-      flex_lu_solve(n, factors_of(matrix, k), pivots_of(matrix, k), component);
-    component += tableau->blocks[k].is_complex ? 2 * n : n;
-  }
+  if (tableau->blocks[0].is_complex)
+    for (int k = 0; k < tableau->n_blocks; k++) solve_complex(matrix, k, matrix->component + 2 * k * n);
+  else
+    solve_both(matrix, matrix->component);
   for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.back[i], matrix->component, x + i * n);
 }
 

@@ -35,7 +35,7 @@ typedef struct {
   double a_squared[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
   double at_start[FLEX_MAX_STAGES]; /* value at 0 of the polynomial through the stages */
   double at_end[FLEX_MAX_STAGES];   /* value at 1 */
-  flex_eigenvalue blocks[FLEX_MAX_BLOCKS];
+  flex_eigenvalue blocks[FLEX_MAX_BLOCKS]; /* complex pairs, or a real eigenvalue and then a pair */
 } flex_tableau;
 
 /* whether the last stage is the end of the step */

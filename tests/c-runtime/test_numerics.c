@@ -22,7 +22,7 @@ void test_linear_solvers_invert(void) {
   for (int n = 1; n <= SIZE; n++) {
     double a[SIZE * SIZE], lu[SIZE * SIZE], x[SIZE], b[SIZE], z[2 * SIZE * SIZE], zlu[2 * SIZE * SIZE], zx[2 * SIZE],
         zb[2 * SIZE];
-    int pivots[SIZE];
+    int pivots[SIZE], zpivots[SIZE];
     for (int i = 0; i < n * n; i++) a[i] = random_number(&seed);
     for (int i = 0; i < 2 * n * n; i++) z[i] = random_number(&seed);
     for (int i = 0; i < 2 * n; i++) zb[i] = zx[i] = random_number(&seed);
@@ -40,8 +40,8 @@ void test_linear_solvers_invert(void) {
 
     // complex
     memcpy(zlu, z, sizeof z);
-    CHECK(flex_complex_lu_factor(n, zlu, pivots) == 0);
-    flex_complex_lu_solve(n, zlu, pivots, zx);
+    CHECK(flex_complex_lu_factor(n, zlu, zpivots) == 0);
+    flex_complex_lu_solve(n, zlu, zpivots, zx);
     for (int i = 0; i < n; i++) {
       double re = 0.0, im = 0.0;
       for (int j = 0; j < n; j++) {
@@ -52,6 +52,13 @@ void test_linear_solvers_invert(void) {
       CHECK_CLOSE(re, zb[2 * i], 1e-12);
       CHECK_CLOSE(im, zb[2 * i + 1], 1e-12);
     }
+
+    // both side by side
+    double both[SIZE], zboth[2 * SIZE];
+    memcpy(both, b, sizeof both);
+    memcpy(zboth, zb, sizeof zboth);
+    flex_lu_solve_both(n, lu, pivots, both, zlu, zpivots, zboth);
+    for (int i = 0; i < n; i++) CHECK(both[i] == x[i] && zboth[2 * i] == zx[2 * i] && zboth[2 * i + 1] == zx[2 * i + 1]);
 
     // symmetric: A A' + 1
     double spd[SIZE * SIZE], l[SIZE * SIZE];
