@@ -1,5 +1,6 @@
 #include "refusal.h"
 
+#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 
@@ -30,8 +31,9 @@ int flex_refuse_reference(char *message, unsigned index, int count) {
   return flex_refuse(message, "value reference %u of a real variable is unknown; there are %d", index, count);
 }
 
-int flex_refuse_this_derivative(char *message, const char *name, int order, int highest, double value) {
+int flex_refuse_derivative(char *message, const char *name, int order, int highest, double value) {
   if (order < 1 || order > highest)
     return flex_refuse(message, "derivatives of %s must be of order 1 to %d, got order %d", name, highest, order);
+  if (isfinite(value)) return 0;
   return flex_refuse(message, "derivative %d of %s must be a finite number, got %g", order, name, value);
 }

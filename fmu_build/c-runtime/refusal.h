@@ -2,8 +2,6 @@
 #ifndef FLEXFMU_REFUSAL_H
 #define FLEXFMU_REFUSAL_H
 
-#include <math.h>
-
 #include "model.h"
 
 #define FLEX_MESSAGE_SIZE 512
@@ -20,13 +18,7 @@ int flex_refuse_input(char *message, const flex_variable *variable, double time,
 /* 0 if there are that many real variables */
 int flex_refuse_reference(char *message, unsigned index, int count);
 
-/* refuses the derivative of an input for its order or value */
-int flex_refuse_this_derivative(char *message, const char *name, int order, int highest, double value);
-
 /* 0 if the derivative of an input may have that order and value */
-static inline int flex_refuse_derivative(char *message, const char *name, int order, int highest, double value) {
-  if (order >= 1 && order <= highest && isfinite(value)) return 0;
-  return flex_refuse_this_derivative(message, name, order, highest, value);
-}
+int flex_refuse_derivative(char *message, const char *name, int order, int highest, double value);
 
 #endif

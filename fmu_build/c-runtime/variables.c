@@ -192,15 +192,12 @@ int flex_set_integer(flex_plant *plant, unsigned index, int value) {
   return refuse(plant, "value reference %u of an integer variable is unknown; there are %d", index, FLEX_N_INTEGERS);
 }
 
-int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, double value) {
+int flex_refuse_input_derivative(flex_plant *plant, unsigned index, int order, double value) {
   const flex_model *model = plant->model;
   if (index >= (unsigned)model->n_inputs)
     return refuse(plant, "value reference %u is no input, its derivatives cannot be set", index);
   const char *name = model->input_variables[index].name;
-  if (flex_refuse_derivative(plant->message, name, order, model->max_input_order, value)) return 1;
-  flex_inputs_set_derivative(&plant->inputs, (int)index, plant->record->time, order, value);
-  flex_plant_inputs_changed(plant);
-  return 0;
+  return flex_refuse_derivative(plant->message, name, order, model->max_input_order, value);
 }
 
 int flex_compute_output_derivative(flex_plant *plant, unsigned index, int order, double *value) {

@@ -4,6 +4,8 @@
 #ifndef FLEXFMU_VARIABLES_H
 #define FLEXFMU_VARIABLES_H
 
+#include <math.h>
+
 #include "plant.h"
 
 /* integers: the choices of the start and the integrator, and what that has done */
@@ -25,8 +27,8 @@ int flex_set_real(flex_plant *plant, unsigned index, double value);
 int flex_get_integer(flex_plant *plant, unsigned index, int *value);
 int flex_set_integer(flex_plant *plant, unsigned index, int value);
 
-/* time derivative of an input */
-int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, double value);
+/* 0 if there is such an input, and its derivative may have that order and value */
+int flex_refuse_input_derivative(flex_plant *plant, unsigned index, int order, double value);
 
 /* values that may have to be computed first, and time derivatives of outputs */
 int flex_compute_real(flex_plant *plant, unsigned index, double *value);
@@ -37,7 +39,16 @@ static inline unsigned flex_output_of(const flex_model *model, unsigned index) {
   return index - (unsigned)(model->n_inputs + model->n_parameters);
 }
 
-/* the same, short for what is there: an importer may read dozens of outputs in every step */
+/* an importer may set and read dozens of these in every step: short ways for what is there and needs no words */
+static inline int flex_set_input_derivative(flex_plant *plant, unsigned index, int order, double value) {
+  const flex_model *model = plant->model;
+  int fits = index < (unsigned)model->n_inputs && order >= 1 && order <= model->max_input_order && isfinite(value);
+  if (!fits) return flex_refuse_input_derivative(plant, index, order, value);
+  flex_inputs_set_derivative(&plant->inputs, (int)index, plant->record->time, order, value);
+  flex_plant_inputs_changed(plant);
+  return 0;
+}
+
 static inline int flex_get_real(flex_plant *plant, unsigned index, double *value) {
   unsigned output = flex_output_of(plant->model, index);
   if (output >= (unsigned)plant->model->n_outputs || !flex_plant_has(plant, FLEX_HAVE_OUTPUTS))
