@@ -62,7 +62,12 @@ def run_with(plant: Slave, step: float) -> Timed:
     return timed(simulator.run)
 
 
+IN_A_ROW = 5
+"""Repetitions of a run before the next one has its turn, as in a loop over variants: the first finds caches filled by others."""
+
+
 def best_times(runs: Sequence[Timed], repeat: int) -> list[float]:
-    """Least time of each run in so many rounds; in rounds, because a machine is faster at one moment than at another."""
-    rounds = [[run() for run in runs] for _ in range(repeat)]
+    """Least time of each run in so many rounds of `IN_A_ROW`; in rounds, because a machine is faster at one moment than at
+    another."""
+    rounds = [[min(run() for _ in range(IN_A_ROW)) for run in runs] for _ in range(repeat)]
     return [min(times) for times in zip(*rounds, strict=True)]

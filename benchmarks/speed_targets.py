@@ -8,8 +8,8 @@ from pathlib import Path
 
 from speed_measurements import Peers, Whole, cold_build, overheads, variants
 
-REPEAT = 21
-"""Runs of which the fastest counts."""
+REPEAT = 30
+"""Rounds of runs of which the fastest counts."""
 
 
 @dataclass(frozen=True)
