@@ -186,7 +186,8 @@ static flex_outcome control(flex_integrator *integrator, const flex_integrator_r
   double cheap = flex_accuracy_hold(&record->accuracy, s, cheap_error(integrator, h), h);
   const flex_evidence evidence = {h, cheap, bend(integrator, h)};
   int is_small = evidence.error <= allowed, applies = flex_accuracy_applies(&record->accuracy, &evidence);
-  if (!applies && (!is_small || may_be_too_careful(integrator))) return calibrate(integrator, before, t, &evidence, allowed, value);
+  if (!applies && (!is_small || may_be_too_careful(integrator)))
+    return calibrate(integrator, before, t, &evidence, allowed, value);
 
   // step size that would fit, by the better one of the two estimates
   double fitting = flex_fitting_step(h, record->step, evidence.error, allowed, s + 1);

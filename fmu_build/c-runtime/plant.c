@@ -241,7 +241,7 @@ flex_failure flex_plant_need_inputs(flex_plant *plant) {
 static int go_on(const flex_plant *plant, const double *u) {
   for (int i = 0; i < plant->inputs.count; i++) {
     double reached = fmax(fabs(plant->u[i]), fabs(plant->previous_u[i]));
-    if (fabs(u[i] - plant->u[i]) > INPUT_ROUNDING * reached) return 0;
+    if (!(fabs(u[i] - plant->u[i]) <= INPUT_ROUNDING * reached)) return 0;
   }
   return 1;
 }
