@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable
 
@@ -20,11 +21,14 @@ def count_calls() -> Callable[[Callable[[], object]], int]:
             count += event in ("call", "c_call")
 
         before = sys.getprofile()
+        gc.collect()
+        gc.disable()  # what other tests have left must not be finalised, and counted, here
         sys.setprofile(profile)
         try:
             action()
         finally:
             sys.setprofile(before)
+            gc.enable()
         return count - 2  # the action itself, and the end of counting
 
     return counted
