@@ -58,7 +58,7 @@ def test_open_scene_runs_as_rigid_where_that_will_do(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     choice = summary["effect_choice"]
     assert choice["estimated_error"]["peak_torque_1"] <= 0.2
-    assert summary["health"]["tolerance"] == choice["integrator_tolerance"] == 0.01
+    assert summary["health"]["tolerance"] == choice["integrator_tolerance"] == 0.001
     assert {each["effect"] for each in choice["effects"]} >= {"proximal_bending", "distal_axial", "beam"}
     assert not any(
         name.startswith("link") for name in (tmp_path / "out" / "results.csv").read_text().split("\n")[0].split('"')

@@ -29,9 +29,9 @@ def data(**effects: Any) -> dict[str, Any]:
 
 def test_the_other_half_of_the_tolerance_is_the_integrators() -> None:
     """Half the tolerance goes to the FMU unless the scene gives one, and no looser one than saves time."""
-    assert parse_scene(data(), "test").cosimulation.tolerance == 0.005
-    assert parse_scene(data(tolerance=0.5), "test").cosimulation.tolerance == 0.01
-    assert parse_scene(data(tolerance=2), "test").cosimulation.tolerance == 0.01
+    assert parse_scene(data(tolerance=0.001), "test").cosimulation.tolerance == 0.0005
+    assert parse_scene(data(tolerance=0.5), "test").cosimulation.tolerance == 0.001
+    assert parse_scene(data(tolerance=2), "test").cosimulation.tolerance == 0.001
     own = data()
     own["cosimulation"]["tolerance"] = 1e-7
     assert parse_scene(own, "test").cosimulation.tolerance == 1e-7
