@@ -120,4 +120,4 @@ def test_effects_auto(tmp_path: Path) -> None:
     output = run_example("effects_auto.py", tmp_path)
     assert output.startswith("effects chosen for 2 %: proximal bending 1, distal bending 1")
     assert len(re.findall(r"^  (?:in |out) \w+: .* %  +[+-]\d+$", output, re.MULTILINE)) >= 8
-    assert "tolerance 0.01" in output
+    assert "tolerance 0.001" in output
