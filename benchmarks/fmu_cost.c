@@ -129,8 +129,9 @@ static double least(double a, double b) {
   return a < b ? a : b;
 }
 
-/* what is measured, in this order: counters; runs that go as far; calls of generated functions */
-enum { COUNTERS = 5, RUNS = COUNTERS, FUNCTIONS = RUNS + DEPTHS, FIGURES = FUNCTIONS + 6 };
+/* what is measured, in this order: counters; whether steps end in a stage, 0 or 1; runs that go as far; calls of generated
+ * functions */
+enum { COUNTERS = 5, ENDS_IN_STAGE = COUNTERS, RUNS, FUNCTIONS = RUNS + DEPTHS, FIGURES = FUNCTIONS + 6 };
 
 __attribute__((visibility("default"))) void fmu_cost(const char *path, double tolerance, int integrator, int repeat,
                                                      double *figures) {
@@ -160,6 +161,8 @@ __attribute__((visibility("default"))) void fmu_cost(const char *path, double to
     }
   }
   for (int i = 0; i < COUNTERS; i++) figures[i] = statistics[i];
+  const flex_tableau *collocation = flex_find_method(integrator, tolerance, model->is_damped)->collocation;
+  figures[ENDS_IN_STAGE] = collocation != NULL && flex_ends_in_stage(collocation);
   free(p);
   free((void *)inputs.values);
 }

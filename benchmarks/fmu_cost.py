@@ -38,13 +38,13 @@ CASES = (
     ("automatic", 1e-5),
     ("automatic", 1e-7),
     ("gauss4", 1e-5),
-    ("radau3", 1e-5),
+    ("gauss3", 1e-5),
     ("dopri5", 1e-5),
 )
 
 COUNTERS = ("steps", "rejections", "evaluations", "iterations", "factorisations")
 FUNCTIONS = ("residual", "mass_matrix", "singularity", "outputs", "motion_forward", "motion_rate2")
-FIGURES = (*COUNTERS, "integration", "with_outputs", "whole", *FUNCTIONS)
+FIGURES = (*COUNTERS, "ends_in_stage", "integration", "with_outputs", "whole", *FUNCTIONS)
 """What `fmu_cost.c` gives."""
 
 
@@ -92,13 +92,17 @@ def run(library: CDLL, table: Path, integrator: str, tolerance: float, repeat: i
 
 
 def floors(found: Mapping[str, float], steps: int) -> dict[str, float]:
-    """Times [s] of the generated functions alone: in the integration, with the outputs' values, and with their derivatives."""
-    explicit = found["iterations"] == 0
-    masses = found["evaluations"] if explicit else found["steps"]
+    """Times [s] of the generated functions alone: in the integration, with the outputs' values, and with their derivatives.
+
+    A step that ends in a stage needs no mass matrix; derivatives of outputs then need one.
+    """
+    explicit, ends_in_stage = found["iterations"] == 0, found["ends_in_stage"] == 1.0
+    masses = found["evaluations"] if explicit else 0.0 if ends_in_stage else found["steps"]
     integration = found["evaluations"] * found["residual"] + masses * found["mass_matrix"]
     integration += found["steps"] * found["singularity"]
     with_outputs = integration + steps * found["outputs"]
     whole = with_outputs + steps * (found["motion_forward"] + found["motion_rate2"])
+    whole += steps * found["mass_matrix"] if ends_in_stage else 0.0
     return {"integration_floor": integration, "with_outputs_floor": with_outputs, "whole_floor": whole}
 
 
