@@ -14,7 +14,7 @@ from flexfmu.cosim.loop.loop import Loop
 from flexfmu.cosim.loop.recording import slave_facts
 from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.cosim.master.master import Progress
-from flexfmu.cosim.master.outcome import Simulation
+from flexfmu.cosim.master.outcome import Outcome, Simulation
 from flexfmu.cosim.master.selection import EVERYTHING, Selection
 from flexfmu.cosim.master.simulator import Simulator
 from flexfmu.cosim.master.system import connect
@@ -180,12 +180,13 @@ class PreparedScene:
         return self._simulator
 
     def _result(self, parts: SceneSystem, simulation: Simulation, timing: Timing) -> Run:
-        """Everything about a simulated scene."""
+        """Everything about a simulated scene; where it failed, the values that suggest another unit are named too."""
+        hints = () if simulation.outcome is Outcome.COMPLETED else self._loop.motion.scene.unit_hints
         return Run(
             plan=self._loop.motion,
             recording=self._recording.of(simulation.recording, parts),
             outcome=simulation.outcome,
-            message=simulation.message,
+            message="; ".join((*hints, simulation.message)),
             fmu_path=self._fmu_path,
             communication_step=self._step,
             tolerance=self._tolerance,

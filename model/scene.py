@@ -18,6 +18,10 @@ from flexfmu.model.shaper_sections import ShaperSection
 MAXIMUM_MODES = 40
 """Largest number of modes of one family; far above what the 1e-10 orthogonality of the shapes has been tested for."""
 
+LARGEST_LENGTH, LEAST_DENSITY, LEAST_MODULUS = 10.0, 100.0, 1e8
+"""Beyond these [m, kg/m3, Pa] a value suggests another unit: no robot has such links, no structural material is so light
+or so soft."""
+
 Length = Annotated[float, quantity("m", gt=0.0)]
 LengthOrZero = Annotated[float, quantity("m", ge=0.0)]
 Point = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
@@ -270,11 +274,59 @@ class Scene(Section):
         return self
 
     @model_validator(mode="after")
+    def _transmission_has_a_motor(self) -> Self:
+        effects = self.effects
+        if effects.transmission is not None and self.cosimulation.drive == "torque" and not effects.motor_inertia:
+            raise ValueError(
+                "`effects.transmission` needs `effects.motor_inertia` above 0 kg.m2 where torques drive the robot: a motor "
+                "without inertia behind a spring has no equation of motion; give the inertia, or leave the transmission out"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _modes_agree_with_start_pose(self) -> Self:
         from flexfmu.model.assembly import check_start_pose
 
-        check_start_pose(self.mechanism, self.trajectory.start)
+        try:
+            check_start_pose(self.mechanism, self.trajectory.start)
+        except ValueError as error:
+            raise ValueError("; ".join((str(error), *self.unit_hints))) from None
         return self
+
+    @property
+    def unit_hints(self) -> tuple[str, ...]:
+        """A sentence for each value that suggests another unit, millimetres or GPa for example; none for usual robots.
+
+        They are hints, not errors: soft materials and huge mechanisms can be meant.
+        """
+        mechanism, path = self.mechanism, self.trajectory
+        links = {"proximal": mechanism.proximal, "distal": mechanism.distal}
+        lengths = {f"mechanism.{name}.length": link.length for name, link in links.items()}
+        lengths |= {"mechanism.base_half_distance": mechanism.base_half_distance}
+        lengths |= {"trajectory.height": path.height, "trajectory.width": path.width}
+        hints = [
+            f"`{key}` = {value:g} m is above {LARGEST_LENGTH:g} m: lengths are in m, millimetres are 1e-3 m"
+            for key, value in lengths.items()
+            if value > LARGEST_LENGTH
+        ]
+        hints += [
+            f"`mechanism.{name}.diameter` = {link.diameter:g} m is above half the length, {link.length:g} m: diameters are "
+            f"in m, millimetres are 1e-3 m"
+            for name, link in links.items()
+            if link.diameter > 0.5 * link.length
+        ]
+        material = mechanism.material
+        if material.density < LEAST_DENSITY:
+            hints.append(
+                f"`mechanism.material.density` = {material.density:g} kg/m3 is below {LEAST_DENSITY:g} kg/m3: 1 g/cm3 is "
+                f"1000 kg/m3"
+            )
+        if material.youngs_modulus < LEAST_MODULUS:
+            hints.append(
+                f"`mechanism.material.youngs_modulus` = {material.youngs_modulus:g} Pa is below 1e8 Pa: it is "
+                f"in Pa, 1 GPa is 1e9 Pa"
+            )
+        return tuple(hints)
 
     def replace(self, changes: dict[str, Any]) -> Scene:
         """The scene with values changed by dotted keys, validated anew.

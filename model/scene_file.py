@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+import warnings
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from flexfmu.model.array_example import array_example
-from flexfmu.model.errors import SceneError
+from flexfmu.model.errors import SceneError, SceneWarning
 from flexfmu.model.loop_section import FOLDER
 from flexfmu.model.scene import Scene
 
@@ -32,6 +33,9 @@ def load_scene(source: str | Path) -> Scene:
     Args:
         source: path of a scene file, or a name out of `shipped_scenes`.
 
+    Warns:
+        SceneWarning: a value suggests another unit, see `Scene.unit_hints`.
+
     Raises:
         SceneError: no such scene, not TOML, or a key or value that can't be right.
     """
@@ -40,7 +44,10 @@ def load_scene(source: str | Path) -> Scene:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"not a TOML file: {error} ({label})") from error
-    return parse_scene(data, label, folder)
+    scene = parse_scene(data, label, folder)
+    for hint in scene.unit_hints:
+        warnings.warn(f"{hint} ({label})", SceneWarning, stacklevel=2)
+    return scene
 
 
 def parse_scene(data: dict[str, Any], source: str, folder: Path | None = None) -> Scene:

@@ -23,7 +23,7 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k.
+    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k; a static gain has A = B = C = [].
 
     Attributes:
         A, B, C, D: matrices (n, n), (n, inputs), (outputs, n), (outputs, inputs); anything that NumPy takes.
@@ -77,7 +77,7 @@ def linear_system(
     """A linear system of matrices alone; signals are named ``u[0]``, .. and ``y[0]``, .. unless told otherwise.
 
     Args:
-        A, B, C: two-dimensional.
+        A, B, C: two-dimensional; A = [] makes a static gain, whose B and C don't count.
         D: zero when left out.
         sample_time: [s].
         inputs, outputs: names.
@@ -85,6 +85,9 @@ def linear_system(
     Raises:
         InputError: as for `LinearSystem`.
     """
+    if np.size(A) == 0:  # a static gain: the feedthrough alone says how many inputs and outputs there are
+        rows, columns = (len(outputs), len(inputs)) if D is None else np.atleast_2d(D).shape
+        A, B, C = np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0))
     width, height = np.atleast_2d(B).shape[1], np.atleast_2d(C).shape[0]
     return LinearSystem(
         np.atleast_2d(A),
@@ -104,6 +107,8 @@ def matrix(values: Any, shape: tuple[int, int], name: str) -> RealArray:
         InputError: the shape is wrong, or a number isn't real and finite; the message names it.
     """
     array = np.array(values)
+    if array.size == 0 and 0 in shape:  # [] stands for a matrix without rows or columns
+        array = np.zeros(shape)
     if array.shape != shape:
         raise InputError(
             f"{name} must be {shape[0]} x {shape[1]}, got {' x '.join(map(str, array.shape)) or 'a number'}"

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
+from numbers import Real
+
+import numpy as np
 
 from flexfmu.cosim.controllers.joints import JOINTS, UNITS
 from flexfmu.cosim.errors import InputError
@@ -54,17 +57,18 @@ def joint_channels(
 
     Args:
         kind: position [rad], velocity [rad/s], acceleration [rad/s2] or torque [N.m].
-        initial: value before the first sample for each joint; empty for none.
+        initial: value before the first sample for each joint, a list or an array; empty for none.
         joints: names of the joints.
 
     Raises:
-        InputError: the kind is unknown, or the number of values isn't that of the joints.
+        InputError: the kind is unknown, or the values aren't one number for each joint.
     """
     if kind not in JOINT_UNITS:
         raise InputError(f"joints have {', '.join(JOINT_UNITS)}; got {kind!r}")
-    if initial and len(initial) != len(joints):
-        raise InputError(f"initial must be one value for each of {', '.join(joints)}, got {len(initial)} values")
-    values = initial or [None] * len(joints)
+    given = np.ndim(initial) == 1 and all(each is None or isinstance(each, Real) for each in initial)
+    if not given or len(initial) not in (0, len(joints)):
+        raise InputError(f"initial must be one number for each of {', '.join(joints)}, got {initial!r}")
+    values = [None if each is None else float(each) for each in initial] or [None] * len(joints)
     unit = JOINT_UNITS[kind]
     return tuple(Channel(f"{joint}.{kind}", unit, value) for joint, value in zip(joints, values, strict=True))
 

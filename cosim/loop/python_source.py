@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, reduce
@@ -30,20 +31,29 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
     module_name, _, name = source.partition(":")
     try:
         with _searched(Path(folder), Path.cwd()):
-            found = reduce(getattr, name.split("."), _module(module_name, Path(folder)))
-    except ImportError as error:
-        raise InputError(f"{source!r}: can't import {module_name}: {error}") from error
+            module = _module(module_name, Path(folder))
     except SyntaxError as error:
         raise InputError(f"{source!r}: {module_name} isn't valid Python: {error}") from error
+    except Exception as error:
+        raise InputError(f"{source!r}: can't import {module_name}: {_described(error)}") from error
+    try:
+        found = reduce(getattr, name.split("."), module)
     except AttributeError:
         raise InputError(f"{source!r}: module {module_name} has no {name!r}") from None
     if not callable(found):
         return found
     try:
         return found(**arguments)
-    except (TypeError, ValueError) as error:
+    except Exception as error:
         given = ", ".join(f"{key}={value!r}" for key, value in arguments.items())
-        raise InputError(f"{source}({given}): {error}") from error
+        raise InputError(f"{source}({given}): {_described(error)}") from error
+
+
+def _described(error: Exception) -> str:
+    """Kind, words and place of an error in a user's code."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {error}{where}"
 
 
 def _module(name: str, folder: Path) -> ModuleType:

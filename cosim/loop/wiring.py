@@ -98,7 +98,7 @@ def wire(
     bus.publish_to(plant)
     stuck = bus.pass_through(waiting)
     if stuck:
-        raise WiringError(_nothing_to_pass(stuck[0], bus))
+        raise WiringError(_nothing_to_pass(stuck[0], bus, controllers, plant))
     wiring = bus.finished(plant)
     if controllers and not wiring.feeding:
         raise WiringError(_nothing_arrives(controllers, plant))
@@ -264,11 +264,17 @@ def _nothing_arrives(controllers: Sequence[Slave], plant: Slave) -> str:
     )
 
 
-def _nothing_to_pass(insert: Insert, bus: _Bus) -> str:
-    """Which signal an insert misses."""
+def _nothing_to_pass(insert: Insert, bus: _Bus, controllers: Sequence[Slave], plant: Slave) -> str:
+    """Which signal an insert misses, and what would supply it."""
     missing = bus.missing(insert) or ""
+    outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
+    if missing in _names(plant, "input") and outputs:
+        return (
+            f"{insert.slave.name} acts on {missing}, but the controllers output {', '.join(outputs)}: call the output "
+            f'{missing}, or connect it, connect = {{ "{plant.name}.{missing}" = "{outputs[0]}" }} for example'
+        )
     if missing.endswith(".torque"):
-        return f"{insert.slave.name} acts on {missing}, which nothing puts out: the robot needs a controller"
+        return f"{insert.slave.name} acts on {missing}, which nothing outputs: the robot needs a controller"
     near = get_close_matches(missing, bus.sources, n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(bus.sources)}"
     return f"{insert.slave.name} acts on {missing}, which doesn't exist; {hint}"

@@ -149,6 +149,12 @@ def _ratio(clock: Clock, what: str, step: float) -> Fraction:
     """
     value = clock.offset if what == "offset" else clock.sample_time
     exact = value / step
+    if 0.0 < exact < (1.0 - RATIO_TOLERANCE) / MAXIMUM_RATIO:
+        raise InputError(
+            f"{clock.name}: its {what} of {value:.12g} s is less than 1/{MAXIMUM_RATIO} of the communication step of "
+            f"{step:.12g} s; take at least {step / MAXIMUM_RATIO:.12g} s, or a communication step of at most "
+            f"{value * MAXIMUM_RATIO:.12g} s"
+        )
     ratio = Fraction(exact).limit_denominator(MAXIMUM_RATIO)
     if abs(float(ratio) - exact) <= RATIO_TOLERANCE * exact:
         return ratio

@@ -222,7 +222,7 @@ def _refusal(slaves: Sequence[Slave], ring: Sequence[Variable]) -> AlgebraicLoop
     """The error that names the loop in the direction of the signals."""
     remedy = (
         "put a slave with a state or a sample time into it, declare what has no direct feedthrough, "
-        "or solve it by iteration: connect(.., loops=Anderson())"
+        'or solve it by iteration: cosimulation.loop_solver = "anderson" in a scene, connect(.., loops=Anderson()) in Python'
     )
     return AlgebraicLoopError(f"algebraic loop: {_chain(slaves, ring)}; {remedy}")
 

@@ -54,6 +54,14 @@ def test_discrete_state_space(respond: Respond, states: int, inputs: int, output
     compare(respond, control_block(system), system)
 
 
+@pytest.mark.parametrize("empty", [([], [], []), (np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)))])
+def test_a_static_gain_needs_no_states(respond: Respond, empty: tuple[Any, Any, Any]) -> None:
+    """A = B = C = [] is a static gain, as a scene file or python-control writes one."""
+    system = linear_system(*empty, [[3.0, -2.0]], sample_time=H, inputs=["a", "b"], outputs=["y"])
+    assert system.order == 0
+    np.testing.assert_array_equal(respond(state_space(system), {"a": [1.0, 0.5], "b": [1.0, 2.0]})["y"], [1.0, -2.5])
+
+
 def test_compiled_where_it_pays(respond: Respond) -> None:
     """A controller from an H-infinity synthesis of order 30 is compiled, and the numbers stay."""
     block = control_block(random_system(1, 30, 2, 2))

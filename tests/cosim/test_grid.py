@@ -77,3 +77,11 @@ def test_senseless_grids_are_refused(start: float, stop: float, step: float, pro
     """A step in the wrong unit is an error, not a full memory, and the error names what is wrong."""
     with pytest.raises(InputError, match=problem):
         time_grid(start, stop, step)
+
+
+def test_a_sample_time_far_below_the_step_is_refused_with_values_that_do() -> None:
+    """What is recommended isn't what was given: both recommendations make a grid."""
+    with pytest.raises(InputError, match=r"take at least 2e-07 s, or a communication step of at most 0\.0001 s"):
+        time_grid(0.0, 1e-3, 2e-4, clocks=[Clock("pd", 1e-7)])
+    assert time_grid(0.0, 1e-3, 2e-4, clocks=[Clock("pd", 2e-7)]).times.size == 5001
+    assert time_grid(0.0, 1e-3, 1e-4, clocks=[Clock("pd", 1e-7)]).times.size == 10001

@@ -44,6 +44,18 @@ ALL: dict[str, Callable[..., SymbolicBlock]] = {
 }
 
 
+def test_initial_values_may_be_an_array() -> None:
+    """A measured pose is an array: it starts the channels as a list does."""
+    assert joint_channels("position", np.array([0.25, 2.5])) == POSITIONS
+
+
+@pytest.mark.parametrize("initial", [0.5, [0.1, 0.2, 0.3], np.zeros((2, 2)), ["a", "b"]])
+def test_initial_values_that_fit_no_joints_are_refused(initial: Any) -> None:
+    """One line names the joints and what was given."""
+    with pytest.raises(InputError, match="initial must be one number for each of joint1, joint2, got"):
+        joint_channels("position", initial)
+
+
 @pytest.mark.parametrize("make", ALL.values(), ids=ALL.keys())
 def test_every_block_has_the_names_and_units_of_its_channels(make: Callable[..., SymbolicBlock]) -> None:
     """A receiver finds its signal under the name it knows; the master refuses to wire different units."""
@@ -142,7 +154,7 @@ def test_chain() -> None:
     (lambda: Channel("a", "turns"), r"channel a: unit 'turns' has the unknown symbol 'turns'; known are"),
     (lambda: Channel("a", "rad", np.nan), r"channel a: the initial value must be finite, got nan rad"),
     (lambda: joint_channels("angle"), r"joints have position, velocity, acceleration, torque; got 'angle'"),
-    (lambda: joint_channels("torque", (1.0,)), r"one value for each of joint1, joint2, got 1 values"),
+    (lambda: joint_channels("torque", (1.0,)), r"one number for each of joint1, joint2, got \(1\.0,\)"),
     (lambda: chain([TORQUE], "pd"), r"leads from one slave to another, got \['pd'\]"),
     (lambda: saturation([], -1.0, 1.0, sample_time=H), "needs at least one channel"),
     (lambda: saturation([TORQUE, TORQUE], -1.0, 1.0, sample_time=H), "two variables are named 'joint1.torque.input'"),

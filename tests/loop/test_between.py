@@ -238,6 +238,20 @@ def test_own_sources_that_fail_are_named(robot: Scene, source: str, message: str
         run_scene(robot.replace({"controller": [{"kind": "python", "source": source}]}))
 
 
+def test_own_sources_that_raise_are_one_line(robot: Scene, tmp_path: Path) -> None:
+    """Whatever a user's class or module raises becomes a message with its kind, words, file and line."""
+    (tmp_path / "broken_class.py").write_text("class Mine:\n    def __init__(self):\n        raise KeyError('gain')\n")
+    (tmp_path / "broken_module.py").write_text("1 / 0\n")
+    expected = {
+        "broken_class": r"Mine\(\): KeyError: 'gain' \(.*broken_class\.py, line 3\)",
+        "broken_module": r"can't import broken_module: ZeroDivisionError: .* \(.*broken_module\.py, line 1\)",
+    }
+    for module, message in expected.items():
+        section = {"kind": "python", "source": f"{module}:Mine", "folder": str(tmp_path)}
+        with pytest.raises(InputError, match=message):
+            run_scene(robot.replace({"controller": [section]}))
+
+
 def test_state_space_and_state_feedback_from_the_scene_file(robot: Scene) -> None:
     """Matrices of the file are the controller; LQG weights of the file make one that arrives."""
     gain = 1e4

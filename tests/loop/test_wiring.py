@@ -132,6 +132,12 @@ def test_explicit_connections_come_first() -> None:
         ([], [Names("n", ["q"], [])], {}, "n has no outputs"),
         ([], [Names("n", ["qq"], ["qq"])], {}, "n acts on qq, which doesn't exist; did you mean 'q'"),
         ([], [Names("n", ["a.torque"], ["a.torque"])], {}, "needs a controller"),
+        (
+            [Names("c", ["q"], ["u1"])],
+            [Names("n", ["torque"], ["torque"])],
+            {},
+            r"output c\.u1: call the output torque, or",
+        ),
         ([], [Names("n", ["q"], ["q"])], {}, "^n acts on q, which nothing takes: add a controller, or leave n out$"),
         ([], [Names("m", ["q"], ["q"]), Names("n", ["q"], ["q"])], {}, "^n acts on q"),
         ([], [Names("s", ["q.reference"], ["shaped.q.reference"])], {}, "^s acts on q.reference, which nothing takes"),

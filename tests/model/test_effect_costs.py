@@ -115,7 +115,10 @@ EFFECTS = {
         parameters=frozenset({"joint_friction.viscous"}),
     ),
     "elastic transmissions": Effect(
-        {"effects.transmission": {"stiffness": 1e4}}, {}, states=4, parameters=frozenset({"transmission.stiffness"})
+        {"effects.transmission": {"stiffness": 1e4}, "effects.motor_inertia": 0.1},
+        {},
+        states=4,
+        parameters=frozenset({"transmission.stiffness", "motor_inertia"}),
     ),
 }
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.model.errors import SceneError
+from flexfmu.model.errors import SceneError, SceneWarning
 from flexfmu.model.scene import ModalDamping, NoDamping
 from flexfmu.model.scene_file import load_scene, shipped_scenes
 
@@ -111,6 +111,14 @@ WRONG_VALUES = {
     "tolerance below rounding": (
         {"cosimulation.tolerance": 1e-30},
         r"`cosimulation\.tolerance` must be at least 1e-13, got 1e-30",
+    ),
+    "spring without a motor behind it": (
+        {"cosimulation.drive": "torque", "effects.transmission": {"stiffness": 1e4}},
+        r"`effects\.transmission` needs `effects\.motor_inertia` above 0 kg\.m2",
+    ),
+    "millimetres": (
+        {"mechanism.base_half_distance": 100.0, "mechanism.proximal.length": 240.0, "mechanism.distal.length": 380.79},
+        r"a leg reaches .*; `mechanism\.proximal\.length` = 240 m is above 10 m: lengths are in m, millimetres are 1e-3 m",
     ),
     "unknown beam theory": ({"effects.beam": "thick"}, r"`effects\.beam` must be 'euler-bernoulli' or 'timoshenko'"),
     "unknown basis": ({"effects.basis": "finite-elements"}, r"must be 'assumed-modes' or 'craig-bampton'"),
@@ -247,3 +255,25 @@ def test_values_have_no_keys() -> None:
     """A dotted key that goes on below a value is told with that value."""
     with pytest.raises(SceneError, match=r"payload\.mass\.x: mass is the value 6\.0, not a section"):
         load_scene("barnard2012-6kg").replace({"payload.mass.x": 3})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "hint"),
+    [
+        ("youngs_modulus = 70e9", "youngs_modulus = 210.0", r"= 210 Pa is below 1e8 Pa: it is in Pa, 1 GPa is 1e9 Pa"),
+        ("density = 2710.0", "density = 2.71", r"= 2\.71 kg/m3 is below 100 kg/m3: 1 g/cm3 is 1000 kg/m3"),
+        (
+            "diameter = 0.035",
+            "diameter = 35.0",
+            r"`mechanism\.proximal\.diameter` = 35 m is above half the length, 0\.24 m",
+        ),
+    ],
+)
+def test_values_that_suggest_another_unit_are_hinted_at(tmp_path: Path, old: str, new: str, hint: str) -> None:
+    """Soft, light or thick links can be meant, so the scene is read; the warning names key, value and the likely unit."""
+    path = tmp_path / "scene.toml"
+    path.write_text(shipped_text().replace(old, new, 1))
+    with pytest.warns(SceneWarning, match=hint):
+        scene = load_scene(path)
+    assert load_scene("barnard2012-6kg").unit_hints == ()
+    assert all(each.startswith("`mechanism.") for each in scene.unit_hints)
