@@ -9,6 +9,7 @@ from math import isfinite
 from numbers import Real
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.controllers.joints import JOINTS, UNITS
 from flexfmu.cosim.errors import InputError
@@ -51,7 +52,7 @@ class Channel:
 
 
 def joint_channels(
-    kind: str, initial: Sequence[float | None] = (), joints: Sequence[str] = JOINTS
+    kind: str, initial: Sequence[float | None] | NDArray[np.float64] = (), joints: Sequence[str] = JOINTS
 ) -> tuple[Channel, ...]:
     """The joints' channels ``joint1.<kind>``, ``joint2.<kind>``.
 
@@ -65,10 +66,11 @@ def joint_channels(
     """
     if kind not in JOINT_UNITS:
         raise InputError(f"joints have {', '.join(JOINT_UNITS)}; got {kind!r}")
-    given = np.ndim(initial) == 1 and all(each is None or isinstance(each, Real) for each in initial)
-    if not given or len(initial) not in (0, len(joints)):
+    starts = list(initial) if isinstance(initial, Sequence | np.ndarray) and np.ndim(np.asarray(initial)) == 1 else [""]
+    numbers = all(each is None or isinstance(each, Real) for each in starts)
+    if not numbers or len(starts) not in (0, len(joints)):
         raise InputError(f"initial must be one number for each of {', '.join(joints)}, got {initial!r}")
-    values = [None if each is None else float(each) for each in initial] or [None] * len(joints)
+    values = [None if each is None else float(each) for each in starts] or [None] * len(joints)
     unit = JOINT_UNITS[kind]
     return tuple(Channel(f"{joint}.{kind}", unit, value) for joint, value in zip(joints, values, strict=True))
 
