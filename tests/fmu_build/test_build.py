@@ -123,6 +123,16 @@ def test_changed_sources_are_another_build(make_oscillators: MakeModel, monkeypa
     assert not build_fmu(make_oscillators, key="oscillators").cached
 
 
+def test_another_compiler_is_another_build(make_oscillators: MakeModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever names a compiler gets its FMU, or its error, never what another compiler once built."""
+    monkeypatch.setenv("CC", "cc")
+    assert not build_fmu(make_oscillators, key="oscillators").cached
+    assert build_fmu(_never, key="oscillators").cached
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(MissingCompilerError, match="'no-such-compiler' of the variable CC"):
+        build_fmu(_never, key="oscillators")
+
+
 @pytest.mark.parametrize("damage", [b"", b"not a zip", None], ids=["empty", "text", "flipped"])
 def test_damaged_cache_entry_is_built_again(make_oscillators: MakeModel, damage: bytes | None) -> None:
     """A crashed disk or a curious person does not break anything."""

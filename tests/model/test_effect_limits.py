@@ -240,3 +240,26 @@ def test_proportional_damping_gives_rayleighs_ratios(damping: dict[str, object],
     omega = 2 * np.pi * modes.frequencies
     expected = float(damping.get("rate", 0.0)) / (2 * omega) + float(damping.get("time", 0.0)) * omega / 2  # type: ignore[arg-type]
     np.testing.assert_allclose(modes.ratios, expected, rtol=1e-6)
+
+
+def test_modal_damping_of_the_paper_s_shapes() -> None:
+    """C_ii = 2 zeta sqrt(K_ii M_ii) of each link's own modes, nothing else: M = rho A l / sigma², sigma from Blevins (1979),
+    table 8-1, and K = M beta⁴ EI/(rho A l⁴) in bending; M = rho A l / 2 and K = (k - 1/2)² pi² EA/(2 l) along the axis."""
+    scene = load_scene("barnard2012-6kg").replace({"effects.damping": {"kind": "modal", "ratio": 0.2}})
+    joints = motor_angles(scene.mechanism, POSE)
+    model, u = numeric_model(scene), standstill(joints)
+    v, still = casadi.SX.sym("v", model.n), np.zeros(model.n)
+    force = casadi.jacobian(model.elastic_forces(still, v, still, u), v)
+    damping = casadi.Function("damping", [v], [force])(still).full()
+
+    def mass(group: str) -> float:
+        link = getattr(scene.mechanism, group)
+        return float(scene.mechanism.material.density * np.pi / 4 * link.diameter**2 * link.length)
+
+    beta = np.array([1.87510407, 4.69409113, 7.85475744])
+    sigma = np.array([0.734095514, 1.018467319, 0.999224497])
+    bending = mass("proximal") / sigma**2 * wave_speeds(scene, "proximal")[0] * beta**2
+    speed = np.sqrt(scene.mechanism.material.youngs_modulus / scene.mechanism.material.density)
+    axial = mass("distal") / 2 * (np.arange(3) + 0.5) * np.pi * speed / scene.mechanism.distal.length
+    expected = np.diag(0.4 * np.concatenate([bending, axial, bending, axial]))
+    np.testing.assert_allclose(damping, expected, rtol=1e-8, atol=1e-12 * expected.max())
