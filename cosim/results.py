@@ -1,4 +1,4 @@
-"""Results of a co-simulation: signals over time, in memory and as the CSV file that fmpy reads and plots."""
+"""Results of a co-simulation: signals over time, in memory and as the CSV file that fmpy reads."""
 
 from __future__ import annotations
 
@@ -80,10 +80,13 @@ class Recording:
         return Recording(self.time, {name: column for name, column in self.columns.items() if keeps(name)})
 
     def write_csv(self, path: str | os.PathLike[str]) -> Path:
-        """Write time and values (not the derivatives) as `fmpy.util.read_csv` reads and `fmpy.util.plot_result` plots.
+        """Write time and values (not the derivatives) as `fmpy.util.read_csv` reads them.
 
         Names are quoted, ``time`` comes first, values are the shortest that read back exactly. fmpy splits the header
         at every comma, so ``der(x,2)`` is written ``der(x;2)``. The file appears whole or not at all.
+
+        `fmpy.util.plot_result` plots the columns in its argument ``names``, at most 17: without names it takes the first
+        19, and plotly refuses that many rows at fmpy's spacing (fmpy 0.3.32).
 
         Raises:
             ResultsError: the file can't be written, with the system's reason.

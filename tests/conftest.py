@@ -1,12 +1,48 @@
-"""What tests of everything use: how much work something is, counted instead of timed."""
+"""What tests of everything use: tools that must not be missing where they can be had, and how much work something is, counted
+instead of timed."""
 
 from __future__ import annotations
 
 import gc
+import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from typing import TypeVar
 
 import pytest
+
+TOOLS_REQUIRED = os.environ.get("FLEXFMU_REQUIRE_TOOLS", "0") not in ("", "0")
+"""Whether a test that misses a tool fails instead of being skipped; `.ci/run` sets the variable where `.ci/tools` gets them."""
+
+NO_TOOL_HELPS = re.compile(
+    "ELF|on Linux|POSIX|this system has no|root may|the reference is linux64|builds for .* here|source tree"
+    "|OMSimulator"  # its package fetches binaries from a server of its own while it is installed
+)
+"""In the reasons of tests that are skipped for another cause than a missing tool."""
+
+
+Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Where tools are required a skipped test fails, unless no tool would help."""
+    return _required((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """The same for whole files."""
+    return _required((yield))
+
+
+def _required(report: Report) -> Report:
+    is_expected = hasattr(report, "wasxfail")
+    if TOOLS_REQUIRED and report.skipped and not is_expected and not NO_TOOL_HELPS.search(report.longreprtext):
+        report.outcome = "failed"
+        report.longrepr = f"{report.longreprtext}: FLEXFMU_REQUIRE_TOOLS asks for every tool; .ci/tools gets them"
+    return report
 
 
 @pytest.fixture

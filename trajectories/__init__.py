@@ -12,6 +12,7 @@ from flexfmu.trajectories.profiles import (
     Profile,
     ProfilePiece,
     SeventhDegreePolynomial,
+    SmoothPiece,
     Trapezoidal,
     evaluate_profile,
 )
@@ -35,6 +36,7 @@ __all__ = [
     "ProfilePiece",
     "SeventhDegreePolynomial",
     "Side",
+    "SmoothPiece",
     "TaskTrajectory",
     "Trajectory",
     "TrajectoryError",

@@ -18,6 +18,24 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Array, Jet, checked_order
 
 
+class SmoothPiece(Protocol):
+    """A smooth σ(η) for start ≤ η ≤ end, both fractions of the duration."""
+
+    @property
+    def start(self) -> float: ...
+
+    @property
+    def end(self) -> float: ...
+
+    def jet(self, eta: Array, order: int) -> Jet:
+        """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
+        ...
+
+    def value(self, eta: float) -> float:
+        """σ at one fraction of the duration."""
+        ...
+
+
 @dataclass(frozen=True)
 class ProfilePiece:
     """A polynomial σ(η) for start ≤ η ≤ end, expanded about ``centre`` so that it is accurate there.
@@ -49,11 +67,11 @@ class ProfilePiece:
 
 
 class Profile(Protocol):
-    """A monotonic motion from σ(0) = 0 to σ(1) = 1, at rest at both ends, piecewise polynomial."""
+    """A monotonic motion from σ(0) = 0 to σ(1) = 1, at rest at both ends, piecewise smooth."""
 
     @property
-    def pieces(self) -> tuple[ProfilePiece, ...]:
-        """Polynomials in the order of time, from 0 to 1."""
+    def pieces(self) -> tuple[SmoothPiece, ...]:
+        """In the order of time, from 0 to 1."""
         ...
 
     @property

@@ -15,7 +15,7 @@ from flexfmu.trajectories.checks import positive, times
 from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side, placed
 from flexfmu.trajectories.jets import Array, Jet, checked_order, compose, joined, stack, unstack
 from flexfmu.trajectories.path import PickAndPlacePath
-from flexfmu.trajectories.profiles import Profile, ProfilePiece, time_at
+from flexfmu.trajectories.profiles import Profile, SmoothPiece, time_at
 
 SAME_TIME = 1e-12
 """Fraction of the duration within which two times are the same: breakpoints that near are merged, and a time that
@@ -84,7 +84,7 @@ class Interval(NamedTuple):
     """A time interval in which the motion is analytic."""
 
     start: float
-    profile: ProfilePiece
+    profile: SmoothPiece
     piece: PlacedPiece
     piece_start: float
 

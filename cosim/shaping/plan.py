@@ -7,12 +7,14 @@ from dataclasses import replace
 
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.model.forward_kinematics import RigidForwardKinematics
+from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.joint import JointTrajectory, check_margins
 from flexfmu.trajectories.shapers.deviation import path_deviation
 from flexfmu.trajectories.shapers.end_effector import EndEffectorTrajectory
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.shapers.shaped import ShapedTrajectory
 from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
+from flexfmu.trajectories.trajectory import TaskTrajectory
 
 
 def shape_joints(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
@@ -28,12 +30,14 @@ def shape_joints(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
 
 
 def shape_path(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
-    """The scene's motion along its path with shaped s(t); the rigid end effector keeps to the path.
+    """The motion along its path with shaped s(t), once more where it is shaped so already; the rigid end effector keeps to the path.
 
     Raises:
-        TrajectoryError: negative impulses make the motion go backwards.
+        TrajectoryError: negative impulses make the motion go backwards, or the joint references are shaped already.
     """
-    task = shape_along_path(motion.along_path, sequence)
+    if not isinstance(motion.task, TaskTrajectory):
+        raise TrajectoryError("shaped joint references leave the path: shape the motion along the path first")
+    task = shape_along_path(motion.task, sequence)
     return replace(motion, task=task, joints=JointTrajectory(task, motion.kinematics))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from itertools import pairwise
 from pathlib import Path
 
@@ -164,10 +165,18 @@ def test_an_fmu_without_the_effect_is_refused(scene: Scene, run: Run) -> None:
 
 
 def test_fmpy_reads_the_results(run: Run, tmp_path: Path) -> None:
-    """The CSV file of a real run, with its names in brackets, is one table for fmpy."""
+    """The CSV file of a real run, with its names in brackets, is one table for fmpy, which plots as many columns as the
+    documentation says."""
     table = fmpy.util.read_csv(run.recording.write_csv(tmp_path / "results.csv"))
     assert len(table.dtype.names) == 1 + len(run.recording.columns)
     np.testing.assert_array_equal(table["link11.bending[1]"], run.recording["link11.bending[1]"].values)
+    names = table.dtype.names[1:18]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # plotly's own
+        figure = fmpy.util.create_plotly_figure(table.copy(), names=names)
+        with pytest.raises(ValueError, match="19 rows"):  # once fmpy plots them all, the documentation may say so
+            fmpy.util.create_plotly_figure(table)
+    assert len(figure.data) == len(names)
 
 
 def test_an_fmu_goes_back_to_a_saved_state(run: Run) -> None:

@@ -1,4 +1,4 @@
-"""Recordings: jumps have two sides, and the CSV file is what fmpy reads and plots."""
+"""Recordings: jumps have two sides, and the CSV file is what fmpy reads."""
 
 from __future__ import annotations
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
 from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.cosim.shaping.plan import shape_joints, shape_path
 from flexfmu.model.forward_kinematics import RigidForwardKinematics
 from flexfmu.model.scene_file import load_scene
 from flexfmu.trajectories import BangBang, JointTrajectory, TaskTrajectory, Trapezoidal
 from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Jet, sin
 from flexfmu.trajectories.profiles import evaluate_profile
 from flexfmu.trajectories.shapers import (
     SHAPERS,
@@ -178,3 +182,53 @@ def test_shaped_tasks_make_joint_trajectories(profile: BangBang | Trapezoidal) -
     joints = JointTrajectory(shape_along_path(task, design("zvd", [MODE])), nominal.kinematics)
     angles = joints.evaluate(np.linspace(0.0, joints.duration, 500), 0)[0]
     assert np.max(np.abs(np.diff(angles, axis=0))) < 0.05
+
+
+@dataclass(frozen=True)
+class _Cycloid:
+    """σ = η - sin(2 π η)/(2 π), no polynomial."""
+
+    start: float = 0.0
+    end: float = 1.0
+
+    def jet(self, eta: np.ndarray, order: int) -> Jet:
+        x = Jet.variable(eta, order)
+        return x - sin(2.0 * np.pi * x) / (2.0 * np.pi)
+
+    def value(self, eta: float) -> float:
+        return float(self.jet(np.array([eta]), 0).value[0])
+
+
+@dataclass(frozen=True)
+class _CycloidalProfile:
+    pieces = (_Cycloid(),)
+    jumps = ()
+
+
+@pytest.mark.parametrize("name", ["zvd", "um-zv"])
+def test_any_smooth_profile_is_shaped_along_the_path(name: str) -> None:
+    """A profile that is no polynomial is shaped like the others: s(t) = Σ A_i s(t - T_i), by the formula of the cycloid."""
+    nominal = plan(load_scene("barnard2012-6kg"))
+    task = TaskTrajectory(nominal.along_path.path, _CycloidalProfile(), nominal.duration)
+    sequence = design(name, [MODE])
+    shaped = shape_along_path(task, sequence)
+    time = np.linspace(0.0, shaped.duration, 333)
+    eta = np.clip((time - np.array(sequence.times)[:, None]) / nominal.duration, 0.0, 1.0)
+    speed, amplitudes = (1.0 - np.cos(2.0 * np.pi * eta)) / nominal.duration, np.array(sequence.amplitudes)
+    found = evaluate_profile(shaped.profile, time / shaped.duration, 1).rescale(1.0 / shaped.duration).derivatives()
+    np.testing.assert_allclose(found[0], amplitudes @ (eta - np.sin(2.0 * np.pi * eta) / (2.0 * np.pi)), atol=1e-14)
+    np.testing.assert_allclose(found[1], amplitudes @ speed, atol=1e-12 * speed.max())
+    assert path_deviation(shaped, task.path) < 1e-15
+    with pytest.raises(TrajectoryError, match="go backwards"):
+        shape_along_path(task, design("um-zv", [Oscillator(0.5)]))
+
+
+def test_two_shapers_along_the_path_are_both_applied(motion: MotionPlan) -> None:
+    """One after the other they are the shaper of both sequences convolved; on shaped joints there is no path to keep."""
+    first, second = design("zv", [MODE]), design("zv", [Oscillator(120.0, 0.05)])
+    twice = shape_path(shape_path(motion, first), second)
+    once = shape_path(motion, first.convolve(second))
+    time = np.linspace(0.0, once.duration, 200)
+    np.testing.assert_allclose(twice.joints.evaluate(time, 0), once.joints.evaluate(time, 0), atol=1e-12)
+    with pytest.raises(TrajectoryError, match="along the path first"):
+        shape_path(shape_joints(motion, first), second)

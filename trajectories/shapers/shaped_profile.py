@@ -8,17 +8,20 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from flexfmu.trajectories.checks import positive
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.profiles import Profile, ProfilePiece
+from flexfmu.trajectories.jets import Array, Jet
+from flexfmu.trajectories.profiles import Profile, SmoothPiece
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.shapers.shaped import merged
 from flexfmu.trajectories.trajectory import SAME_TIME, TaskTrajectory
 
 BACKWARDS = 1e-9
 """Slowest relative speed along the path that counts as going backwards, not as rounding."""
+
+SAMPLES, REFINEMENTS = 65, 3
+"""Points between two joins at which the speed is looked at, and rounds in which its smallest one is surrounded anew."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,8 @@ class ShapedProfile:
             self._check_direction()
 
     @cached_property
-    def pieces(self) -> tuple[ProfilePiece, ...]:
-        """Polynomials between all shifted joins."""
+    def pieces(self) -> tuple[SmoothPiece, ...]:
+        """Sums of shifted pieces between all shifted joins."""
         joins = self._shifted([edge for piece in self.profile.pieces for edge in (piece.start, piece.end)])
         return tuple(self._piece(start, end) for start, end in pairwise(merged([0.0, 1.0], joins, SAME_TIME)))
 
@@ -68,23 +71,17 @@ class ShapedProfile:
     def _shifted(self, fractions: Sequence[float]) -> list[float]:
         return [delay + self._share * fraction for delay in self._delays for fraction in fractions]
 
-    def _piece(self, start: float, end: float) -> ProfilePiece:
-        """The sum between two neighbouring joins, expanded about the outer end or about its middle."""
-        middle = 0.5 * (start + end)
-        centre = 0.0 if start == 0.0 else 1.0 if end == 1.0 else middle
-        total = Polynomial([0.0])
+    def _piece(self, start: float, end: float) -> SmoothPiece:
+        """The sum between two neighbouring joins: motions under way, and what those at their end amount to."""
+        terms, done = [], 0.0
         for delay, amplitude in zip(self._delays, self.sequence.amplitudes, strict=True):
-            total += amplitude * self._term((middle - delay) / self._share, (centre - delay) / self._share)
-        if end == 1.0:
-            total.coef[0] = 1.0
-        return ProfilePiece(start, end, centre, tuple(float(c) for c in total.coef))
-
-    def _term(self, inside: float, centre: float) -> Polynomial:
-        """σ in the piece that contains the fraction ``inside``, expanded about ``centre`` and stretched."""
-        if inside <= 0.0 or inside >= 1.0:
-            return Polynomial([float(inside >= 1.0)])
-        piece = next(piece for piece in self.profile.pieces if inside <= piece.end)
-        return Polynomial(piece.coefficients)(Polynomial([centre - piece.centre, 1.0 / self._share]))
+            inside = (0.5 * (start + end) - delay) / self._share
+            if 0.0 < inside < 1.0:
+                terms.append((amplitude, delay, next(p for p in self.profile.pieces if inside <= p.end)))
+            done += amplitude * (inside >= 1.0)
+        if end == 1.0:  # the end is 1 to the last bit but one, whatever the amplitudes' sum is rounded to
+            done = 1.0 - sum(amplitude for amplitude, _, _ in terms)
+        return _Sum(start, end, tuple(terms), done, self._share)
 
     def _check_direction(self) -> None:
         for piece in self.pieces:
@@ -97,19 +94,47 @@ class ShapedProfile:
                 )
 
 
+@dataclass(frozen=True)
+class _Sum:
+    """Σ A_i σ((η - delay_i) / share) + what is done, between two joins.
+
+    Attributes:
+        start, end: fractions of the longer duration.
+        terms: amplitude, delay as a fraction of the longer duration, and the piece of σ that is under way.
+        done: sum of the amplitudes whose motion is over.
+        share: duration of σ as a fraction of the longer one.
+    """
+
+    start: float
+    end: float
+    terms: tuple[tuple[float, float, SmoothPiece], ...]
+    done: float
+    share: float
+
+    def jet(self, eta: Array, order: int) -> Jet:
+        """See `SmoothPiece.jet`."""
+        total = Jet.constant(np.full(eta.shape, self.done), order)
+        for amplitude, delay, piece in self.terms:
+            total += amplitude * piece.jet((eta - delay) / self.share, order).rescale(1.0 / self.share)
+        return total
+
+    def value(self, eta: float) -> float:
+        """See `SmoothPiece.value`."""
+        return self.done + sum(a * piece.value((eta - delay) / self.share) for a, delay, piece in self.terms)
+
+
 def shape_along_path(task: TaskTrajectory, sequence: ImpulseSequence) -> TaskTrajectory:
     """The same path, run through with the shaped motion s(t); longer by the sequence's duration."""
     profile = ShapedProfile(task.profile, sequence, task.duration)
     return TaskTrajectory(task.path, profile, task.duration + sequence.duration)
 
 
-def _slowest(piece: ProfilePiece) -> tuple[float, float]:
+def _slowest(piece: SmoothPiece) -> tuple[float, float]:
     """Fraction of the duration at which the speed of a piece is smallest, and that speed."""
-    polynomial = Polynomial(piece.coefficients)
-    turning = polynomial.deriv(2).roots()
-    real = turning[np.abs(turning.imag) < SAME_TIME].real + piece.centre
-    inside = real[(real > piece.start) & (real < piece.end)]
-    fractions = np.concatenate([[piece.start, piece.end], inside])
-    speeds = polynomial.deriv()(fractions - piece.centre)
+    eta = np.linspace(piece.start, piece.end, SAMPLES)
+    for _ in range(REFINEMENTS):
+        slowest = int(np.argmin(piece.jet(eta, 1).derivatives()[1]))
+        eta = np.linspace(eta[max(slowest - 1, 0)], eta[min(slowest + 1, SAMPLES - 1)], SAMPLES)
+    speeds = piece.jet(eta, 1).derivatives()[1]
     slowest = int(np.argmin(speeds))
-    return float(fractions[slowest]), float(speeds[slowest])
+    return float(eta[slowest]), float(speeds[slowest])
