@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from flexfmu.model.section import Seconds, SecondsOrZero, Section, named_kind, quantity
 
 Tolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
 
-LEAST_TOLERANCE = 1e-13
-"""Smallest relative tolerance of the FMU: below it the rounding errors of its equations decide."""
+LEAST_TOLERANCE = 1e-12
+"""Smallest relative tolerance of the FMU: below it the steps that it asks for are those of rounding errors, so that all give the
+same result."""
 
-FmuTolerance = Annotated[float, quantity("1", ge=LEAST_TOLERANCE, le=0.1)]
+
+def _achievable(tolerance: float) -> float:
+    if tolerance < LEAST_TOLERANCE:
+        raise ValueError(
+            f"must be at least {LEAST_TOLERANCE:g}, got {tolerance:g}: below, rounding errors decide and the result stays the same"
+        )
+    return tolerance
+
+
+FmuTolerance = Annotated[float, AfterValidator(_achievable), quantity("1", le=0.1)]
 
 
 class StepControl(Section):

@@ -7,8 +7,8 @@
 #include "state_space.h"
 #include "variables.h"
 
-/* smallest relative tolerance: below it the rounding errors of the equations decide */
-#define LEAST_TOLERANCE 1e-13
+/* smallest relative tolerance: below it ROUNDING_ERROR of the integrator decides about the steps of every method */
+#define LEAST_TOLERANCE 1e-12
 
 typedef struct {
   flex_backend base;

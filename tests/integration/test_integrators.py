@@ -12,6 +12,7 @@ from flexfmu.cosim.experiment import Run, run_scene
 from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.fmu_build.integrators import INTEGRATOR
+from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
 from flexfmu.model.errors import SceneError
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene import Scene
@@ -121,9 +122,21 @@ def test_automatic_is_the_method_that_the_documentation_names(damping: str, tole
     assert np.array_equal(chosen, named)
 
 
+def test_every_admitted_tolerance_is_another_one() -> None:
+    """The smallest tolerance that a scene may ask for still makes the steps shorter, so that no file promises more than it gets."""
+    scene = load_scene("barnard2012-6kg").replace(SMALL)
+    tolerances = (100.0 * LEAST_TOLERANCE, 10.0 * LEAST_TOLERANCE, LEAST_TOLERANCE)
+    loose, middle, tight = (
+        simulate(scene, "automatic", each, 5e-3).health.statistics["evaluations"] for each in tolerances
+    )
+    assert 1.1 * loose < middle < tight / 1.1
+
+
 @cache
 def small_reference() -> np.ndarray:
-    return elastic_state(simulate(load_scene("barnard2012-6kg").replace(SMALL), "gauss4", 1e-13, 5e-3, 5e-3 / 16))
+    return elastic_state(
+        simulate(load_scene("barnard2012-6kg").replace(SMALL), "gauss4", LEAST_TOLERANCE, 5e-3, 5e-3 / 16)
+    )
 
 
 @pytest.mark.parametrize("method", METHODS[1:])
@@ -131,7 +144,7 @@ def test_every_method_has_its_order_on_the_robot(method: str) -> None:
     """Halving fixed steps divides the error by two to the order; inputs are the same polynomials on every communication step."""
     scene, exact = load_scene("barnard2012-6kg").replace(SMALL), small_reference()
     counts = FINE[method], 2 * FINE[method]
-    runs = [simulate(scene, method, 1e-13, 5e-3, 5e-3 / count) for count in counts]
+    runs = [simulate(scene, method, LEAST_TOLERANCE, 5e-3, 5e-3 / count) for count in counts]
     coarse, fine = (np.linalg.norm(elastic_state(run) - exact, axis=1).max() for run in runs)
     assert abs(np.log2(coarse / fine) - ORDERS[method]) <= 0.3
 

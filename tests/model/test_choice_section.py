@@ -60,7 +60,7 @@ def test_the_scene_file_of_the_shipped_scenes_can_be_left_to_the_choice() -> Non
         ({"tolerance": None}, r"`tolerance` is missing: `select = \"auto\"` needs `tolerance = 0\.01`"),
         ({"of": []}, r"`of` is missing"),
         ({"of": ["settling_time"]}, r"`effects\.of\[0\]` must be 'peak_torque_1', .* got 'settling_time'"),
-        ({"tolerance": 1e-30}, r"^`effects\.tolerance` must be at least 2e-13, got 1e-30 \(test\)$"),
+        ({"tolerance": 1e-30}, r"^`effects\.tolerance` must be at least 2e-12, got 1e-30 \(test\)$"),
         ({"tolerance": "fine"}, r"^`effects\.tolerance` must be a valid number, got 'fine' \(test\)$"),
         (
             {"select": None, "basis": "craig-bampton"},

@@ -109,8 +109,8 @@ WRONG_VALUES = {
     "lift without a direction": ({"trajectory.lift": [0.0, 0.0]}, r"`lift` must be a direction"),
     "tolerance out of range": ({"cosimulation.tolerance": 1.0}, r"`cosimulation\.tolerance` must be at most 0\.1"),
     "tolerance below rounding": (
-        {"cosimulation.tolerance": 1e-30},
-        r"`cosimulation\.tolerance` must be at least 1e-13, got 1e-30",
+        {"cosimulation.tolerance": 1e-13},
+        r"in `cosimulation\.tolerance`: must be at least 1e-12, got 1e-13: below, rounding errors decide",
     ),
     "spring without a motor behind it": (
         {"cosimulation.drive": "torque", "effects.transmission": {"stiffness": 1e4}},
