@@ -23,14 +23,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.loop.sections import loop_of
-from flexfmu.cosim.metrics import measure, settings_for
 from flexfmu.cosim.planning import plan
 from flexfmu.cosim.shaping.design import alternatives, design_modes
-from flexfmu.cosim.shaping.study import Candidate, candidates, payload_errors
+from flexfmu.cosim.shaping.study import Candidate, candidates, payload_errors, simulate
 from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
@@ -91,28 +86,17 @@ def trials(apply: str, errors: int, only: Sequence[str] | None = None) -> Iterat
 
 def trial(drive: str, scene: Scene, fmu: Path, candidate: Candidate, added: float, error: float) -> Trial:
     """Run and measure one combination."""
-    motion = replace(candidate.motion, scene=scene)
-    mass = scene.payload.mass * (1.0 + error)
-    loop = loop_of(scene, motion)
-    run = run_scene(scene, loop=loop, fmu_path=fmu, parameters={"payload.mass": mass})
-    if not run.completed:
-        raise SystemExit(f"{drive}, {candidate.name}, payload {error:+.0%}: {run.message}")
-    settings = settings_for(run.plan, run.robot)
-    equilibrium = settings.end_equilibrium
-    if scene.controller:
-        end = [run.recording[f"end_effector.position.{axis}"].values[-1] for axis in "xy"]
-        settings = replace(settings, end_equilibrium=np.array(end))
-    found = measure(run.recording, settings)
+    found = simulate(replace(candidate, motion=replace(candidate.motion, scene=scene)), error, fmu)
     return Trial(
         drive,
         candidate.name,
         candidate.application,
         added,
         error,
-        found["residual_vibration_amplitude"].value or 0.0,
-        found["settling_time"].value,
-        max(found[f"peak_torque_{joint}"].value or 0.0 for joint in (1, 2)),
-        float(np.linalg.norm(settings.end_equilibrium - equilibrium)),
+        found.residual,
+        found.settling_time,
+        found.peak_torque,
+        found.rest_offset,
     )
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -257,16 +257,43 @@ def shaper(
     payload_band: Annotated[
         float, typer.Option(metavar="FRACTION", help="Largest error of the payload's mass, either way.")
     ] = 0.3,
+    drive: Annotated[
+        Literal["perfect", "controller"] | None,
+        typer.Option(
+            help="What drives the robot: exactly its references, or the scene's controllers and imperfections. "
+            "Default: the controllers where the scene has some.",
+            show_default=False,
+        ),
+    ] = None,
+    max_deviation: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Largest deviation from the path. Default: no limit.")
+    ] = None,
+    max_added_time: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Longest time that the shaper may add. Default: no limit.")
+    ] = None,
+    max_jerk: Annotated[
+        float | None, typer.Option(metavar="RAD/S3", help="Largest jerk of a joint reference. Default: no limit.")
+    ] = None,
+    max_torque: Annotated[
+        float | None,
+        typer.Option(metavar="N.M", help="Largest torque of a motor over the payload band. Default: no limit."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE.toml", help="Write the scene with the recommended shaper here."),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Design input shapers for a scene, try them all in co-simulation and recommend one.
+    """Design input shapers for a scene, try them all in co-simulation and recommend one, with the TOML that applies it.
 
-    Writes shapers.json, shapers.csv and the sensitivity picture.
+    Writes shapers.json, shapers.csv and the picture: sensitivity, and the vibration before and after.
     """
     with one_line_errors():
         from flexfmu.cosim.commands.shaper import shaper_command
+        from flexfmu.cosim.shaping.recommendation import Limits
 
-        raise typer.Exit(shaper_command(scene, out, json, payload_errors, payload_band))
+        limits = Limits(max_deviation, max_added_time, max_jerk, max_torque)
+        raise typer.Exit(shaper_command(scene, out, json, payload_errors, payload_band, drive, limits, output))
 
 
 @app.command()

@@ -39,7 +39,7 @@ def load_scene(source: str | Path) -> Scene:
     Raises:
         SceneError: no such scene, not TOML, or a key or value that can't be right.
     """
-    text, label, folder = _read(source)
+    text, label, folder = read_scene_text(source)
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -72,8 +72,12 @@ def _scene_folder() -> Any:
     return files("flexfmu.cosim").joinpath("scenes")
 
 
-def _read(source: str | Path) -> tuple[str, str, Path | None]:
-    """Text, name for messages, and folder of a scene file."""
+def read_scene_text(source: str | Path) -> tuple[str, str, Path | None]:
+    """Text, name for messages, and folder of a scene file; no folder for a shipped scene.
+
+    Raises:
+        SceneError: there is no such scene, or it can't be read.
+    """
     path = Path(source)
     if path.suffix != ".toml" and str(source) in shipped_scenes():
         return _scene_folder().joinpath(f"{source}.toml").read_text(encoding="utf-8"), f"shipped scene {source}", None

@@ -10,15 +10,17 @@ from typing import Any
 from rich.text import Text
 
 from flexfmu.cosim.commands.console import Step, print_rich, print_text, progress
+from flexfmu.cosim.commands.errors import FAILURE, show_error
 from flexfmu.cosim.commands.scene import load_resolved
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.planning import plan
 from flexfmu.cosim.reports.json_text import to_json
 from flexfmu.cosim.reports.output import RESULTS, OutputFolder
 from flexfmu.cosim.shaping.design import DesignModes, alternatives, design_modes
-from flexfmu.cosim.shaping.figure import save_sensitivity
-from flexfmu.cosim.shaping.recommendation import Recommendation, compare_slower, recommend
-from flexfmu.cosim.shaping.study import Result, candidates, motion_driven, payload_errors, slower, study
+from flexfmu.cosim.shaping.figure import Vibrations, save_sensitivity
+from flexfmu.cosim.shaping.recommendation import Limits, Recommendation, compare_slower, recommend
+from flexfmu.cosim.shaping.scene_file import shaper_toml, write_shaped
+from flexfmu.cosim.shaping.study import Drive, Result, candidates, payload_errors, slower, studied, study, vibration
 from flexfmu.cosim.shaping.table import (
     design_data,
     markdown,
@@ -46,6 +48,7 @@ class Study:
         slower: the unshaped motion with the time that the recommended shaper adds; None where that adds none.
         recommendation: which shaper to take.
         left_out: shaper and what it shapes → why it can't be applied.
+        vibrations: of the unshaped motion and the recommended one after their ends.
     """
 
     scene: Scene
@@ -54,34 +57,53 @@ class Study:
     slower: Result | None
     recommendation: Recommendation
     left_out: Mapping[str, str]
+    vibrations: Vibrations
 
 
-def shaper_command(source: str, out: Path | None, as_json: bool, all_errors: bool, band: float) -> int:
-    """Design, simulate, write, print; the exit status."""
+def shaper_command(
+    source: str,
+    out: Path | None,
+    as_json: bool,
+    all_errors: bool,
+    band: float,
+    drive: Drive | None,
+    limits: Limits,
+    output: Path | None,
+) -> int:
+    """Design, simulate, write, print; the exit status: a failure where nothing keeps the limits."""
     if not 0.0 <= band < 1.0:
         raise InputError(f"--payload-band must be at least 0 and below 1 (0.3 is 30 %), got {band:g}")
+    for name, limit in vars(limits).items():
+        if limit is not None and not 0.0 <= limit < float("inf"):
+            raise InputError(f"--max-{name.replace('_', '-')} must be a number from 0 on, got {limit:g}")
     scene = load_resolved(source)
     folder = OutputFolder(out or RESULTS / scene.name)
     folder.prepare()
     with progress() as show:
-        found = examine(scene, band, FINE if all_errors else COARSE, show)
+        found = examine(scene, band, FINE if all_errors else COARSE, show, drive, limits)
         show("writing the results", None)
         text = to_json(_data(found))
         folder.write("shapers.json", text)
         folder.write("shapers.csv", to_csv(found.results))
         if all_errors:
             folder.write("payload_errors.md", markdown(f"Input shapers on {scene.name}", found.results))
-        save_sensitivity(
-            found.results, found.design, found.recommendation.result, scene.cosimulation.settling_band, folder.path
-        )
+        chosen, band = found.recommendation.result, scene.cosimulation.settling_band
+        save_sensitivity(found.results, found.design, chosen, band, found.vibrations, folder.path)
+    if output is not None and found.recommendation.keeps_limits:
+        write_shaped(source, chosen.candidate.section, output)
     if as_json:
         print_text(text)
     else:
-        _print(found, folder.path)
+        _print(found, folder.path, output)
+    if not found.recommendation.keeps_limits:
+        show_error(found.recommendation.reason + (f"; {output} is not written" if output is not None else ""))
+        return FAILURE
     return 0
 
 
-def examine(scene: Scene, band: float, count: int, show: Step) -> Study:
+def examine(
+    scene: Scene, band: float, count: int, show: Step, drive: Drive | None = None, limits: Limits | None = None
+) -> Study:
     """Design shapers for a scene and co-simulate them.
 
     Args:
@@ -89,15 +111,17 @@ def examine(scene: Scene, band: float, count: int, show: Step) -> Study:
         band: largest relative error of the payload's mass.
         count: number of payload errors, odd.
         show: called with what is being done and the finished fraction.
+        drive: what drives the robot, see `studied`.
+        limits: what the recommended motion must not exceed.
 
     Raises:
-        InputError: nothing vibrates.
+        InputError: nothing vibrates, or there is no controller.
         CosimError: a simulation failed.
     """
     show("looking at the modes along the path", None)
     errors = payload_errors(scene, band, count)
     design = design_modes(plan(scene), errors)
-    scene = motion_driven(scene, design.modes[0].frequency)
+    scene = studied(scene, design.modes[0].frequency, drive)
     motion = plan(scene)
     tried, left_out = candidates(motion, alternatives(design))
     fmu_path = build_scene(scene).path
@@ -106,10 +130,12 @@ def examine(scene: Scene, band: float, count: int, show: Step) -> Study:
         show("simulating", fraction)
 
     results = list(study(tried, errors, motion.duration, fmu_path, simulating))
-    recommendation = recommend(results, scene.cosimulation.settling_band)
-    added = recommendation.result.added_time
+    recommendation = recommend(results, scene.cosimulation.settling_band, limits)
+    chosen = recommendation.result
+    added = chosen.added_time
     compared = next(study([slower(motion, added)], errors, motion.duration, fmu_path)) if added > 0.0 else None
-    return Study(scene, design, results, compared, recommendation, left_out)
+    shown = {each.candidate.label: vibration(each.candidate, fmu_path) for each in (results[0], chosen)}
+    return Study(scene, design, results, compared, recommendation, left_out, shown)
 
 
 def _data(found: Study) -> dict[str, Any]:
@@ -124,18 +150,30 @@ def _data(found: Study) -> dict[str, Any]:
     }
 
 
-def _print(found: Study, folder: Path) -> None:
+def _print(found: Study, folder: Path, output: Path | None) -> None:
     recommended = found.recommendation.result
-    lines = [f"Recommended: {recommended.candidate.label}: {found.recommendation.reason}."]
+    lines = []
+    if found.recommendation.keeps_limits:
+        lines.append(f"Recommended: {recommended.candidate.label}: {found.recommendation.reason}.")
     if found.slower is not None:
         lines.append(compare_slower(recommended, found.slower, found.scene.cosimulation.settling_band) + ".")
     lines += [f"Left out: {what}: {why}." for what, why in found.left_out.items()]
+    if toml := found.recommendation.keeps_limits and shaper_toml(recommended.candidate.section):
+        written = f", which {output} has" if output is not None else ""
+        lines.append(f"In the scene file{written}:\n\n{toml}")
     lines.append(f"shapers.json, shapers.csv, sensitivity.png and sensitivity.svg are in {folder}")
     print_rich(
         Text(_modes_line(found.design)),
-        terminal_table(f"{found.scene.name}: input shapers, co-simulated", found.results, recommended),
+        terminal_table(f"{found.scene.name}: input shapers, {_drive_words(found.scene)}", found.results, recommended),
         *(Text(line) for line in lines),
     )
+
+
+def _drive_words(scene: Scene) -> str:
+    """What drove the robot."""
+    if not scene.controller:
+        return "co-simulated with a perfect drive"
+    return f"co-simulated with {', '.join(each.name or each.kind for each in scene.controller)}"
 
 
 def _modes_line(design: DesignModes) -> str:

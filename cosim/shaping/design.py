@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -59,10 +60,12 @@ class Alternative:
     Attributes:
         name: short name.
         sequence: its impulses.
+        section: the keys of the scene file's `[[shaper]]` that make it, but for `apply`.
     """
 
     name: str
     sequence: ImpulseSequence
+    section: Mapping[str, Any] = field(default_factory=dict)
 
 
 def design_modes(motion: MotionPlan, payload_errors: Iterable[float]) -> DesignModes:
@@ -112,8 +115,10 @@ def alternatives(design_for: DesignModes) -> list[Alternative]:
     found = []
     for name, chosen in candidates:
         with suppress(TrajectoryError):  # too much damping for this kind
-            found.append(Alternative(" x ".join([name] * len(chosen)), design(name, chosen)))
+            section = {"kind": name, "modes": [{"frequency": each.frequency, "ratio": each.ratio} for each in chosen]}
+            found.append(Alternative(" x ".join([name] * len(chosen)), design(name, chosen), section))
     band = design_for.band if design_for.band[1] <= WIDEST * design_for.band[0] else design_for.first_band
     with suppress(TrajectoryError):  # the band is too wide
-        found.append(Alternative("si", specified_insensitivity(*band, ratio=modes[0].ratio)))
+        insensitive = {"kind": "si", "band": list(band), "ratio": modes[0].ratio}
+        found.append(Alternative("si", specified_insensitivity(*band, ratio=modes[0].ratio), insensitive))
     return sorted(found, key=lambda each: each.sequence.duration)

@@ -1,4 +1,5 @@
-"""The sensitivity picture: residual vibration over the true frequency in closed form, and over the payload as simulated."""
+"""The picture of a study: residual vibration over the true frequency in closed form, over the payload as simulated, and over
+time before and after."""
 
 from __future__ import annotations
 
@@ -14,6 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter
 
 from flexfmu.cosim.errors import ResultsError
+from flexfmu.cosim.measuring.bernstein import Array
 from flexfmu.cosim.reports.figure_style import GREY, INK, PALE, draw, save, style
 from flexfmu.cosim.shaping.design import DesignModes
 from flexfmu.cosim.shaping.study import UNSHAPED_NAME, Result
@@ -28,22 +30,30 @@ STYLES = {"joints": "-", "path": (0, (3, 2)), "-": "-"}
 """What is shaped → line style."""
 
 
-def draw_sensitivity(results: Sequence[Result], design: DesignModes, recommended: Result, band: float) -> Figure:
-    """Both panels; the recommended shaper stands out.
+Vibrations = Mapping[str, tuple[Array, Array]]
+"""Label of a motion → times after its end [s] and distances from where the robot comes to rest [m]."""
+
+
+def draw_sensitivity(
+    results: Sequence[Result], design: DesignModes, recommended: Result, band: float, vibrations: Vibrations
+) -> Figure:
+    """The three panels; the recommended shaper stands out.
 
     Args:
         results: all results, the unshaped motion included.
         design: what the shapers were designed for.
         recommended: the recommended result.
         band: settling band [m].
+        vibrations: the unshaped motion's and the recommended one's, with the scene's own payload.
     """
-    figure = draw(10.5, 4.6)
+    figure = draw(14.5, 4.6)
     names = list(dict.fromkeys(r.candidate.name for r in results if r.candidate.name != UNSHAPED_NAME))
     palette = colormaps["turbo"](np.linspace(0.05, 0.95, max(len(names), 1)))
     colours: Mapping[str, Any] = {**dict(zip(names, palette, strict=True)), UNSHAPED_NAME: INK}
-    left, right = figure.subplots(1, 2)
+    left, right, last = figure.subplots(1, 3)
     _closed_form(left, results, design, colours, recommended)
     _simulated(right, results, colours, recommended, band)
+    _before_and_after(last, vibrations, recommended, band)
     handles, _ = left.get_legend_handles_labels()
     figure.legend(handles=[*handles, *_line_styles()], loc="outside lower center", ncols=6, fontsize=8)
     return figure
@@ -55,7 +65,12 @@ def _plain_numbers(axes: Axes) -> None:
 
 
 def save_sensitivity(
-    results: Sequence[Result], design: DesignModes, recommended: Result, band: float, folder: Path
+    results: Sequence[Result],
+    design: DesignModes,
+    recommended: Result,
+    band: float,
+    vibrations: Vibrations,
+    folder: Path,
 ) -> None:
     """Write ``sensitivity.png`` and ``sensitivity.svg``.
 
@@ -65,7 +80,7 @@ def save_sensitivity(
     stem = folder / "sensitivity"
     try:
         with style():
-            save(draw_sensitivity(results, design, recommended, band), stem)
+            save(draw_sensitivity(results, design, recommended, band, vibrations), stem)
     except OSError as error:
         raise ResultsError(
             f"can't write {stem}: {error.strerror or error}; choose another folder or free some space"
@@ -126,6 +141,23 @@ def _simulated(
         ylabel="residual vibration [µm]",
         title="Robot, co-simulated",
     )
+    _plain_numbers(axes)
+
+
+def _before_and_after(axes: Axes, vibrations: Vibrations, recommended: Result, band: float) -> None:
+    """Vibration after the motion's end, without and with the recommended shaper."""
+    for label, (time, distance) in vibrations.items():
+        is_before = label == UNSHAPED_NAME
+        shown = 1e6 * np.maximum(distance, 1e-10)
+        axes.plot(1e3 * time, shown, color=GREY if is_before else INK, linewidth=1.2, label=label)
+    axes.axhline(1e6 * band, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)))
+    axes.set(
+        yscale="log",
+        xlabel="time after the motion's end [ms]",
+        ylabel="distance from rest [µm]",
+        title=f"Before and after, {recommended.candidate.label}",
+    )
+    axes.legend(loc="upper right", fontsize=8)
     _plain_numbers(axes)
 
 

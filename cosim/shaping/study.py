@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
-from flexfmu.cosim.errors import CosimError
-from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.errors import CosimError, InputError
+from flexfmu.cosim.experiment import Run, run_scene
 from flexfmu.cosim.imperfections.payload_error import with_payload_error
-from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.loop.sections import loop_of
+from flexfmu.cosim.measuring.bernstein import Array
+from flexfmu.cosim.metrics import Settings, measure, settings_for
 from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.cosim.shaping.design import Alternative
 from flexfmu.cosim.shaping.plan import APPLICATIONS, deviation
@@ -27,22 +30,35 @@ DWELL_PERIODS = 15.0
 """Dwell in periods of the lowest mode, for a scene without one: without a dwell there is no residual vibration."""
 
 
+JERK_POINTS = 2001
+"""Points over a motion at which its jerk is looked at, beside its breakpoints."""
+
+SMOOTH = 1e-6
+"""Jumps of the acceleration below this share of its maximum are rounding."""
+
+Drive = Literal["perfect", "controller"]
+"""What drives the robot in a study."""
+
+
 @dataclass(frozen=True)
 class Trial:
     """One co-simulation.
 
     Attributes:
         payload_error: relative error of the payload's mass.
-        residual: largest distance of the end effector from its equilibrium during the dwell [m].
+        residual: largest distance of the end effector from where it comes to rest during the dwell [m]: from its
+            equilibrium with a perfect drive, from its last position with a controller.
         settling_time: time after the motion's end from which it stays in the settling band [s]; None if it doesn't
             within the dwell.
         peak_torque: largest torque of either motor over the motion [N.m].
+        rest_offset: distance of the point where a controlled robot comes to rest from the equilibrium [m].
     """
 
     payload_error: float
     residual: float
     settling_time: float | None
     peak_torque: float
+    rest_offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -54,12 +70,14 @@ class Candidate:
         application: ``joints`` or ``path``; ``-`` for none.
         sequence: its impulses.
         motion: the shaped motion.
+        section: the scene file's `[[shaper]]` table that applies it; empty for the unshaped motion.
     """
 
     name: str
     application: str
     sequence: ImpulseSequence
     motion: MotionPlan
+    section: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -76,12 +94,14 @@ class Result:
         added_time: by how much the motion is longer than the scene's own [s].
         path_deviation: largest distance of the rigid end effector from the scene's path [m].
         trials: one for each payload error.
+        peak_jerk: largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps.
     """
 
     candidate: Candidate
     added_time: float
     path_deviation: float
     trials: tuple[Trial, ...]
+    peak_jerk: float = np.inf
 
     @cached_property
     def nominal(self) -> Trial:
@@ -92,6 +112,11 @@ class Result:
     def worst_residual(self) -> float:
         """Largest residual vibration over the payload band [m]."""
         return max(trial.residual for trial in self.trials)
+
+    @property
+    def peak_torque(self) -> float:
+        """Largest torque of either motor over the payload band [N.m]."""
+        return max(trial.peak_torque for trial in self.trials)
 
     @property
     def worst_settling_time(self) -> float | None:
@@ -106,14 +131,25 @@ class Result:
         return None if settling is None else self.added_time + settling
 
 
-LOOP_SECTIONS = ("controller", "shaper", "imperfection")
-"""Sections of a scene that stand between motion and robot; the study puts its own shapers there and nothing else."""
+def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -> Scene:
+    """The scene as the study needs it: with a dwell, without shapers of its own, and with the drive asked for.
 
+    Args:
+        scene: the scene.
+        lowest_frequency: of the lowest mode [Hz]; a scene without dwell gets some periods of it.
+        drive: ``perfect`` for a robot that follows its references exactly, ``controller`` for the scene's controllers and
+            imperfections; None for the controllers where the scene has some.
 
-def motion_driven(scene: Scene, lowest_frequency: float) -> Scene:
-    """The scene as the study needs it: driven by motion, nothing between motion and robot, with a dwell."""
-    changes: dict[str, object] = {section: () for section in LOOP_SECTIONS if getattr(scene, section)}
-    if scene.cosimulation.drive != "motion":
+    Raises:
+        InputError: the scene has no controller to study with.
+    """
+    if drive == "controller" and not scene.controller:
+        raise InputError(
+            f"scene {scene.name} has no [[controller]] to study shapers with: add one, or take the perfect drive"
+        )
+    dropped = ("shaper",) if drive != "perfect" and scene.controller else ("controller", "shaper", "imperfection")
+    changes: dict[str, object] = {section: () for section in dropped if getattr(scene, section)}
+    if "controller" in dropped and scene.cosimulation.drive != "motion":
         changes["cosimulation.drive"] = "motion"
     if scene.trajectory.dwell == 0.0:
         changes["trajectory.dwell"] = DWELL_PERIODS / lowest_frequency
@@ -126,7 +162,9 @@ def candidates(motion: MotionPlan, shapers: Sequence[Alternative]) -> tuple[list
     for shaper in shapers:
         for application, shape in APPLICATIONS.items():
             try:
-                found.append(Candidate(shaper.name, application, shaper.sequence, shape(motion, shaper.sequence)))
+                section = {**shaper.section, "apply": application}
+                shaped = shape(motion, shaper.sequence)
+                found.append(Candidate(shaper.name, application, shaper.sequence, shaped, section))
             except TrajectoryError as error:
                 refused[f"{shaper.name} on {application}"] = str(error)
     return found, refused
@@ -163,7 +201,7 @@ def study(
             trials.append(simulate(candidate, error, fmu_path))
             progress((index + len(trials) / len(payload_errors)) / len(candidates))
         added = candidate.motion.duration - nominal_duration
-        yield Result(candidate, added, deviation(candidate.motion), tuple(trials))
+        yield Result(candidate, added, deviation(candidate.motion), tuple(trials), peak_jerk(candidate.motion))
 
 
 def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Trial:
@@ -172,17 +210,62 @@ def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Tria
     Raises:
         CosimError: it didn't reach its end.
     """
-    scene = with_payload_error(candidate.motion.scene, payload_error)
-    run = run_scene(scene, motion=replace(candidate.motion, scene=scene), fmu_path=fmu_path)
-    if not run.completed:
-        raise CosimError(f"{candidate.label}, payload error {payload_error:+.0%}: {run.message}")
-    values = {name: measurement.value for name, measurement in measure_run(run).items()}
+    run, settings, offset = _simulated(candidate, payload_error, fmu_path)
+    values = {name: measurement.value for name, measurement in measure(run.recording, settings).items()}
     return Trial(
         payload_error,
         values["residual_vibration_amplitude"] or 0.0,
         values["settling_time"],
         max(values["peak_torque_1"] or 0.0, values["peak_torque_2"] or 0.0),
+        offset,
     )
+
+
+def vibration(candidate: Candidate, fmu_path: Path) -> tuple[Array, Array]:
+    """Times after the motion's end [s] and the end effector's distance from where it comes to rest [m], nominal payload.
+
+    Raises:
+        CosimError: the simulation didn't reach its end.
+    """
+    run, settings, _ = _simulated(candidate, 0.0, fmu_path)
+    after = run.recording.time >= run.plan.duration
+    distance = np.linalg.norm(position_values(run)[:, after] - settings.end_equilibrium[:, None], axis=0)
+    return run.recording.time[after] - run.plan.duration, distance
+
+
+def _simulated(candidate: Candidate, payload_error: float, fmu_path: Path) -> tuple[Run, Settings, float]:
+    """A run, what to measure it by, and how far it comes to rest from the equilibrium [m].
+
+    Controllers keep believing in the scene's payload.
+    """
+    motion = candidate.motion
+    scene = motion.scene
+    mass = with_payload_error(scene, payload_error).payload.mass
+    parameters = {"payload.mass": mass} if payload_error else {}
+    run = run_scene(scene, loop=loop_of(scene, motion), fmu_path=fmu_path, parameters=parameters)
+    if not run.completed:
+        raise CosimError(f"{candidate.label}, payload error {payload_error:+.0%}: {run.message}")
+    settings = settings_for(run.plan, run.robot)
+    if not scene.controller:
+        return run, settings, 0.0
+    rest = position_values(run)[:, -1]
+    return run, replace(settings, end_equilibrium=rest), float(np.linalg.norm(rest - settings.end_equilibrium))
+
+
+def position_values(run: Run) -> Array:
+    """End-effector positions of a run (2, N) [m]."""
+    return np.array([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"])
+
+
+def peak_jerk(motion: MotionPlan) -> float:
+    """Largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps."""
+    joints = motion.joints
+    times = np.union1d(np.linspace(0.0, joints.duration, JERK_POINTS), joints.breakpoints)
+    left, right = (joints.evaluate(times, 3, side=side) for side in ("left", "right"))
+    jump = np.abs(left[2] - right[2]).max()
+    if jump > SMOOTH * np.abs(right[2]).max():
+        return np.inf
+    return float(max(np.abs(left[3]).max(), np.abs(right[3]).max()))
 
 
 def payload_errors(scene: Scene, band: float, count: int) -> list[float]:

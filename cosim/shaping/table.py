@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Sequence
+from math import isfinite
 from typing import Any
 
 from rich import box
@@ -12,6 +13,7 @@ from rich.table import Table
 
 from flexfmu.cosim.shaping.design import DesignModes
 from flexfmu.cosim.shaping.recommendation import Recommendation
+from flexfmu.cosim.shaping.scene_file import shaper_toml
 from flexfmu.cosim.shaping.study import Result, Trial
 
 COLUMNS = ("shaper", "shapes", "added ms", "nominal µm", "worst µm", "at rest ms", "deviation mm", "torque N·m")
@@ -27,11 +29,9 @@ CSV_COLUMNS = (
     "residual_vibration",
     "settling_time",
     "peak_torque",
+    "peak_jerk",
 )
 """Columns of the file with one line for each simulation, in SI units."""
-
-DRIVE = "motion-driven"
-"""How the robot was driven: it follows its references exactly."""
 
 QUANTITIES: tuple[tuple[str, Callable[[Trial], str]], ...] = (
     ("Residual vibration [µm]", lambda trial: f"{1e6 * trial.residual:.2f}"),
@@ -70,6 +70,11 @@ def milliseconds(time: float | None) -> str:
     return "–" if time is None else f"{1e3 * time:.1f}"
 
 
+def drive_of(results: Sequence[Result]) -> str:
+    """How the robot of a study was driven."""
+    return "controllers" if results[0].candidate.motion.scene.controller else "motion-driven"
+
+
 def markdown(title: str, results: Sequence[Result]) -> str:
     """A table for each quantity: shapers in rows, payload errors in columns."""
     errors = [trial.payload_error for trial in results[0].trials]
@@ -87,7 +92,7 @@ def markdown(title: str, results: Sequence[Result]) -> str:
             for result in results
         ]
         rule = ["---", "---", *["---:"] * (len(head) - 2)]
-        parts.append(f"## {name}, {DRIVE}, by payload error\n")
+        parts.append(f"## {name}, {drive_of(results)}, by payload error\n")
         parts.append("\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *rows)) + "\n")
     return "\n".join(parts)
 
@@ -102,7 +107,7 @@ def to_csv(results: Sequence[Result]) -> str:
             settling = "" if trial.settling_time is None else trial.settling_time
             writer.writerow(
                 [
-                    DRIVE,
+                    drive_of(results),
                     result.candidate.name,
                     result.candidate.application,
                     result.added_time,
@@ -111,6 +116,7 @@ def to_csv(results: Sequence[Result]) -> str:
                     trial.residual,
                     settling,
                     trial.peak_torque,
+                    result.peak_jerk,
                 ]
             )
     return buffer.getvalue()
@@ -139,6 +145,9 @@ def result_data(result: Result) -> dict[str, Any]:
         "worst_residual_vibration": result.worst_residual,
         "time_to_rest": result.time_to_rest,
         "peak_torque": result.nominal.peak_torque,
+        "worst_peak_torque": result.peak_torque,
+        "peak_jerk": result.peak_jerk if isfinite(result.peak_jerk) else None,
+        "section": dict(candidate.section),
         "trials": [
             {
                 "payload_error": trial.payload_error,
@@ -151,7 +160,13 @@ def result_data(result: Result) -> dict[str, Any]:
     }
 
 
-def recommendation_data(recommendation: Recommendation) -> dict[str, str]:
-    """The recommendation as plain data."""
+def recommendation_data(recommendation: Recommendation) -> dict[str, Any]:
+    """The recommendation as plain data; ``toml`` applies it, and is empty where nothing is to be applied."""
     candidate = recommendation.result.candidate
-    return {"shaper": candidate.name, "shapes": candidate.application, "reason": recommendation.reason}
+    return {
+        "shaper": candidate.name,
+        "shapes": candidate.application,
+        "reason": recommendation.reason,
+        "keeps_limits": recommendation.keeps_limits,
+        "toml": shaper_toml(candidate.section),
+    }

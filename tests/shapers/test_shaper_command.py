@@ -16,21 +16,24 @@ from flexfmu.cosim.cli import app
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import run_scene
 from flexfmu.cosim.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.cosim.shaping import design as shaping_design
 from flexfmu.cosim.shaping.design import Alternative, alternatives, design_modes
 from flexfmu.cosim.shaping.plan import deviation, shape_joints, shape_path
-from flexfmu.cosim.shaping.recommendation import compare_slower, recommend
+from flexfmu.cosim.shaping.recommendation import Limits, compare_slower, recommend
+from flexfmu.cosim.shaping.scene_file import write_shaped
 from flexfmu.cosim.shaping.study import (
     Candidate,
     Result,
     Trial,
     candidates,
-    motion_driven,
     payload_errors,
+    peak_jerk,
     simulate,
     slower,
+    studied,
     study,
 )
 from flexfmu.cosim.shaping.table import markdown, to_csv
@@ -39,6 +42,7 @@ from flexfmu.model.modes import DampedModes
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, design
+from flexfmu.trajectories.shapers.shaped import ShapedTrajectory
 
 
 @pytest.fixture(scope="module")
@@ -187,12 +191,12 @@ def test_payload_errors_are_symmetric_about_zero(scene: Scene) -> None:
 
 def test_a_scene_without_dwell_gets_one(scene: Scene) -> None:
     """Residual vibration needs a dwell: fifteen periods of the lowest mode."""
-    assert motion_driven(scene, 50.0) is scene
-    assert motion_driven(scene.replace({"trajectory.dwell": 0.0}), 50.0).trajectory.dwell == pytest.approx(0.3)
+    assert studied(scene, 50.0) is scene
+    assert studied(scene.replace({"trajectory.dwell": 0.0}), 50.0).trajectory.dwell == pytest.approx(0.3)
 
 
-def test_a_controlled_scene_is_studied_without_its_loop(scene: Scene) -> None:
-    """Shapers are compared on the motion-driven robot; the scene's controllers and shapers would act besides."""
+def test_a_controlled_scene_is_studied_with_its_controller_unless_the_drive_is_perfect(scene: Scene) -> None:
+    """The scene's own shapers never act besides; a perfect drive needs no controller, and none can't be studied."""
     controlled = scene.replace(
         {
             "cosimulation.drive": "torque",
@@ -200,7 +204,84 @@ def test_a_controlled_scene_is_studied_without_its_loop(scene: Scene) -> None:
             "shaper": [{"kind": "zv"}],
         }
     )
-    assert motion_driven(controlled, 50.0) == scene
+    assert studied(controlled, 50.0, "perfect") == scene
+    assert studied(controlled, 50.0) == studied(controlled, 50.0, "controller") == controlled.replace({"shaper": ()})
+    with pytest.raises(InputError, match=r"has no \[\[controller\]\] to study shapers with"):
+        studied(scene, 50.0, "controller")
+
+
+@pytest.mark.parametrize(
+    ("limits", "name"),
+    [
+        (Limits(), "zv"),
+        (Limits(deviation=1e-3), "mzv"),
+        (Limits(deviation=1e-3, added_time=9e-3), "unshaped"),
+        (Limits(torque=60.0), "zv"),
+    ],
+)
+def test_only_what_keeps_the_limits_is_recommended(motion: MotionPlan, limits: Limits, name: str) -> None:
+    """A shaper that strays, takes or asks for more than allowed isn't recommended however soon it rests."""
+    found = [
+        result(motion, "unshaped", 0.0, 0.05),
+        result(motion, "zv", 0.008, 0.0, 2e-3),
+        result(motion, "mzv", 0.01, 0.0, 1e-4),
+    ]
+    chosen = recommend(found, 1e-5, limits)
+    assert (chosen.result.candidate.name, chosen.keeps_limits) == (name, True)
+
+
+def test_limits_that_nothing_keeps_are_told_with_the_nearest(motion: MotionPlan) -> None:
+    """Nothing is recommended; the sentence says by how much the nearest misses."""
+    chosen = recommend([result(motion, "unshaped", 0.0, 0.05)], 1e-5, Limits(torque=10.0, jerk=1e4))
+    assert not chosen.keeps_limits
+    assert (
+        "nearest is unshaped: joint jerk inf rad/s³ above 1e+04 rad/s³, peak torque 50 N·m above 10 N·m"
+        in chosen.reason
+    )
+
+
+def test_jerk_is_that_of_the_joint_references(motion: MotionPlan) -> None:
+    """Infinite where accelerations jump; else the largest third derivative, here against differences of the second."""
+    assert peak_jerk(motion) == np.inf
+    smooth = plan(motion.scene.replace({"trajectory.profile": {"kind": "poly7"}}))
+    times = np.linspace(0.0, smooth.duration, 200_001)
+    acceleration = smooth.joints.evaluate(times, 2)[2]
+    differences = np.abs(np.diff(acceleration, axis=0)).max() / times[1]
+    assert peak_jerk(smooth) == pytest.approx(differences, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["zvd x zvd", "si"])
+def test_the_written_scene_applies_the_advice(motion: MotionPlan, tmp_path: Path, name: str) -> None:
+    """The file is the scene with that shaper and no other: its planned motion is the candidate's, and paths still lead to their files."""
+    modes = design_modes(motion, [-0.3, 0.0, 0.3])
+    tried, _ = candidates(motion, [each for each in alternatives(modes) if each.name == name])
+    wanted = next(each for each in tried if each.application == "joints")
+    source, target = tmp_path / "mine.toml", tmp_path / "elsewhere" / "shaped.toml"
+    target.parent.mkdir()
+    controller = '[[controller]]\nkind = "python"\nsource = "own:zero"\n'
+    source.write_text(f'{shipped_text()}{controller}\n[[shaper]]  # an old one\nkind = "zv"\n', encoding="utf-8")
+    write_shaped(str(source), wanted.section, target)
+    text = target.read_text(encoding="utf-8")
+    assert (text.count("[[shaper]]"), "an old one" in text) == (1, False)
+    scene = load_scene(target)
+    assert Path(scene.controller[0].folder).resolve() == tmp_path
+    times = np.linspace(0.0, wanted.motion.duration, 300)
+    shaped = loop_of(scene.replace({"controller": ()})).motion
+    np.testing.assert_allclose(
+        shaped.joints.evaluate(times, 2), reference(scene, wanted).evaluate(times, 2), rtol=1e-9, atol=1e-9
+    )
+
+
+def reference(scene: Scene, wanted: Candidate) -> ShapedTrajectory:
+    """The candidate's sequence on the written scene's own joints."""
+    return ShapedTrajectory(plan(scene).joints, wanted.sequence)
+
+
+def shipped_text() -> str:
+    """The shipped 6 kg scene."""
+    from importlib.resources import files
+
+    return (files("flexfmu.cosim") / "scenes" / "barnard2012-6kg.toml").read_text(encoding="utf-8")
 
 
 def test_a_slower_motion_takes_the_time_on_the_same_path(motion: MotionPlan) -> None:
@@ -244,9 +325,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def coarse_scene(tmp_path: Path) -> Path:
     """A scene file with a short dwell and a coarse step."""
-    from importlib.resources import files
-
-    text = (files("flexfmu.cosim") / "scenes" / "barnard2012-6kg.toml").read_text(encoding="utf-8")
+    text = shipped_text()
     path = tmp_path / "coarse.toml"
     path.write_text(
         text.replace("step = 2e-4", "step = 1e-3").replace('kind = "poly7"', 'kind = "bang-bang"'), encoding="utf-8"
@@ -284,8 +363,22 @@ def test_the_command_writes_and_prints(coarse_scene: Path, tmp_path: Path) -> No
 @pytest.mark.usefixtures("quick")
 def test_the_command_says_what_it_recommends(coarse_scene: Path, tmp_path: Path) -> None:
     """For people: the modes, a line for each alternative, the recommendation with its reason, a slower motion beside it."""
-    done = CliRunner().invoke(app, ["shaper", str(coarse_scene), "--out", str(tmp_path / "out"), "--payload-band", "0"])
+    done = CliRunner().invoke(
+        app,
+        [
+            "shaper",
+            str(coarse_scene),
+            "--out",
+            str(tmp_path / "out"),
+            "--payload-band",
+            "0",
+            "-o",
+            str(tmp_path / "shaped.toml"),
+        ],
+    )
     assert done.exit_code == 0, done.output
+    assert '[[shaper]] kind = "zv" modes = [' in " ".join(done.stdout.split())
+    assert load_scene(tmp_path / "shaped.toml").shaper[0].kind == "zv"
     words = " ".join(done.stdout.split())
     assert "Designed for 58.84 Hz (damping ratio 0.0180), 73.54 Hz" in words
     assert "Recommended: zv on joints: rest within 10 µm" in words
