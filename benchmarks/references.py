@@ -1,9 +1,9 @@
 """The model of shapes against finite elements and Exudyn: the paper's scenes, at rest and in motion.
 
 All numbers are relative differences; `flexfmu.cosim.references` says of what. Exudyn's beams have no shear, and it isn't
-needed for the rest: pip install flexfmu[peers]. Takes about two minutes.
+needed for the rest: pip install flexfmu[peers]. Takes about six minutes, large deflections alone two.
 
-    python benchmarks/references.py [--json]
+    python benchmarks/references.py [--json] [--large-deflections]
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from dataclasses import asdict
 from importlib.util import find_spec
 from itertools import groupby
 
+from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.measuring.small_deflections import largest_deflection, path_errors
 from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.cosim.references import (
     Array,
@@ -26,6 +28,7 @@ from flexfmu.cosim.references import (
     sample_instants,
     shapes_motion,
 )
+from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.scene import Scene
@@ -43,6 +46,12 @@ FEWER_ELEMENTS = (1, 2, 4)
 EXUDYN_MESHES = ((2, 2.5e-4), (4, 2.5e-4), (4, 1e-4), (4, 5e-5))
 """Elements a link and steps [s], the best last."""
 
+SOFTENED = (
+    *((SCENES[0], factor) for factor in (1.0, 5.0, 20.0, 30.0, 60.0)),
+    *((SCENES[1], factor) for factor in (20.0, 100.0)),
+)
+"""Scenes, and how many times softer than theirs the material is."""
+
 Row = dict[str, str | float]
 
 
@@ -50,8 +59,9 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description="The model of shapes against other formulations.")
     parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
+    parser.add_argument("--large-deflections", action="store_true", help="the last table alone")
     options = parser.parse_args()
-    rows = list(measure())
+    rows = [*([] if options.large_deflections else measure()), *large_deflections()]
     if options.json:
         print(json.dumps(rows, indent=2))
         return
@@ -89,6 +99,26 @@ def compare(scene: Scene, beam: Beam) -> Iterator[Row]:
         for reference, theirs in others.items():
             row |= {"table": "In motion, model of shapes against others", "reference": reference}
             yield row | asdict(compare_motions(ours, theirs, motion, instants))
+
+
+def large_deflections() -> Iterator[Row]:
+    """Links so soft that they bend far: errors of the path against 4 elements a link, and what a run itself estimates of them."""
+    for name, factor in SOFTENED:
+        scene = load_scene(name)
+        fmus = [build_scene(full_scene(scene, "euler-bernoulli", short)).path for short in (False, True)]
+        scene = scene.replace({"mechanism.material.youngs_modulus": scene.mechanism.material.youngs_modulus / factor})
+        motion = plan(scene)
+        instants = sample_instants(motion)
+        exact = full_scene(scene, "euler-bernoulli", foreshortening=True)
+        theirs = simulate(finite_element_robot(exact, 4), motion.joints, instants, 1e-3)
+        row: Row = {"table": "Large deflections, path against finite elements", "scene": scene.name, "softer": factor}
+        for short, fmu in zip((False, True), fmus, strict=True):
+            ours, text = full_scene(scene, "euler-bernoulli", short), "with" if short else "without"
+            run = run_scene(ours, communication_step=1e-3, tolerance=1e-8, fmu_path=fmu)
+            true = compare_motions(shapes_motion(ours, instants, fmu), theirs, motion, instants).position
+            row |= {"deflection": largest_deflection(run)} if short else {}
+            row |= {f"error {text} foreshortening": true, f"estimated {text}": path_errors(run)[0]}
+        yield row
 
 
 def coarser(scene: Scene, motion: MotionPlan, instants: Array) -> Iterator[tuple[str, Motion]]:

@@ -22,6 +22,8 @@ from flexfmu.model.effects import Effect
 from flexfmu.model.link_properties import LinkProperties
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import ElasticSymbols, Family, Link, LinkGroup, Robot
+from flexfmu.model.scene import Link as Rod
+from flexfmu.model.scene import Scene
 from flexfmu.model.shape_integrals import gram
 
 
@@ -67,6 +69,29 @@ class Foreshortening(Effect):
 
     def formula(self) -> str:
         return "u = −1/(2l) ∑ ∫ φ_j′ φ_k′ dξ q_j q_k"
+
+
+def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:
+    """Strain energy of bending beyond the model's, of fourth order: 1/2 ∫ EI w''² w'² dx [J].
+
+    A line that keeps its length has the curvature w'' / sqrt(1 - w'²). What else is of this order (the shortening's own inertia
+    and w'⁴ / 8) is smaller by far, see ``tests/metrics/test_large_deflections.py``.
+
+    Source: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct. Mech. 6
+    (1978), eq. (14) in the plane.
+    """
+    xi, weights = np.polynomial.legendre.leggauss(40)
+    energy = casadi.SX(0)
+    for link, part in _bending(robot):
+        geometry: Rod = getattr(scene.mechanism, link.group)
+        second = np.pi / 64.0 * (geometry.diameter**4 - geometry.inner_diameter**4)
+        slopes, strains = (
+            casadi.DM(np.stack([field(0.5 * (xi + 1.0)) for field in fields], axis=1)) @ part.q
+            for fields in zip(*((shape.slope, shape.strain) for shape in part.family.shapes), strict=True)
+        )
+        rigidity = scene.mechanism.material.youngs_modulus * second / geometry.length**5
+        energy += 0.5 * rigidity * casadi.dot(casadi.DM(0.5 * weights), (slopes * strains) ** 2)
+    return energy
 
 
 def _slope(shape: Shape) -> Evaluate:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.model.five_bar import FiveBar, assemble
+from flexfmu.model.foreshortening import bending_beyond
 from flexfmu.model.scene import Scene
 
 Array = NDArray[np.float64]
@@ -27,6 +28,7 @@ class NumericModel:
         mass_matrix: (q_e, u) → (n, n) [kg].
         motion: (q_e, v_e, a_e, u) → position, velocity, acceleration of the end effector and torques, each (2, 1).
         energy: (q_e, v_e, u) → [kinetic, potential] [J].
+        hardening: q_e → forces (n, 1) [N] of the next order, which the model leaves out, see `bending_beyond`.
     """
 
     n: int
@@ -36,6 +38,7 @@ class NumericModel:
     mass_matrix: casadi.Function
     motion: casadi.Function
     energy: casadi.Function
+    hardening: casadi.Function
 
 
 @lru_cache(maxsize=32)
@@ -66,6 +69,7 @@ def numeric_model(scene: Scene) -> NumericModel:
             [five_bar.position, closure.velocity, closure.acceleration, five_bar.forces.motors],
         ),
         energy=function("energy", [m.q_e, m.v_e, u], [energy]),
+        hardening=function("hardening", [m.q_e], [casadi.gradient(bending_beyond(five_bar.robot, scene), m.q_e)]),
     )
 
 

@@ -1,4 +1,9 @@
-"""Says where a run has left the theory that its model rests on: links that deflect little against their lengths."""
+"""Says where a run has left the theory that its model rests on: links that deflect little against their lengths.
+
+The error of the path is estimated from the forces that the next order of the theory adds along the recorded motion: those of
+foreshortening where the scene leaves it out, and those of bending beyond it. The linear response to them is one step of
+Newton's method for the whole motion, as in `flexfmu.model.selection.estimator`. Motors are taken to move as they did.
+"""
 
 from __future__ import annotations
 
@@ -6,33 +11,140 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.effects.choice import TOLERANCE
+from flexfmu.cosim.results import Recording
 
 if TYPE_CHECKING:
     from flexfmu.cosim.scene_run import Run
 
-LARGEST_DEFLECTION = 0.1
-"""Tip deflection relative to the length up to which linear bending is right within 1 %: a cantilever under a force at its
-tip bends 0.7 % less than linear theory says there, and its tip comes 0.6 % of the length nearer to the base."""
-
 LARGEST_ELONGATION = 0.01
 """Elongation relative to the length; no structural metal stretches as far without yielding."""
 
+USUAL, MOST_FOUND = (2.0, 8.0), (15.0, 50.0)
+"""The path's error in deflections over length without foreshortening, and in their squares with it: usual values, and more than was
+ever found (0.6 to 9.4 and 1 to 18, the most in undamped robots). Where the latter are within the tolerance nothing is computed; the
+former stand in where too little was recorded for an estimate."""
+
+STEP, LEAST, MOST = 5e-4, 2000, 10_000
+"""Distance of the instants at which a run is looked at [s], and limits of their number."""
+
+HOPELESS = 0.5
+"""Estimated error from which the estimate itself holds no longer."""
+
 
 def exceeded(run: Run) -> list[str]:
-    """A sentence for each kind of link that deflects or stretches beyond this."""
-    return [*_exceeding(run, "tip_deflection", LARGEST_DEFLECTION), *_exceeding(run, "elongation", LARGEST_ELONGATION)]
+    """A sentence for bending that spoils the path by more than the scene's tolerance (`TOLERANCE`), and for overstretched links."""
+    return [*_bent(run), *_stretched(run)]
 
 
-def _exceeding(run: Run, kind: str, limit: float) -> Iterator[str]:
+def path_errors(run: Run) -> tuple[float, float]:
+    """Estimated error of the path because of large deflections, and what would remain of it with foreshortening.
+
+    Both are the largest distance between two paths over the largest distance of the path from the rigid robot's.
+
+    Raises:
+        KeyError: a coordinate or the motion of the motors wasn't recorded.
+    """
+    from flexfmu.model.selection.motion_grid import MotionGrid
+    from flexfmu.model.selection.response import Motion
+    from flexfmu.model.selection.robot_along import RobotAlong
+
+    recording, scene = run.recording, run.robot
+    count = int(np.clip((recording.time[-1] - recording.time[0]) / STEP, LEAST, MOST))
+    time = np.linspace(recording.time[0], recording.time[-1], count)
+    joints = _motors(recording, time)
+    rests = np.concatenate([joints[[0, -1], :2], np.zeros((2, 4))], axis=1)
+    grid = MotionGrid(time, joints, rests, ((0, time.size),), float(time[-1]))
+    own = RobotAlong(scene, grid)
+    short = own if scene.effects.foreshortening else RobotAlong(scene.replace({"effects.foreshortening": True}), grid)
+    columns = [recording[name] for name in own.names]
+    rates = [[each.values, each.first, each.second] for each in columns]
+    motion = Motion(*(np.stack([np.interp(time, recording.time, each[k]) for each in rates], axis=1) for k in range(3)))
+
+    def respond(load: NDArray[np.float64]) -> Motion:
+        still = scene.cosimulation.initial == "static"
+        start = np.linalg.solve(own.linear.stiffness[0], load[0]) if still else np.zeros(load.shape[1])
+        return own.linear.response(load, start)
+
+    # what is unbalanced, less what interpolation alone leaves unbalanced
+    shortened = motion + respond(own.forces(motion) - short.forces(motion))
+    ours, theirs = own.outputs(motion).position, short.outputs(shortened).position
+    exact = short.outputs(shortened + respond(-short.hardening(motion))).position
+    rigid = [
+        np.interp(time, recording.time, recording[f"end_effector.reference.position.{axis}"].values) for axis in "xy"
+    ]
+    unit = _largest(ours - np.stack(rigid, axis=1))
+    return _largest(exact - ours) / unit, _largest(exact - theirs) / unit
+
+
+def _bent(run: Run) -> Iterator[str]:
+    """The sentence about bending, where the path may be wrong by more than the tolerance."""
+    deflection, choice = largest_deflection(run), run.scene.effects.choice
+    tolerance, short = TOLERANCE if choice is None else choice.tolerance, run.robot.effects.foreshortening
+    terms = np.array([deflection**2 if short else deflection, deflection**2])
+    if terms[0] * MOST_FOUND[short] <= tolerance:
+        return
+    try:
+        with np.errstate(all="ignore"):
+            error, remaining = path_errors(run)
+        how = "the path is off by"
+    except KeyError:  # not everything was recorded that an estimate needs
+        (error, remaining), how = terms * (USUAL[short], USUAL[True]), "the path may be off by"
+    if error <= tolerance:
+        return
+    remedy = "stiffen or relieve the links"
+    if not short:
+        remedy = (
+            f"set `effects.foreshortening = true`, which leaves {_percent(remaining)}"
+            if remaining <= tolerance
+            else f"`effects.foreshortening = true` would leave {_percent(remaining)}: {remedy}"
+        )
+    yield (
+        f"links bend by up to {100.0 * deflection:.2g} % of their length: {how} {_percent(error)} of the largest elastic "
+        f"deviation, more than the tolerance of {100.0 * tolerance:g} %; {remedy}"
+    )
+
+
+def _stretched(run: Run) -> Iterator[str]:
+    """A sentence for each link that stretches beyond `LARGEST_ELONGATION`."""
+    for name, relative in _relative(run, "elongation"):
+        if not relative <= LARGEST_ELONGATION:
+            yield (
+                f"{name} reaches {100.0 * relative:.3g} % of the link's length: no structural metal stretches by more than "
+                f"{100.0 * LARGEST_ELONGATION:g} % without yielding; stiffen or relieve the links"
+            )
+
+
+def largest_deflection(run: Run) -> float:
+    """Largest deflection of any link relative to its length."""
+    tips = [relative for _, relative in _relative(run, "tip_deflection")]
+    # distal links are pinned at both ends, and their first shape is largest in the middle
+    return max([*tips, *(relative for name, relative in _relative(run, "bending[1]") if name[5] == "2")], default=0.0)
+
+
+def _relative(run: Run, signal: str) -> Iterator[tuple[str, float]]:
+    """Columns of a signal of links, with their largest value relative to the link's length."""
     mechanism = run.robot.mechanism
     for name, column in run.recording.columns.items():
-        link, _, signal = name.partition(".")
-        if signal != kind or not column.values.size:
-            continue
-        length = (mechanism.proximal if link.endswith("1") else mechanism.distal).length
-        largest = float(np.abs(column.values).max())
-        if largest > limit * length:
-            yield (
-                f"{name} reaches {largest:.3g} m, {100.0 * largest / length:.3g} % of the link's length: linear beam theory "
-                f"holds up to {100.0 * limit:g} %, beyond it the numbers describe no real link; stiffen or relieve the links"
-            )
+        link, _, kind = name.partition(".")
+        if kind == signal and column.values.size:
+            length = (mechanism.proximal if link.endswith("1") else mechanism.distal).length
+            yield name, float(np.abs(column.values).max()) / length
+
+
+def _motors(recording: Recording, time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles, rates and accelerations of the motors (N, 6) at instants: where they are, or were told to be."""
+    own = "" if "joint1.position" in recording.columns else ".reference"
+    names = (f"joint{leg}{own}.{kind}" for kind in ("position", "velocity", "acceleration") for leg in (1, 2))
+    return np.stack([np.interp(time, recording.time, recording[name].values) for name in names], axis=1)
+
+
+def _largest(vectors: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(vectors, axis=1).max())
+
+
+def _percent(error: float) -> str:
+    """An error with two digits, as far as the estimate holds."""
+    return f"about {100.0 * error:.2g} %" if error < HOPELESS else f"more than {100.0 * HOPELESS:g} %"

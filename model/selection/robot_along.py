@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import casadi
 import numpy as np
@@ -45,16 +45,24 @@ class RobotAlong:
         grid: instants of the motion.
 
     Attributes:
-        linear: matrices of small motions about the undeformed robot.
-        load: forces on the undeformed robot (N, n).
+        names: of all coordinates.
     """
 
     def __init__(self, scene: Scene, grid: MotionGrid) -> None:
         self._model = numeric_model(scene)
-        self._joints = grid.joints.T
-        self.linear = _linear_system(scene, grid)
-        rest = np.zeros((grid.time.size, self._model.n))
-        self.load = -self.forces(Motion(rest, rest, rest))
+        self.names, self._joints = self._model.names, grid.joints.T
+        self._scene, self._grid = scene, grid
+
+    @cached_property
+    def linear(self) -> LinearSystem:
+        """Matrices of small motions about the undeformed robot."""
+        return _linear_system(self._scene, self._grid)
+
+    @cached_property
+    def load(self) -> Array:
+        """Forces on the undeformed robot (N, n)."""
+        rest = np.zeros((self._grid.time.size, self._model.n))
+        return -self.forces(Motion(rest, rest, rest))
 
     def coordinates(self, effects: Effects, *, static: bool = False) -> Indices:
         """Indices of the coordinates that are states with such effects, or of those that deflect statically."""
@@ -111,6 +119,11 @@ class RobotAlong:
         """Forces that all coordinates need for a motion (N, n)."""
         function = self._model.elastic_forces.map(motion.position.shape[0])
         return _full([function(*self._arguments(motion))])[0].T
+
+    def hardening(self, motion: Motion) -> Array:
+        """Forces of bending beyond linear theory (N, n), which no set of effects contains."""
+        function = self._model.hardening.map(motion.position.shape[0])
+        return _full([function(motion.position.T)])[0].T
 
     def outputs(self, motion: Motion) -> Outputs:
         """End effector and torques of a motion."""
