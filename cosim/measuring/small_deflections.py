@@ -7,7 +7,7 @@ Newton's method for the whole motion, as in `flexfmu.model.selection.estimator`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,9 +59,12 @@ def path_errors(run: Run) -> tuple[float, float]:
     grid = MotionGrid(time, joints, rests, ((0, time.size),), float(time[-1]))
     own = RobotAlong(scene, grid)
     short = own if scene.effects.foreshortening else RobotAlong(scene.replace({"effects.foreshortening": True}), grid)
-    columns = [recording[name] for name in own.names]
-    rates = [[each.values, each.first, each.second] for each in columns]
-    motion = Motion(*(np.stack([np.interp(time, recording.time, each[k]) for each in rates], axis=1) for k in range(3)))
+    motion = Motion(
+        *(
+            _columns(recording, time, [name.format(each) for each in own.names])
+            for name in ("{}", "der({})", "der({},2)")
+        )
+    )
 
     def respond(load: NDArray[np.float64]) -> Motion:
         still = scene.cosimulation.initial == "static"
@@ -72,10 +75,8 @@ def path_errors(run: Run) -> tuple[float, float]:
     shortened = motion + respond(own.forces(motion) - short.forces(motion))
     ours, theirs = own.outputs(motion).position, short.outputs(shortened).position
     exact = short.outputs(shortened + respond(-short.hardening(motion))).position
-    rigid = [
-        np.interp(time, recording.time, recording[f"end_effector.reference.position.{axis}"].values) for axis in "xy"
-    ]
-    unit = _largest(ours - np.stack(rigid, axis=1))
+    rigid = _columns(recording, time, [f"end_effector.reference.position.{axis}" for axis in "xy"])
+    unit = _largest(ours - rigid)
     return _largest(exact - ours) / unit, _largest(exact - theirs) / unit
 
 
@@ -137,7 +138,12 @@ def _relative(run: Run, signal: str) -> Iterator[tuple[str, float]]:
 def _motors(recording: Recording, time: NDArray[np.float64]) -> NDArray[np.float64]:
     """Angles, rates and accelerations of the motors (N, 6) at instants: where they are, or were told to be."""
     own = "" if "joint1.position" in recording.columns else ".reference"
-    names = (f"joint{leg}{own}.{kind}" for kind in ("position", "velocity", "acceleration") for leg in (1, 2))
+    kinds = ("position", "velocity", "acceleration")
+    return _columns(recording, time, [f"joint{leg}{own}.{kind}" for kind in kinds for leg in (1, 2)])
+
+
+def _columns(recording: Recording, time: NDArray[np.float64], names: Sequence[str]) -> NDArray[np.float64]:
+    """Signals at instants, side by side; KeyError where one wasn't recorded."""
     return np.stack([np.interp(time, recording.time, recording[name].values) for name in names], axis=1)
 
 
