@@ -45,7 +45,7 @@ def path_errors(run: Run) -> tuple[float, float]:
     Both are the largest distance between two paths over the largest distance of the path from the rigid robot's.
 
     Raises:
-        KeyError: a coordinate or the motion of the motors wasn't recorded.
+        KeyError: a coordinate or the motion of the motors wasn't recorded, or no coordinate is a state.
     """
     from flexfmu.model.selection.motion_grid import MotionGrid
     from flexfmu.model.selection.response import Motion
@@ -58,6 +58,8 @@ def path_errors(run: Run) -> tuple[float, float]:
     rests = np.concatenate([joints[[0, -1], :2], np.zeros((2, 4))], axis=1)
     grid = MotionGrid(time, joints, rests, ((0, time.size),), float(time[-1]))
     own = RobotAlong(scene, grid)
+    if not own.names:
+        raise KeyError("all elastic families of the scene deflect statically")
     short = own if scene.effects.foreshortening else RobotAlong(scene.replace({"effects.foreshortening": True}), grid)
     motion = Motion(
         *(
@@ -91,7 +93,7 @@ def _bent(run: Run) -> Iterator[str]:
         with np.errstate(all="ignore"):
             error, remaining = path_errors(run)
         how = "the path is off by"
-    except KeyError:  # not everything was recorded that an estimate needs
+    except KeyError:  # an estimate needs coordinates that are states and were recorded
         (error, remaining), how = terms * (USUAL[short], USUAL[True]), "the path may be off by"
     if error <= tolerance:
         return
