@@ -160,6 +160,15 @@ class SamplesInTwoPhases(Sampled, Protocol):
 
 
 @runtime_checkable
+class MayNeedRegularSteps(Protocol):
+    """Is stepped, but perhaps by one and the same step length alone: an FMU that can't vary its communication step."""
+
+    @property
+    def needs_regular_steps(self) -> bool:
+        """Whether all of its steps must have the same length."""
+
+
+@runtime_checkable
 class DeclaresFeedthrough(Protocol):
     """Knows which outputs depend on which inputs at the same instant; others are taken to depend on all."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypedDict
 from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.exported_system import ExportedSlave, ExportedSystem
-from flexfmu.cosim.fmu.sampled_slave import SampledFmu
+from flexfmu.cosim.fmu.sampled_slave import FmuTask, SampledFmu
 from flexfmu.cosim.fmu.slave import FmuSlave
 from flexfmu.cosim.fmu.variables import Value
 from flexfmu.cosim.loop.recording import slave_facts
@@ -93,7 +93,7 @@ class _Exporter:
         """Build or copy the slave's FMU."""
         scene, options = self.scene, self.options
         match slave:
-            case FmuSlave() | SampledFmu() if _is_copied(slave):
+            case FmuSlave() | SampledFmu() | FmuTask() if _is_copied(slave):
                 write_atomically(path, slave.path.read_bytes())
             case FmuSlave():
                 build_scene(scene, output=path, **options)
@@ -114,7 +114,7 @@ class _Options(TypedDict):
 
 def _is_copied(slave: Slave) -> bool:
     """Whether the slave has come from an FMU file: any but the robot."""
-    return isinstance(slave, (FmuSlave, SampledFmu)) and slave.name != PLANT
+    return isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) and slave.name != PLANT
 
 
 def _chosen(slaves: Sequence[Slave], names: Collection[str] | None) -> tuple[Slave, ...]:
@@ -136,7 +136,7 @@ def _check_exportable(slave: Slave) -> None:
     Raises:
         InputError: the slave is a Python class of the user's own.
     """
-    if not isinstance(slave, (FmuSlave, SampledFmu, BlockSlave, TrajectorySlave)):
+    if not isinstance(slave, (FmuSlave, SampledFmu, FmuTask, BlockSlave, TrajectorySlave)):
         raise InputError(
             f"slave {slave.name!r} is a {type(slave).__name__} in Python and can't leave as an FMU; make it a SymbolicBlock "
             "(flexfmu.model.block) or a python-control system, or name the other slaves to export"
@@ -147,7 +147,7 @@ def _start_values(slave: Slave, system: SceneSystem) -> Mapping[str, Value]:
     """Start values that the slave's FMU doesn't have of itself."""
     if slave is system.plant:
         return {**system.changes, **system.constants}
-    return slave.parameters if isinstance(slave, (FmuSlave, SampledFmu)) else {}
+    return slave.parameters if isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) else {}
 
 
 def _between(names: Collection[str], connections: Iterable[tuple[str, str]]) -> tuple[tuple[str, str], ...]:

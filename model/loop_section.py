@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
-from flexfmu.model.section import Seconds, SecondsOrZero, Section
+from flexfmu.model.section import Positive, Seconds, SecondsOrZero, Section, quantity
 
 RESERVED = {"plant": "the robot's", "trajectory": "the planned motion's"}
 """Names of slaves that every scene has → whose they are."""
@@ -80,8 +80,15 @@ class PythonSection(LoopSection):
 
 
 class FmuSection(LoopSection):
-    """Any FMI 2.0 co-simulation FMU; `path` counts from the scene file's folder."""
+    """Any FMI 2.0 co-simulation FMU; `path` counts from the scene file's folder.
+
+    With a `sample_time` it is stepped at its own instants only, its inputs sampled and its outputs held; without one an
+    exported block has its own, an FMU that can't vary its communication step takes the step size of its default
+    experiment, and any other is stepped.
+    """
 
     kind: Literal["fmu"]
     path: Annotated[str, AfterValidator(_from_scene_file)]
     parameters: dict[str, ParameterValue] = Field(default_factory=dict)
+    sample_time: Annotated[Positive | None, quantity("s")] = None
+    offset: SecondsOrZero = 0.0

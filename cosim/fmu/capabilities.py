@@ -1,8 +1,9 @@
-"""What an FMU can do with derivatives, as far as its model description tells."""
+"""What an FMU can do with derivatives and steps, as far as its model description tells."""
 
 from __future__ import annotations
 
 from functools import cache
+from math import inf
 from xml.etree import ElementTree
 
 from flexfmu.cosim.errors import FmuFileError
@@ -36,3 +37,25 @@ def highest_input_derivative(fmu: UnpackedFmu) -> int:
 def highest_output_derivative(fmu: UnpackedFmu) -> int:
     """Order of the highest output derivative that the FMU gives."""
     return int(fmu.description.coSimulation.maxOutputDerivativeOrder or 0)
+
+
+def needs_regular_steps(fmu: UnpackedFmu) -> bool:
+    """Whether all communication steps of the FMU must have the same length."""
+    return not fmu.description.coSimulation.canHandleVariableCommunicationStepSize
+
+
+def fixed_step(fmu: UnpackedFmu) -> float | None:
+    """Step size [s] of the default experiment of an FMU that can't vary its communication step; None for any other.
+
+    Raises:
+        FmuFileError: the step size isn't positive.
+    """
+    experiment = fmu.description.defaultExperiment
+    if not needs_regular_steps(fmu) or experiment is None or not experiment.stepSize:
+        return None
+    step = float(experiment.stepSize)
+    if not 0.0 < step < inf:
+        raise FmuFileError(
+            f"{fmu.path} is a broken FMU: its default experiment has stepSize = {step:g} s; it must be positive"
+        )
+    return step

@@ -12,7 +12,7 @@ import numpy as np
 
 from flexfmu.cosim.errors import SlaveError
 from flexfmu.cosim.fmu import calls as fmi2
-from flexfmu.cosim.fmu.capabilities import highest_input_derivative, highest_output_derivative
+from flexfmu.cosim.fmu.capabilities import highest_input_derivative, highest_output_derivative, needs_regular_steps
 from flexfmu.cosim.fmu.file import UnpackedFmu, open_fmu
 from flexfmu.cosim.fmu.instance import FmuInstance, load_calls
 from flexfmu.cosim.fmu.run import FmuRun
@@ -38,6 +38,7 @@ class FmuSlave:
         parameters: the start values that were given.
         statistics: Integer variables ``statistics.*`` at the end of the last run, without the prefix.
         can_save: whether the FMU can save and restore its state.
+        needs_regular_steps: whether all of its communication steps must have the same length.
         messages: what the FMU logged in the last run, warnings and worse.
 
     Raises:
@@ -64,6 +65,7 @@ class FmuSlave:
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
         fmi = load_calls(self._fmu)
+        self.needs_regular_steps = needs_regular_steps(self._fmu)
         self._instance = FmuInstance(self._fmu, fmi)
         self._transfers = Transfers(fmi, self._instance.component)
         self._do_step: partial[int] = partial(fmi["fmi2DoStep"], self._instance.component)

@@ -93,7 +93,8 @@ class LoopBuilder:
         if isinstance(section, FmuSection):
             path = section.path
             named = self._names.of_file(path, section.name)
-            return self._connected(fmu_slave(path, named, section.parameters), section)
+            times = {"sample_time": section.sample_time, "offset": section.offset}
+            return self._connected(fmu_slave(path, named, section.parameters, **times), section)
         made = from_source(section.source, section.arguments, section.folder)
         return self._connected(as_slave(made, self._names, section.name), section)
 

@@ -77,4 +77,6 @@ def _description(slave: Slave) -> str:
     block = getattr(slave, "block", None)
     if block is not None:
         return str(block.description)
-    return {"FmuSlave": "FMU", "TrajectorySlave": "Planned motion"}.get(type(slave).__name__, type(slave).__name__)
+    names = {"FmuSlave": "FMU", "SampledFmu": "FMU, sampled", "TrajectorySlave": "Planned motion"}
+    names["FmuTask"] = "FMU, sampled, with outputs calculated in its step"
+    return names.get(type(slave).__name__, type(slave).__name__)

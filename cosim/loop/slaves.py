@@ -52,7 +52,8 @@ class Names:
 def as_slave(source: Any, names: Names | None = None, name: str | None = None) -> Slave:
     """A slave from a block, a python-control system, the path of an FMU, or a slave.
 
-    The FMU of a block is sampled like the block; any other is stepped.
+    The FMU of a block is sampled like the block, one that can't vary its step at the step size of its default experiment,
+    any other is stepped; `flexfmu.cosim.fmu.sampled_slave.fmu_slave` makes one with a sample time.
 
     Args:
         source: what it is made from.

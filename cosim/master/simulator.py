@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from flexfmu.cosim.compiled.library import load
 from flexfmu.cosim.compiled.program import can_compile
 from flexfmu.cosim.compiled.run import CompiledRun
+from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.master.coupling_error import CouplingError
 from flexfmu.cosim.master.delays import SignalDelay, signal_delays
 from flexfmu.cosim.master.dependencies import Connection
 from flexfmu.cosim.master.ending import blown_up, message_of, outcome_of, overshot
-from flexfmu.cosim.master.grid import Clock, TimeGrid, time_grid
+from flexfmu.cosim.master.grid import COINCIDENT, Clock, TimeGrid, time_grid
 from flexfmu.cosim.master.links import Transport
 from flexfmu.cosim.master.outcome import Outcome, Simulation
 from flexfmu.cosim.master.recorder import Recorder
@@ -25,7 +28,7 @@ from flexfmu.cosim.master.step_control import StepDoubling
 from flexfmu.cosim.master.stepping_order import feedback_signals
 from flexfmu.cosim.master.system import System
 from flexfmu.cosim.results import Recording
-from flexfmu.cosim.slave import HasBreakpoints, Sampled, Terminates, offset
+from flexfmu.cosim.slave import HasBreakpoints, MayNeedRegularSteps, Sampled, Terminates, offset
 
 
 class Simulator:
@@ -50,6 +53,7 @@ class Simulator:
         record.check(_outputs(system))
         self._system, self._step, self._control, self._selection = system, step, step_control, record
         self._grid = _grid(system, start, stop, step, step_control is None)
+        _check_regular_steps(system, self._grid, step, step_control is not None)
         chosen = GaussSeidel() if algorithm is None else algorithm
         # step control judges outputs that need not be recorded
         read = record if step_control is None else EVERYTHING
@@ -162,6 +166,27 @@ def _grid(system: System, start: float, stop: float, step: float, ticks: bool) -
     clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
     marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
     return time_grid(start, stop, step, marks, clocks, ticks=ticks)
+
+
+def _check_regular_steps(system: System, grid: TimeGrid, step: float, varies: bool) -> None:
+    """Slaves that can't vary their step get none but equal ones.
+
+    Raises:
+        InputError: steps differ, or step control chooses them.
+    """
+    steps = np.diff(grid.times)
+    least, largest = float(steps.min()), float(steps.max())
+    if largest - least <= COINCIDENT * largest and not varies:
+        return
+    for slave in system.slaves:
+        if isinstance(slave, MayNeedRegularSteps) and slave.needs_regular_steps and not isinstance(slave, Sampled):
+            found = f"this run lands on breakpoints, sample instants and its end in steps of {least:.6g} s to {largest:.6g} s"
+            found = "step control chooses them as they come" if varies else found
+            raise InputError(
+                f"{slave.name} takes equal communication steps alone (canHandleVariableCommunicationStepSize = false), but "
+                f"{found}; give it a sample time of its own [s]: sample_time = {step:.6g} in its table, or "
+                f"fmu_slave(path, sample_time={step:.6g})"
+            )
 
 
 def _outputs(system: System) -> list[str]:

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.exported_system import ExportedSlave, ExportedSystem
+from flexfmu.cosim.fmu.annotations import sampling
+from flexfmu.cosim.fmu.capabilities import fixed_step
 from flexfmu.cosim.fmu.file import open_fmu
 from flexfmu.cosim.fmu.variables import Value, typed
 from flexfmu.cosim.loop.sections import loop_of
@@ -120,13 +122,23 @@ def describe(name: str, system: ExportedSystem) -> Structure:
 def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> ComponentFmu:
     """The slave's component: all of its outputs, and those inputs that are fed."""
     fed = {_ends(target) for _, target in connections}
-    bare = component_fmu(Component(slave.name, _source(slave), ()), open_fmu(slave.path), ())
+    fmu = open_fmu(slave.path)
+    bare = component_fmu(Component(slave.name, _source(slave), ()), fmu, ())
     shown = [
         _connector(each, bare)
         for each in bare.variables.values()
         if each.causality == "output" or (slave.name, each.name) in fed
     ]
-    component = Component(slave.name, _source(slave), tuple(shown), description=slave.facts.description)
+    facts = slave.facts
+    times = None if facts.sample_time is None else (facts.sample_time, facts.offset or 0.0)
+    stated = sampling(fmu) is not None or (fixed_step(fmu), 0.0) == times
+    component = Component(
+        slave.name,
+        _source(slave),
+        tuple(shown),
+        description=facts.description,
+        sampling=None if stated else times,
+    )
     return ComponentFmu(component, bare.fmu, bare.variables, bare.units)
 
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from flexfmu.cosim.fmu.annotations import breakpoints, sampling
+from flexfmu.cosim.fmu.annotations import breakpoints
 from flexfmu.cosim.fmu.file import open_fmu
-from flexfmu.cosim.fmu.sampled_slave import SampledFmu
-from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.fmu.trajectory import FmuTrajectory
 from flexfmu.cosim.fmu.variables import Value
 from flexfmu.cosim.master.algorithms import Algorithm
@@ -83,7 +82,8 @@ def load_ssp(
     """Read an SSP file of SSP 1.0 whose components are FMUs of FMI 2.0 for co-simulation.
 
     FMUs that this package made run as in the scene they come from: trajectories are streamed with all derivatives, blocks
-    are sampled at their own instants. Others are stepped. Units are converted, linear transformations and parameter sets
+    are sampled at their own instants. Others are sampled where the file has an annotation with their sample time, or where
+    they can't vary their step and their default experiment has a step size; else they are stepped. Units are converted, linear transformations and parameter sets
     applied. What the system's own input connectors feed stays at its start value.
 
     Args:
@@ -142,12 +142,10 @@ def _names(structure: Structure) -> Mapping[str, str]:
 
 def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value]) -> Slave:
     """The slave that suits an FMU."""
-    path = fmu.fmu.path
-    if sampling(fmu.fmu) is not None:
-        return SampledFmu(path, name, parameters)
     if breakpoints(fmu.fmu) and not parameters:
         return _trajectory(fmu, name)
-    return FmuSlave(path, name, parameters)
+    sample_time, offset = fmu.component.sampling or (None, 0.0)
+    return fmu_slave(fmu.fmu.path, name, parameters, sample_time=sample_time, offset=offset)
 
 
 def _trajectory(fmu: ComponentFmu, name: str) -> Slave:

@@ -11,6 +11,9 @@ from flexfmu.cosim.ssp.xml_tree import Node, parse
 
 FMU = "application/x-fmu-sharedlibrary"
 
+ANNOTATION = "flexfmu"
+"""Type of the annotation with the sample time of a component whose FMU doesn't state it."""
+
 OSP_STEP = ("FixedStepAlgorithm", "baseStepSize")
 """Element and attribute of the Open Simulation Platform's annotation with the communication step."""
 
@@ -75,7 +78,28 @@ def _component(node: Node, archive: SspArchive) -> Component:
         read_bindings(node, archive, source),
         node.text("description") or "",
         node.where,
+        _sampling(node),
     )
+
+
+def _sampling(node: Node) -> tuple[float, float] | None:
+    """Sample time and offset [s] in a component's annotation; None where there is none.
+
+    Raises:
+        SspError: the sample time isn't positive, or the offset is negative.
+    """
+    for each in node.children("Annotations", "Annotation"):
+        if each.text("type") != ANNOTATION:
+            continue
+        for found in each.descendants("Sampling"):
+            sample_time, offset = found.number("sampleTime"), found.number("offset") or 0.0
+            if sample_time is None or sample_time <= 0.0 or offset < 0.0:
+                raise found.error(
+                    f"has sampleTime={found.text('sampleTime')!r}, which must be positive [s], and offset="
+                    f"{found.text('offset')!r}, which must be zero or positive [s]"
+                )
+            return sample_time, offset
+    return None
 
 
 def _check_kind(node: Node) -> None:

@@ -149,6 +149,7 @@ class Component:
         bindings: its parameter sets, later ones first in rank.
         description: what it is.
         where: file and line, for errors.
+        sampling: sample time and offset [s] of an FMU that doesn't state them itself; None where the file doesn't say.
     """
 
     name: str
@@ -157,6 +158,7 @@ class Component:
     bindings: tuple[Binding, ...] = ()
     description: str = ""
     where: str = ""
+    sampling: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

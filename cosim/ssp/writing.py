@@ -10,7 +10,7 @@ from lxml import etree
 from flexfmu.cosim.fmu.variables import Value
 from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.ssp.parameter_reading import BASE_UNITS
-from flexfmu.cosim.ssp.reading import FMU, OSP_STEP
+from flexfmu.cosim.ssp.reading import ANNOTATION, FMU, OSP_STEP
 from flexfmu.cosim.ssp.structure import Binding, Component, Connection, Connector, ParameterSet, Structure, Unit
 from flexfmu.cosim.ssp.xml_tree import NAMESPACE
 
@@ -22,6 +22,7 @@ _NAMESPACES = {
     "ssv": f"{NAMESPACE}SystemStructureParameterValues",
     "ssm": f"{NAMESPACE}SystemStructureParameterMapping",
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+    "flexfmu": "urn:flexfmu:ssp",
 }
 """Prefixes; some importers look for them literally, and libcosim takes declarations below the root for elements."""
 
@@ -66,6 +67,10 @@ def _component(elements: Any, component: Component) -> None:
     _set(node, type=FMU, source=component.source, implementation="CoSimulation")
     _connectors(node, component.connectors)
     _bindings(node, component.bindings)
+    if component.sampling is not None:
+        annotation = _add(_add(node, "ssd:Annotations"), "ssc:Annotation", type=ANNOTATION)
+        sample_time, offset = map(repr, component.sampling)
+        _add(annotation, "flexfmu:Sampling", sampleTime=sample_time, offset=offset)
 
 
 def _connectors(element: Any, connectors: Iterable[Connector]) -> None:

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import zipfile
+from collections.abc import Callable
 from importlib.resources import as_file, files
 from math import factorial, fsum
 from pathlib import Path
@@ -24,19 +25,43 @@ FOREIGN = Path(__file__).parent / "foreign-fmu"
 @pytest.fixture(scope="session")
 def foreign_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A plain FMI 2.0 co-simulation FMU that knows nothing of ours."""
+    folder = tmp_path_factory.mktemp("foreign")
+    return pack(folder / "decay.fmu", (FOREIGN / "modelDescription.xml").read_text(), compiled(folder, c_compiler()))
+
+
+@pytest.fixture(scope="session")
+def make_task(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes a PID controller of another tool's kind with one fixed step, its description changed: make_task(("m", "mm"))."""
+    folder = tmp_path_factory.mktemp("task")
+    library = compiled(folder, c_compiler(), "task")
+    description = (FOREIGN / "task.xml").read_text()
+
+    def make(*changes: tuple[str, str]) -> Path:
+        text = description
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        return pack(folder / f"task{len(list(folder.iterdir()))}.fmu", text, library)
+
+    return make
+
+
+def c_compiler() -> str:
+    """The C compiler."""
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("there is no C compiler")
-    folder = tmp_path_factory.mktemp("foreign")
-    return pack(folder / "decay.fmu", (FOREIGN / "modelDescription.xml").read_text(), compiled(folder, compiler))
+    return compiler
 
 
-def compiled(folder: Path, compiler: str) -> Path:
+def compiled(folder: Path, compiler: str, name: str = "decay") -> Path:
     """The foreign FMU's library."""
-    library = folder / f"decay{fmpy.sharedLibraryExtension}"
+    library = folder / f"{name}{fmpy.sharedLibraryExtension}"
     with as_file(files("flexfmu.fmu_build") / "c-runtime") as headers:
-        command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror", f"-I{headers}"]
-        subprocess.run([*command, str(FOREIGN / "decay.c"), "-lm", "-o", str(library)], check=True, capture_output=True)
+        command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{headers}"]
+        subprocess.run(
+            [*command, str(FOREIGN / f"{name}.c"), "-lm", "-o", str(library)], check=True, capture_output=True
+        )
     return library
 
 
@@ -45,7 +70,7 @@ def pack(path: Path, description: str, library: Path | None, platform: str = fmp
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description)
         if library is not None:
-            archive.write(library, f"binaries/{platform}/decay{fmpy.sharedLibraryExtension}")
+            archive.write(library, f"binaries/{platform}/{library.name}")
     return path
 
 
