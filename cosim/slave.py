@@ -160,6 +160,15 @@ class SamplesInTwoPhases(Sampled, Protocol):
 
 
 @runtime_checkable
+class HasLatency(Protocol):
+    """Knows by how much its outputs lag behind its inputs, as delays do; the list of delays says so."""
+
+    @property
+    def latency(self) -> Mapping[str, float]:
+        """Name of an output → its delay at low frequency [s], without the hold between samples; left out where there is none."""
+
+
+@runtime_checkable
 class MayNeedRegularSteps(Protocol):
     """Is stepped, but perhaps by one and the same step length alone: an FMU that can't vary its communication step."""
 

@@ -32,6 +32,7 @@ class SymbolicBlock:
         output: CasADi function (x, u, p) → y, all dense column vectors.
         update: CasADi function (x, u, p) → next x.
         feedthrough: for each output the names of the inputs that it depends on at the same instant.
+        latency: for outputs that are delayed on purpose by how much they lag at low frequency [s], without the hold.
     """
 
     name: str
@@ -45,3 +46,4 @@ class SymbolicBlock:
     states: tuple[float, ...] = ()
     offset: float = 0.0
     feedthrough: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    latency: Mapping[str, float] = field(default_factory=dict)

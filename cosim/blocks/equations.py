@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from math import isfinite
@@ -34,6 +34,7 @@ def block(
     parameters: Sequence[Variable] = (),
     states: Sequence[float] = (),
     symbol: Any = casadi.SX,
+    latency: Mapping[str, float] | None = None,
 ) -> SymbolicBlock:
     """The block of some equations; direct feedthrough is whatever an output depends on structurally.
 
@@ -44,6 +45,7 @@ def block(
         inputs, outputs, parameters: variables in the order of u, y and p.
         states: start values of x.
         symbol: `casadi.SX` for scalar operations; `casadi.MX` keeps long vectors in one piece.
+        latency: output → delay at low frequency [s].
 
     Raises:
         InputError: the sample time, the offset, a start value, a name or a size is wrong.
@@ -64,6 +66,7 @@ def block(
         states=tuple(float(value) for value in states),
         output=casadi.Function("output", arguments, [output], ["x", "u", "p"], ["y"]),
         update=casadi.Function("update", arguments, [update], ["x", "u", "p"], ["next_x"]),
+        latency=latency or {},
     )
     check_variables(result)
     return _with_feedthrough(result)

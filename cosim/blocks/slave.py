@@ -41,7 +41,7 @@ class BlockSlave:
         self.name = name or block.name
         self.block = block
         self.sample_time, self.offset = block.sample_time, block.offset
-        self.feedthrough = dict(block.feedthrough)
+        self.feedthrough, self.latency = dict(block.feedthrough), dict(block.latency)
         known = (*block.inputs, *block.parameters)
         self.variables = tuple(_slave_variable(each) for each in (*known, *block.outputs))
         self._inputs, self._known = len(block.inputs), len(known)

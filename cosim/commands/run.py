@@ -82,7 +82,7 @@ def _print_summary(summary: Mapping[str, Any], choice: str, folder: Path) -> Non
         parts.append(_metrics_table(name, metrics))
     parts.append(Text(_health_line(health, summary["timing"])))
     parts += _learning_line(summary.get("learning"))
-    late = [delay for delay in summary["delays"] if delay["seconds"] > 0.0]
+    late = [delay for delay in summary["delays"] if delay["seconds"] > 0.0 or delay["average"] > 0.0]
     if late:
         parts.append(Text("late: " + "; ".join(delay["description"] for delay in late)))
     if health["warnings"]:

@@ -117,7 +117,7 @@ class FmuTask:
         can_save: whether the FMU can save and restore its state.
     """
 
-    feedthrough: Mapping[str, tuple[str, ...]] = {}  # noqa: RUF012
+    feedthrough: Mapping[str, tuple[str, ...]] = {}
 
     def __init__(self, slave: FmuSlave, sample_time: float, offset: float = 0.0) -> None:
         self._fmu = slave

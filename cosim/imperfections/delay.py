@@ -115,4 +115,5 @@ def _delay_line(
         parameters=initial_parameters(channels) if depth else (),
         states=empty(size) if depth else (),
         symbol=casadi.MX if size >= VECTORISED_FROM else casadi.SX,
+        latency={each.name: design.samples * sample_time for each in channels} if design.samples else {},
     )

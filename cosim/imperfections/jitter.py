@@ -69,4 +69,5 @@ def jitter(
         outputs=outputs(channels),
         parameters=[largest, seed_parameter(seed, name), *initial_parameters(channels)],
         states=empty(n + 2),
+        latency={each.name: time / 2.0 for each in channels} if time else {},
     )

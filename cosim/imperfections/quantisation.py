@@ -109,6 +109,7 @@ def encoder(
             angles, "counts_per_turn", counts_per_turn, ["1"] * n, "the number of counts per turn", minimum=1.0
         ),
         states=empty(window * n),
+        latency={each.name: window * sample_time / 2.0 for each in rates},
     )
 
 

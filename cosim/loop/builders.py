@@ -15,7 +15,7 @@ from flexfmu.cosim.loop.loop import PayloadError, Shaper
 from flexfmu.cosim.loop.python_source import from_source
 from flexfmu.cosim.loop.slaves import Names, as_slave
 from flexfmu.cosim.planning import MotionPlan
-from flexfmu.cosim.slave import Slave
+from flexfmu.cosim.slave import Sampled, Slave
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.imperfection_sections import PayloadErrorSection
 from flexfmu.model.loop_section import FmuSection, LoopSection, PythonSection
@@ -42,6 +42,7 @@ class LoopBuilder:
     def __init__(self, scene: Scene, planned: MotionPlan, names: Names) -> None:
         self._scene, self._planned, self._names = scene, planned, names
         self.connect: dict[str, str] = {}
+        self._controllers: list[Slave] = []
 
     def controller(self, section: Any, motion: MotionPlan) -> Slave:
         """The controller of a section.
@@ -53,9 +54,10 @@ class LoopBuilder:
         Raises:
             InputError: it can't be made.
         """
-        if isinstance(section, (PythonSection, FmuSection)):
-            return self._custom(section)
-        return self._slave(controller_block(section, motion), section)
+        custom = isinstance(section, (PythonSection, FmuSection))
+        slave = self._custom(section) if custom else self._slave(controller_block(section, motion), section)
+        self._controllers.append(slave)
+        return slave
 
     def shaper(self, section: Any) -> Any:
         """The shaper of a section: a `Shaper`, or a slave.
@@ -93,8 +95,8 @@ class LoopBuilder:
         if isinstance(section, FmuSection):
             path = section.path
             named = self._names.of_file(path, section.name)
-            times = {"sample_time": section.sample_time, "offset": section.offset}
-            return self._connected(fmu_slave(path, named, section.parameters, **times), section)
+            slave = fmu_slave(path, named, section.parameters, sample_time=section.sample_time, offset=section.offset)
+            return self._connected(slave, section)
         made = from_source(section.source, section.arguments, section.folder)
         return self._connected(as_slave(made, self._names, section.name), section)
 
@@ -124,9 +126,9 @@ class LoopBuilder:
 
     @property
     def _sample_time(self) -> float:
-        """Sample time of imperfections that have none of their own [s]."""
-        own = (getattr(section, "sample_time", None) for section in self._scene.controller)
-        return next((time for time in own if time is not None), self._scene.cosimulation.step)
+        """Sample time of imperfections that have none of their own [s]; the controllers have been made."""
+        own = (slave.sample_time for slave in self._controllers if isinstance(slave, Sampled))
+        return next(own, self._scene.cosimulation.step)
 
     def _impulses(self, section: ImpulseShaperSection | SpecifiedInsensitivitySection) -> ImpulseSequence:
         """The impulses that a section asks for."""

@@ -166,7 +166,9 @@ def _learning(run: Run) -> dict[str, Any]:
 
 
 def _delay(delay: SignalDelay) -> dict[str, Any]:
-    return {"connection": delay.connection, "seconds": delay.seconds, "description": str(delay)}
+    """Delay of a signal [s]: at most between source and target, what is held, the source's own, and in all on average."""
+    parts = {"hold": delay.hold, "latency": delay.latency, "average": delay.average}
+    return {"connection": delay.connection, "seconds": delay.seconds, **parts, "description": str(delay)}
 
 
 def _timing(run: Run) -> dict[str, float]:

@@ -154,7 +154,7 @@ def test_a_held_output_arrives_at_once() -> None:
     assert result.recording["plant.x"].values[last].tolist() == [1.0, 6.0, 11.0, 12.0, 13.0, 24.0, 35.0]
     assert [each.seconds for each in result.delays] == [0.0, 0.0]
     assert result.delay_report.splitlines() == [
-        "controller.y -> plant.u: no delay, held between the samples of its source",
+        "controller.y -> plant.u: 0.1 s late on average, held for 0.2 s between the samples of its source",
         "plant.x -> controller.u: no delay, read at the sample instants",
     ]
 
@@ -169,7 +169,7 @@ def test_a_ring_of_sampled_slaves() -> None:
     assert [each.seconds for each in two.delays] == [0.0, 0.0]
     one = simulate(connect([Sampler("a", 0.1, start=1.0), Sampler("b", 0.1)], wires), 0.6, 0.1)
     assert sorted(each.seconds for each in one.delays) == [0.0, 0.1]
-    assert "0.1 s late, its source samples after its target" in one.delay_report
+    assert "0.1 s late, its source has sampled that long before its target" in one.delay_report
 
 
 def test_a_sampled_slave_that_feeds_itself() -> None:
@@ -178,3 +178,21 @@ def test_a_sampled_slave_that_feeds_itself() -> None:
     (one,) = simulate(connect([Sampler("a", 0.1)], wire), 0.3, 0.1).delays
     (two,) = simulate(connect([InTwoPhases("a", 0.1)], wire), 0.3, 0.1).delays
     assert (one.seconds, two.seconds) == (0.1, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "age"),
+    [
+        ((0.2, 0.0), (0.2, 0.1), 0.1),
+        ((0.2, 0.1), (0.2, 0.0), 0.1),
+        ((0.1, 0.0), (0.2, 0.0), 0.0),
+        ((0.3, 0.0), (0.2, 0.0), 0.2),
+    ],
+)
+def test_the_age_of_a_sample(source: tuple[float, float], target: tuple[float, float], age: float) -> None:
+    """A slave that samples between the samples of another reads what has been held since: the list of delays says how
+    long, at most."""
+    slaves = [InTwoPhases("a", *source), InTwoPhases("b", *target)]
+    (delay,) = simulate(connect(slaves, [("a.y", "b.u")]), 1.2, 0.1).delays
+    assert delay.seconds == pytest.approx(age, abs=1e-12)
+    assert delay.average == delay.seconds
