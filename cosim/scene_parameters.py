@@ -6,7 +6,16 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.model.scene import Effects, Link, MassDamping, ModalDamping, RayleighDamping, Scene, StiffnessDamping
+from flexfmu.model.scene import (
+    Effects,
+    Link,
+    MassDamping,
+    ModalDamping,
+    RayleighDamping,
+    Scene,
+    Stiction,
+    StiffnessDamping,
+)
 
 
 def scene_parameters(scene: Scene) -> dict[str, float]:
@@ -46,20 +55,28 @@ EFFECTS = (
     "motor_inertia",
     "joint_friction.viscous",
     "joint_friction.coulomb",
+    "joint_friction.breakaway",
+    "joint_friction.stribeck_velocity",
     "transmission.stiffness",
     "transmission.damping",
 )
 """Parameters without which an FMU lacks the effect itself; zero switches it off."""
 
 STIFFNESS = "transmission.stiffness"
-"""The one effect that no number switches off."""
+
+PERMANENT = {
+    STIFFNESS: "elastic transmissions, scene {} has rigid ones",
+    "joint_friction.breakaway": "friction that sticks, that of scene {} is smooth",
+    "joint_friction.stribeck_velocity": "friction that falls smoothly from breakaway, that of scene {} doesn't",
+}
+"""Parameters of effects that no number switches off → what the FMU has then, and what the scene has instead."""
 
 
 def parameters_for(scene: Scene, available: Collection[str]) -> dict[str, float]:
     """The scene's values of those parameters that an FMU has.
 
     Raises:
-        InputError: the scene has an effect that the FMU lacks, or rigid transmissions where the FMU's are elastic.
+        InputError: the scene has an effect that the FMU lacks, or lacks one of the FMU's that no number switches off.
     """
     values = scene_parameters(scene)
     for name in EFFECTS:
@@ -67,10 +84,9 @@ def parameters_for(scene: Scene, available: Collection[str]) -> dict[str, float]
             raise InputError(
                 f"the FMU lacks {name}, which is {values[name]} in scene {scene.name}; build it from this scene"
             )
-    if STIFFNESS in available and STIFFNESS not in values:
-        raise InputError(
-            f"the FMU has elastic transmissions, scene {scene.name} has rigid ones; build the FMU from this scene"
-        )
+    for name, sentence in PERMANENT.items():
+        if name in available and name not in values:
+            raise InputError(f"the FMU has {sentence.format(scene.name)}; build the FMU from this scene")
     return {name: value for name, value in values.items() if name in available}
 
 
@@ -119,8 +135,15 @@ def _drives(effects: Effects) -> Mapping[str, float]:
         "motor_inertia": effects.motor_inertia,
         "joint_friction.viscous": friction.viscous,
         "joint_friction.coulomb": friction.coulomb,
-        "joint_friction.velocity": friction.velocity,
     }
+    if isinstance(friction, Stiction):
+        found["joint_friction.breakaway"] = friction.holding
+        if friction.stribeck_velocity is not None:
+            found["joint_friction.stribeck_velocity"] = friction.stribeck_velocity
+    else:
+        found["joint_friction.velocity"] = friction.velocity
+        if not friction.coulomb:
+            found["joint_friction.breakaway"] = 0.0
     if transmission is not None:
         found |= {STIFFNESS: transmission.stiffness, "transmission.damping": transmission.damping}
     return found

@@ -48,6 +48,7 @@ class Description:
         max_output_order: highest order of an output's derivative that can be read; 0 for none.
         has_tolerance: whether the default experiment's tolerance means anything here.
         has_model_exchange: whether the importer may integrate it; then it has directional derivatives too.
+        n_event_indicators: how many events of its own an importer that integrates must look for.
         naming: how the variables are named.
         annotations: what FMI has no place for, for tools that look: element → attributes.
 
@@ -63,6 +64,7 @@ class Description:
     max_output_order: int = 0
     has_tolerance: bool = False
     has_model_exchange: bool = False
+    n_event_indicators: int = 0
     naming: Naming = "structured"
     annotations: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
@@ -107,6 +109,7 @@ def plant_description(model: SymbolicModel) -> Description:
         max_output_order=MAX_OUTPUT_DERIVATIVE_ORDER,
         has_tolerance=True,
         has_model_exchange=True,
+        n_event_indicators=len(model.frictions),
     )
 
 
@@ -140,6 +143,7 @@ def description_xml(
         max_input_order=description.max_input_order,
         max_output_order=description.max_output_order,
         has_model_exchange=description.has_model_exchange,
+        n_event_indicators=description.n_event_indicators,
         naming=description.naming,
         annotations=_annotations(description),
         interface=description.interface,

@@ -7,7 +7,13 @@ from collections.abc import Iterator, Mapping
 from flexfmu.model import scene as keys
 from flexfmu.model.bases import family_shapes
 from flexfmu.model.damping import ModalDamping, ProportionalDamping
-from flexfmu.model.drive_effects import CoulombFriction, ElasticTransmission, MotorInertia, ViscousFriction
+from flexfmu.model.drive_effects import (
+    CoulombFriction,
+    ElasticTransmission,
+    MotorInertia,
+    StickingFriction,
+    ViscousFriction,
+)
 from flexfmu.model.effects import Effect
 from flexfmu.model.elastic_family import ElasticFamily
 from flexfmu.model.foreshortening import Foreshortening
@@ -86,7 +92,10 @@ def _drive_effects(chosen: keys.Effects, registry: ParameterRegistry) -> Iterato
         yield MotorInertia(registry, chosen.motor_inertia)
     if friction.viscous:
         yield ViscousFriction(registry, friction.viscous)
-    if friction.coulomb:
+    if isinstance(friction, keys.Stiction):
+        if friction.holding:
+            yield StickingFriction(registry, friction.coulomb, friction.holding, friction.stribeck_velocity)
+    elif friction.coulomb:
         yield CoulombFriction(registry, friction.coulomb, friction.velocity)
     if transmission is not None:
         yield ElasticTransmission(registry, transmission.stiffness, transmission.damping)

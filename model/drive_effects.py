@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from functools import partial
+
 import casadi
 
-from flexfmu.model.effects import Effect
+from flexfmu.model.effects import Effect, Stiction
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Robot
 from flexfmu.model.symbolic import Variable
@@ -67,6 +71,64 @@ class CoulombFriction(Effect):
 
     def formula(self) -> str:
         return "R = c ∑ √(w² + q̇_i²)"
+
+
+class StickingFriction(Effect):
+    """Dry friction that holds each motor up to its breakaway torque, and opposes its slip with less at higher rates.
+
+    The torque at the rate v is coulomb + (breakaway - coulomb) exp(-(v / stribeck_velocity)²) (Stribeck's curve; Armstrong-
+    Hélouvry, Dupont and Canudas de Wit, Automatica 30 (1994), eq. (5)), or coulomb alone without a Stribeck velocity. A
+    breakaway torque below the Coulomb friction counts as equal to it.
+    """
+
+    def __init__(
+        self, registry: ParameterRegistry, coulomb: float, breakaway: float, stribeck_velocity: float | None
+    ) -> None:
+        self._coulomb = _parameter(
+            registry, "joint_friction.coulomb", "N.m", "Coulomb friction of each motor that turns", coulomb
+        )
+        largest = _parameter(
+            registry, "joint_friction.breakaway", "N.m", "Largest torque that holds a motor at rest", breakaway
+        )
+        self._breakaway = registry.derived("joint_friction_holding", casadi.fmax(largest, self._coulomb))
+        self._velocity = stribeck_velocity and _parameter(
+            registry,
+            "joint_friction.stribeck_velocity",
+            "rad/s",
+            "Motor rate at which friction has fallen from breakaway by 63 %",
+            stribeck_velocity,
+            1e-9,
+        )
+        self._directions = [registry.switch(f"joint{leg}_slip_direction") for leg in (1, 2)]
+
+    def _torque(self, direction: casadi.SX, rate: casadi.SX) -> casadi.SX:
+        excess = self._breakaway - self._coulomb
+        falling = 0.0 if self._velocity is None else excess * casadi.exp(-((rate / self._velocity) ** 2))
+        return _slip(direction, rate) * (self._coulomb + falling)
+
+    def dissipation(self, robot: Robot) -> casadi.SX:
+        total = casadi.SX(0)
+        for direction, rate in zip(self._directions, robot.motor_rates, strict=True):
+            potential = self._coulomb * rate
+            if self._velocity is not None:
+                reach = 0.5 * math.sqrt(math.pi) * (self._breakaway - self._coulomb) * self._velocity
+                potential += reach * casadi.erf(rate / self._velocity)
+            total += _slip(direction, rate) * potential
+        return total
+
+    def stiction(self) -> Sequence[Stiction]:
+        return [
+            Stiction(partial(self._torque, direction), self._breakaway, direction) for direction in self._directions
+        ]
+
+    def formula(self) -> str:
+        falling = "" if self._velocity is None else " + (b - c) ∫ exp(-(v/w)²) dv"
+        return f"R = ∑ c |q̇_i|{falling}; q̈_i = 0 up to |τ_i| = b"
+
+
+def _slip(direction: casadi.SX, rate: casadi.SX) -> casadi.SX:
+    """The direction of slip: as it was chosen, or the rate's own sign."""
+    return direction + (direction == 0.0) * casadi.sign(rate)
 
 
 class ElasticTransmission(Effect):

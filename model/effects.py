@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi
@@ -16,6 +16,21 @@ import numpy as np
 
 from flexfmu.model.robot import Family, Robot
 from flexfmu.model.symbolic import EffectNote
+
+
+@dataclass(frozen=True)
+class Stiction:
+    """Dry friction that can hold a motor.
+
+    Attributes:
+        torque: the friction torque that opposes the slip at a motor rate [rad/s], in N m.
+        breakaway: derived value: the largest torque that holds the motor.
+        direction: switch: the direction of slip; 0 stands for the sign of the rate.
+    """
+
+    torque: Callable[[casadi.SX], casadi.SX]
+    breakaway: casadi.SX
+    direction: casadi.SX
 
 
 @dataclass(frozen=True)
@@ -66,6 +81,10 @@ class Effect(ABC):  # noqa: B024 - every hook has a neutral default
         """Rayleigh's function R [W], half the power that is lost."""
         return casadi.SX(0)
 
+    def stiction(self) -> Sequence[Stiction]:
+        """Dry friction that can hold motor 1 and motor 2, whose torques are in `dissipation`; or nothing."""
+        return ()
+
     def outputs(self, robot: Robot) -> Sequence[Output]:
         """Scalars worth watching."""
         return ()
@@ -98,6 +117,7 @@ _CONTRIBUTIONS = {
     "first_moment": "weight",
     "potential_energy": "potential energy V",
     "dissipation": "dissipation R",
+    "stiction": "sticking of the motors",
     "outputs": "outputs",
 }
 """Hook of an effect → what it contributes if it has one of its own."""

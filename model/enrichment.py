@@ -121,7 +121,7 @@ def _without_loads(scene: Scene) -> Iterator[Step]:
         yield "damping", "without structural damping", {"effects.damping": {"kind": "none"}}
     if effects.motor_inertia:
         yield "motor_inertia", "without the motors' inertia", {"effects.motor_inertia": 0.0}
-    if effects.joint_friction.viscous or effects.joint_friction.coulomb:
+    if effects.joint_friction.is_there:
         yield "joint_friction", "without friction", {"effects.joint_friction": {}}
     if effects.transmission is not None:
         yield "transmission", "with rigid transmissions", {"effects.transmission": None}

@@ -9,7 +9,7 @@ import casadi
 from flexfmu.model.chosen_effects import chosen_effects
 from flexfmu.model.closure import Closure, IndependentMotion, ProjectedForces
 from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
-from flexfmu.model.effects import Output
+from flexfmu.model.effects import Output, Stiction
 from flexfmu.model.errors import SceneError
 from flexfmu.model.link_properties import LinkProperties, link_properties
 from flexfmu.model.parameters import ParameterRegistry
@@ -38,6 +38,7 @@ class FiveBar:
         elastic: all elastic coordinates (n, 1), static deflections under these forces included.
         position: end effector (2, 1) [m] with these elastic coordinates.
         outputs: watched scalars of the effects.
+        stiction: dry friction that can hold motor 1 and motor 2; empty where there is none.
         notes: what the documentation says of each effect.
     """
 
@@ -52,6 +53,7 @@ class FiveBar:
     elastic: casadi.SX
     position: casadi.SX
     outputs: tuple[Output, ...]
+    stiction: tuple[Stiction, ...]
     notes: tuple[EffectNote, ...]
 
     def with_forces(self, redundant_force: casadi.SX) -> FiveBar:
@@ -108,6 +110,7 @@ def assemble(scene: Scene) -> FiveBar:
         elastic=elastic,
         position=position,
         outputs=outputs,
+        stiction=tuple(friction for effect in effects for friction in effect.stiction()),
         notes=tuple(effect.note() for effect in effects),
     )
 

@@ -38,6 +38,14 @@ class ParameterRegistry:
             self._derived[name] = (casadi.SX.sym(name), expression)
         return self._derived[name][0]
 
+    def switch(self, name: str) -> casadi.SX:
+        """The symbol of a value that is zero among the derived ones, and that the runtime sets while the model moves."""
+        return self._derived.setdefault(name, (casadi.SX.sym(name), casadi.SX(0)))[0]
+
+    def position(self, derived: casadi.SX) -> int:
+        """Index in d of the symbol of a derived value."""
+        return next(i for i, (symbol, _) in enumerate(self._derived.values()) if casadi.is_equal(symbol, derived))
+
     def find_derived(self, name: str) -> casadi.SX:
         """The symbol of a derived value, zero where no effect has asked for it."""
         return self._derived[name][0] if name in self._derived else casadi.SX(0)

@@ -15,7 +15,7 @@ from flexfmu.model.five_bar import FiveBar
 from flexfmu.model.five_bar_drawing import draw_five_bar
 from flexfmu.model.robot import Family
 from flexfmu.model.scene import Scene
-from flexfmu.model.symbolic import SymbolicModel, Variable
+from flexfmu.model.symbolic import Friction, SymbolicModel, Variable
 from flexfmu.model.time_derivatives import Motion, acceleration_terms, forward, motion_forward, motion_rate2
 
 MINIMUM_SINE = 0.01
@@ -69,6 +69,7 @@ def make_plant(
     inputs: Sequence[Variable],
     locked: int = 0,
     rate_inputs: int = 0,
+    frictions: tuple[Friction, ...] = (),
 ) -> SymbolicModel:
     """The symbolic model of a plant; see `SymbolicModel` for the arguments."""
     return SymbolicModel(
@@ -87,6 +88,7 @@ def make_plant(
         is_damped=five_bar.dynamics.is_damped,
         locked=locked,
         rate_inputs=rate_inputs,
+        frictions=frictions,
         effects=five_bar.notes,
         drawing=draw_five_bar(scene),
         pose=POSE,

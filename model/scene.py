@@ -113,12 +113,57 @@ Damping = Annotated[
 ]
 
 
-class JointFriction(Section):
+class SmoothFriction(Section):
     """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor that turns with w."""
 
+    kind: Literal["smooth"] = "smooth"
     viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
     coulomb: Annotated[float, quantity("N.m", ge=0.0)] = 0.0
     velocity: Annotated[float, quantity("rad/s", gt=0.0)] = 0.01
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is any friction."""
+        return bool(self.viscous or self.coulomb)
+
+
+class Stiction(Section):
+    """Friction that holds a motor up to the torque `breakaway`, `coulomb` by default, and slips with `coulomb`.
+
+    With a Stribeck velocity w_s it falls smoothly, coulomb + (breakaway - coulomb) exp(-(w / w_s)²), else at once.
+    """
+
+    kind: Literal["stiction"]
+    viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
+    coulomb: Annotated[float, quantity("N.m", ge=0.0)] = 0.0
+    breakaway: Annotated[float, quantity("N.m", ge=0.0)] | None = None
+    stribeck_velocity: Annotated[float, quantity("rad/s", gt=0.0)] | None = None
+
+    @property
+    def holding(self) -> float:
+        """Largest torque [N m] that holds a motor."""
+        return self.coulomb if self.breakaway is None else self.breakaway
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is any friction."""
+        return bool(self.viscous or self.holding)
+
+    @model_validator(mode="after")
+    def _holds_more_than_it_brakes(self) -> Self:
+        if self.holding < self.coulomb:
+            raise ValueError(
+                f"`breakaway` must be at least `coulomb` = {self.coulomb} N.m, got {self.breakaway} N.m: "
+                "a motor at rest is held by no less friction than one that turns"
+            )
+        return self
+
+
+def _smooth_by_default(value: Any) -> Any:
+    return {"kind": "smooth", **value} if isinstance(value, dict) else value
+
+
+JointFriction = Annotated[SmoothFriction | Stiction, BeforeValidator(_smooth_by_default), Field(discriminator="kind")]
 
 
 class Transmission(Section):
@@ -150,7 +195,7 @@ class Effects(Section):
     quasi_static: Annotated[tuple[FamilyName, ...], BeforeValidator(as_tuple)] = ()
     damping: Damping = NoDamping()
     motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0
-    joint_friction: JointFriction = JointFriction()
+    joint_friction: JointFriction = SmoothFriction()
     transmission: Transmission | None = None
     reactions: bool = False
     select: Literal["auto"] | None = None

@@ -66,6 +66,25 @@ class Variable:
 
 
 @dataclass(frozen=True)
+class Friction:
+    """Dry friction that can hold an unknown.
+
+    While it slips, its generalised force is a term of the residual's row of that unknown, with its direction d[direction];
+    while it sticks, the row is y'' = 0 instead.
+
+    Attributes:
+        unknown: index in ``y``.
+        breakaway: index in ``d`` of the largest generalised force that holds the unknown.
+        direction: index in ``d`` of the direction of slip, 1 or -1, which the runtime sets; 0, as `derive` gives it, stands
+            for the sign of the rate.
+    """
+
+    unknown: int
+    breakaway: int
+    direction: int
+
+
+@dataclass(frozen=True)
 class EffectNote:
     """What the documentation says of an effect.
 
@@ -102,6 +121,7 @@ class SymbolicModel:
             the others find their static equilibrium, and each belongs to the input of the same index, a generalised
             force that holds the equilibrium unless somebody sets it.
         rate_inputs: number of trailing inputs that are rates: zero at rest, so the static equilibrium doesn't see them.
+        frictions: dry friction that can hold unknowns; events within a motion change what it does.
         effects: what the model contains, for documentation.
         drawing: what the mechanism looks like; None where there is nothing to draw.
         pose: names of the outputs that tell a person where the mechanism is, for messages.
@@ -122,6 +142,7 @@ class SymbolicModel:
     is_damped: bool = False
     locked: int = 0
     rate_inputs: int = 0
+    frictions: tuple[Friction, ...] = ()
     effects: tuple[EffectNote, ...] = ()
     drawing: Drawing | None = None
     pose: tuple[str, ...] = ()

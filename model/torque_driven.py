@@ -24,7 +24,7 @@ from flexfmu.model.plant_functions import (
 )
 from flexfmu.model.scene import Scene
 from flexfmu.model.statics import static_equilibrium
-from flexfmu.model.symbolic import SymbolicModel, Variable
+from flexfmu.model.symbolic import Friction, SymbolicModel, Variable
 from flexfmu.model.time_derivatives import Motion
 
 RIGID_BANDWIDTH = 100.0
@@ -52,7 +52,7 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
     five_bar = five_bar.with_forces(loaded)
     forces = five_bar.forces
     inputs = _inputs(scene)
-    outputs = _joint_outputs(five_bar) + robot_outputs(five_bar)
+    outputs = _joint_outputs(five_bar) + _friction_outputs(five_bar, torque) + robot_outputs(five_bar)
     if scene.effects.reactions:
         outputs += reaction_outputs(forces)
     equations = PlantEquations(
@@ -71,6 +71,7 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
         unknowns=("joint1.position", "joint2.position", *elastic_names(five_bar)),
         inputs=inputs,
         locked=2,
+        frictions=_frictions(five_bar),
     )
 
 
@@ -103,6 +104,26 @@ def _joint_outputs(five_bar: FiveBar) -> list[OutputRow]:
         rows.append((output(velocity, "rad/s", f"Rate of motor {i + 1}", of=position), motion.v_a[i]))
         rows.append((output(acceleration, "rad/s2", f"Acceleration of motor {i + 1}", of=velocity), motion.a_a[i]))
     return rows
+
+
+def _friction_outputs(five_bar: FiveBar, torque: casadi.SX) -> list[OutputRow]:
+    """What dry friction does to the motors: the law while they slip, what is left to hold them while they stick."""
+    forces, rates = five_bar.forces.motors, five_bar.motion.v_a
+    return [
+        (
+            output(f"joint{i + 1}.friction", "N.m", f"Torque of dry friction on motor {i + 1}, counter-clockwise"),
+            forces[i] - torque[i] - friction.torque(rates[i]),
+        )
+        for i, friction in enumerate(five_bar.stiction)
+    ]
+
+
+def _frictions(five_bar: FiveBar) -> tuple[Friction, ...]:
+    position = five_bar.registry.position
+    return tuple(
+        Friction(i, position(friction.breakaway), position(friction.direction))
+        for i, friction in enumerate(five_bar.stiction)
+    )
 
 
 def _error_scale(five_bar: FiveBar) -> casadi.SX:

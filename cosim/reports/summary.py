@@ -107,9 +107,10 @@ def _drives(effects: Effects) -> dict[str, str]:
     found = {}
     if effects.motor_inertia:
         found["motor_inertia"] = f"Inertia of {effects.motor_inertia:g} kg m2 of each motor"
-    if friction.viscous or friction.coulomb:
+    if friction.is_there:
+        sticking = f", sticking up to {friction.holding:g} N m" if friction.kind == "stiction" else ""
         found["joint_friction"] = (
-            f"Friction of each motor: {friction.viscous:g} N m s/rad viscous, {friction.coulomb:g} N m dry"
+            f"Friction of each motor: {friction.viscous:g} N m s/rad viscous, {friction.coulomb:g} N m dry{sticking}"
         )
     if transmission is not None:
         found["transmission"] = f"Elastic transmissions of {transmission.stiffness:g} N m/rad"

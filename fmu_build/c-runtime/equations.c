@@ -26,6 +26,43 @@ void flex_equations_take(flex_equations *equations, const flex_model *model, fle
   equations->res = flex_take(arena, (size_t)n_res * sizeof *equations->res);
   equations->iw = flex_take_ints(arena, (size_t)n_iw);
   equations->w = flex_take_doubles(arena, (size_t)n_w);
+  equations->holding = flex_take_doubles(arena, (size_t)model->n_frictions);
+  equations->earlier_modes = flex_take_ints(arena, (size_t)model->n_frictions);
+}
+
+void flex_set_mode(flex_equations *equations, int friction, int mode) {
+  equations->modes[friction] = mode;
+  equations->d[equations->model->frictions[friction].direction] = (mode == FLEX_FORWARD) - (mode == FLEX_BACKWARD);
+}
+
+void flex_show_modes(flex_equations *equations) {
+  for (int k = 0; k < equations->model->n_frictions; k++) flex_set_mode(equations, k, equations->modes[k]);
+}
+
+void flex_hold(const flex_equations *equations, double *rates) {
+  const flex_model *model = equations->model;
+  for (int k = 0; k < model->n_frictions; k++)
+    if (equations->modes[k] == FLEX_STUCK) rates[model->frictions[k].unknown] = 0.0;
+}
+
+// what the residual lacks is the force of friction; the equation becomes a = 0
+static void hold_residual(flex_equations *equations, const double *a, double *r) {
+  for (int k = 0; k < equations->model->n_frictions; k++) {
+    int i = equations->model->frictions[k].unknown;
+    if (equations->modes[k] != FLEX_STUCK) continue;
+    equations->holding[k] = -r[i];
+    r[i] = a[i];
+  }
+}
+
+static void hold_mass(const flex_equations *equations, double *mass) {
+  int n = equations->model->n;
+  for (int k = 0; k < equations->model->n_frictions; k++) {
+    int i = equations->model->frictions[k].unknown;
+    if (equations->modes[k] != FLEX_STUCK) continue;
+    for (int j = 0; j < n; j++) mass[i * n + j] = mass[j * n + i] = 0.0;
+    mass[i * n + i] = 1.0;
+  }
 }
 
 int flex_residual(flex_equations *equations, const double *y, const double *v, const double *a, const double *u, double *r) {
@@ -37,12 +74,16 @@ int flex_residual(flex_equations *equations, const double *y, const double *v, c
   arg[4] = equations->d;
   equations->res[0] = r;
   ++*equations->evaluations;
-  return equations->model->residual.call(arg, equations->res, equations->iw, equations->w, 0);
+  int refused = equations->model->residual.call(arg, equations->res, equations->iw, equations->w, 0);
+  if (equations->model->n_frictions > 0) hold_residual(equations, a, r);
+  return refused;
 }
 
 int flex_mass_matrix(flex_equations *equations, const double *y, const double *u, double *mass) {
   const double *const arguments[] = {y, u, equations->d};
-  return flex_call(equations, &equations->model->mass_matrix, 3, arguments, mass);
+  int refused = flex_call(equations, &equations->model->mass_matrix, 3, arguments, mass);
+  if (equations->model->n_frictions > 0) hold_mass(equations, mass);
+  return refused;
 }
 
 int flex_margin(flex_equations *equations, const double *y, const double *u, double *margin) {
@@ -59,7 +100,9 @@ int flex_call(flex_equations *equations, const flex_function *function, int n_ar
 
 int flex_motion_forward(flex_equations *equations, const flex_point *at, const flex_point *change, double *changes) {
   const double *const arguments[] = {at->y, at->v, at->a, at->u, at->d, change->y, change->v, change->u, change->d};
-  return flex_call(equations, &equations->model->motion_forward, 9, arguments, changes);
+  int refused = flex_call(equations, &equations->model->motion_forward, 9, arguments, changes);
+  flex_hold(equations, changes);
+  return refused;
 }
 
 void flex_add_acceleration(const flex_model *model, const double *entries, const double *a, double *outputs) {

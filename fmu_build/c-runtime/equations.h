@@ -9,8 +9,13 @@
 
 typedef struct {
   const flex_model *model;
-  const double *d; /* derived parameters */
+  double *d;  /* derived parameters */
+  int *modes; /* of the frictions, FLEX_FREE and so on */
   long long *evaluations;
+
+  /* forces with which frictions hold what sticks, at the last residual [n_frictions] */
+  double *holding;
+  int *earlier_modes; /* scratch */
 
   /* work space of the generated functions */
   const double **arg;
@@ -19,12 +24,22 @@ typedef struct {
   double *w;
 } flex_equations;
 
+/* what a friction does: nothing of its own, since it has no force or the motion hasn't begun; holds; slips */
+enum { FLEX_FREE, FLEX_STUCK, FLEX_FORWARD, FLEX_BACKWARD };
+
 void flex_equations_take(flex_equations *equations, const flex_model *model, flex_arena *arena);
 
-/* r(y, v, a, u), n numbers; counted as an evaluation */
+/* a friction's mode, and the direction that the generated functions see; the latter again after `derive` */
+void flex_set_mode(flex_equations *equations, int friction, int mode);
+void flex_show_modes(flex_equations *equations);
+
+/* zero where friction holds an unknown: its equation doesn't change */
+void flex_hold(const flex_equations *equations, double *rates);
+
+/* r(y, v, a, u), n numbers, a itself where friction holds; counted as an evaluation */
 int flex_residual(flex_equations *equations, const double *y, const double *v, const double *a, const double *u, double *r);
 
-/* M(y, u), n x n by columns */
+/* M(y, u), n x n by columns, rows and columns of the unit matrix where friction holds */
 int flex_mass_matrix(flex_equations *equations, const double *y, const double *u, double *mass);
 
 /* singularity margin, one number */
@@ -42,7 +57,8 @@ typedef struct {
 /* how many numbers flex_motion_forward gives */
 size_t flex_changes_count(const flex_model *model);
 
-/* changes of residual and outputs with those of everything but the acceleration, and the entries of do/da */
+/* changes of residual, zero where friction holds, and outputs with those of everything but the acceleration, and the entries
+ * of do/da */
 int flex_motion_forward(flex_equations *equations, const flex_point *at, const flex_point *change, double *changes);
 
 /* adds do/da a to changes of the outputs */

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "elementary.h"
+#include "friction.h"
 #include "integration_step.h"
 
 /* share of the tolerance that one step may use. The local error is held below share x tol^(q/p), q its order and p that of
@@ -72,9 +73,13 @@ void flex_integrator_start(flex_integrator *integrator) {
   memset(integrator->y_rest, 0, size);
   memset(integrator->v_rest, 0, size);
   record->step = 0.0;
-  record->history_step = 0.0;
   record->scale = fmax(*integrator->floor, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
-  flex_accuracy_clear(&record->accuracy);
+  flex_integrator_restart(integrator);
+}
+
+void flex_integrator_restart(flex_integrator *integrator) {
+  integrator->record->history_step = 0.0;
+  flex_accuracy_clear(&integrator->record->accuracy);
   flex_stages_clear(&integrator->stages);
 }
 
@@ -108,7 +113,8 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, double *a
   flex_integrator_record *record = integrator->record;
   double start = result->time, remaining = t1 - start, fixed = *integrator->fixed_step;
   double count = fmax(1.0, ceil(remaining / record->step * (1.0 - 1e-9)));
-  double h = remaining / count;
+  double h = remaining / count, taken = h;
+  int has_friction = integrator->stages.equations->model->n_frictions > 0;
   integrator->wants_longer_steps = count > 1.0;
 
   // their times are start + i h
@@ -118,13 +124,13 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, double *a
       return FLEX_TOO_MANY_STEPS;
     }
     double allowed = integrator->local_error * record->scale;
-    flex_outcome outcome = integrator->method->step(integrator, start + i * h, h, allowed, &result->value);
+    flex_outcome outcome =
+        has_friction ? flex_friction_step(integrator, start + i * h, &taken, allowed, attempts, &result->value)
+                     : integrator->method->step(integrator, start + i * h, h, allowed, &result->value);
     if (outcome != FLEX_DONE) return outcome;
-    result->time = i + 1.0 == count ? t1 : start + (i + 1.0) * h;
-    if (fixed > 0.0)
-      record->step = fixed;
-    else if (record->step < h || record->step > REPLANNED_GROWTH * h)
-      break;
+    result->time = taken < h ? start + i * h + taken : i + 1.0 == count ? t1 : start + (i + 1.0) * h;
+    if (fixed > 0.0) record->step = fixed;
+    if (taken < h || (fixed == 0.0 && (record->step < h || record->step > REPLANNED_GROWTH * h))) break;
   }
   return FLEX_DONE;
 }

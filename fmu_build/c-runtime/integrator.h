@@ -44,6 +44,9 @@ void flex_integrator_use(flex_integrator *integrator, const flex_method *method,
 /* begins a motion at the present y and v: forgets history and step size */
 void flex_integrator_start(flex_integrator *integrator);
 
+/* goes on with other equations: what the steps so far say about them is forgotten */
+void flex_integrator_restart(flex_integrator *integrator);
+
 /* acceleration and factor of the mass matrix at the present y and v for the inputs u */
 flex_outcome flex_integrator_accelerate(flex_integrator *integrator, const double *u);
 

@@ -33,6 +33,15 @@ typedef struct {
   int output, unknown;
 } flex_term;
 
+/* dry friction that can hold an unknown: while it slips, its generalised force enters the residual of its own row, with the
+ * direction d[direction]; while it sticks, that row is a = 0 instead. `derive` leaves the direction at 0, which stands for the
+ * rate's own sign */
+typedef struct {
+  int unknown;
+  int breakaway; /* d[breakaway]: the largest force that holds it */
+  int direction; /* d[direction]: 1 or -1 while it slips */
+} flex_friction;
+
 typedef struct {
   const char *name;
   const char *guid;
@@ -55,6 +64,9 @@ typedef struct {
 
   int n_acceleration_terms;
   const flex_term *acceleration_terms; /* the entries of do/da that motion_forward gives; NULL if there are none */
+
+  int n_frictions;
+  const flex_friction *frictions; /* NULL if there are none */
 
   int n_pose;              /* outputs that tell a person where the mechanism is, for messages */
   const int *pose_outputs; /* which they are; NULL if there are none */

@@ -1,4 +1,4 @@
-/* The functions of FMI for model exchange: the importer integrates. There are no events of our own. */
+/* The functions of FMI for model exchange: the importer integrates. Our own events are those of friction. */
 #include "model_exchange.h"
 
 #include <math.h>
@@ -30,11 +30,12 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
-  static const fmi2EventInfo nothing_happened = {fmi2False, fmi2False, fmi2False, fmi2False, fmi2False, 0.0};
+  fmi2EventInfo info = {fmi2False, fmi2False, fmi2False, fmi2False, fmi2False, 0.0};
   flex_instance *instance = flex_checked(c, call_fmi2NewDiscreteStates);
   if (!instance || flex_lacks(instance, call_fmi2NewDiscreteStates, "a place for what happened", eventInfo, 1))
     return fmi2Error;
-  *eventInfo = nothing_happened;
+  if (flex_backend_handle_event(instance->backend, &info.valuesOfContinuousStatesChanged)) return flex_log_refusal(instance);
+  *eventInfo = info;
   return fmi2OK;
 }
 
@@ -54,7 +55,9 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStat
       flex_lacks(instance, call, "a place for terminateSimulation", terminateSimulation, 1))
     return fmi2Error;
   *enterEventMode = *terminateSimulation = fmi2False;
-  return flex_backend_check_point(instance->backend) ? flex_log_refusal(instance) : fmi2OK;
+  if (flex_backend_check_point(instance->backend)) return flex_log_refusal(instance);
+  *enterEventMode = flex_backend_has_event(instance->backend);
+  return fmi2OK;
 }
 
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
@@ -86,7 +89,11 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx
 }
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni) {
-  return checked(c, call_fmi2GetEventIndicators, "event indicators", eventIndicators, ni, 0) ? fmi2OK : fmi2Error;
+  const size_t needed = flex_backend_indicators();
+  flex_instance *instance = checked(c, call_fmi2GetEventIndicators, "event indicators", eventIndicators, ni, needed);
+  if (!instance) return fmi2Error;
+  if (needed == 0 || !flex_backend_get_indicators(instance->backend, eventIndicators)) return fmi2OK;
+  return flex_log(instance, fmi2Discard, LOG_DISCARD, "%s", instance->backend->message);
 }
 
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {

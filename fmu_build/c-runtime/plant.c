@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "elementary.h"
+#include "friction.h"
 #include "linear_algebra.h"
 
 /* rounding errors of the polynomials that inputs are between communication points, in units of what they reach there */
@@ -28,6 +29,7 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->outputs = flex_take_doubles(arena, outputs);
   plant->jerk = flex_take_doubles(arena, flex_changes_count(model));
   plant->snap = flex_take_doubles(arena, n + outputs);
+  plant->modes = flex_take_ints(arena, (size_t)model->n_frictions);
   flex_inputs_take(&plant->inputs, model->n_inputs, model->max_input_order, arena);
   flex_integrator_take_state(&plant->integrator, model->n, arena);
   plant->state_size = arena->used - begin;
@@ -39,6 +41,7 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   plant->u1 = flex_take_doubles(arena, m);
   plant->u2 = flex_take_doubles(arena, m);
   plant->shown_u = flex_take_doubles(arena, m);
+  plant->indicators = flex_take_doubles(arena, (size_t)model->n_frictions);
   plant->zero = flex_take_doubles(arena, n + m + (size_t)model->n_derived);
   flex_tangent_take(&plant->tangent, model, arena);
 }
@@ -65,6 +68,7 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
   // seams between the parts
   flex_integrator *integrator = &plant->integrator;
   plant->equations.d = plant->d;
+  plant->equations.modes = plant->modes;
   plant->equations.evaluations = &plant->record->stages.evaluations;
   integrator->record = &plant->record->integrator;
   integrator->stages.record = &plant->record->stages;
@@ -138,6 +142,7 @@ static flex_outcome need_derived(flex_plant *plant) {
   const double *const p[] = {plant->p}, *const d[] = {plant->d};
   if (flex_call(&plant->equations, &model->derive, 1, p, plant->d)) return FLEX_NOT_FINITE;
   if (!all_finite(plant->d, model->n_derived)) return FLEX_NOT_FINITE;
+  flex_show_modes(&plant->equations);
   if (flex_call(&plant->equations, &model->error_scale, 1, d, plant->scale)) return FLEX_BAD_SCALE;
 
   // weights must be usable as such
@@ -166,6 +171,7 @@ static flex_outcome start_undeformed(flex_plant *plant, double *margin) {
   size_t size = (size_t)plant->model->n * sizeof(double);
   memset(integrator->v, 0, size);
   memset(integrator->a, 0, size);
+  for (int k = 0; k < plant->model->n_frictions; k++) flex_set_mode(&plant->equations, k, FLEX_FREE);
   if (flex_call(&plant->equations, &plant->model->initial_coordinates, 1, p, integrator->y)) return FLEX_NOT_FINITE;
   if (!all_finite(integrator->y, plant->model->n)) return FLEX_NOT_FINITE;
   flex_outcome outcome = need_start_inputs(plant);
@@ -246,6 +252,38 @@ static int go_on(const flex_plant *plant, const double *u) {
   return 1;
 }
 
+// acceleration for the inputs u, with the modes of friction that belong to them unless these are held
+static flex_outcome accelerate(flex_plant *plant, int modes_are_held, int *stopped) {
+  flex_integrator *integrator = &plant->integrator;
+  int settles = plant->model->n_frictions > 0 && !modes_are_held;
+  plant->record->have &= ~POINT;
+  flex_outcome outcome = settles ? flex_friction_settle(integrator, plant->u, stopped)
+                                 : flex_integrator_accelerate(integrator, plant->u);
+  if (outcome == FLEX_DONE) plant->record->have |= FLEX_HAVE_ACCELERATION;
+  return outcome;
+}
+
+flex_failure flex_plant_settle(flex_plant *plant, int *stopped) {
+  flex_failure failure = flex_plant_need_start(plant);
+  if (failure.outcome != FLEX_DONE || plant->model->n_frictions == 0) return failure;
+  flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->u);
+  plant->record->modes_are_held = 1;
+  return outcome_now(plant, accelerate(plant, 0, stopped), 0.0);
+}
+
+flex_failure flex_plant_indicators(flex_plant *plant, double *indicators) {
+  flex_failure failure = flex_plant_need_acceleration(plant);
+  if (failure.outcome != FLEX_DONE || plant->model->n_frictions == 0) return failure;
+  return outcome_now(plant, flex_friction_indicators(&plant->integrator, plant->u, indicators), 0.0);
+}
+
+int flex_plant_has_event(flex_plant *plant) {
+  int count = plant->model->n_frictions, has_event = 0;
+  if (count == 0 || flex_plant_indicators(plant, plant->indicators).outcome != FLEX_DONE) return 0;
+  for (int k = 0; k < count; k++) has_event |= plant->indicators[k] < 0.0;
+  return has_event;
+}
+
 // acceleration for the present inputs, right-sided where they jump
 flex_failure flex_plant_need_acceleration(flex_plant *plant) {
   flex_plant_record *record = plant->record;
@@ -260,12 +298,9 @@ flex_failure flex_plant_need_acceleration(flex_plant *plant) {
   if ((record->have & FLEX_HAVE_ACCELERATION) && go_on(plant, plant->u1)) return failure;
 
   memcpy(plant->u, plant->u1, (size_t)plant->inputs.count * sizeof(double));
-  record->have &= ~POINT;
-  flex_outcome outcome = flex_integrator_accelerate(&plant->integrator, plant->u);
-  if (outcome == FLEX_DONE)
-    record->have |= FLEX_HAVE_ACCELERATION;
-  else
-    record->inputs_changed = 1;
+  int stopped = 0;
+  flex_outcome outcome = accelerate(plant, record->modes_are_held, &stopped);
+  if (outcome != FLEX_DONE) record->inputs_changed = 1;
   return outcome_now(plant, outcome, 0.0);
 }
 
@@ -337,6 +372,7 @@ static int second_rates(flex_plant *plant) {
   const flex_integrator *g = &plant->integrator;
   const double *const arguments[] = {g->y, g->v, g->a, plant->jerk, plant->u, plant->u1, plant->u2, plant->d};
   int refused = flex_call(&plant->equations, &model->motion_rate2, 8, arguments, plant->snap);
+  flex_hold(&plant->equations, plant->snap);
   solve_rate(plant, plant->snap, plant->second_rates);
   return refused || !all_finite(plant->snap, model->n + model->n_outputs);
 }

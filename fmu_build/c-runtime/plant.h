@@ -29,6 +29,7 @@ typedef struct {
   int starts_static; /* 1 = static equilibrium, 0 = undeformed */
   int is_moving;     /* 1 = initialisation is over */
   int have;          /* FLEX_HAVE_.. */
+  int modes_are_held; /* 1 = the modes of friction change at the importer's events only */
   int inputs_changed;
   flex_integrator_record integrator;
   flex_stages_record stages;
@@ -42,13 +43,14 @@ typedef struct {
   /* numeric state; u, previous_u: inputs now and when the last communication step began; rates: o1, o2; jerk da/dt, snap
    * d2a/dt2; entries of do/da */
   double *p, *d, *scale, *u, *previous_u, *outputs, *jerk, *first_rates, *acceleration_entries, *snap, *second_rates;
+  int *modes; /* of the frictions */
   flex_inputs inputs;
   flex_integrator integrator;
 
   /* scratch */
   flex_equations equations;
   flex_statics statics;
-  double *u1, *u2, *zero;
+  double *u1, *u2, *zero, *indicators;
   flex_tangent tangent;
   double *shown_u; /* inputs at the present time, after flex_plant_need_inputs */
 
@@ -85,6 +87,14 @@ static inline void flex_plant_inputs_changed(flex_plant *plant) {
 
 /* somebody else has moved coordinates and rates */
 void flex_plant_moved(flex_plant *plant);
+
+/* an event of an importer that integrates itself: chooses the modes of friction anew, and holds them from now on; *stopped = 1
+ * if a coordinate that friction catches was stopped. The indicators of such events, one for each friction */
+flex_failure flex_plant_settle(flex_plant *plant, int *stopped);
+flex_failure flex_plant_indicators(flex_plant *plant, double *indicators);
+
+/* whether one has happened at the present point */
+int flex_plant_has_event(flex_plant *plant);
 
 /* ends initialisation at the given time */
 flex_failure flex_plant_begin(flex_plant *plant);

@@ -137,6 +137,23 @@ int flex_backend_get_state_rates(flex_backend *backend, double *rates) {
   return explained(backend, "computing state derivatives", flex_state_space_rates(plant_of(backend), rates));
 }
 
+size_t flex_backend_indicators(void) {
+  return (size_t)flex_the_model.n_frictions;
+}
+
+int flex_backend_get_indicators(flex_backend *backend, double *indicators) {
+  return explained(backend, "computing event indicators", flex_plant_indicators(plant_of(backend), indicators));
+}
+
+int flex_backend_handle_event(flex_backend *backend, int *states_changed) {
+  *states_changed = 0;
+  return explained(backend, "event", flex_plant_settle(plant_of(backend), states_changed));
+}
+
+int flex_backend_has_event(flex_backend *backend) {
+  return flex_plant_has_event(plant_of(backend));
+}
+
 double flex_backend_state_nominal(size_t index) {
   return flex_the_model.state_nominals ? flex_the_model.state_nominals[index] : 1.0;
 }

@@ -124,10 +124,9 @@ def _damping_time(scene: Scene) -> float:
 
 def _refuse_drive_effects(scene: Scene) -> None:
     effects = scene.effects
-    friction = effects.joint_friction
     chosen = {
         "motor_inertia": bool(effects.motor_inertia),
-        "joint_friction": bool(friction.viscous or friction.coulomb),
+        "joint_friction": effects.joint_friction.is_there,
         "transmission": effects.transmission is not None,
     }
     for key, there in chosen.items():

@@ -71,6 +71,13 @@ static int unit_scale_2(in arg, out res, int *iw, double *w, int mem) {
   return 0;
 }
 
+// positions, rates, and a floor of everyday size
+static int sliders_scale(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = res[0][1] = res[0][2] = res[0][3] = 1.0, res[0][4] = 0.1;
+  return 0;
+}
+
 /* oscillators: y = R q, R orthogonal; d = frequencies and damping ratio */
 
 static const double rotation[3][3] = {{0.6, -0.8, 0.0}, {0.8, 0.6, 0.0}, {0.0, 0.0, 1.0}};
@@ -425,6 +432,112 @@ const flex_model rigid = {.name = "rigid",
                           .start_forward = FUNCTION(no_inputs),
                           .singularity = FUNCTION(margin_below_one),
                           .error_scale = FUNCTION(unit_floor)};
+
+/* sliders: d = c, b, viscous, coupling, direction 1, direction 2 */
+
+static int sliders_derive(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  memcpy(res[0], arg[0], 4 * sizeof(double));
+  return origin(res[0] + 4, 2);
+}
+
+// forces without friction, with the acceleration that they need
+static void sliders_forces(const double *y, const double *v, const double *a, const double *u, const double *d, double *r) {
+  double link = d[3] * (y[1] - y[0]);
+  r[0] = a[0] + d[2] * v[0] + 4.0 * (y[0] - u[0]) - link;
+  r[1] = a[1] + d[2] * v[1] + link;
+}
+
+static int sliders_residual(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double *d = arg[4];
+  sliders_forces(arg[0], arg[1], arg[2], arg[3], d, res[0]);
+  for (int i = 0; i < 2; i++) res[0][i] += d[4 + i] * d[0];
+  return 0;
+}
+
+static int sliders_mass(in arg, out res, int *iw, double *w, int mem) {
+  (void)arg, (void)iw, (void)w, (void)mem;
+  res[0][0] = res[0][3] = 1.0, res[0][1] = res[0][2] = 0.0;
+  return 0;
+}
+
+static int sliders_outputs(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  memcpy(res[0], arg[0], 2 * sizeof(double));
+  memcpy(res[0] + 2, arg[1], 2 * sizeof(double));
+  sliders_forces(arg[0], arg[1], arg[2], arg[3], arg[4], res[0] + 4);
+  return 0;
+}
+
+// arg: y, v, a, u, d, dy, dv, du, dd
+static int sliders_forward(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double held[2] = {0.0, 0.0};
+  sliders_forces(arg[5], arg[6], held, arg[7], arg[4], res[0]);
+  memcpy(res[0] + 2, arg[5], 2 * sizeof(double));
+  memcpy(res[0] + 4, arg[6], 2 * sizeof(double));
+  memcpy(res[0] + 6, res[0], 2 * sizeof(double));
+  res[0][8] = res[0][9] = 1.0;
+  return 0;
+}
+
+// arg: y, v, a, j, u, u1, u2, d
+static int sliders_rate2(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  const double no_snap[2] = {0.0, 0.0};
+  sliders_forces(arg[2], arg[3], no_snap, arg[6], arg[7], res[0]);
+  memcpy(res[0] + 2, arg[2], 2 * sizeof(double));
+  memcpy(res[0] + 4, arg[3], 2 * sizeof(double));
+  memcpy(res[0] + 6, res[0], 2 * sizeof(double));
+  return 0;
+}
+
+static int sliders_start_forward(in arg, out res, int *iw, double *w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  memcpy(res[0], arg[1], 4 * sizeof(double));
+  return origin(res[0] + 4, 4);
+}
+
+static const flex_variable sliders_input[] = {{"pull", "m", 0.0, LIMITLESS, 0}};
+static const flex_variable sliders_parameters[] = {{"c", "N", 1.0, 0.0, 1e9, 0},
+                                                   {"b", "N", 1.5, 0.0, 1e9, 1},
+                                                   {"viscous", "N.s/m", 0.0, 0.0, 1e9, 0},
+                                                   {"coupling", "N/m", 0.0, 0.0, 1e9, 0}};
+static const flex_variable sliders_shown[] = {{"y1", "m", 0.0, LIMITLESS, 0},   {"y2", "m", 0.0, LIMITLESS, 0},
+                                              {"v1", "m/s", 0.0, LIMITLESS, 0}, {"v2", "m/s", 0.0, LIMITLESS, 0},
+                                              {"f1", "N", 0.0, LIMITLESS, 0},   {"f2", "N", 0.0, LIMITLESS, 0}};
+static const flex_term sliders_terms[] = {{4, 0}, {5, 1}};
+static const flex_friction sliders_frictions[] = {{0, 1, 4}, {1, 1, 5}};
+
+const flex_model sliders = {.name = "sliders",
+                            .guid = "{sliders}",
+                            .n = 2,
+                            .n_inputs = 1,
+                            .n_parameters = 4,
+                            .n_derived = 6,
+                            .n_outputs = 6,
+                            .max_input_order = 9,
+                            .input_variables = sliders_input,
+                            .parameter_variables = sliders_parameters,
+                            .output_variables = sliders_shown,
+                            .n_acceleration_terms = 2,
+                            .acceleration_terms = sliders_terms,
+                            .n_frictions = 2,
+                            .frictions = sliders_frictions,
+                            .default_tolerance = 1e-6,
+                            .margin_name = "margin",
+                            .derive = FUNCTION(sliders_derive),
+                            .initial_inputs = FUNCTION(zero_input),
+                            .initial_coordinates = FUNCTION(origin_2),
+                            .residual = FUNCTION(sliders_residual),
+                            .mass_matrix = FUNCTION(sliders_mass),
+                            .outputs = FUNCTION(sliders_outputs),
+                            .motion_forward = FUNCTION(sliders_forward),
+                            .motion_rate2 = FUNCTION(sliders_rate2),
+                            .start_forward = FUNCTION(sliders_start_forward),
+                            .singularity = FUNCTION(ample_margin),
+                            .error_scale = FUNCTION(sliders_scale)};
 
 /* fragile: d = limit, load */
 

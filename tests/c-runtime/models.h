@@ -25,4 +25,10 @@ extern const flex_model rigid;
  * `limit` is fixed, `load` tunable; this is flex_the_model too */
 extern const flex_model fragile;
 
+/* two bodies of unit mass on the ground, the first pulled by a spring of stiffness 4 whose end is input 0, the second hung on
+ * the first by one of stiffness `coupling`; both feel dry friction, c while they slip and up to b while they stick, but for a
+ * viscous share `viscous`; parameters and derived values c, b, viscous, coupling, then the two directions;
+ * outputs: positions, rates and friction forces */
+extern const flex_model sliders;
+
 #endif

@@ -43,6 +43,13 @@
   X(unsolvable_equations_are_given_up)          \
   X(blow_up_is_reported)                        \
   X(bad_inputs_leave_no_trace)                  \
+  X(stick_slip_follows_its_closed_form)         \
+  X(sticking_is_a_state)                      \
+  X(breakaway_is_met_within_a_step)           \
+  X(two_frictions_keep_the_balance)           \
+  X(friction_rolls_back)                      \
+  X(chatter_is_bounded)                       \
+  X(rates_with_friction_are_exact)            \
   X(fmi_model_exchange)                         \
   X(fmi_model_exchange_is_checked)              \
   X(fmi_model_exchange_states_are_restored)     \
