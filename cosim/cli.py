@@ -164,6 +164,15 @@ def run(
             show_default=False,
         ),
     ] = None,
+    isolate: Annotated[
+        bool | None,
+        typer.Option(
+            "--isolate/--no-isolate",
+            help="Simulate in a child process, so that a slave that crashes, exits or hangs ends the run alone. Default: what the "
+            "scene says, or where other tools' FMUs or Python slaves take part.",
+            show_default=False,
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
@@ -179,10 +188,10 @@ def run(
         if scene.lower().endswith(".ssp") or is_zipfile(scene):
             from flexfmu.cosim.commands.export import run_ssp_command
 
-            raise typer.Exit(run_ssp_command(Path(scene), out, step, stop_time, json))
+            raise typer.Exit(run_ssp_command(Path(scene), out, step, stop_time, json, isolate))
         if stop_time is not None:
             raise InputError("--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`")
-        raise typer.Exit(run_command(scene, out, json, step))
+        raise typer.Exit(run_command(scene, out, json, step, isolate))
 
 
 @app.command()

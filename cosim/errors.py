@@ -50,6 +50,10 @@ class SlaveError(CosimError):
         self.reason = reason
         self.time = time
 
+    def __reduce__(self) -> tuple[type[SlaveError], tuple[str, str, float | None]]:
+        """For the way from one process to another."""
+        return type(self), (self.slave, self.reason, self.time)
+
 
 class NotFiniteError(SlaveError):
     """An output is infinite or not a number."""

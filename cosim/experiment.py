@@ -13,6 +13,7 @@ from flexfmu.cosim.loop.coupling import coupling_of
 from flexfmu.cosim.loop.loop import Loop
 from flexfmu.cosim.loop.recording import slave_facts
 from flexfmu.cosim.loop.sections import loop_of
+from flexfmu.cosim.master.isolation import isolation
 from flexfmu.cosim.master.master import Progress
 from flexfmu.cosim.master.outcome import Outcome, Simulation
 from flexfmu.cosim.master.selection import EVERYTHING, Selection
@@ -39,6 +40,8 @@ class Options(TypedDict, total=False):
     progress: Progress | None
     parameters: Mapping[str, float] | None
     initial: str | None
+    isolate: bool | None
+    call_limit: float | None
 
 
 def run_scene(
@@ -53,6 +56,8 @@ def run_scene(
     initial: str | None = None,
     motion: MotionPlan | None = None,
     loop: Loop | None = None,
+    isolate: bool | None = None,
+    call_limit: float | None = None,
 ) -> Run:
     """Plan the scene's motion, build its FMU or take it from the cache, and co-simulate motion and dwell.
 
@@ -71,6 +76,10 @@ def run_scene(
         motion: a motion to run instead of the scene's own with its shapers, planned from the same scene.
         loop: what stands between motion and robot, instead of the scene's own sections; see
             `flexfmu.cosim.closed_loop.run_loop`.
+        isolate: whether to simulate in a child process, so that a slave which crashes, exits or hangs ends the run alone (Linux
+            only); the scene's own when None. If that is open too: where FMUs of other tools or the scene's Python slaves take
+            part, but not where Python slaves come as objects, since what they change in themselves stays in the child.
+        call_limit: how long a slave may stay in one call of an isolated run [s]; the scene's own when None.
 
     Returns:
         The run; when a slave fails on the way, with what was recorded until then.
@@ -90,6 +99,8 @@ def run_scene(
         initial=initial,
         motion=motion,
         loop=loop,
+        isolate=isolate,
+        call_limit=call_limit,
     )
     return prepared.run(parameters, progress)
 
@@ -116,6 +127,8 @@ class PreparedScene:
         motion: MotionPlan | None = None,
         loop: Loop | None = None,
         record: Selection = EVERYTHING,
+        isolate: bool | None = None,
+        call_limit: float | None = None,
     ) -> None:
         if scene.effects.select is not None and not (motion is None and loop is None):
             raise InputError(
@@ -125,7 +138,7 @@ class PreparedScene:
         watch = Stopwatch()
         scene = resolved(scene)
         section = scene.cosimulation
-        self._loop = loop_of(scene, motion) if loop is None else loop
+        theirs, self._loop = loop is not None, loop_of(scene, motion) if loop is None else loop
         self._stop_time = self._loop.motion.stop_time
         planning = watch.lap()
         self._fmu_path = build_scene(scene).path if fmu_path is None else fmu_path
@@ -135,6 +148,12 @@ class PreparedScene:
         self._system = connect(self._parts.slaves, self._parts.wiring.connections, loops=self._coupling.loops)
         self._step = section.step if communication_step is None else communication_step
         self._tolerance = section.tolerance if tolerance is None else tolerance
+        self._isolation = isolation(
+            section.isolate if isolate is None else isolate,
+            self._parts.slaves,
+            section.call_limit if call_limit is None else call_limit,
+            theirs=theirs,
+        )
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
         self._facts = slave_facts(self._parts.slaves)
         self._simulator: Simulator | None = None
@@ -176,6 +195,7 @@ class PreparedScene:
                 algorithm=self._coupling.algorithm,
                 step_control=self._coupling.step_control,
                 record=self._recording.needed,
+                isolation=self._isolation,
             )
         return self._simulator
 

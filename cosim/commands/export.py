@@ -36,7 +36,14 @@ def export_command(source: str, output: Path | None, platforms: list[str], as_js
     return 0
 
 
-def run_ssp_command(source: Path, out: Path | None, step: float | None, stop_time: float | None, as_json: bool) -> int:
+def run_ssp_command(
+    source: Path,
+    out: Path | None,
+    step: float | None,
+    stop_time: float | None,
+    as_json: bool,
+    isolate: bool | None = None,
+) -> int:
     """Simulate an SSP file, with step and stop time [s] instead of its own; write results.csv and summary.json, print how it went; the exit status.
 
     What was recorded before a failure is written too.
@@ -45,7 +52,7 @@ def run_ssp_command(source: Path, out: Path | None, step: float | None, stop_tim
     folder = OutputFolder(out or RESULTS / source.stem)
     folder.prepare()
     with progress() as show:
-        simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction))
+        simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction), isolate=isolate)
         show("writing the results", None)
         simulation.recording.write_csv(folder.path / "results.csv")
         summary = _summary(loaded, simulation)

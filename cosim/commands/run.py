@@ -26,7 +26,9 @@ from flexfmu.model.scene_file import load_scene
 from flexfmu.model.selection.words import choice_sentence
 
 
-def run_command(source: str, out: Path | None, as_json: bool, step: float | None = None) -> int:
+def run_command(
+    source: str, out: Path | None, as_json: bool, step: float | None = None, isolate: bool | None = None
+) -> int:
     """Simulate, write, print; the exit status.
 
     What was recorded before a failure is written too.
@@ -37,7 +39,9 @@ def run_command(source: str, out: Path | None, as_json: bool, step: float | None
     with progress() as show:
         scene = resolved(scene, show)
         show("planning the motion, building the FMU", None)
-        run = run_scene(scene, communication_step=step, progress=lambda fraction: show("simulating", fraction))
+        run = run_scene(
+            scene, communication_step=step, progress=lambda fraction: show("simulating", fraction), isolate=isolate
+        )
         show("writing the results", None)
         run.recording.write_csv(folder.path / "results.csv")
         settings, measurements, problem = _measure(run)

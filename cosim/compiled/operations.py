@@ -49,7 +49,7 @@ class COperation(Structure):
     """``master_operation``."""
 
     _fields_ = (
-        *((name, c_int) for name in ("kind", "condition")),
+        *((name, c_int) for name in ("kind", "condition", "owner")),
         *((name, c_size_t) for name in ("count", "stride")),
         *((name, c_void_p) for name in _FIELDS),
     )
@@ -74,6 +74,7 @@ class CProgram(Structure):
         ("times", c_void_p),
         ("jumps", c_void_p),
         ("recorded_times", c_void_p),
+        ("active", c_void_p),
     )
 
 
@@ -89,7 +90,7 @@ class Operation:
 
     Attributes:
         kind, when: what it does, and when.
-        owner: name of the slave that is at work.
+        owner: index of the slave that is at work.
         failure: makes the error where it fails.
         numbers: its fields ``count`` and ``stride``, as far as it needs them.
         addresses: its pointers, by field.
@@ -98,7 +99,7 @@ class Operation:
 
     kind: Kind
     when: When
-    owner: str
+    owner: int
     failure: Failure
     numbers: dict[str, int] = field(default_factory=dict)
     addresses: dict[str, int | None] = field(default_factory=dict)
@@ -115,13 +116,13 @@ def pack(operations: Sequence[Operation]) -> Any:
     """The operations as a C array."""
     packed = (COperation * max(len(operations), 1))()
     for each, one in zip(packed, operations, strict=False):
-        each.kind, each.condition = one.kind, one.when
+        each.kind, each.condition, each.owner = one.kind, one.when, one.owner
         for name, value in {**one.numbers, **one.addresses}.items():
             setattr(each, name, value)
     return packed
 
 
-def fmi_transfer(call: partial[int], when: When, owner: str, failure: Failure) -> Operation:
+def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure) -> Operation:
     """fmi2GetReal, fmi2SetReal or their derivatives with bound arguments, see `Transfers`."""
     _, references, count, *orders, target = call.args
     pointers = {**_reached(call), "references": references, "target": target}
@@ -130,7 +131,7 @@ def fmi_transfer(call: partial[int], when: When, owner: str, failure: Failure) -
     return Operation(kind, when, owner, failure, {"count": count}, {**pointers, **more}, (call,))
 
 
-def fmi_step(call: partial[int], owner: str, failure: Failure) -> Operation:
+def fmi_step(call: partial[int], owner: int, failure: Failure) -> Operation:
     """fmi2DoStep, never to go back to an earlier point."""
     return Operation(Kind.STEP, When.ALWAYS, owner, failure, {}, _reached(call), (call,))
 
@@ -140,7 +141,7 @@ def _reached(call: partial[int]) -> dict[str, int | None]:
     return {"function": pointer(call.func), "component": addressof(call.args[0])}
 
 
-def table_row(table: RealArray, signals: RealArray, owner: str, rows: int) -> Operation:
+def table_row(table: RealArray, signals: RealArray, owner: int, rows: int) -> Operation:
     """The first ``rows`` rows of ``signals`` from those of ``table`` (points, orders, n) at the point."""
     stride = int(np.prod(table.shape[1:]))
     numbers = {"count": rows * signals.shape[1], "stride": stride}
@@ -148,14 +149,14 @@ def table_row(table: RealArray, signals: RealArray, owner: str, rows: int) -> Op
     return Operation(Kind.TABLE, When.ALWAYS, owner, _never, numbers, pointers, (table, signals))
 
 
-def copy(source: RealArray, target: RealArray, when: When, owner: str) -> Operation:
+def copy(source: RealArray, target: RealArray, when: When, owner: int) -> Operation:
     """``target`` becomes ``source``; both contiguous."""
     pointers: dict[str, int | None] = {"source": address(source), "target": address(target)}
     return Operation(Kind.COPY, when, owner, _never, {"count": source.size}, pointers, (source, target))
 
 
 def gather(
-    source: RealArray, columns: NDArray[np.int64], target: RealArray, places: NDArray[np.int64], when: When, owner: str
+    source: RealArray, columns: NDArray[np.int64], target: RealArray, places: NDArray[np.int64], when: When, owner: int
 ) -> Operation:
     """``target.flat[places] = source.flat[columns]``."""
     pointers: dict[str, int | None] = {
@@ -168,14 +169,14 @@ def gather(
     return Operation(Kind.GATHER, when, owner, _never, {"count": columns.size}, pointers, kept)
 
 
-def finite(signals: RealArray, when: When, owner: str, failure: Failure) -> Operation:
+def finite(signals: RealArray, when: When, owner: int, failure: Failure) -> Operation:
     """Fails where a signal isn't finite."""
     return Operation(
         Kind.FINITE, when, owner, failure, {"count": signals.size}, {"target": address(signals)}, (signals,)
     )
 
 
-def outside(function: Callable[[int, float, float], None], when: When, owner: str) -> Operation:
+def outside(function: Callable[[int, float, float], None], when: When, owner: int) -> Operation:
     """A Python function; what it raises ends the run."""
     raised: list[BaseException] = []
 

@@ -21,14 +21,14 @@ from flexfmu.cosim.compiled.operations import (
     table_row,
 )
 from flexfmu.cosim.fmu.instance import Checked
-from flexfmu.cosim.master.activity import Activity
 from flexfmu.cosim.master.binding import Both, Copy, is_range
 from flexfmu.cosim.master.instant_loop import InstantLoop
 from flexfmu.cosim.master.links import Link
 from flexfmu.cosim.master.ports import InputPort, OutputPort
 from flexfmu.cosim.master.schedule import Schedule
+from flexfmu.cosim.master.stepping import Stepper
 from flexfmu.cosim.master.visit import Visit
-from flexfmu.cosim.slave import Call, KnowsItsFuture, RealArray, Slave
+from flexfmu.cosim.slave import Call, KnowsItsFuture, RealArray
 
 
 @runtime_checkable
@@ -65,32 +65,30 @@ def can_compile(schedule: Schedule) -> bool:
 def advance_operations(schedule: Schedule) -> list[Operation]:
     """Over a step: what `Stepping.advance` does."""
     operations = [
-        _call(each.slave.name, each.inputs.remember, schedule)
-        for each in schedule.stepping.single
-        if each.interpolating
+        _call(each.inputs.remember, When.ALWAYS, each.index) for each in schedule.stepping.single if each.interpolating
     ]
     for stepper in schedule.stepping.single:
-        slave, port, inputs = stepper.slave, stepper.outputs, stepper.inputs
+        slave, port = stepper.slave, stepper.outputs
         if stepper.interpolating:
-            operations.append(outside(_interpolation(inputs, slave.name, schedule.activity), When.ALWAYS, slave.name))
+            operations.append(outside(_interpolation(stepper.inputs), When.ALWAYS, stepper.index))
         if isinstance(slave, HasTables) and port.reads_all:
-            operations.append(table_row(slave.ended, port.signals, slave.name, port.recorded))
+            operations.append(table_row(slave.ended, port.signals, stepper.index, port.recorded))
             continue
-        operations += [_step(stepper.slave, schedule.activity), *_read(port, When.ALWAYS, schedule.activity)]
+        operations += [_step(stepper), *_read(port, When.ALWAYS, stepper.index)]
     return operations
 
 
 def exchange_operations(schedule: Schedule) -> list[Operation]:
     """At a communication point: what `Schedule.exchange` does."""
     operations: list[Operation] = []
-    for slave, port in schedule.futures:
-        operations += _announcement(slave, port, schedule.activity)
+    for index, slave, port in schedule.futures:
+        operations += _announcement(index, slave, port)
     operations += _turns(schedule, When.ALWAYS)
     for _ in range(schedule.rounds):
         operations += _turns(schedule, When.AT_JUMPS)
     for visit in schedule.updating:
         if visit.update is not None:
-            operations.append(_sampling(visit, visit.update, schedule.activity))
+            operations.append(_sampling(visit, visit.update))
     return operations
 
 
@@ -99,38 +97,36 @@ def _turns(schedule: Schedule, when: When) -> Iterator[Operation]:
     for visit in schedule.turns:
         if not isinstance(visit, Visit):
             continue
-        yield from _feed(visit.inputs, when, schedule.activity)
+        yield from _feed(visit.inputs, when, visit.index)
         if visit.sample is not None and when is When.ALWAYS:
-            yield _sampling(visit, visit.sample, schedule.activity)
-        yield from _read(visit.outputs, when if visit.stale else When.AT_JUMPS, schedule.activity)
+            yield _sampling(visit, visit.sample)
+        yield from _read(visit.outputs, when if visit.stale else When.AT_JUMPS, visit.index)
 
 
-def _announcement(slave: KnowsItsFuture, port: OutputPort, activity: Activity) -> list[Operation]:
+def _announcement(index: int, slave: KnowsItsFuture, port: OutputPort) -> list[Operation]:
     """Change over to the polynomial of the coming step."""
     rows = len(port.signals)
     if isinstance(slave, HasTables) and port.reads_all and slave.announced.shape[1] >= rows:
-        return [table_row(slave.announced, port.signals, port.slave.name, rows)]
+        return [table_row(slave.announced, port.signals, index, rows)]
 
     def announce(point: int, begin: float, end: float) -> None:
-        activity.name = port.slave.name
         slave.announce(begin)
         port.read_announced()
 
-    return [outside(announce, When.ALWAYS, port.slave.name)]
+    return [outside(announce, When.ALWAYS, index)]
 
 
-def _feed(port: InputPort, when: When, activity: Activity) -> Iterator[Operation]:
+def _feed(port: InputPort, when: When, owner: int) -> Iterator[Operation]:
     """Set a slave's inputs from the outputs that feed them."""
-    name = port.slave.name
     for link in port.links:
         if link.transformation is None:
-            yield _gather(link, port.fed, when, name)
+            yield _gather(link, port.fed, when, owner)
         else:
-            yield outside(_extrapolation(link, port.fed), when, name)
-    yield from _transfer(port.send, when, name, activity)
+            yield outside(_extrapolation(link, port.fed), when, owner)
+    yield from _transfer(port.send, when, owner)
 
 
-def _gather(link: Link, fed: RealArray, when: When, name: str) -> Operation:
+def _gather(link: Link, fed: RealArray, when: When, owner: int) -> Operation:
     """What `Link.extrapolate` does; rows beyond stay zero."""
     rows = np.arange(link.coupling.order + 1)[:, None]
     columns = rows * link.source.signals.shape[1] + link.columns
@@ -138,77 +134,55 @@ def _gather(link: Link, fed: RealArray, when: When, name: str) -> Operation:
     columns, places = (np.ascontiguousarray(each.ravel(), dtype=np.int64) for each in (columns, places))
     source, target = link.source.signals.reshape(-1), fed.reshape(-1)
     if is_range(columns) and is_range(places):
-        return copy(source[columns[0] : columns[-1] + 1], target[places[0] : places[-1] + 1], when, name)
-    return gather(source, columns, target, places, when, name)
+        return copy(source[columns[0] : columns[-1] + 1], target[places[0] : places[-1] + 1], when, owner)
+    return gather(source, columns, target, places, when, owner)
 
 
-def _read(port: OutputPort, when: When, activity: Activity) -> Iterator[Operation]:
+def _read(port: OutputPort, when: When, owner: int) -> Iterator[Operation]:
     """Read a slave's outputs and look at them."""
     if not port.indices.size:
         return
-    yield from _transfer(port.transfer, when, port.slave.name, activity)
-    yield finite(port.signals, when, port.slave.name, lambda status, begin, end: port.not_finite(end))
+    yield from _transfer(port.transfer, when, owner)
+    yield finite(port.signals, when, owner, lambda status, begin, end: port.not_finite(end))
 
 
-def _transfer(call: Call, when: When, name: str, activity: Activity) -> Iterator[Operation]:
+def _transfer(call: Call, when: When, owner: int) -> Iterator[Operation]:
     """A bound call, in C where it is known what it does."""
     if isinstance(call, Both):
-        yield from _transfer(call.first, when, name, activity)
-        yield from _transfer(call.second, when, name, activity)
+        yield from _transfer(call.first, when, owner)
+        yield from _transfer(call.second, when, owner)
     elif isinstance(call, Checked) and isinstance(call.call, partial):
         checked = call
-        yield fmi_transfer(call.call, when, name, lambda status, begin, end: checked.error(status))
+        yield fmi_transfer(call.call, when, owner, lambda status, begin, end: checked.error(status))
     elif isinstance(call, Copy) and call.is_contiguous:
-        yield copy(call.source, call.target[call.place], when, name)
+        yield copy(call.source, call.target[call.place], when, owner)
     else:
-        yield outside(_named(call, name, activity), when, name)
+        yield _call(call, when, owner)
 
 
-def _step(slave: Slave, activity: Activity) -> Operation:
+def _step(stepper: Stepper) -> Operation:
     """Advance one slave."""
-    name = slave.name
+    slave = stepper.slave
     if isinstance(slave, StepsInC):
         call, failure = slave.bound_step()
-        return fmi_step(call, name, lambda status, begin, end: failure(status, begin, end - begin))
-
-    def step(point: int, begin: float, end: float) -> None:
-        activity.name = name
-        slave.step(begin, end - begin)
-
-    return outside(step, When.ALWAYS, name)
+        return fmi_step(call, stepper.index, lambda status, begin, end: failure(status, begin, end - begin))
+    return outside(lambda point, begin, end: slave.step(begin, end - begin), When.ALWAYS, stepper.index)
 
 
-def _sampling(visit: Visit, sample: Callable[[float], None], activity: Activity) -> Operation:
+def _sampling(visit: Visit, sample: Callable[[float], None]) -> Operation:
     """Let a slave sample where it is due."""
-
-    def take(point: int, begin: float, end: float) -> None:
-        activity.name = visit.slave.name
-        sample(end)
-
-    operation = outside(take, When.ALWAYS, visit.slave.name)
+    operation = outside(lambda point, begin, end: sample(end), When.ALWAYS, visit.index)
     operation.due(flags(visit.due))
     return operation
 
 
-def _call(name: str, function: Call, schedule: Schedule) -> Operation:
-    return outside(_named(function, name, schedule.activity), When.ALWAYS, name)
-
-
-def _named(call: Call, name: str, activity: Activity) -> Callable[[int, float, float], None]:
-    def named(point: int, begin: float, end: float) -> None:
-        activity.name = name
-        call()
-
-    return named
+def _call(call: Call, when: When, owner: int) -> Operation:
+    return outside(lambda point, begin, end: call(), when, owner)
 
 
 def _extrapolation(link: Link, fed: RealArray) -> Callable[[int, float, float], None]:
     return lambda point, begin, end: link.extrapolate(fed)
 
 
-def _interpolation(inputs: InputPort, name: str, activity: Activity) -> Callable[[int, float, float], None]:
-    def interpolate(point: int, begin: float, end: float) -> None:
-        activity.name = name
-        inputs.interpolate(end - begin)
-
-    return interpolate
+def _interpolation(inputs: InputPort) -> Callable[[int, float, float], None]:
+    return lambda point, begin, end: inputs.interpolate(end - begin)

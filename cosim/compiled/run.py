@@ -66,6 +66,7 @@ class CompiledRun:
             times=address(self._times),
             jumps=address(self._jumps),
             recorded_times=address(self._recorder.time),
+            active=addressof(self._schedule.activity),
         )
 
     @property
@@ -90,7 +91,6 @@ class CompiledRun:
         index = int(self._progress.operation)
         stepping = index < len(advance)
         operation = advance[index] if stepping else exchange[index - len(advance)]
-        self._schedule.activity.name = operation.owner
         begin, end = self._times[self.points], self._times[self.points + 1] if stepping else self._times[self.points]
         status = int(self._progress.status)
         return operation.failure(status, float(begin), float(end))

@@ -34,6 +34,11 @@ class UnpackedFmu:
     folder: Path
     description: Any = field(compare=False)
 
+    @property
+    def is_ours(self) -> bool:
+        """Whether this package made it."""
+        return str(self.description.generationTool).startswith("flexfmu ")
+
 
 def open_fmu(path: Path) -> UnpackedFmu:
     """Unpack an FMI 2.0 co-simulation FMU, or find it unpacked from an earlier time.

@@ -11,10 +11,11 @@ from typing import Any
 
 from fmpy.fmi2 import FMU2Slave
 
-from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.errors import FmuFileError, SlaveError
 from flexfmu.cosim.fmu import calls as fmi2
 from flexfmu.cosim.fmu.file import UnpackedFmu, attempt
 from flexfmu.cosim.fmu.log import FmuLog
+from flexfmu.cosim.master.isolation import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.slave import Call
 
 StatusCall = Callable[[], int]
@@ -31,7 +32,8 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
     """Load the FMU's library with fmpy, which stays loaded, and take its functions.
 
     Raises:
-        FmuFileError: the library can't be loaded or lacks a function of FMI 2.0.
+        FmuFileError: the library can't be loaded or lacks a function of FMI 2.0; or it ends the process that loads it, which
+            another tool's library tries in a child process first.
     """
     description = fmu.description
     arguments = {
@@ -39,6 +41,11 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
         "modelIdentifier": description.coSimulation.modelIdentifier,
         "unzipDirectory": str(fmu.folder),
     }
+    if AVAILABLE and not fmu.is_ours:
+        try:
+            in_child(lambda: bool(attempt(fmu.path, lambda: FMU2Slave(**arguments))), lambda: None, CALL_LIMIT)
+        except ChildLostError as lost:
+            raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}") from lost
     slave: Any = attempt(fmu.path, lambda: FMU2Slave(**arguments))
     return fmi2.fmi2_calls(slave.dll)
 

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from ctypes import Structure, c_int, sizeof
+from mmap import mmap
 
-class Activity:
-    """Attributes:
-    name: name of the slave that is, or was last, at work.
+
+class Activity(Structure):
+    """In memory that child processes share, so that their parent sees it.
+
+    Attributes:
+        names: names of the slaves.
+        slave: index of the one that is, or was last, at work.
     """
 
-    __slots__ = ("name",)
+    _fields_ = (("slave", c_int),)
+    names: Sequence[str] = ()
 
-    def __init__(self) -> None:
-        self.name = ""
+    @classmethod
+    def of(cls, names: Sequence[str]) -> Activity:
+        """Nobody of these has been at work yet."""
+        activity = cls.from_buffer(mmap(-1, sizeof(cls)))
+        activity.names = tuple(names)
+        return activity
+
+    @property
+    def name(self) -> str:
+        """Name of the slave that is, or was last, at work."""
+        return self.names[self.slave]

@@ -32,6 +32,10 @@ def message_of(error: BaseException | None, outcome: Outcome, active: str, reach
         return " ".join(str(error).split())
     slave = error.slave if isinstance(error, SlaveError) else active
     reason = error.reason if isinstance(error, SlaveError) else f"{type(error).__name__}: {error}"
+    if isinstance(error, SystemExit):
+        reason = (
+            f"it called sys.exit({'' if error.code is None else repr(error.code)}); raise an exception to end a run"
+        )
     known: float | None = getattr(error, "time", None)
     when = f" at {reached if known is None else known:.9g} s"
     return f"{slave} failed{'' if when in reason else when}: {' '.join(reason.split())}"

@@ -64,7 +64,7 @@ class InstantLoop:
         passed = np.empty_like(values)
         self._signals.scatter(values)
         for visit in self._visits:
-            self._activity.name = visit.slave.name
+            self._activity.slave = visit.index
             visit.inputs.exchange()
             if visit.sample is not None and visit.due[point]:
                 visit.sample(time)

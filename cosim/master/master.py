@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from flexfmu.cosim.master.algorithms import Algorithm
+from flexfmu.cosim.master.isolation import Isolation
 from flexfmu.cosim.master.outcome import Outcome, Simulation
 from flexfmu.cosim.master.run import Progress
 from flexfmu.cosim.master.selection import EVERYTHING, Selection
@@ -25,6 +26,7 @@ def simulate(
     step_control: StepDoubling | None = None,
     compiled: bool | None = None,
     record: Selection = EVERYTHING,
+    isolation: Isolation | None = None,
 ) -> Simulation:
     """Co-simulate a system from ``start`` to ``stop`` [s].
 
@@ -48,6 +50,8 @@ def simulate(
         compiled: True or None to run the loop over the points in C where the system allows it (no steps are repeated)
             and there is a C compiler, False for Python; the numbers are the same.
         record: which outputs to record, with how many derivatives.
+        isolation: for a run in a child process: a slave that crashes, exits or hangs ends the run alone; what slaves change
+            in themselves stays there. None for this process.
 
     Raises:
         InputError: the time grid makes no sense, a sample time doesn't fit it, a slave would have to be taken back to an
@@ -62,5 +66,6 @@ def simulate(
         step_control=step_control,
         compiled=compiled,
         record=record,
+        isolation=isolation,
     )
     return simulator.run(tolerance, progress)

@@ -39,7 +39,7 @@ class Schedule:
         couplings: (source, target) → how its signals get there.
         activity: which slave is, or was last, at work.
         turns, updating: who has a turn in an exchange, and who moves on to the next state at its end.
-        futures: slaves that announce what comes, with their ports.
+        futures: slaves that announce what comes, with their indices and ports.
         rounds: further rounds of an exchange where signals may jump.
         stepping, advance: steps all slaves from one communication point to the next [s] and reads them.
     """
@@ -47,7 +47,7 @@ class Schedule:
     def __init__(self, system: System, grid: TimeGrid, algorithm: Algorithm, selection: Selection = EVERYTHING) -> None:
         self.couplings = couplings(system, algorithm)
         self._inputs, self.outputs = wire(system, self.couplings, selection)
-        self.activity = Activity()
+        self.activity = Activity.of([slave.name for slave in system.slaves])
         self._system = system
         self._grid = grid
         stale = stale_after_step(system, self.couplings)
@@ -55,8 +55,8 @@ class Schedule:
         self.turns = self._with_loops(visits)
         self.updating = [visit for visit in visits if visit.update is not None]
         self.futures = [
-            (slave, port)
-            for slave, port in zip(system.slaves, self.outputs, strict=True)
+            (i, slave, port)
+            for i, (slave, port) in enumerate(zip(system.slaves, self.outputs, strict=True))
             if isinstance(slave, KnowsItsFuture)
         ]
         self.rounds = loop_order(system, self.couplings)
@@ -74,8 +74,8 @@ class Schedule:
         ready: list[OutputPort] = []
         for i in dict.fromkeys([*self._system.visits, *range(len(self._system.slaves))]):
             slave, inputs, outputs = self._system.slaves[i], self._inputs[i], self.outputs[i]
-            self.activity.name = slave.name
-            for future, port in self.futures:
+            self.activity.slave = i
+            for _, future, port in self.futures:
                 if port is outputs:
                     future.prepare(self._grid.times)
             inputs.preset(ready)
@@ -101,8 +101,8 @@ class Schedule:
             time: its time [s].
             jump: whether signals may jump, as they may at the start: all outputs are read anew.
         """
-        for future, port in self.futures:
-            self.activity.name = future.name
+        for i, future, port in self.futures:
+            self.activity.slave = i
             future.announce(time)
             port.read_announced()
         self._pass_on(point, time, jump)
@@ -113,7 +113,7 @@ class Schedule:
                 self._pass_on(OFF_GRID, time, True)
             for visit in self.updating:
                 if visit.due[point] and visit.update is not None:
-                    self.activity.name = visit.slave.name
+                    self.activity.slave = visit.index
                     visit.update(time)
 
     def _pass_on(self, point: int, time: float, jump: bool) -> None:
@@ -123,7 +123,7 @@ class Schedule:
             if isinstance(turn, InstantLoop):
                 turn.solve(point, time)
                 continue
-            activity.name = turn.slave.name
+            activity.slave = turn.index
             turn.inputs.exchange()
             if turn.sample is not None and turn.due[point]:
                 turn.sample(time)
@@ -136,8 +136,8 @@ class Schedule:
 
     def begin(self, times: RealArray) -> None:
         """Choose the coming communication points, from the current or an earlier one on, and begin the first step."""
-        for future, _ in self.futures:
-            self.activity.name = future.name
+        for i, future, _ in self.futures:
+            self.activity.slave = i
             future.prepare(times)
         self.exchange(OFF_GRID, float(times[0]), False)
 

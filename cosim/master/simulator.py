@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.compiled.library import load
 from flexfmu.cosim.compiled.program import can_compile
 from flexfmu.cosim.compiled.run import CompiledRun
-from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.errors import InputError, SlaveError
+from flexfmu.cosim.fmu.slave import FmuSlave
 from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.master.coupling_error import CouplingError
 from flexfmu.cosim.master.delays import SignalDelay, signal_delays
 from flexfmu.cosim.master.dependencies import Connection
 from flexfmu.cosim.master.ending import blown_up, message_of, outcome_of, overshot
 from flexfmu.cosim.master.grid import COINCIDENT, Clock, TimeGrid, time_grid
+from flexfmu.cosim.master.isolation import ChildLostError, Isolation, in_child, portable
 from flexfmu.cosim.master.links import Transport
 from flexfmu.cosim.master.outcome import Outcome, Simulation
 from flexfmu.cosim.master.recorder import Recorder
-from flexfmu.cosim.master.run import Progress, Run
+from flexfmu.cosim.master.run import Progress, Reached, Run
 from flexfmu.cosim.master.schedule import Schedule
 from flexfmu.cosim.master.selection import EVERYTHING, Selection
 from flexfmu.cosim.master.stability import Instability, find_alternation, find_instability
@@ -28,7 +32,26 @@ from flexfmu.cosim.master.step_control import StepDoubling
 from flexfmu.cosim.master.stepping_order import feedback_signals
 from flexfmu.cosim.master.system import System
 from flexfmu.cosim.results import Recording
-from flexfmu.cosim.slave import HasBreakpoints, MayNeedRegularSteps, Sampled, Terminates, offset
+from flexfmu.cosim.slave import HasBreakpoints, MayNeedRegularSteps, Sampled, Slave, Terminates, offset
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended; goes from a child process to its parent.
+
+    Attributes:
+        error: the first one, if any.
+        initialized: whether all slaves have been initialised.
+        active: name of the slave that is, or was last, at work.
+        reached: how far the run came.
+        reports: slave → what it says about its run, by attribute.
+    """
+
+    error: BaseException | None
+    initialized: bool
+    active: str
+    reached: Reached
+    reports: Sequence[Mapping[str, Any]] = ()
 
 
 class Simulator:
@@ -49,6 +72,7 @@ class Simulator:
         step_control: StepDoubling | None = None,
         compiled: bool | None = None,
         record: Selection = EVERYTHING,
+        isolation: Isolation | None = None,
     ) -> None:
         record.check(_outputs(system))
         self._system, self._step, self._control, self._selection = system, step, step_control, record
@@ -58,14 +82,16 @@ class Simulator:
         # step control judges outputs that need not be recorded
         read = record if step_control is None else EVERYTHING
         self._schedule = Schedule(system, self._grid, chosen, read)
-        self._recorder = Recorder(self._schedule.outputs, self._grid.times.size + int(self._grid.marked.sum()))
+        capacity = self._grid.times.size + int(self._grid.marked.sum())
+        self._recorder = Recorder(self._schedule.outputs, capacity, shared=isolation is not None)
+        self._isolation = isolation
         self._compiled = self._compiled_run() if compiled is not False and step_control is None else None
         if step_control is not None:
             check_can_save(revocable(system.slaves), "step control")
             self._coupling_error(step_control)
         self._feedback = self._extrapolated_feedback()
         self._loops = feedback_signals(system, sampled=True)
-        self._terminating = [slave for slave in system.slaves if isinstance(slave, Terminates)]
+        self._terminating = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Terminates)]
         self._delays: dict[float, tuple[SignalDelay, ...]] = {}
 
     def run(self, tolerance: float | None = None, progress: Progress | None = None) -> Simulation:
@@ -76,10 +102,58 @@ class Simulator:
             progress: called now and then with the simulated fraction.
         """
         self._recorder.rewind(0)
+        if self._isolation is None:
+            return self._result(self._attempt(tolerance, progress))
+        return self._result(self._supervised(self._isolation, tolerance, progress))
+
+    def _attempt(self, tolerance: float | None, progress: Progress | None) -> Ending:
+        """A run in this process."""
         run = Run(self._schedule, self._grid, self._recorder, progress, self._compiled)
         if self._control is not None:
             run.control_steps(self._control, self._coupling_error(self._control), self._step)
-        return self._result(run, self._completed(run, tolerance))
+        error = self._completed(run, tolerance)
+        return Ending(error, run.initialized, self._schedule.activity.name, run.reached)
+
+    def _supervised(self, isolation: Isolation, tolerance: float | None, progress: Progress | None) -> Ending:
+        """A run in a child process, which may come to any end."""
+        activity, recorder, times = self._schedule.activity, self._recorder, self._grid.times
+        activity.slave = 0
+
+        def attempt() -> Ending:
+            recorder.populate()
+            ending = self._attempt(tolerance, None)
+            if (error := ending.error) is not None:
+                error = portable(error, SlaveError(ending.active, f"{type(error).__name__}: {error}"))
+            return replace(ending, error=error, reports=[_report(each) for each in self._system.slaves])
+
+        def look() -> object:
+            count = recorder.catch_up()
+            if progress is not None and count:
+                progress(float((recorder.time[count - 1] - times[0]) / (times[-1] - times[0])))
+            return count, activity.slave
+
+        error: BaseException
+        try:
+            ending: Ending = in_child(attempt, look, isolation.call_limit)
+            look()
+            for slave, report in zip(self._system.slaves, ending.reports, strict=True):
+                vars(slave).update(report)
+            return ending
+        except ChildLostError as lost:
+            error = SlaveError(activity.name, str(lost))
+        except KeyboardInterrupt as interrupted:
+            error = interrupted
+        finally:
+            recorder.catch_up()
+        return Ending(error, recorder.count > 0, activity.name, self._recorded_so_far())
+
+    def _recorded_so_far(self) -> Reached:
+        """How far a run came that has left nothing but its recording."""
+        time = self._recorder.time[: self._recorder.count]
+        start = float(self._grid.times[0])
+        return Reached(
+            float(time[-1]) if time.size else start, int((np.diff(time) > 0.0).sum()), 0, self._grid.largest_step
+        )
 
     def _compiled_run(self) -> CompiledRun | None:
         """The loop over the points in C, where the schedule allows it and there is a compiler."""
@@ -92,23 +166,29 @@ class Simulator:
         try:
             error = _failure(lambda: run.go(tolerance))
         finally:
-            late = [(slave.name, _failure(slave.terminate)) for slave in self._terminating]
-        for name, failure in late:
-            if error is None and failure is not None:
-                error, self._schedule.activity.name = failure, name
+            active = self._schedule.activity.slave
+            for index, slave in self._terminating:
+                self._schedule.activity.slave = index
+                failure = _failure(slave.terminate)
+                if error is None and failure is not None:
+                    error, active = failure, index
+            self._schedule.activity.slave = active
         return error
 
-    def _result(self, run: Run, error: BaseException | None) -> Simulation:
+    def _result(self, ending: Ending) -> Simulation:
         """What the run gave."""
-        recording, reached = self._recorder.recording(), run.reached
-        outcome = outcome_of(error, run.initialized)
-        message = message_of(error, outcome, self._schedule.activity.name, reached.time)
+        recording, reached, error = self._recorder.recording(), ending.reached, ending.error
+        outcome = outcome_of(error, ending.initialized)
+        message = message_of(error, outcome, ending.active, reached.time)
         if outcome is not Outcome.INTERRUPTED:
-            ending = message if error is not None else ""
+            finally_ = message if error is not None else ""
             if (unstable := self._instability(recording)) is not None:
-                outcome, message = Outcome.COUPLING_UNSTABLE, blown_up(unstable, ending)
+                outcome, message = Outcome.COUPLING_UNSTABLE, blown_up(unstable, finally_)
             elif (unstable := self._alternation(recording)) is not None:
-                outcome, message = Outcome.COUPLING_UNSTABLE, overshot(unstable, self._fed_by(unstable.signal), ending)
+                outcome, message = (
+                    Outcome.COUPLING_UNSTABLE,
+                    overshot(unstable, self._fed_by(unstable.signal), finally_),
+                )
         kept, delays = self._selection.of(recording), self._delays_with(reached.largest_step)
         return Simulation(kept, outcome, message, error, reached.steps, reached.rejected, delays)
 
@@ -156,9 +236,14 @@ def _failure(action: Callable[[], None]) -> BaseException | None:
     """What goes wrong in an action, if anything."""
     try:
         action()
-    except (Exception, KeyboardInterrupt) as failure:
+    except (Exception, KeyboardInterrupt, SystemExit) as failure:
         return failure
     return None
+
+
+def _report(slave: Slave) -> Mapping[str, Any]:
+    """What an FMU says about its run."""
+    return {"statistics": slave.statistics, "messages": slave.messages} if isinstance(slave, FmuSlave) else {}
 
 
 def _grid(system: System, start: float, stop: float, step: float, ticks: bool) -> TimeGrid:

@@ -24,6 +24,7 @@ REMEDY = "take a smaller communication step, a solver with more rounds or a larg
 class Stepper:
     """A slave that is advanced, with its ports."""
 
+    index: int
     slave: Slave
     inputs: InputPort
     interpolating: bool
@@ -52,7 +53,7 @@ class Stepping:
         self._activity = activity
         inputs, outputs = ports
         steppers = [
-            Stepper(slave, inputs[i], bool(inputs[i].interpolating), outputs[i])
+            Stepper(i, slave, inputs[i], bool(inputs[i].interpolating), outputs[i])
             for i, slave in enumerate(system.slaves)
         ]
         groups = step_groups(system, algorithm)
@@ -62,7 +63,7 @@ class Stepping:
         # bound once: this is what a run spends its time with
         self._calls = [
             (
-                each.slave.name,
+                each.index,
                 each.inputs.interpolate if each.interpolating else None,
                 each.slave.step,
                 each.outputs.read,
@@ -82,8 +83,8 @@ class Stepping:
         step, activity = end - begin, self._activity
         for inputs in self._interpolating:
             inputs.remember()
-        for name, interpolate, advance, read in self._calls:
-            activity.name = name
+        for index, interpolate, advance, read in self._calls:
+            activity.slave = index
             if interpolate is not None:
                 interpolate(step)
             advance(begin, step)
@@ -152,7 +153,7 @@ class IteratedGroup:
         """Advance every slave once with the signals at the end assumed; what comes back."""
         self._signals.scatter(values)
         for each in self._members:
-            self._activity.name = each.slave.name
+            self._activity.slave = each.index
             if each.interpolating:
                 each.inputs.interpolate(end - begin)
             each.slave.step(begin, end - begin)

@@ -16,6 +16,7 @@ class Visit:
     """One slave's turn.
 
     Attributes:
+        index: of the slave in the system.
         slave, inputs, outputs: the slave with its ports.
         stale: whether its outputs must be read anew even where nothing jumps.
         due: whether it samples at each communication point of the grid, and once more False for points off the grid;
@@ -24,6 +25,7 @@ class Visit:
         update: makes it move on to its next state, after the exchange; None where `sample` has done so.
     """
 
+    index: int
     slave: Slave
     inputs: InputPort
     outputs: OutputPort
@@ -63,9 +65,9 @@ def plan_visits(
         slave = system.slaves[i]
         ports = inputs[i], outputs[i], i in stale
         if isinstance(slave, SamplesInTwoPhases):
-            visits.append(Visit(slave, *ports, due[i], slave.output, slave.update if turns[i] == rank else None))
+            visits.append(Visit(i, slave, *ports, due[i], slave.output, slave.update if turns[i] == rank else None))
         elif isinstance(slave, Sampled) and turns[i] == rank:
-            visits.append(Visit(slave, *ports, due[i], slave.sample))
+            visits.append(Visit(i, slave, *ports, due[i], slave.sample))
         else:
-            visits.append(Visit(slave, *ports))
+            visits.append(Visit(i, slave, *ports))
     return visits

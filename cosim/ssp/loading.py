@@ -13,6 +13,7 @@ from flexfmu.cosim.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.fmu.trajectory import FmuTrajectory
 from flexfmu.cosim.fmu.variables import Value
 from flexfmu.cosim.master.algorithms import Algorithm
+from flexfmu.cosim.master.isolation import CALL_LIMIT, isolation
 from flexfmu.cosim.master.iteration import Anderson, LoopSolver
 from flexfmu.cosim.master.master import Progress, Simulation, simulate
 from flexfmu.cosim.master.step_control import StepDoubling
@@ -53,8 +54,15 @@ class SspSystem:
         progress: Progress | None = None,
         algorithm: Algorithm | None = None,
         step_control: StepDoubling | None = None,
+        isolate: bool | None = None,
+        call_limit: float = CALL_LIMIT,
     ) -> Simulation:
         """Run it with `flexfmu.cosim.master.master.simulate`; without a tolerance the FMUs use their own.
+
+        Args:
+            tolerance, progress, algorithm, step_control: see there.
+            isolate: whether to simulate in a child process; where other tools' FMUs take part when None.
+            call_limit: how long an FMU may stay in one call there [s].
 
         Raises:
             InputError: the times make no sense, or a slave would have to go back to an earlier state but can't.
@@ -68,6 +76,7 @@ class SspSystem:
             progress=progress,
             algorithm=algorithm,
             step_control=step_control,
+            isolation=isolation(isolate, self.system.slaves, call_limit, theirs=False),
         )
 
 

@@ -69,9 +69,10 @@ static int applies(const master_operation *op, size_t point, int jump) {
 
 /* the operations of a list, in order; 0, or 1 where one has failed */
 static int carry_out_all(const master_operation *list, size_t count, size_t point, double begin, double end, int jump,
-                         master_progress *progress) {
+                         volatile int *active, master_progress *progress) {
   for (size_t i = 0; i < count; i++) {
     if (!applies(&list[i], point, jump)) continue;
+    *active = list[i].owner;
     if (carry_out(&list[i], point, begin, end, &progress->status)) {
       progress->operation += i;
       return 1;
@@ -94,11 +95,11 @@ EXPORTED int master_run(const master_program *program, size_t points, master_pro
     const double begin = program->times[point - 1], end = program->times[point];
     const int jump = program->jumps[point];
     progress->operation = 0;
-    if (carry_out_all(program->advance, program->n_advance, point, begin, end, jump, progress)) return 1;
+    if (carry_out_all(program->advance, program->n_advance, point, begin, end, jump, program->active, progress)) return 1;
     progress->points = point;
     if (jump) record(program, end, progress);
     progress->operation = program->n_advance;
-    if (carry_out_all(program->exchange, program->n_exchange, point, end, end, jump, progress)) return 1;
+    if (carry_out_all(program->exchange, program->n_exchange, point, end, end, jump, program->active, progress)) return 1;
     record(program, end, progress);
   }
   return 0;

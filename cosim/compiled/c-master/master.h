@@ -27,7 +27,7 @@ enum {
 };
 
 typedef struct {
-  int kind, condition;
+  int kind, condition, owner; /* owner: index of the slave that is at work */
   size_t count, stride;
   void (*function)(void);
   void *const *component;
@@ -56,6 +56,7 @@ typedef struct {
   const double *times;
   const unsigned char *jumps;
   double *recorded_times;
+  volatile int *active; /* the owner of the operation that is, or was last, carried out; another process may look at it */
 } master_program;
 
 /* how far a run has come */

@@ -1,12 +1,13 @@
 /* A plain FMI 2.0 co-simulation FMU as another tool might make it: x' = rate (u - x), no input or output derivatives,
- * no saved states, outputs of all types, messages with format arguments. `trouble` makes it fail from 0.5 s on. */
+ * no saved states, outputs of all types, messages with format arguments. `trouble` makes it fail from 0.5 s on,
+ * crash, hang or exit; it crashes when it is loaded where DECAY_CRASHES says so. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "fmi2Functions.h"
 
-enum { NONE = 1, FAILS, DISCARDS, FORGETS };
+enum { NONE = 1, FAILS, DISCARDS, FORGETS, ABORTS, CRASHES, HANGS, EXITS };
 
 typedef struct {
   const fmi2CallbackFunctions *callbacks;
@@ -16,6 +17,19 @@ typedef struct {
 } decay;
 
 int decay_instances = 0; /* how many are alive, for the tests */
+
+#if defined(__GNUC__)
+__attribute__((constructor)) static void loaded(void) {
+  if (getenv("DECAY_CRASHES") != NULL) abort();
+}
+#endif
+
+static void get_into(int trouble) {
+  if (trouble == ABORTS) abort();
+  if (trouble == CRASHES) *(volatile int *)8 = 0;
+  for (volatile int forever = trouble == HANGS; forever;) continue;
+  if (trouble == EXITS) exit(0);
+}
 
 static fmi2Status say(decay *d, fmi2Status status) {
   d->callbacks->logger(d->callbacks->componentEnvironment, d->label, status, "logStatusError", "%s is tired after %d steps", d->label,
@@ -102,6 +116,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolea
     if (d->trouble == FAILS) return say(d, fmi2Error);
     if (d->trouble == DISCARDS) return fmi2Discard;
     if (d->trouble == FORGETS) d->x = NAN;
+    get_into(d->trouble);
   }
   double u = d->inverted ? -d->u : d->u;
   d->x = u + (d->x - u) * exp(-d->rate * step);

@@ -1,0 +1,181 @@
+"""Slaves that crash, exit or hang end their run alone, with their name, the time and all that was recorded."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flexfmu.cosim.errors import FmuFileError, InputError
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.master import isolation as module
+from flexfmu.cosim.master.isolation import Isolation, isolation
+from flexfmu.cosim.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.master.step_control import StepDoubling
+from flexfmu.cosim.master.system import connect
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
+
+QUICK = Isolation(call_limit=0.3)
+
+
+class Ramp:
+    """x = t; at 0.5 s it does something else."""
+
+    variables = (SlaveVariable("x", "output"),)
+    feedthrough = {"x": ()}  # noqa: RUF012
+
+    def __init__(self, deed: Callable[[], object] = lambda: None) -> None:
+        self.name, self._deed, self.time = "ramp", deed, 0.0
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.time = start_time
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = self.time
+
+    def step(self, time: float, step: float) -> None:
+        self.time = time + step
+        if self.time > 0.5 + 1e-9:
+            self._deed()
+
+    def save(self) -> object:
+        return self.time
+
+    def restore(self, state: object) -> None:
+        self.time = float(str(state))
+
+
+class StubbornError(Exception):
+    """Can't go from one process to another."""
+
+    def __init__(self, first: str, second: Callable[[], None]) -> None:
+        super().__init__(first, second)
+
+
+def stubborn() -> None:
+    raise StubbornError("no", lambda: None)
+
+
+def sleep() -> None:
+    """Doesn't return, and can't be interrupted."""
+    while True:
+        try:
+            time.sleep(0.1)
+        except BaseException:
+            continue
+
+
+def assert_recorded(run: Simulation, name: str, words: str) -> None:
+    """Half of the way was recorded, and the message says whose fault the rest is."""
+    assert run.outcome is Outcome.STEP_FAILED
+    assert run.message.startswith(f"{name} failed at 0.5 s: ")
+    assert words in run.message
+    assert run.recording.time[-1] == pytest.approx(0.5)
+    assert run.steps == 50
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize(
+    ("trouble", "words"),
+    [
+        ("aborts", "it crashed with SIGABRT"),
+        ("crashes", "it crashed with SIGSEGV"),
+        ("hangs", "it hasn't returned for 0.3 s"),
+        ("exits", "it ended its process with exit status 0"),
+        ("fails", "decay is tired after 50 steps"),
+    ],
+)
+def test_an_fmu_in_trouble(foreign_fmu: Path, trouble: str, words: str, compiled: bool) -> None:
+    """Named among others, in C and in Python; what it recorded is what it records without trouble."""
+    slaves = [Ramp(), FmuSlave(foreign_fmu, "guest", {"trouble": trouble})]
+    run = simulate(connect(slaves, []), 1.0, 0.01, compiled=compiled, isolation=QUICK)
+    assert_recorded(run, "guest", words)
+    assert run.recording["guest.x"].values == pytest.approx(np.exp(-run.recording.time), rel=1e-12)
+    assert np.array_equal(run.recording["ramp.x"].values, run.recording.time)
+
+
+@pytest.mark.parametrize(
+    ("deed", "words"),
+    [
+        (lambda: os._exit(3), "exit status 3"),
+        (lambda: sys.exit(0), "it called sys.exit(0)"),
+        (sleep, "hasn't returned"),
+        (stubborn, "StubbornError: ('no'"),
+        (lambda: 1 / 0, "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_python_slave_in_trouble(deed: Callable[[], object], words: str) -> None:
+    """However it ends the run, all is recorded until then."""
+    assert_recorded(simulate(connect([Ramp(deed)], []), 1.0, 0.01, isolation=QUICK), "ramp", words)
+
+
+def test_sys_exit_is_caught_without_isolation() -> None:
+    """A slave in this process can't end the program by sys.exit either."""
+    run = simulate(connect([Ramp(lambda: sys.exit(0))], []), 1.0, 0.01)
+    assert_recorded(run, "ramp", "it called sys.exit(0); raise an exception to end a run")
+
+
+def test_the_same_numbers_and_reports(foreign_fmu: Path) -> None:
+    """Isolation changes no bit of a run, and what the FMU says afterwards arrives, run after run."""
+    slave = FmuSlave(foreign_fmu, "guest", {"rate": 2.0})
+    seen: list[float] = []
+    here = simulate(connect([slave], []), 1.0, 0.01)
+    there = simulate(connect([slave], []), 1.0, 0.01, isolation=QUICK, progress=seen.append)
+    assert there.outcome is Outcome.COMPLETED
+    assert np.array_equal(here.recording.time, there.recording.time)
+    assert np.array_equal(here.recording["guest.x"].values, there.recording["guest.x"].values)
+    assert slave.statistics == {"steps": 100}
+    assert seen[-1] == 1.0
+
+
+def test_recordings_that_grow() -> None:
+    """With step control nobody knows how many points there will be; those of a crashed child are all there."""
+    run = simulate(
+        connect([Ramp(lambda: os._exit(1))], []),
+        1.0,
+        0.25,
+        step_control=StepDoubling(1e-6, largest=1e-3),
+        isolation=QUICK,
+    )
+    assert run.outcome is Outcome.STEP_FAILED
+    assert run.recording.time.size > 500
+    assert np.array_equal(run.recording["ramp.x"].values, run.recording.time)
+    assert run.recording.time[-1] == pytest.approx(0.5, abs=2e-3)
+
+
+def test_a_library_that_crashes_when_it_is_loaded(
+    foreign_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is a broken FMU, not the end of the program."""
+    monkeypatch.setenv("DECAY_CRASHES", "yes")
+    copy = tmp_path / "copy.fmu"  # with other content: libraries are loaded once
+    copy.write_bytes(foreign_fmu.read_bytes() + b" ")
+    with pytest.raises(FmuFileError, match="loading its library, it crashed with SIGABRT"):
+        FmuSlave(copy)
+
+
+def test_who_is_isolated(foreign_fmu: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other tools' FMUs and a scene's Python slaves are, unless the user says no; our own slaves and objects whose state the
+    caller may look at aren't, unless the user says yes."""
+    guest, python = FmuSlave(foreign_fmu), Ramp()
+    assert isolation(None, [guest], 1.0, theirs=True) == Isolation(1.0)
+    assert isolation(None, [python], 1.0, theirs=False) == Isolation(1.0)
+    assert isolation(None, [guest, python], 1.0, theirs=True) is None
+    assert isolation(False, [guest], 1.0, theirs=False) is None
+    assert isolation(True, [python], 1.0, theirs=True) == Isolation(1.0)
+    assert isolation(None, [], 1.0, theirs=False) is None
+    monkeypatch.setattr(module, "AVAILABLE", False)
+    assert isolation(None, [guest], 1.0, theirs=False) is None
+    with pytest.raises(InputError, match="needs Linux"):
+        isolation(True, [], 1.0, theirs=False)
