@@ -34,7 +34,7 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
             module = _module(module_name, Path(folder))
     except SyntaxError as error:
         raise InputError(f"{source!r}: {module_name} isn't valid Python: {error}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"{source!r}: can't import {module_name}: {_described(error)}") from error
     try:
         found = reduce(getattr, name.split("."), module)
@@ -44,12 +44,12 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
         return found
     try:
         return found(**arguments)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         given = ", ".join(f"{key}={value!r}" for key, value in arguments.items())
         raise InputError(f"{source}({given}): {_described(error)}") from error
 
 
-def _described(error: Exception) -> str:
+def _described(error: Exception | SystemExit) -> str:
     """Kind, words and place of an error in a user's code."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""

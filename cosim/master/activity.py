@@ -16,6 +16,7 @@ class Activity(Structure):
     """
 
     _fields_ = (("slave", c_int),)
+    slave: int
     names: Sequence[str] = ()
 
     @classmethod

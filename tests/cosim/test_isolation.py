@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,14 @@ from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
 
 QUICK = Isolation(call_limit=0.3)
+
+
+@pytest.fixture(autouse=True)
+def quiet_crashes() -> Iterator[None]:
+    """Crashes on purpose need no traceback."""
+    faulthandler.disable()
+    yield
+    faulthandler.enable(sys.__stderr__)
 
 
 class Ramp:
@@ -124,6 +133,57 @@ def test_sys_exit_is_caught_without_isolation() -> None:
     """A slave in this process can't end the program by sys.exit either."""
     run = simulate(connect([Ramp(lambda: sys.exit(0))], []), 1.0, 0.01)
     assert_recorded(run, "ramp", "it called sys.exit(0); raise an exception to end a run")
+
+
+HANGING = """
+import time, threading
+from pathlib import Path
+from flexfmu.cosim.master.isolation import Isolation
+from flexfmu.cosim.master.master import simulate
+from flexfmu.cosim.master.system import connect
+from test_isolation import Ramp
+
+def hang():
+    print("hanging", flush=True)
+    {loop}
+
+run = simulate(connect([Ramp(hang)], []), 1.0, 0.01, isolation=Isolation(60.0))
+print(run.outcome.name, run.steps, flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("loop", "number"),
+    [("time.sleep(60)", signal.SIGINT), ("test_isolation.sleep()", signal.SIGINT), ("time.sleep(60)", signal.SIGKILL)],
+)
+def test_interrupted_and_killed(loop: str, number: signal.Signals) -> None:
+    """Ctrl-C keeps what was recorded, also where the slave doesn't listen; a parent that is killed leaves no child behind."""
+    script = HANGING.format(loop=f"import test_isolation; {loop}")
+    folder = Path(__file__).parent
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, start_new_session=True, env=environment
+    ) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == "hanging\n"
+        (child,) = Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().split()
+        if number is signal.SIGINT:
+            os.killpg(parent.pid, number)  # as a terminal does
+            assert parent.stdout.read() == "INTERRUPTED 50\n"
+        else:
+            parent.kill()
+    end = time.monotonic() + 10.0
+    while _runs(child):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def _runs(process: str) -> bool:
+    """Whether there is such a process; one that nobody has asked how it ended is none."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def test_the_same_numbers_and_reports(foreign_fmu: Path) -> None:

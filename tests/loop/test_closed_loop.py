@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flexfmu.cosim.closed_loop import run_loop
+from flexfmu.cosim.commands import run as command
 from flexfmu.cosim.controllers.pd import pd
 from flexfmu.cosim.errors import WiringError
 from flexfmu.cosim.experiment import Run, run_scene
@@ -17,6 +20,7 @@ from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.measuring.metric_table import ALL_METRICS, METRICS
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
+from flexfmu.cosim.results import Recording
 from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
 from flexfmu.model.scene import Scene
 
@@ -178,3 +182,44 @@ def test_foreign_effects_are_refused(robot: Scene, run: Run) -> None:
     rough = robot.replace({"effects.joint_friction": {"viscous": 0.5}})
     with pytest.raises(InputError, match=r"the FMU lacks joint_friction\.viscous"):
         run_scene(rough, fmu_path=Path(run.fmu_path))
+
+
+QUITTER = """
+import os
+from flexfmu.cosim.slave import SlaveVariable
+
+class Quitter:
+    name = "quitter"
+    variables = (SlaveVariable("joint1.torque", "output", "N.m"), SlaveVariable("joint2.torque", "output", "N.m"))
+    feedthrough = {"joint1.torque": (), "joint2.torque": ()}
+
+    def initialize(self, start_time, stop_time, tolerance):
+        self.time = start_time
+
+    def set(self, indices, values):
+        pass
+
+    def get(self, indices, values):
+        values[:] = 0.0
+
+    def step(self, time, step):
+        if time + step > 0.01 + 1e-9:
+            os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
+def test_a_slave_that_ends_the_process_leaves_results(
+    robot: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command ends with status 1, the slave's name and the time, and writes all that was recorded."""
+    (tmp_path / "quitter.py").write_text(QUITTER)
+    section = {"kind": "python", "source": "quitter:Quitter", "folder": str(tmp_path)}
+    monkeypatch.setattr(command, "load_scene", lambda source: robot.replace({"controller": [section]}))
+    assert command.run_command("quitter.toml", tmp_path, True) == 1
+    assert "quitter failed at 0.01 s: it ended its process with exit status 0" in capsys.readouterr().err
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["health"]["outcome"], summary["health"]["end_time"]) == ("step failed", pytest.approx(0.01))
+    recording = Recording.read_csv(tmp_path / "results.csv")
+    assert recording.time[-1] == pytest.approx(0.01)
+    assert recording["joint1.position"].values.size > 50
