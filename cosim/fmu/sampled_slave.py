@@ -11,10 +11,11 @@ from flexfmu.cosim.blocks.equations import check_sampling
 from flexfmu.cosim.errors import FmuFileError, InputError, SlaveError
 from flexfmu.cosim.fmu.annotations import sampling
 from flexfmu.cosim.fmu.capabilities import fixed_step
-from flexfmu.cosim.fmu.file import open_fmu
+from flexfmu.cosim.fmu.file import UnpackedFmu, open_fmu
 from flexfmu.cosim.fmu.slave import FmuSlave
 from flexfmu.cosim.fmu.variables import Value
 from flexfmu.cosim.master.binding import nothing
+from flexfmu.cosim.master.isolation import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.slave import Call, Indices, RealArray, feedthrough
 
 PROBES = (1e-3, -1e-3, 1.0, -1.0)
@@ -64,13 +65,23 @@ def fmu_slave(
         return FmuSlave(path, name, parameters)
     check_sampling(chosen, offset, name)
     slave = FmuSlave(path, name, parameters, input_order=0)
-    at_once = _immediate(slave)
+    at_once = _tried(slave, fmu)
     declared = {output: names for output, names in feedthrough(slave).items() if names}
     if not at_once and declared:
         return FmuTask(slave, chosen, offset)
     # an output that follows inputs which its description denies depends on all of them
     honest = {output: names for output, names in slave.feedthrough.items() if names or output not in at_once}
     return SampledFmu(path, name, parameters, (chosen, offset), honest)
+
+
+def _tried(slave: FmuSlave, fmu: UnpackedFmu) -> frozenset[str]:
+    """What `_immediate` finds, in a child process where the FMU might end this one; nothing where it does so."""
+    if not AVAILABLE or fmu.is_ours:
+        return _immediate(slave)
+    try:
+        return frozenset(in_child(lambda: _immediate(slave), lambda: None, CALL_LIMIT))
+    except ChildLostError:
+        return frozenset()  # its run will tell
 
 
 def _immediate(slave: FmuSlave) -> frozenset[str]:

@@ -82,10 +82,10 @@ def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *
 def is_foreign(slave: Slave) -> bool:
     """Whether a slave runs code that isn't ours: an FMU of another tool, or a Python class from elsewhere."""
     from flexfmu.cosim.fmu.file import open_fmu
-    from flexfmu.cosim.fmu.sampled_slave import SampledFmu
+    from flexfmu.cosim.fmu.sampled_slave import FmuTask, SampledFmu
     from flexfmu.cosim.fmu.slave import FmuSlave
 
-    if isinstance(slave, FmuSlave | SampledFmu):
+    if isinstance(slave, FmuSlave | SampledFmu | FmuTask):
         return not open_fmu(slave.path).is_ours
     return not type(slave).__module__.startswith("flexfmu.")
 
