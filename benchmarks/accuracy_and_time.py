@@ -96,7 +96,7 @@ def simulate(step: float, tolerance: float) -> Run:
 
 def metrics_of(run: Run) -> dict[str, float]:
     """The metrics that have a value."""
-    return {name: each.value for name, each in measure_run(run).items() if each.value is not None}
+    return {name: each.value for name, each in measure_run(run, companions=0).items() if each.value is not None}
 
 
 def largest_difference(run: Run, exact: Run, signal: str) -> float:

@@ -173,11 +173,20 @@ def run(
             show_default=False,
         ),
     ] = None,
+    verify: Annotated[
+        bool | None,
+        typer.Option(
+            "--verify/--no-verify",
+            help="Verify the errors of the metrics by a second companion run. Default: take them from one.",
+            show_default=False,
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
 
-    The FMU is built first unless it is in the cache. An SSP file, ours or not, gives results.csv and summary.json.
+    The FMU is built first unless it is in the cache. A companion run with shorter communication steps and a tighter
+    tolerance gives the errors of the metrics; --no-verify saves it. An SSP file, ours or not, gives results.csv and summary.json.
     """
     with one_line_errors():
         from zipfile import is_zipfile
@@ -191,7 +200,7 @@ def run(
             raise typer.Exit(run_ssp_command(Path(scene), out, step, stop_time, json, isolate))
         if stop_time is not None:
             raise InputError("--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`")
-        raise typer.Exit(run_command(scene, out, json, step, isolate))
+        raise typer.Exit(run_command(scene, out, json, step, isolate, 1 if verify is None else 2 * verify))
 
 
 @app.command()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
+from math import ceil
 from pathlib import Path
 from time import perf_counter
-from typing import TypedDict
+from typing import Any, TypedDict
 
 from flexfmu.cosim.effects.choice import resolved
 from flexfmu.cosim.errors import InputError
@@ -22,12 +24,24 @@ from flexfmu.cosim.master.system import connect
 from flexfmu.cosim.measuring.rigid_motion import RigidMotion
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.scene_recording import SceneRecording
-from flexfmu.cosim.scene_run import Health, Run, Timing
+from flexfmu.cosim.scene_run import Companion, Health, Run, Timing
 from flexfmu.cosim.scene_system import SceneSystem, scene_system
+from flexfmu.cosim.slave import Sampled
 from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
 from flexfmu.model.scene import Scene
 
 __all__ = ["Health", "Options", "PreparedScene", "Run", "Timing", "run_scene"]
+
+COMPANION_TOLERANCE = 1e-2
+"""A companion's tolerance in terms of the run's. A tenth isn't enough: errors scatter about their tolerance by as much."""
+
+COMPANION_COUPLING = 0.1
+"""The same for the tolerance of step control, whose steps grow shorter faster."""
+
+COMPANION_STEPS = 2000
+"""Least number of communication steps of a companion over the motion, or long steps would hide what both runs miss
+between them."""
 
 
 class Options(TypedDict, total=False):
@@ -147,6 +161,7 @@ class PreparedScene:
         self._coupling = coupling_of(section)
         self._system = connect(self._parts.slaves, self._parts.wiring.connections, loops=self._coupling.loops)
         self._step = section.step if communication_step is None else communication_step
+        self._check_step()
         self._tolerance = section.tolerance if tolerance is None else tolerance
         self._isolation = isolation(
             section.isolate if isolate is None else isolate,
@@ -157,7 +172,18 @@ class PreparedScene:
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
         self._facts = slave_facts(self._parts.slaves)
         self._simulator: Simulator | None = None
+        again = {"fmu_path": self._fmu_path, "initial": initial, "input_order": input_order, "loop": self._loop}
+        self._again: Mapping[str, Any] = {"scene": scene, "record": record, **again}
         self._times = planning, building, watch.lap()
+
+    def _check_step(self) -> None:
+        """A communication step must fit into the motion."""
+        duration = self._loop.motion.duration
+        if self._step > duration:
+            raise InputError(
+                f"the communication step of {self._step:g} s is longer than the motion of {duration:g} s: reduce "
+                f"`cosimulation.step` (--step), to {duration / 1000:.1g} s for example"
+            )
 
     def run(self, parameters: Mapping[str, float] | None = None, progress: Progress | None = None) -> Run:
         """Simulate motion and dwell.
@@ -216,7 +242,31 @@ class PreparedScene:
             slaves=self._facts,
             delays=simulation.delays,
             parameters=parts.changes,
+            companion=self._companion(parts.changes),
         )
+
+    def _companion(self, parameters: Mapping[str, float]) -> Companion:
+        """The same with shorter communication steps, which divide this one, and tighter tolerances."""
+        samples = [slave.sample_time for slave in self._parts.slaves if isinstance(slave, Sampled)]
+        longest = min(0.5 * self._step, self._loop.motion.duration / COMPANION_STEPS, *(0.5 * each for each in samples))
+        step = self._step / ceil(self._step / longest * (1.0 - 1e-9))
+        tolerance = max(COMPANION_TOLERANCE * self._tolerance, LEAST_TOLERANCE)
+        section = self._again["scene"].cosimulation
+        changes: dict[str, Any] = {"cosimulation.integrator_step": 0.5 * section.integrator_step}
+        if section.step_control is not None:
+            changes["cosimulation.step_control.tolerance"] = COMPANION_COUPLING * section.step_control.tolerance
+        finer = {**self._again, "scene": self._again["scene"].replace(changes)}
+        finer |= {"communication_step": step, "tolerance": tolerance}
+        return Companion(step, tolerance, partial(_run_companion, finer, self._stop_time, dict(parameters)))
+
+
+def _run_companion(
+    arguments: Mapping[str, Any], stop_time: float, parameters: Mapping[str, float], progress: Progress | None = None
+) -> Run:
+    """Prepare a companion anew, and run it."""
+    prepared = PreparedScene(**arguments)
+    prepared.stop_time = stop_time
+    return prepared.run(parameters, progress)
 
 
 class Stopwatch:

@@ -1,24 +1,31 @@
-"""Metrics of a run: properties of the continuous solution between the communication points.
+"""Metrics of a run: properties of the continuous solution between the communication points, and their errors.
 
-Every metric comes with an estimate of what interpolating between the communication points contributes to it. Motion
-means 0 < t < T with one-sided limits at both ends; the dwell follows it.
+Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
+
+The error of a metric is taken from a companion: the same run with shorter communication steps and a tighter tolerance. What
+it changes is what integration, the polynomials of the inputs, coupling and interpolation have cost together. Estimates from
+within one run can't tell this: the integrator's local errors say nothing about how a peak acceleration depends on the phase
+of a stiff mode.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.measuring.bernstein import Array, last_time_above
-from flexfmu.cosim.measuring.metric_table import ALL_METRICS, METRICS
+from flexfmu.cosim.measuring.metric_table import ALL_METRICS, LOOP_METRICS, METRICS
 from flexfmu.cosim.measuring.segments import HermiteSegments
 from flexfmu.cosim.measuring.signals import (
+    ACCELERATION,
+    FIRST_BENDING,
     JOINT_POSITIONS,
+    POSITION,
     TIP_DEFLECTIONS,
     TORQUES,
     deviation_from_point,
@@ -32,6 +39,7 @@ from flexfmu.cosim.results import Recording
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment import Run
+    from flexfmu.cosim.master.run import Progress
     from flexfmu.cosim.planning import MotionPlan
     from flexfmu.model.scene import Scene
     from flexfmu.trajectories.trajectory import Trajectory
@@ -45,16 +53,24 @@ class Measurement:
 
     Attributes:
         value: in the SI unit of `METRICS`; None where the metric doesn't exist (no dwell, not settled, run cut short).
-        interpolation_error: estimated error in the same unit that the finite communication step leaves; the
-            integrator's own error is not part of it.
+        interpolation_error: the part of the error that interpolation between communication points contributes, as far
+            as the recording itself tells.
+        error: estimated error of the value in the same unit; None where it isn't known.
     """
 
     value: float | None
     interpolation_error: float = 0.0
+    error: float | None = None
 
 
 class Metrics(dict[str, T]):
-    """What is known of each metric of a run, by name; a KeyError tells which names there are."""
+    """What is known of each metric of a run, by name; a KeyError tells which names there are.
+
+    Attributes:
+        basis: what their errors are taken from, in one sentence.
+    """
+
+    basis: str = "no errors were estimated"
 
     def __missing__(self, name: str) -> T:
         raise KeyError(f"this run has no metric {name!r}; there are: {', '.join(self)}")
@@ -79,9 +95,21 @@ class Settings:
     joints: Trajectory | None = None
 
 
-def measure_run(run: Run) -> Mapping[str, Measurement]:
-    """All metrics of a run, in the order of `METRICS`, for a robot driven by torques those of `LOOP_METRICS` too; all
-    without a value when the run was cut short.
+SAFETY = 4.0
+"""A stated error over the companion's change of the metric. The change is the error, but for that of the companion itself."""
+
+ROUNDING = 64.0 * np.finfo(float).eps
+"""Rounding of a metric, relative to the largest magnitude of the signals that it is made of."""
+
+
+def measure_run(run: Run, companions: int = 1) -> Metrics[Measurement]:
+    """All metrics of a run with their errors, in the order of `METRICS`, for a robot driven by torques those of
+    `LOOP_METRICS` too; all without a value when the run was cut short.
+
+    Args:
+        run: the run.
+        companions: how many more precise runs of the same to simulate for the errors. 0: none, the errors stay unknown. 1:
+            the difference, with a margin. 2: a still more precise one verifies that.
 
     Raises:
         ResultsError: a signal that the metrics need was not recorded.
@@ -89,7 +117,92 @@ def measure_run(run: Run) -> Mapping[str, Measurement]:
     """
     if not run.completed:
         return Metrics(dict.fromkeys(METRICS, Measurement(None)))
-    return measure(run.recording, settings_for(run.plan, run.robot))
+    settings = settings_for(run.plan, run.robot)
+    return with_errors(run, measure(run.recording, settings), settings, companions)
+
+
+def with_errors(
+    run: Run,
+    measured: Mapping[str, Measurement],
+    settings: Settings,
+    companions: int = 1,
+    progress: Progress | None = None,
+) -> Metrics[Measurement]:
+    """The metrics of a completed run with their errors from its companions; arguments as for `measure_run`."""
+    results, finest, how = [measured], run, list[str]()
+    while len(how) < companions and finest.companion is not None:
+        companion = finest.companion
+        finest = companion.run(progress)
+        how.append(f"steps of {companion.communication_step:.3g} s and a tolerance of {companion.tolerance:.2g}")
+        if not finest.completed:
+            return _based(measured, f"errors are not known: {finest.message}, in a companion with {how[-1]}")
+        results.append(measure(finest.recording, settings))
+    if not how:
+        return _based(measured, Metrics.basis)
+
+    rounding = {name: ROUNDING * _magnitude(run.recording, name) for name in measured}
+    stated = {name: _stated([one.get(name) for one in results], rounding[name]) for name in measured}
+    _settle(stated, run.recording, settings)
+    if len(how) == 1:
+        return _based(stated, f"errors are taken from a companion run with {how[0]}")
+    missed = [name for name in stated if _is_missed([one.get(name) for one in results], rounding[name])]
+    verdict = f"; one companion alone understates {', '.join(missed)}" if missed else ""
+    return _based(stated, f"errors are verified by companion runs with {' and '.join(how)}{verdict}")
+
+
+def _based(measured: Mapping[str, Measurement], basis: str) -> Metrics[Measurement]:
+    found = Metrics(measured)
+    found.basis = basis
+    return found
+
+
+def _stated(results: Sequence[Measurement | None], rounding: float) -> Measurement:
+    """A metric with its error, from its values in the run and in ever finer ones."""
+    first = results[0] or Measurement(None)
+    values = [each.value for each in results if each is not None and each.value is not None]
+    if first.value is None or len(values) < len(results):
+        return first
+    change = abs(first.value - values[-1])
+    error = rounding + (SAFETY * change if len(values) == 2 else change + abs(values[-2] - values[-1]))
+    return replace(first, error=error, interpolation_error=min(first.interpolation_error, error))
+
+
+def _is_missed(results: Sequence[Measurement | None], rounding: float) -> bool:
+    """Whether the finest run contradicts the error that the first companion gives."""
+    early, final = _stated(results[:2], rounding).error, _stated([results[0], results[-1]], rounding).error
+    return early is not None and final is not None and (final - rounding) / SAFETY > early
+
+
+def _settle(stated: dict[str, Measurement], recording: Recording, settings: Settings) -> None:
+    """The settling time jumps by half a period where a crest just touches the band: its error is at least how far it moves
+    when the vibration grows or shrinks by its own error."""
+    settled, radius = stated["settling_time"], stated["residual_vibration_amplitude"].error
+    if settled.error is None or radius is None:
+        return
+    moved = settling(_vibration(recording, settings), settings.settling_band, radius).interpolation_error
+    stated["settling_time"] = replace(settled, error=max(settled.error, moved))
+
+
+_SIGNALS: Mapping[str, tuple[str, ...]] = {
+    "peak_torque_1": TORQUES[:1],
+    "peak_torque_2": TORQUES[1:],
+    "peak_modal_deflection_1": (FIRST_BENDING,),
+    "peak_tip_deflection_1": TIP_DEFLECTIONS[:1],
+    "peak_tip_deflection_2": TIP_DEFLECTIONS[1:],
+    "rms_acceleration_error": ACCELERATION,
+    "end_velocity_error": tuple(name.replace("position", "velocity") for name in POSITION),
+    "end_acceleration_error": ACCELERATION,
+    "settling_time": ("time",),
+    **{name: JOINT_POSITIONS for name in LOOP_METRICS},
+}
+"""Metric → the signals that it is made of; end-effector positions for all others."""
+
+
+def _magnitude(recording: Recording, name: str) -> float:
+    """Largest magnitude of the signals that a metric is made of; a rigid link has none."""
+    columns = [recording.columns[each].values for each in _SIGNALS.get(name, POSITION) if each in recording.columns]
+    columns += [recording.time] if name == "settling_time" else []
+    return max((float(np.abs(values).max()) for values in columns), default=0.0)
 
 
 def settings_for(plan: MotionPlan, robot: Scene | None = None) -> Settings:
@@ -107,7 +220,7 @@ def settings_for(plan: MotionPlan, robot: Scene | None = None) -> Settings:
     return Settings(plan.task, equilibrium, plan.scene.trajectory.dwell, section.settling_band, plan.joints)
 
 
-def measure(recording: Recording, settings: Settings) -> Mapping[str, Measurement]:
+def measure(recording: Recording, settings: Settings) -> Metrics[Measurement]:
     """All metrics of a complete recording, in the order of `METRICS` and `LOOP_METRICS`.
 
     Raises:
@@ -118,8 +231,8 @@ def measure(recording: Recording, settings: Settings) -> Mapping[str, Measuremen
     motion = deviation.within(0.0, end)
     measurements = {
         **_loads(recording, end),
-        "peak_position_error": peak(deviation),
-        "rms_acceleration_error": root_mean_square(motion, order=2),
+        "peak_position_error": peak(deviation.consistent),
+        "rms_acceleration_error": root_mean_square(motion.consistent, order=2),
         "end_position_error": _at_end(motion, order=0),
         "end_velocity_error": _at_end(motion, order=1),
         "end_acceleration_error": _at_end(motion, order=2),
@@ -140,13 +253,13 @@ def _loads(recording: Recording, end: float) -> dict[str, Measurement]:
     """Peak torques and deflections over the motion; a rigid link doesn't deflect."""
     found: dict[str, Measurement] = {}
     for joint, name in enumerate(TORQUES, start=1):
-        found[f"peak_torque_{joint}"] = peak(segments(recording, [name]).within(0.0, end))
+        found[f"peak_torque_{joint}"] = peak(segments(recording, [name]).within(0.0, end).consistent)
     modal = modal_deflection(recording)
-    found["peak_modal_deflection_1"] = Measurement(0.0) if modal is None else peak(modal.within(0.0, end))
+    found["peak_modal_deflection_1"] = Measurement(0.0) if modal is None else peak(modal.within(0.0, end).consistent)
     for leg, name in enumerate(TIP_DEFLECTIONS, start=1):
         flexible = name in recording.columns
         found[f"peak_tip_deflection_{leg}"] = (
-            peak(segments(recording, [name]).within(0.0, end)) if flexible else Measurement(0.0)
+            peak(segments(recording, [name]).within(0.0, end).consistent) if flexible else Measurement(0.0)
         )
     return found
 
@@ -156,10 +269,15 @@ def _residual(recording: Recording, settings: Settings) -> dict[str, Measurement
     names = ("residual_vibration_amplitude", "residual_vibration_rms", "settling_time")
     if settings.dwell == 0.0:
         return dict.fromkeys(names, Measurement(None))
-    end = settings.task.duration
-    vibration = deviation_from_point(position(recording), settings.end_equilibrium).within(end, math.inf)
+    vibration = _vibration(recording, settings)
     measurements = (peak(vibration), root_mean_square(vibration), settling(vibration, settings.settling_band))
     return dict(zip(names, measurements, strict=True))
+
+
+def _vibration(recording: Recording, settings: Settings) -> HermiteSegments:
+    """Deviation from the equilibrium at the end pose, during the dwell."""
+    vibration = deviation_from_point(position(recording), settings.end_equilibrium)
+    return vibration.within(settings.task.duration, math.inf).consistent
 
 
 def _tracking(recording: Recording, settings: Settings) -> dict[str, Measurement]:
@@ -169,9 +287,9 @@ def _tracking(recording: Recording, settings: Settings) -> dict[str, Measurement
     found = {}
     for joint in range(len(JOINT_POSITIONS)):
         error = joint_error(recording, joint, settings.joints)
-        found[f"peak_tracking_error_{joint + 1}"] = peak(error)
+        found[f"peak_tracking_error_{joint + 1}"] = peak(error.consistent)
         motion = error.within(0.0, settings.task.duration)
-        found[f"rms_tracking_error_{joint + 1}"] = root_mean_square(motion)
+        found[f"rms_tracking_error_{joint + 1}"] = root_mean_square(motion.consistent)
     return found
 
 
@@ -195,17 +313,18 @@ def root_mean_square(signal: HermiteSegments, order: int = 0) -> Measurement:
     return Measurement(root, min(change / root, bound) if root > 0.0 else bound)
 
 
-def settling(vibration: HermiteSegments, band: float) -> Measurement:
+def settling(vibration: HermiteSegments, band: float, uncertainty: float = 0.0) -> Measurement:
     """Time from the first segment's start after which the norm stays below ``band`` [s]; None if it never does.
 
-    Its error is how far the last crossing moves when the vibration's amplitude changes by the interpolation error.
+    Its error is how far the last crossing moves when the vibration's amplitude changes by the interpolation error, or by
+    the ``uncertainty`` where that is larger.
     """
     begin, stop = float(vibration.start[0]), float(vibration.end[-1])
     crossing = last_time_above(vibration.control, vibration.start, vibration.duration, band)
     if crossing is None:
         return Measurement(0.0)
     near = int(np.searchsorted(vibration.end, crossing))
-    error = float(vibration.error_estimate()[min(near, len(vibration.end) - 1)])
+    error = max(float(vibration.error_estimate()[min(near, len(vibration.end) - 1)]), uncertainty)
     spread = [
         last_time_above(vibration.control, vibration.start, vibration.duration, level)
         for level in (band + error, max(band - error, 0.0))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from flexfmu.cosim.loop.recording import SlaveFacts
 from flexfmu.cosim.master.delays import SignalDelay
 from flexfmu.cosim.master.outcome import Outcome
+from flexfmu.cosim.master.run import Progress
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.results import Recording
 from flexfmu.cosim.scene_parameters import scene_with_parameters
@@ -40,6 +41,21 @@ class Health:
 
 
 @dataclass(frozen=True)
+class Companion:
+    """The same run once more, more precisely: what it changes is the error of the first one.
+
+    Attributes:
+        communication_step: [s], at most half of the run's, and of every sample time.
+        tolerance: for the FMU.
+        run: simulates it; may be told whom to report the simulated fraction to.
+    """
+
+    communication_step: float
+    tolerance: float
+    run: Callable[[Progress | None], Run]
+
+
+@dataclass(frozen=True)
 class Run:
     """A simulated scene.
 
@@ -61,6 +77,7 @@ class Run:
         slaves: all slaves of the system.
         delays: for each connection how late its signals arrive.
         parameters: parameters of the robot that differ from the scene's.
+        companion: a more precise run of the same, to be run when its errors are asked for; None where there is none.
     """
 
     plan: MotionPlan
@@ -76,6 +93,7 @@ class Run:
     slaves: tuple[SlaveFacts, ...] = ()
     delays: tuple[SignalDelay, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
+    companion: Companion | None = field(default=None, repr=False, compare=False)
 
     @property
     def scene(self) -> Scene:

@@ -46,7 +46,7 @@ class VariantError(CosimError):
 
 def metrics_of(run: Run) -> dict[str, float | None]:
     """The metrics of a run, by name."""
-    return Metrics({name: each.value for name, each in measure_run(run).items()})
+    return Metrics({name: each.value for name, each in measure_run(run, companions=0).items()})
 
 
 def run_variants(

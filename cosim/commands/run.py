@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ from flexfmu.cosim.commands.errors import FAILURE, show_error
 from flexfmu.cosim.effects.choice import resolved
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.experiment import Run, run_scene
+from flexfmu.cosim.master.run import Progress
 from flexfmu.cosim.measuring.metric_table import ALL_METRICS, METRICS, display
-from flexfmu.cosim.metrics import Measurement, Settings, measure, settings_for
+from flexfmu.cosim.metrics import Measurement, Settings, measure, settings_for, with_errors
 from flexfmu.cosim.reports.json_text import to_json
 from flexfmu.cosim.reports.output import RESULTS, OutputFolder
 from flexfmu.cosim.reports.summary import summarise
@@ -27,11 +29,16 @@ from flexfmu.model.selection.words import choice_sentence
 
 
 def run_command(
-    source: str, out: Path | None, as_json: bool, step: float | None = None, isolate: bool | None = None
+    source: str,
+    out: Path | None,
+    as_json: bool,
+    step: float | None = None,
+    isolate: bool | None = None,
+    companions: int = 1,
 ) -> int:
     """Simulate, write, print; the exit status.
 
-    What was recorded before a failure is written too.
+    What was recorded before a failure is written too. ``companions``: how many more precise runs the errors are taken from.
     """
     scene = load_scene(source)
     folder = OutputFolder(out or RESULTS / scene.name)
@@ -44,7 +51,8 @@ def run_command(
         )
         show("writing the results", None)
         run.recording.write_csv(folder.path / "results.csv")
-        settings, measurements, problem = _measure(run)
+        progressing = partial(show, "estimating the errors")
+        settings, measurements, problem = _measure(run, companions, progressing)
         summary = summarise(run, measurements)
         folder.write("summary.json", to_json(summary))
         show("drawing the report", None)
@@ -59,14 +67,16 @@ def run_command(
     return 0
 
 
-def _measure(run: Run) -> tuple[Settings | None, Mapping[str, Measurement], str | None]:
+def _measure(
+    run: Run, companions: int, progress: Progress
+) -> tuple[Settings | None, Mapping[str, Measurement], str | None]:
     """What the metrics depend on, the metrics, and why there are none where that is so."""
     none = dict.fromkeys(METRICS, Measurement(None))
     if not run.completed:
         return None, none, run.message
     try:
         settings = settings_for(run.plan, run.robot)
-        return settings, measure(run.recording, settings), None
+        return settings, with_errors(run, measure(run.recording, settings), settings, companions, progress), None
     except (EquilibriumError, ResultsError) as error:
         return None, none, str(error)
 
@@ -83,7 +93,7 @@ def _print_summary(summary: Mapping[str, Any], choice: str, folder: Path) -> Non
     name, health, metrics = summary["scene"]["name"], summary["health"], summary["metrics"]
     parts: list[RenderableType] = [Text(choice)] if choice else []
     if health["outcome"] == "completed":
-        parts.append(_metrics_table(name, metrics))
+        parts += [_metrics_table(name, metrics, summary["errors"]), Text(health["errors_from"])]
     parts.append(Text(_health_line(health, summary["timing"])))
     parts += _learning_line(summary.get("learning"))
     late = [delay for delay in summary["delays"] if delay["seconds"] > 0.0 or delay["average"] > 0.0]
@@ -96,12 +106,12 @@ def _print_summary(summary: Mapping[str, Any], choice: str, folder: Path) -> Non
     print_rich(*parts)
 
 
-def _metrics_table(title: str, metrics: Mapping[str, float | None]) -> Table:
+def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapping[str, float | None]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold")
     table.add_column("Metric")
     table.add_column("Value", justify="right")
     for name, value in metrics.items():
-        table.add_row(ALL_METRICS[name].label, display(name, value))
+        table.add_row(ALL_METRICS[name].label, display(name, value, error=errors[name]))
     return table
 
 

@@ -125,7 +125,7 @@ def observe(
     run = prepared.run()
     if not run.completed:
         raise ResultsError(f"the comparison with {scene.name} failed: {run.message}")
-    measured = measure_run(run)
+    measured = measure_run(run, companions=0)
     values = {name: measured[name].value for name in of}
     return Observed({name: value for name, value in values.items() if value is not None}, prepared.run)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import ceil, floor, log10
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,31 @@ LOOP_METRICS: Mapping[str, MetricInfo] = {
 ALL_METRICS: Mapping[str, MetricInfo] = {**METRICS, **LOOP_METRICS}
 
 
-def display(name: str, value: float | None, digits: int = 6) -> str:
-    """A metric's value for people, with its unit and so many significant digits; a dash where there is none."""
+def display(name: str, value: float | None, digits: int = 6, error: float | None = None) -> str:
+    """A metric's value for people, with its unit; a dash where there is none.
+
+    With an error as ``value ± error``: of the value no digit that the error leaves unknown, at most ``digits`` significant
+    ones; of the error one digit, rounded up.
+    """
     info = ALL_METRICS[name]
-    return "–" if value is None else f"{value * info.display_factor:.{digits}g} {info.display_unit}"
+    if value is None:
+        return "–"
+    shown = value * info.display_factor
+    if not error:
+        return f"{shown:.{digits}g} {info.display_unit}"
+    # the error, and the place of the value's last digit
+    scaled = error * info.display_factor
+    power = floor(log10(scaled))
+    scaled = ceil(scaled / 10.0**power * (1.0 - 1e-12)) * 10.0**power
+    last = floor(log10(scaled) + 1e-12)
+    size = floor(log10(abs(shown))) if shown else last
+    last = max(last, size + 1 - digits)
+
+    if shown == 0.0 or size < last:
+        text = "0"
+    elif -5 < size < digits:
+        text = f"{round(shown, -last):.{max(-last, 0)}f}"
+    else:
+        text = f"{shown:.{size - last}e}"
+    margin = f"{scaled:.0f}" if 1.0 <= scaled < 1e4 else f"{scaled:.1g}"
+    return f"{text} ± {margin} {info.display_unit}"

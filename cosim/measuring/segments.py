@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,13 @@ from flexfmu.cosim.measuring.bernstein import (
 COMPARABLE_STEPS = 0.1
 """Ratio of neighbouring segments below which the shorter one says only rounding about high derivatives."""
 
+DIVERGING = 3.0
+"""Growth of what an order of derivatives adds to the interpolant over what the order before it adds, from which on the
+derivatives say nothing about the segment: they belong to a vibration or a decay that is far faster than the step."""
+
+ENDS = np.array([0.0, 1.0])
+"""Normalised times of a segment's ends."""
+
 CONTINUITY = 1e-9
 """Jump, relative to the signal's largest value, from which a node counts as a breakpoint."""
 
@@ -37,12 +45,14 @@ class HermiteSegments:
     Attributes:
         start, end: (n,) times of the segments' ends [s], each segment starting where the one before it ended.
         left, right: (m, n, c) the signal and its time derivatives 0..m-1 at the start and at the end of each segment.
+        doubt: what the interpolants of `consistent` may be off by; zero where nothing was cut off, None if nowhere.
     """
 
     start: Array
     end: Array
     left: Array
     right: Array
+    doubt: HermiteSegments | None = None
 
     @cached_property
     def duration(self) -> Array:
@@ -72,6 +82,34 @@ class HermiteSegments:
         have in common leaves no interpolation error.
         """
         return HermiteSegments(self.start, self.end, self.left - left, self.right - right)
+
+    @cached_property
+    def consistent(self) -> HermiteSegments:
+        """The same without the derivatives that don't fit the segments they stand on.
+
+        Each order that is interpolated should add less than the one before it. Where an order from the second on adds
+        far more, the segment is interpolated without it and all that follow, as an asymptotic series is cut off; its
+        error is then taken for what the last order added.
+        """
+        theta = np.linspace(0.0, 1.0, 9)
+        values = [self._up_to(count).evaluate(theta) for count in range(1, len(self.left) + 1)]
+        added = [np.linalg.norm(one - other, axis=2).max(axis=0) for one, other in pairwise(values)]
+        left, right, doubt = self.left.copy(), self.right.copy(), np.zeros((2, *self.left.shape))
+        for count in range(len(added), 1, -1):
+            cut = added[count - 1] > DIVERGING * added[count - 2]
+            if not np.any(cut):
+                continue
+            kept, before = self.select(cut)._up_to(count), self.select(cut)._up_to(count - 1)
+            for order in range(len(left)):
+                ends = kept.evaluate(ENDS, order)
+                left[order, cut], right[order, cut] = ends
+                doubt[:, order, cut] = ends - before.evaluate(ENDS, order)
+        doubtful = HermiteSegments(self.start, self.end, *doubt) if np.any(doubt) else None
+        return HermiteSegments(self.start, self.end, left, right, doubtful)
+
+    def _up_to(self, count: int) -> HermiteSegments:
+        """The same with so many derivatives, the signal itself included."""
+        return HermiteSegments(self.start, self.end, self.left[:count], self.right[:count])
 
     def evaluate(self, theta: Array, order: int = 0) -> Array:
         """(k, n, c) time derivative of some order at the normalised times ``theta`` (k,) of every segment."""
@@ -107,6 +145,8 @@ class HermiteSegments:
         estimate: Array = derivative * np.abs(self._error_shape(np.array([0.5]), order=0)[0])
         if np.any(alone):
             estimate[alone] = self.select(alone)._lower_degree_change()
+        if self.doubt is not None:
+            estimate = estimate + np.linalg.norm(self.doubt.evaluate(np.linspace(0.0, 1.0, 9)), axis=2).max(axis=0)
         return estimate
 
     def deviation_estimate(self, theta: Array, order: int = 0) -> Array:
@@ -125,7 +165,7 @@ class HermiteSegments:
         alone = ~known.any(axis=(0, 2))
         if np.any(alone):
             deviation[:, alone] = self.select(np.asarray(alone))._unsigned_deviation(theta, order)
-        return deviation
+        return deviation if self.doubt is None else deviation + self.doubt.evaluate(theta, order)
 
     @cached_property
     def _highest_derivatives(self) -> Array:

@@ -74,7 +74,7 @@ def path_error(run: Run) -> Series:
 def _simulation(case: Case, run: Run) -> Simulation:
     return Simulation(
         case=case,
-        metrics={name: measurement.value for name, measurement in measure_run(run).items()},
+        metrics={name: measurement.value for name, measurement in measure_run(run, companions=0).items()},
         duration=run.plan.duration,
         time=run.recording.time,
         path_error=path_error(run),

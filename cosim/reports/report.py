@@ -47,7 +47,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         undefined=StrictUndefined,
         trim_blocks=False,
     )
-    health, metrics = summary["health"], summary["metrics"]
+    health, metrics, errors = summary["health"], summary["metrics"], summary["errors"]
     return environment.get_template("report.html.j2").render(
         scene=summary["scene"],
         effects=summary["effects"],
@@ -55,8 +55,10 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         completed=health["outcome"] == "completed",
         health=health,
         coarse=[_coarse_row(warning) for warning in health["warnings"]],
-        tiles=[{"label": ALL_METRICS[name].label, "value": display(name, metrics[name], digits=4)} for name in TILES],
-        metrics=[_metric_row(name, metrics[name], health["interpolation_errors"][name]) for name in metrics],
+        tiles=[
+            {"label": ALL_METRICS[name].label, "value": display(name, metrics[name], 4, errors[name])} for name in TILES
+        ],
+        metrics=[_metric_row(name, metrics[name], errors[name]) for name in metrics],
         plots=list(plots),
         parameters=_scene_rows(summary["scene"]),
         tables=_filled(
@@ -84,14 +86,9 @@ def _motion_sentence(scene: Mapping[str, Any]) -> str:
     )
 
 
-def _metric_row(name: str, value: float | None, error: float) -> dict[str, str]:
+def _metric_row(name: str, value: float | None, error: float | None) -> dict[str, str]:
     info = ALL_METRICS[name]
-    return {
-        "label": info.label,
-        "value": display(name, value),
-        "error": "–" if value is None else f"{error * info.display_factor:.1g} {info.display_unit}",
-        "description": info.description,
-    }
+    return {"label": info.label, "value": display(name, value, error=error), "description": info.description}
 
 
 def _coarse_row(warning: Mapping[str, Any]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from flexfmu.cosim.effects.summary import choice_summary
 from flexfmu.cosim.measuring.metric_table import ALL_METRICS
 from flexfmu.cosim.measuring.small_deflections import exceeded
-from flexfmu.cosim.metrics import Measurement
+from flexfmu.cosim.metrics import Measurement, Metrics
 from flexfmu.cosim.reports.versions import versions
 
 if TYPE_CHECKING:
@@ -35,7 +35,8 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
     """Everything that ``summary.json`` says about a run, as plain data in SI units.
 
     Keys: ``scene`` (the scene file with its defaults), ``effects`` (effect → sentence), ``metrics`` (name → number or
-    None), ``health`` (outcome, integrator statistics, interpolation errors, warnings, deflections beyond linear theory),
+    None), ``errors`` (name → estimated error, or None where it isn't known), ``health`` (outcome, integrator statistics, what
+    the errors are taken from, interpolation errors, warnings, deflections beyond linear theory),
     ``slaves`` (name, description, sample time), ``delays`` (for each connection how late it is), ``timing`` [s],
     ``versions``; with shapers also ``shaping`` (the time that they add [s], how far they lead the rigid end effector off its path [m]), with an automatic choice of effects
     ``effect_choice`` (tolerance, the set, estimated errors and contributions), and with a motion that is repeated
@@ -46,6 +47,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
         "effects": describe_effects(run.scene),
         **({"effect_choice": choice} if (choice := choice_summary(run.scene)) else {}),
         "metrics": {name: measurement.value for name, measurement in measurements.items()},
+        "errors": {name: measurement.error for name, measurement in measurements.items()},
         "health": _health(run, measurements),
         **_shaping(run),
         **_learning(run),
@@ -129,6 +131,7 @@ def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]
         "input_order": run.input_order,
         "statistics": dict(run.health.statistics),
         "messages": list(run.health.messages),
+        "errors_from": measurements.basis if isinstance(measurements, Metrics) else Metrics.basis,
         "interpolation_errors": {name: measurement.interpolation_error for name, measurement in measurements.items()},
         "warnings": [_warning(run, name, measurements[name]) for name in coarse_metrics(measurements)],
         "large_deflections": exceeded(run),

@@ -16,11 +16,12 @@ static const flex_method methods[] = {
     [FLEX_RUNGE_KUTTA_4] = {4, 5, flex_explicit_step, 0, &flex_runge_kutta_4},
 };
 
-static int automatic(double tolerance, int is_damped) {
+static int automatic(double tolerance, int is_damped, int is_overdamped) {
+  if (is_overdamped) return FLEX_RADAU_3;
   if (tolerance < FOUR_STAGES_TOLERANCE) return FLEX_GAUSS_4;
   return is_damped ? FLEX_RADAU_3 : FLEX_GAUSS_3;
 }
 
-const flex_method *flex_find_method(int number, double tolerance, int is_damped) {
-  return &methods[number == FLEX_AUTOMATIC ? automatic(tolerance, is_damped) : number];
+const flex_method *flex_find_method(int number, double tolerance, int is_damped, int is_overdamped) {
+  return &methods[number == FLEX_AUTOMATIC ? automatic(tolerance, is_damped, is_overdamped) : number];
 }

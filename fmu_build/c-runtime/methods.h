@@ -32,7 +32,9 @@ typedef struct {
   const flex_explicit_tableau *runge_kutta;  /* NULL for collocation */
 } flex_method;
 
-/* the method of a number; FLEX_AUTOMATIC: the cheapest for the tolerance, of those that damp nothing where the model doesn't */
-const flex_method *flex_find_method(int number, double tolerance, int is_damped);
+/* the method of a number; FLEX_AUTOMATIC: the cheapest for the tolerance, of those that damp nothing where the model doesn't.
+ * Overdamped: something decays far faster than it vibrates. Gauss methods keep what rounding and iteration leave there, which
+ * the accelerations multiply by the rate of decay; Radau takes it out. */
+const flex_method *flex_find_method(int number, double tolerance, int is_damped, int is_overdamped);
 
 #endif

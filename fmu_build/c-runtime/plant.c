@@ -11,6 +11,10 @@
 /* rounding errors of the polynomials that inputs are between communication points, in units of what they reach there */
 #define INPUT_ROUNDING (256.0 * DBL_EPSILON)
 
+/* a coordinate with ten times critical damping, whose rate of decay [1/s] is far above what motions need resolved */
+#define OVERDAMPED 20.0
+#define FAST_DECAY 1e5
+
 /* what depends on the point of the motion */
 #define POINT (FLEX_HAVE_ACCELERATION | FLEX_HAVE_OUTPUTS | FLEX_HAVE_FIRST_RATES | FLEX_HAVE_SECOND_RATES)
 
@@ -85,7 +89,8 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
 
 static void choose_method(flex_plant *plant) {
   const flex_plant_record *record = plant->record;
-  const flex_method *method = flex_find_method(record->method, record->tolerance, plant->model->is_damped);
+  const flex_method *method =
+      flex_find_method(record->method, record->tolerance, plant->model->is_damped, record->is_overdamped);
   flex_integrator_use(&plant->integrator, method, record->tolerance);
 }
 
@@ -219,6 +224,25 @@ static flex_outcome start_static(flex_plant *plant, double *value) {
   return outcome;
 }
 
+// whether a coordinate decays far faster than it vibrates, by the diagonals of mass, damping and stiffness at the start
+static int find_overdamped(flex_plant *plant) {
+  flex_integrator *integrator = &plant->integrator;
+  flex_newton_matrix *matrix = &integrator->stages.matrix;
+  const flex_model *model = plant->model;
+  int n = model->n, found = 0;
+  long long evaluations = *plant->equations.evaluations;
+  if (n == 0 || !model->is_damped) return 0;
+  int refused = flex_newton_refresh(matrix, &plant->equations, integrator->y, integrator->v, integrator->a, plant->u,
+                                    plant->scale, plant->scale + n, *integrator->floor);
+  for (int i = 0; !refused && i < n; i++) {
+    double m = matrix->mass[i * n + i], d = matrix->damping[i * n + i], k = matrix->stiffness[i * n + i];
+    found |= d > OVERDAMPED * sqrt(fabs(k) * m) && d > FAST_DECAY * m;
+  }
+  flex_newton_clear(matrix);
+  *plant->equations.evaluations = evaluations;
+  return found;
+}
+
 // state at the start of the motion
 flex_failure flex_plant_need_start(flex_plant *plant) {
   flex_plant_record *record = plant->record;
@@ -229,6 +253,7 @@ flex_failure flex_plant_need_start(flex_plant *plant) {
   outcome = start_undeformed(plant, &value);
   if (outcome == FLEX_DONE) outcome = start_static(plant, &value);
   if (outcome != FLEX_DONE) return outcome_now(plant, outcome, value);
+  record->is_overdamped = find_overdamped(plant);
   choose_method(plant);
   flex_integrator_start(&plant->integrator);
   record->have = (record->have | FLEX_HAVE_START) & ~POINT;

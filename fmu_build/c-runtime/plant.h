@@ -28,6 +28,7 @@ typedef struct {
   int method;        /* FLEX_AUTOMATIC or one of the other methods */
   int starts_static; /* 1 = static equilibrium, 0 = undeformed */
   int is_moving;     /* 1 = initialisation is over */
+  int is_overdamped; /* 1 = at the start something decays far faster than it vibrates */
   int have;          /* FLEX_HAVE_.. */
   int modes_are_held; /* 1 = the modes of friction change at the importer's events only */
   int inputs_changed;

@@ -34,7 +34,7 @@ static void check_order(const flex_model *model, const double *y, const double *
     coarse += fabs(ends[0][c] - reference[c]);
     fine += fabs(ends[1][c] - reference[c]);
   }
-  int order = flex_find_method(method, 1.0, 0)->order;
+  int order = flex_find_method(method, 1.0, 0, 0)->order;
   CHECK_BETWEEN(log2(coarse / fine), order - 0.3, order + 0.3);
 }
 
@@ -105,9 +105,9 @@ void test_radau_damps_and_gauss_does_not(void) {
 // who has left all damping out of a scene wants to see its vibrations go on; everyone else wants the cheapest method
 void test_automatic_damps_only_what_is_damped(void) {
   for (double tolerance = 1e-2; tolerance > 0.9e-10; tolerance *= 0.1) {
-    CHECK(flex_find_method(FLEX_AUTOMATIC, tolerance, 0)->collocation != &flex_radau_3);
+    CHECK(flex_find_method(FLEX_AUTOMATIC, tolerance, 0, 0)->collocation != &flex_radau_3);
     int is_loose = tolerance > 0.5e-6;
-    CHECK((flex_find_method(FLEX_AUTOMATIC, tolerance, 1)->collocation == &flex_radau_3) == is_loose);
+    CHECK((flex_find_method(FLEX_AUTOMATIC, tolerance, 1, 0)->collocation == &flex_radau_3) == is_loose);
   }
 }
 

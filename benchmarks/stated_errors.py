@@ -1,0 +1,249 @@
+"""Whether stated errors hold: scenes x tolerances x communication steps, every metric's error against the stated one.
+
+The true error is the difference from a run at a tolerance of 1e-12 with steps of 0.1 ms. How far that is from one at 1e-11
+with 0.2 ms is its own uncertainty: where that exceeds the stated error, the metric is left out. Held: the true error is at
+most the stated one. Near: it is at least a hundredth of it. Cost: processor time of a companion, preparing and measuring
+included, over that of the run and its metrics.
+
+    python benchmarks/stated_errors.py [SCENE ...] [--companions 1] [--worst 0] [--json]
+
+takes about six minutes for all scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from time import process_time
+from typing import Any
+
+from flexfmu.cosim.experiment import run_scene
+from flexfmu.cosim.metrics import Measurement, measure_run
+from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
+
+TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+STEPS = (2e-4, 1e-3, 5e-3, 2e-2)
+REFERENCES = ((1e-12, 1e-4), (1e-11, 2e-4))
+"""Tolerance and communication step [s] of the reference, and of the run that tells how good it is."""
+
+NEAR = 1e-2
+HEAVY, LIGHT = "barnard2012-6kg", "barnard2012-0.1kg"
+UNDAMPED = {"effects.damping": {"kind": "none"}}
+TORQUES = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1}
+PD = {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 1e-3}
+RELEASED = {**TORQUES, "cosimulation.initial": "undeformed", "trajectory.duration": 0.2, "trajectory.dwell": 0.1}
+
+SCENES: Mapping[str, tuple[str, dict[str, Any]]] = {
+    "6 kg": (HEAVY, {}),
+    "0.1 kg": (LIGHT, {}),
+    "6 kg, undamped": (HEAVY, UNDAMPED),
+    "0.1 kg, undamped, bang-bang": (LIGHT, {**UNDAMPED, "trajectory.profile": {"kind": "bang-bang"}}),
+    "all families, Rayleigh, trapezoidal": (
+        HEAVY,
+        {
+            "effects.basis": "craig-bampton",
+            "effects.proximal_axial": 1,
+            "effects.distal_bending": 2,
+            "effects.beam": "timoshenko",
+            "effects.foreshortening": True,
+            "effects.damping": {"kind": "rayleigh", "rate": 5.0, "time": 2e-5},
+            "trajectory.profile": {"kind": "trapezoidal", "ramp": 0.25},
+        },
+    ),
+    "stiffness damping, 10 s": (HEAVY, {"effects.damping": {"kind": "stiffness", "time": 10.0}}),
+    "stiffness damping, 0.1 ms, fast": (
+        LIGHT,
+        {
+            "effects.distal_bending": 2,
+            "effects.damping": {"kind": "stiffness", "time": 1e-4},
+            "trajectory.duration": 0.15,
+        },
+    ),
+    "undamped, undeformed, trapezoidal": (
+        HEAVY,
+        {
+            **UNDAMPED,
+            "cosimulation.initial": "undeformed",
+            "trajectory.profile": {"kind": "trapezoidal", "ramp": 0.125},
+        },
+    ),
+    "rigid": (HEAVY, {**UNDAMPED, "effects.proximal_bending": 0, "effects.distal_axial": 0}),
+    "shaped, ZVD": (HEAVY, {"shaper": [{"kind": "zvd", "modes": "along-path"}]}),
+    "PD": (HEAVY, {**TORQUES, "controller": [PD]}),
+    "PD, undamped": (HEAVY, {**TORQUES, **UNDAMPED, "controller": [PD]}),
+    "PD, 0.1 kg, undamped": (LIGHT, {**TORQUES, **UNDAMPED, "controller": [PD]}),
+    "PD, friction": (
+        HEAVY,
+        {**TORQUES, "controller": [PD], "effects.joint_friction": {"viscous": 0.5, "coulomb": 1.0}},
+    ),
+    "PD, elastic transmissions": (
+        HEAVY,
+        {**TORQUES, "controller": [PD], "effects.transmission": {"stiffness": 2e4, "damping": 5.0}},
+    ),
+    "computed torque, 4 kHz": (
+        HEAVY,
+        {
+            **TORQUES,
+            "controller": [{"kind": "computed-torque", "proportional": 4e3, "derivative": 90.0, "sample_time": 2.5e-4}],
+        },
+    ),
+    "PD + feedforward, encoder, noise": (
+        HEAVY,
+        {
+            **TORQUES,
+            "controller": [PD, {"kind": "feedforward", "sample_time": 1e-3}],
+            "imperfection": [
+                {"kind": "encoder", "counts_per_turn": 1e6, "window": 1},
+                {"kind": "noise", "signal": "velocity", "standard_deviation": 1e-3, "seed": 3},
+            ],
+        },
+    ),
+    "released": (HEAVY, RELEASED),
+    "released, friction": (HEAVY, {**RELEASED, "effects.joint_friction": {"viscous": 0.5, "coulomb": 3.0}}),
+}
+"""Name → shipped scene and what is changed in it."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One metric of one run.
+
+    Attributes:
+        scene, tolerance, step, metric: which [step in s].
+        value, true, stated: the metric, its error and the stated one, in its SI unit.
+    """
+
+    scene: str
+    tolerance: float
+    step: float
+    metric: str
+    value: float
+    true: float
+    stated: float
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the stated error is at least the true one."""
+        return self.true <= self.stated
+
+    @property
+    def is_near(self) -> bool:
+        """Whether the stated error is at most a hundred times the true one."""
+        return self.true >= NEAR * self.stated
+
+
+@dataclass
+class Row:
+    """One line of the table: a scene, or a tolerance, or a step."""
+
+    name: str
+    judged: int
+    held: float
+    near: float
+    left_out: int
+    cost: float | None = None
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description="Whether stated errors hold.")
+    parser.add_argument("scenes", nargs="*", help="names of the scenes; all by default")
+    parser.add_argument("--companions", type=int, default=1, help="companion runs for each error, 1 or 2")
+    parser.add_argument("--worst", type=int, default=0, help="also list so many metrics that are furthest from held")
+    parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
+    options = parser.parse_args()
+    rows, judged = [], []
+    for name in options.scenes or SCENES:
+        row, found = judge(name, companions=options.companions)
+        judged += found
+        rows.append(row)
+        if not options.json:
+            show(row)
+    total_left = sum(row.left_out for row in rows)
+    rows += [summary_row(f"tolerance {each:g}", [one for one in judged if one.tolerance == each]) for each in TOLERANCES]
+    rows += [summary_row(f"step {1e3 * each:g} ms", [one for one in judged if one.step == each]) for each in STEPS]
+    rows.append(summary_row("all", judged, total_left))
+    if options.json:
+        print(json.dumps([asdict(row) for row in rows], indent=2))
+        return
+    for row in rows[-len(TOLERANCES) - len(STEPS) - 1 :]:
+        show(row)
+    for one in sorted(judged, key=lambda one: one.stated / max(one.true, 1e-300))[: options.worst]:
+        print(f"  {one}")
+
+
+def scene_of(name: str) -> Scene:
+    """One of `SCENES`."""
+    base, changes = SCENES[name]
+    return load_scene(base).replace(changes)
+
+
+def judge(
+    name: str,
+    tolerances: Sequence[float] = TOLERANCES,
+    steps: Sequence[float] = STEPS,
+    companions: int = 1,
+) -> tuple[Row, list[Judged]]:
+    """All runs of a scene against its reference."""
+    scene = scene_of(name)
+    exact, other = (measured(scene, *settings, companions=0)[0] for settings in REFERENCES)
+    judged, left_out, costs = [], 0, [0.0, 0.0]
+    for tolerance, step in product(tolerances, steps):
+        found, own, companion = measured(scene, tolerance, step, companions=companions)
+        costs = [costs[0] + own, costs[1] + companion]
+        comparisons = list(compare(found, exact, other))
+        judged += [Judged(name, tolerance, step, *each) for each in comparisons if each is not None]
+        left_out += sum(each is None for each in comparisons)
+    return summary_row(name, judged, left_out, costs[1] / costs[0]), judged
+
+
+def measured(
+    scene: Scene, tolerance: float, step: float, *, companions: int
+) -> tuple[Mapping[str, Measurement], float, float]:
+    """The metrics of one run; processor times of the run with its metrics and of the companions [s]."""
+    begin = process_time()
+    run = run_scene(scene, tolerance=tolerance, communication_step=step)
+    if not run.completed:
+        raise SystemExit(f"{scene.name} at {tolerance:g} with {step:g} s: {run.message}")
+    found = measure_run(run, companions=0)
+    own = process_time() - begin
+    if companions:
+        begin, found = process_time() + own, measure_run(run, companions)
+    return found, own, process_time() - begin
+
+
+def compare(
+    found: Mapping[str, Measurement], exact: Mapping[str, Measurement], other: Mapping[str, Measurement]
+) -> Iterator[tuple[str, float, float, float] | None]:
+    """Name, value, true and stated error of each metric that has these; None where the reference can't tell."""
+    for name, one in found.items():
+        values = exact[name].value, other[name].value
+        if one.value is None or one.error is None or values[0] is None or values[1] is None:
+            continue
+        doubt = abs(values[0] - values[1])
+        yield None if doubt > one.error else (name, one.value, abs(one.value - values[0]), one.error)
+
+
+def summary_row(name: str, judged: Sequence[Judged], left_out: int = 0, cost: float | None = None) -> Row:
+    """Shares of what was judged; nothing judged counts as held."""
+    count = max(len(judged), 1)
+    held, near = sum(not each.is_held for each in judged), sum(not each.is_near for each in judged)
+    return Row(name, len(judged), 1.0 - held / count, 1.0 - near / count, left_out, cost)
+
+
+def show(row: Row) -> None:
+    """One line."""
+    cost = "" if row.cost is None else f"   companion costs {row.cost:.1f} x"
+    left = f"   {row.left_out} left out" if row.left_out else ""
+    print(
+        f"{row.name:38} {row.judged:5d} metrics   held {100 * row.held:6.2f} %   near {100 * row.near:6.2f} %{cost}{left}",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()
