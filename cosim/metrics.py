@@ -98,7 +98,7 @@ class Settings:
 SAFETY = 4.0
 """A stated error over the companion's change of the metric. The change is the error, but for that of the companion itself."""
 
-ROUNDING = 64.0 * np.finfo(float).eps
+ROUNDING = 8.0 * np.finfo(float).eps
 """Rounding of a metric, relative to the largest magnitude of the signals that it is made of."""
 
 
@@ -141,6 +141,7 @@ def with_errors(
         return _based(measured, Metrics.basis)
 
     rounding = {name: ROUNDING * _magnitude(run.recording, name) for name in measured}
+    rounding["rms_acceleration_error"] += _curvature_rounding(run.recording, measured["rms_acceleration_error"].value)
     stated = {name: _stated([one.get(name) for one in results], rounding[name]) for name in measured}
     _settle(stated, run.recording, settings)
     if len(how) == 1:
@@ -183,6 +184,13 @@ def _settle(stated: dict[str, Measurement], recording: Recording, settings: Sett
     stated["settling_time"] = replace(settled, error=max(settled.error, moved))
 
 
+def _curvature_rounding(recording: Recording, value: float | None) -> float:
+    """What the rounding of positions, twice differentiated over the shortest step, adds to a root mean square."""
+    steps = np.diff(recording.time)
+    curvature = 8.0 * ROUNDING * _magnitude(recording, "peak_position_error") / float(steps[steps > 0.0].min()) ** 2
+    return min(curvature, 0.5 * curvature**2 / value) if value else curvature
+
+
 _SIGNALS: Mapping[str, tuple[str, ...]] = {
     "peak_torque_1": TORQUES[:1],
     "peak_torque_2": TORQUES[1:],
@@ -193,7 +201,7 @@ _SIGNALS: Mapping[str, tuple[str, ...]] = {
     "end_velocity_error": tuple(name.replace("position", "velocity") for name in POSITION),
     "end_acceleration_error": ACCELERATION,
     "settling_time": ("time",),
-    **{name: JOINT_POSITIONS for name in LOOP_METRICS},
+    **dict.fromkeys(LOOP_METRICS, JOINT_POSITIONS),
 }
 """Metric → the signals that it is made of; end-effector positions for all others."""
 

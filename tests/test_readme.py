@@ -155,7 +155,9 @@ def test_metrics_of_the_quick_start(metrics: dict[str, Measurement]) -> None:
     named = {name: info.label for name, info in METRICS.items() if info.label in shown}
     assert len(named) >= 6
     for name, label in named.items():
-        assert re.search(rf"{label} +{re.escape(display(name, metrics[name].value))}\n", shown), label
+        assert re.search(
+            rf"{label} +{re.escape(display(name, metrics[name].value, error=metrics[name].error))}\n", shown
+        ), label
 
 
 def test_modes_table() -> None:

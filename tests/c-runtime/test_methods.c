@@ -108,6 +108,7 @@ void test_automatic_damps_only_what_is_damped(void) {
     CHECK(flex_find_method(FLEX_AUTOMATIC, tolerance, 0, 0)->collocation != &flex_radau_3);
     int is_loose = tolerance > 0.5e-6;
     CHECK((flex_find_method(FLEX_AUTOMATIC, tolerance, 1, 0)->collocation == &flex_radau_3) == is_loose);
+    CHECK(flex_find_method(FLEX_AUTOMATIC, tolerance, 1, 1)->collocation == &flex_radau_3);
   }
 }
 

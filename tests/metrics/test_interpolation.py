@@ -151,3 +151,49 @@ def test_deviation_of_a_known_signal_vanishes() -> None:
     """Interpolating the deviation leaves no interpolation error of what both signals have in common."""
     segments = sine_segments(0.1, 30.0)
     assert segments.minus(segments.left, segments.right).maximum_norm() == 0.0
+
+
+def added(first: HermiteSegments, second: HermiteSegments) -> HermiteSegments:
+    """The sum of two signals on the same segments."""
+    return HermiteSegments(first.start, first.end, first.left + second.left, first.right + second.right)
+
+
+def decay_segments(step: float, rate: float, size: float, derivatives: int = 3) -> HermiteSegments:
+    """What a coordinate that decays at once, but for rounding, says of its derivatives: (-rate)^k size at every point."""
+    time = np.linspace(0.0, 1.0, round(1.0 / step) + 1)
+    signs = np.where(np.arange(time.size) % 3, 1.0, -0.7)
+    nodes = ((-rate) ** np.arange(derivatives)[:, np.newaxis] * size * signs)[:, :, np.newaxis]
+    return HermiteSegments(time[:-1], time[1:], nodes[:, :-1], nodes[:, 1:])
+
+
+@pytest.mark.parametrize("derivatives", [3, 5])
+def test_derivatives_of_another_time_scale_are_left_out(derivatives: int) -> None:
+    """Rounding in a coordinate that decays within 1e-7 s doesn't spoil what is slow; the estimate covers what is left."""
+    slow, noise = sine_segments(0.01, 5.0, derivatives), decay_segments(0.01, 1e7, 1e-9, derivatives)
+    signal = added(slow, noise)
+    assert largest_error(signal, 5.0).max() > 0.1
+    kept = signal.consistent
+    assert largest_error(kept, 5.0).max() < 1e-4
+    assert np.all(largest_error(kept, 5.0) <= 2.0 * kept.error_estimate() + 1e-8)
+
+
+@pytest.mark.parametrize("derivatives", [3, 5])
+def test_small_ringing_far_below_the_step_adds_little(derivatives: int) -> None:
+    """A vibration with 80 rad a step and a thousandth of the signal's size shifts the interpolant by some of its amplitudes,
+    not by hundreds or thousands of them; the estimate says so."""
+    step, frequency, small = 0.01, 8000.0, 1e-3
+    ringing = sine_segments(step, frequency, derivatives)
+    scaled = HermiteSegments(ringing.start, ringing.end, small * ringing.left, small * ringing.right)
+    signal = added(sine_segments(step, 20.0, derivatives), scaled)
+    assert largest_error(signal, 20.0).max() > 100.0 * small
+    error = largest_error(signal.consistent, 20.0).max()
+    assert error < 20.0 * small
+    assert signal.consistent.error_estimate().max() > 0.5 * error
+
+
+@pytest.mark.parametrize("resolution", [0.1, 1.0, 4.0])
+def test_resolved_signals_keep_all_their_derivatives(resolution: float) -> None:
+    """What a step resolves is interpolated as before, to the last bit."""
+    segments = sine_segments(0.01, resolution / 0.01, 5)
+    assert np.array_equal(segments.consistent.left, segments.left)
+    assert np.array_equal(segments.consistent.right, segments.right)
