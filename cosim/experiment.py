@@ -163,16 +163,14 @@ class PreparedScene:
         self._step = section.step if communication_step is None else communication_step
         self._check_step()
         self._tolerance = section.tolerance if tolerance is None else tolerance
-        self._isolation = isolation(
-            section.isolate if isolate is None else isolate,
-            self._parts.slaves,
-            section.call_limit if call_limit is None else call_limit,
-            theirs=theirs,
-        )
+        self._isolate = section.isolate if isolate is None else isolate
+        self._call_limit = section.call_limit if call_limit is None else call_limit
+        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=theirs)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
         self._facts = slave_facts(self._parts.slaves)
         self._simulator: Simulator | None = None
         again = {"fmu_path": self._fmu_path, "initial": initial, "input_order": input_order, "loop": self._loop}
+        again |= {"isolate": self._isolate, "call_limit": self._call_limit}
         self._again: Mapping[str, Any] = {"scene": scene, "record": record, **again}
         self._times = planning, building, watch.lap()
 
@@ -251,20 +249,26 @@ class PreparedScene:
         longest = min(0.5 * self._step, self._loop.motion.duration / COMPANION_STEPS, *(0.5 * each for each in samples))
         step = self._step / ceil(self._step / longest * (1.0 - 1e-9))
         tolerance = max(COMPANION_TOLERANCE * self._tolerance, LEAST_TOLERANCE)
-        section = self._again["scene"].cosimulation
-        changes: dict[str, Any] = {"cosimulation.integrator_step": 0.5 * section.integrator_step}
-        if section.step_control is not None:
-            changes["cosimulation.step_control.tolerance"] = COMPANION_COUPLING * section.step_control.tolerance
-        finer = {**self._again, "scene": self._again["scene"].replace(changes)}
-        finer |= {"communication_step": step, "tolerance": tolerance}
+        finer = {**self._again, "communication_step": step, "tolerance": tolerance}
         return Companion(step, tolerance, partial(_run_companion, finer, self._stop_time, dict(parameters)))
+
+    def spare_objects(self) -> None:
+        """Isolate the caller's own Python slaves too, unless isolation isn't wanted: a companion leaves them as they are."""
+        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=False)
 
 
 def _run_companion(
     arguments: Mapping[str, Any], stop_time: float, parameters: Mapping[str, float], progress: Progress | None = None
 ) -> Run:
-    """Prepare a companion anew, and run it."""
-    prepared = PreparedScene(**arguments)
+    """Prepare a companion anew, with a finer fixed step or step control where the scene has these, and run it."""
+    scene = arguments["scene"]
+    section, changes = scene.cosimulation, dict[str, Any]()
+    if section.integrator_step > 0.0:
+        changes["cosimulation.integrator_step"] = 0.5 * section.integrator_step
+    if section.step_control is not None:
+        changes["cosimulation.step_control.tolerance"] = COMPANION_COUPLING * section.step_control.tolerance
+    prepared = PreparedScene(**{**arguments, "scene": scene.replace(changes) if changes else scene})
+    prepared.spare_objects()
     prepared.stop_time = stop_time
     return prepared.run(parameters, progress)
 
