@@ -56,11 +56,13 @@ class Measurement:
         interpolation_error: the part of the error that interpolation between communication points contributes, as far
             as the recording itself tells.
         error: estimated error of the value in the same unit; None where it isn't known.
+        reason: the run's own message where the run failed and so has no value.
     """
 
     value: float | None
     interpolation_error: float = 0.0
     error: float | None = None
+    reason: str = ""
 
 
 class Metrics(dict[str, T]):
@@ -68,11 +70,15 @@ class Metrics(dict[str, T]):
 
     Attributes:
         basis: what their errors are taken from, in one sentence.
+        failure: message of the run where it failed, so that no metric has a value; empty otherwise.
     """
 
     basis: str = "no errors were estimated"
+    failure: str = ""
 
     def __missing__(self, name: str) -> T:
+        if self.failure:
+            raise KeyError(f"there is no metric {name!r}, since the run failed: {self.failure}")
         raise KeyError(f"this run has no metric {name!r}; there are: {', '.join(self)}")
 
 
@@ -116,7 +122,9 @@ def measure_run(run: Run, companions: int = 1) -> Metrics[Measurement]:
         StaticsError: the end pose has no static equilibrium.
     """
     if not run.completed:
-        return Metrics(dict.fromkeys(METRICS, Measurement(None)))
+        failed = Metrics(dict.fromkeys(METRICS, Measurement(None, reason=run.message)))
+        failed.failure = run.message
+        return failed
     settings = settings_for(run.plan, run.robot)
     return with_errors(run, measure(run.recording, settings), settings, companions)
 

@@ -75,7 +75,17 @@ def test_summary_has_the_contract_s_keys(make_run: MakeRun) -> None:
     """Users' scripts read these keys."""
     run = make_run()
     summary = summarise(run, measure_run(run))
-    assert list(summary) == ["scene", "effects", "metrics", "errors", "health", "slaves", "delays", "timing", "versions"]
+    assert list(summary) == [
+        "scene",
+        "effects",
+        "metrics",
+        "errors",
+        "health",
+        "slaves",
+        "delays",
+        "timing",
+        "versions",
+    ]
     assert list(summary["metrics"]) == list(METRICS)
     assert {"flexfmu", "casadi", "fmpy", "numpy", "python", "platform", "compiler"} <= set(summary["versions"])
     assert summary["health"]["outcome"] == "completed"

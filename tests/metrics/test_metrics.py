@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from flexfmu.cosim.errors import ResultsError
 from flexfmu.cosim.measuring.bernstein import Array
 from flexfmu.cosim.measuring.metric_table import METRICS
-from flexfmu.cosim.metrics import Settings, measure
+from flexfmu.cosim.metrics import Measurement, Settings, measure, measure_run
 from flexfmu.cosim.results import Column, Recording
 
 T, DWELL, STEP = 0.4, 0.3, 2e-3
@@ -255,6 +256,15 @@ def test_unknown_metric_is_told_with_those_that_exist() -> None:
     for name in ("peak_torque", "peak_tracking_error_1"):
         with pytest.raises(KeyError, match=f"no metric '{name}'; there are: {', '.join(METRICS)}"):
             measurements[name]
+
+
+def test_a_failed_run_is_the_reason_why_it_has_no_metrics() -> None:
+    """Whatever metric is asked of it, one of a loop too, the answer quotes the run's own message."""
+    failed = SimpleNamespace(completed=False, message="plant failed: at 0.1 s the motor came off")
+    found = measure_run(failed)  # type: ignore[arg-type]
+    assert found["peak_torque_1"] == Measurement(None, reason=failed.message)
+    with pytest.raises(KeyError, match="the run failed: plant failed: at 0.1 s the motor came off"):
+        found["peak_tracking_error_1"]
 
 
 def test_missing_signal_and_missing_derivatives_are_named() -> None:
