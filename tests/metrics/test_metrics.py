@@ -263,7 +263,7 @@ def test_a_failed_run_is_the_reason_why_it_has_no_metrics() -> None:
     failed = SimpleNamespace(completed=False, message="plant failed: at 0.1 s the motor came off")
     found = measure_run(failed)  # type: ignore[arg-type]
     assert found["peak_torque_1"] == Measurement(None, reason=failed.message)
-    with pytest.raises(KeyError, match="the run failed: plant failed: at 0.1 s the motor came off"):
+    with pytest.raises(KeyError, match=r"the run failed: plant failed: at 0\.1 s the motor came off"):
         found["peak_tracking_error_1"]
 
 
