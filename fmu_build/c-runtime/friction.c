@@ -141,19 +141,19 @@ flex_outcome flex_friction_settle(flex_integrator *integrator, const double *u, 
   return outcome;
 }
 
-// a step's motion in between, by the polynomials of degree 5 through its two ends, into full_y, full_v, full_a
+// a step's motion in between, into full_y, full_v, full_a: positions of degree 5 and rates of degree 3 through both ends;
+// accelerations are of degree 2. Nothing but the latter is divided by the step, which may be tiny
 static void interpolate(flex_integrator *integrator, double h, double x) {
   int n = integrator->n;
   const double *y0 = integrator->saved, *v0 = y0 + (integrator->v - integrator->y), *a0 = y0 + (integrator->a - integrator->y);
   for (int c = 0; c < n; c++) {
-    // y0 + v0 x + a0 x^2 / 2 + x^3 (p + q x + r x^2) in units of the step
-    double v = h * v0[c], a = h * h * a0[c], dv = h * integrator->v[c] - v, da = h * h * integrator->a[c] - a;
-    double dy = integrator->y[c] - y0[c] - v - 0.5 * a;
-    dv -= a;
+    double v = h * v0[c], a = h * h * a0[c], a1 = integrator->a[c], gain = integrator->v[c] - v0[c];
+    double dv = h * gain - a, da = h * h * a1 - a, dy = integrator->y[c] - y0[c] - v - 0.5 * a;
     double p = 10.0 * dy - 4.0 * dv + 0.5 * da, q = -15.0 * dy + 7.0 * dv - da, r = 6.0 * dy - 3.0 * dv + 0.5 * da;
+    double excess = gain - 0.5 * h * (a0[c] + a1);
     integrator->full_y[c] = y0[c] + x * (v + x * (0.5 * a + x * (p + x * (q + x * r))));
-    integrator->full_v[c] = (v + x * (a + x * (3.0 * p + x * (4.0 * q + x * 5.0 * r)))) / h;
-    integrator->full_a[c] = (a + x * (6.0 * p + x * (12.0 * q + x * 20.0 * r))) / (h * h);
+    integrator->full_v[c] = v0[c] + x * (h * (a0[c] + 0.5 * x * (a1 - a0[c])) + x * (3.0 - 2.0 * x) * excess);
+    integrator->full_a[c] = a0[c] + x * (a1 - a0[c] + 6.0 * (1.0 - x) * excess / h);
   }
 }
 
@@ -224,7 +224,7 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
   const flex_integrator_record before = *integrator->record;
   flex_equations *equations = integrator->stages.equations;
   bracket event;
-  int side = 0, stopped = 0;
+  int side = 0, stopped = 0, is_certain = 0;
   flex_outcome outcome = integrator->method->step(integrator, t, *h, allowed, value);
   if (outcome != FLEX_DONE) return outcome;
   outcome = look(integrator, t, *h, &event);
@@ -234,7 +234,9 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
   // the same step, ending at the event
   double least = 4.0 * DBL_EPSILON * fabs(t) + 1e-13 * *h, at_end;
   for (int trial = 0;; trial++) {
-    double next = event.high - event.low <= least || trial >= MOST_TRIALS ? event.high : next_trial(&event);
+    // what only the interpolation has seen may be no event: the second trial asks
+    int is_last = event.high - event.low <= least || trial >= MOST_TRIALS, asks = trial == 1 && !is_certain;
+    double next = is_last || asks ? event.high : next_trial(&event);
     flex_step_reject(integrator, &before, before.step, FLEX_DONE);
     *attempts += 1.0;
     outcome = integrator->method->step(integrator, t, next, allowed, value);
@@ -242,11 +244,10 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
     *h = next;
     outcome = look_at_end(integrator, t, next, &at_end);
     if (outcome != FLEX_DONE) return flex_step_reject(integrator, &before, FLEX_FAILED_SHRINK * next, outcome);
-    if (next == event.high || (at_end < 0.0 && at_end >= -EVENT_TOLERANCE)) break;
+    is_certain |= at_end < 0.0;
+    if (is_last || (asks && !is_certain) || (at_end < 0.0 && at_end >= -EVENT_TOLERANCE)) break;
     narrow(&event, next, at_end, &side);
   }
-
-  // what looked like an event in between may be none
   if (at_end >= 0.0) return FLEX_DONE;
   outcome = flex_friction_settle(integrator, integrator->end_u, &stopped);
   if (outcome == FLEX_DONE) return outcome;
