@@ -39,6 +39,13 @@ void flex_show_modes(flex_equations *equations) {
   for (int k = 0; k < equations->model->n_frictions; k++) flex_set_mode(equations, k, equations->modes[k]);
 }
 
+int flex_is_held(const flex_equations *equations, int unknown) {
+  const flex_model *model = equations->model;
+  for (int k = 0; k < model->n_frictions; k++)
+    if (model->frictions[k].unknown == unknown && equations->modes[k] == FLEX_STUCK) return 1;
+  return 0;
+}
+
 void flex_hold(const flex_equations *equations, double *rates) {
   const flex_model *model = equations->model;
   for (int k = 0; k < model->n_frictions; k++)

@@ -33,6 +33,9 @@ void flex_equations_take(flex_equations *equations, const flex_model *model, fle
 void flex_set_mode(flex_equations *equations, int friction, int mode);
 void flex_show_modes(flex_equations *equations);
 
+/* whether friction holds an unknown */
+int flex_is_held(const flex_equations *equations, int unknown);
+
 /* zero where friction holds an unknown: its equation doesn't change */
 void flex_hold(const flex_equations *equations, double *rates);
 

@@ -62,6 +62,12 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
   int refused = flex_mass_matrix(equations, y, u, matrix->mass);
   refused |= flex_residual(equations, y, v, a, u, matrix->r);
   for (int i = 0; i < n; i++) {
+    // what is held doesn't move: with anything in its columns, rounding errors of the factors would move it
+    if (flex_is_held(equations, i)) {
+      memset(matrix->stiffness + i * n, 0, (size_t)n * sizeof *y);
+      memset(matrix->damping + i * n, 0, (size_t)n * sizeof *y);
+      continue;
+    }
     double dy = coordinate_scale(scale, position_weight[i]), dv = coordinate_scale(scale, rate_weight[i]);
     refused |= difference_column(matrix, equations, a, u, matrix->y, i, dy, matrix->stiffness + i * n);
     refused |= difference_column(matrix, equations, a, u, matrix->v, i, dv, matrix->damping + i * n);

@@ -1,0 +1,167 @@
+"""Friction that sticks: a state that the FMU's own events and those of an importer's integrator begin and end alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from flexfmu.fmu_build.validate import validate_fmu
+
+Array = NDArray[np.float64]
+
+TORQUES = ["joint1.torque", "joint2.torque"]
+POSITIONS = ["joint1.position", "joint2.position"]
+RATES = ["joint1.velocity", "joint2.velocity"]
+FRICTION = ["joint1.friction", "joint2.friction"]
+
+INTERVAL, COUNT = 5e-3, 200
+COULOMB, BREAKAWAY = 2.0, 3.0
+STIFF = {"effects.proximal_bending": 0, "effects.distal_axial": 0, "effects.motor_inertia": 0.1}
+DRIVEN = {"cosimulation.drive": "torque"}
+STICKING = {"kind": "stiction", "viscous": 0.5, "coulomb": COULOMB, "breakaway": BREAKAWAY}
+RIGID = DRIVEN | STIFF | {"effects.joint_friction": STICKING}
+ELASTIC = DRIVEN | {"effects.joint_friction": STICKING | {"stribeck_velocity": 0.05}}
+
+
+def swinging(holding: Array) -> Array:
+    """Torques from each sample on, (samples, 2): they stop and turn both motors again and again."""
+    time = np.arange(COUNT) * INTERVAL
+    return holding + np.array([5.0, 4.0]) * np.sin(2 * np.pi * time[:, None] * np.array([2.0, 3.0]))
+
+
+def step_through(plant: Any, tolerance: float) -> tuple[Array, Array]:
+    """Torques, and positions and rates at the end of each interval of a co-simulation, (samples, 4)."""
+    plant.initialize(tolerance)
+    torques = swinging(plant.get(TORQUES))
+    plant.begin()
+    rows = []
+    for k in range(COUNT):
+        plant.set(TORQUES, torques[k])
+        plant.fmu.doStep(k * INTERVAL, INTERVAL)
+        rows.append(plant.get(POSITIONS + RATES))
+    return torques, np.array(rows)
+
+
+def integrate(path: Any, torques: Array, tolerance: float) -> Array:
+    """The same by fmpy's CVODE, with a jump of the inputs at each sample."""
+    ends = [(k * INTERVAL, *torques[max(k - 1, 0)]) for k in range(1, COUNT + 1)]
+    starts = [(k * INTERVAL, *torques[k]) for k in range(COUNT)]
+    table = np.array(sorted(starts + ends, key=lambda row: row[0]), dtype=[("time", float), *((n, float) for n in TORQUES)])
+    for k in range(1, COUNT):
+        table[2 * k - 1], table[2 * k] = ends[k - 1], starts[k]
+    result = fmpy.simulate_fmu(
+        str(path),
+        fmi_type="ModelExchange",
+        stop_time=COUNT * INTERVAL,
+        output_interval=INTERVAL,
+        relative_tolerance=tolerance,
+        input=table,
+        output=POSITIONS + RATES,
+        record_events=False,
+    )
+    return np.array([result[name] for name in POSITIONS + RATES]).T[1:]
+
+
+def test_importers_find_the_same_events(instantiate: Any, plant_path: Any) -> None:
+    """CVODE, which looks for roots of the event indicators, converges to the co-simulation and sticks when it does."""
+    torques, reference = step_through(instantiate(RIGID, "stepping"), 1e-10)
+    stuck = reference[:, 2:] == 0.0
+    assert 10 < stuck.sum() < stuck.size / 2
+    loose, tight = (integrate(plant_path(RIGID)[0], torques, tolerance) for tolerance in (1e-6, 1e-9))
+    assert np.abs(tight - reference).max() < 2e-6
+    assert np.abs(tight - reference).max() < 0.1 * np.abs(loose - reference).max()
+    assert np.array_equal(tight[:, 2:] == 0.0, stuck)
+
+
+def test_holds_for_an_hour(instantiate: Any) -> None:
+    """Under gravity and a force that makes the links swing, sticking motors keep their angles to the last bit."""
+    plant = instantiate(ELASTIC | {"effects.joint_friction": {"kind": "stiction", "coulomb": 40.0}}, "stepping")
+    plant.initialize(1e-6)
+    plant.begin()
+    before = plant.get(POSITIONS)
+    plant.set(TORQUES, [0.0, 0.0])
+    plant.set(["force.x"], [20.0])
+    for k in range(3600):
+        plant.fmu.doStep(float(k), 1.0)
+    assert np.array_equal(plant.get(POSITIONS), before)
+    assert np.array_equal(plant.get(RATES), [0.0, 0.0])
+
+
+@pytest.mark.parametrize("excess", [-1e-6, 1e-6])
+def test_breaks_away_at_its_torque(instantiate: Any, excess: float) -> None:
+    """A millionth less than the breakaway torque beyond balance holds a motor, a millionth more moves it."""
+    plant = instantiate(RIGID, "stepping")
+    plant.initialize(1e-6)
+    holding = plant.get(TORQUES)
+    plant.begin()
+    plant.set(TORQUES, holding + [BREAKAWAY * (1.0 + excess), 0.0])
+    assert plant.get(FRICTION)[0] == pytest.approx(-BREAKAWAY * (1.0 + excess) if excess < 0.0 else -COULOMB, rel=1e-12)
+    plant.fmu.doStep(0.0, 0.01)
+    assert (plant.get(RATES)[0] > 0.0) == (excess > 0.0)
+
+
+def test_costs_less_than_three_smooth_ones(instantiate: Any) -> None:
+    """Events cost evaluations, but not three times those of friction that is smoothed at 0.01 rad/s."""
+    work = {}
+    for name, friction in {"sticks": STICKING, "smooth": {"viscous": 0.5, "coulomb": COULOMB, "velocity": 0.01}}.items():
+        plant = instantiate(RIGID | {"effects.joint_friction": friction}, "stepping")
+        step_through(plant, 1e-6)
+        work[name] = plant.fmu.getInteger([3])[0]
+    assert work["sticks"] < 3 * work["smooth"]
+
+
+def test_rolls_back_to_the_last_bit(instantiate: Any) -> None:
+    """Modes are part of the FMU's state, also of the serialized one: steps over events repeat exactly."""
+    plant = instantiate(RIGID, "stepping")
+    plant.initialize(1e-6)
+    torques = swinging(plant.get(TORQUES))
+    plant.begin()
+    for k in range(0, COUNT // 2):
+        plant.set(TORQUES, torques[2 * k])
+        state = plant.fmu.getFMUstate()
+        ends = []
+        for again in range(2):
+            plant.fmu.doStep(2 * k * INTERVAL, 2 * INTERVAL)
+            ends.append(plant.get(plant.outputs))
+            if not again:
+                plant.fmu.setFMUstate(plant.fmu.deSerializeFMUstate(plant.fmu.serializeFMUstate(state)))
+        plant.fmu.freeFMUstate(state)
+        assert np.array_equal(*ends)
+
+
+@pytest.mark.parametrize("rates", [(0.0, 0.0), (0.3, 0.0), (0.3, -0.2)], ids=["both stick", "one slips", "both slip"])
+def test_derivatives_belong_to_the_mode(instantiate: Any, rates: tuple[float, float]) -> None:
+    """Directional derivatives are the slopes of accelerations and friction within a mode."""
+    plant = instantiate(ELASTIC)
+    plant.initialize()
+    plant.begin()
+    x = plant.x
+    n = x.size // 2
+    x[n : n + 2] = rates
+    plant.x = x
+    plant.fmu.enterEventMode()
+    plant.fmu.newDiscreteStates()
+    plant.fmu.enterContinuousTimeMode()
+    unknowns = [*POSITIONS, "joint1.acceleration", "joint2.acceleration", *FRICTION]
+    knowns = [*TORQUES, "force.x"]
+    assert np.array_equal(np.sign(plant.get(FRICTION))[np.array(rates) != 0.0], [-np.sign(r) for r in rates if r])
+    exact, u = plant.jacobian(unknowns, knowns), plant.get(knowns)
+    for k, name in enumerate(knowns):
+        plant.set([name], [u[k] + 50.0])
+        above = plant.get(unknowns)
+        plant.set([name], [u[k] - 50.0])
+        below = plant.get(unknowns)
+        plant.set([name], [u[k]])
+        assert (above - below) / 100.0 == pytest.approx(exact[:, k], rel=1e-6, abs=1e-6)
+    stuck = np.array(rates) == 0.0
+    assert not exact[2:4][stuck].any()
+    assert exact[4:6, :2][stuck][:, stuck] == pytest.approx(-np.eye(stuck.sum()), abs=1e-9)
+
+
+def test_any_importer_gets_along_with_it(plant_path: Any) -> None:
+    """Event indicators, event mode and changed states stand every check of claimed capabilities."""
+    assert validate_fmu(plant_path(RIGID)[0]) == []
