@@ -50,7 +50,9 @@ def integrate(path: Any, torques: Array, tolerance: float) -> Array:
     """The same by fmpy's CVODE, with a jump of the inputs at each sample."""
     ends = [(k * INTERVAL, *torques[max(k - 1, 0)]) for k in range(1, COUNT + 1)]
     starts = [(k * INTERVAL, *torques[k]) for k in range(COUNT)]
-    table = np.array(sorted(starts + ends, key=lambda row: row[0]), dtype=[("time", float), *((n, float) for n in TORQUES)])
+    table = np.array(
+        sorted(starts + ends, key=lambda row: row[0]), dtype=[("time", float), *((n, float) for n in TORQUES)]
+    )
     for k in range(1, COUNT):
         table[2 * k - 1], table[2 * k] = ends[k - 1], starts[k]
     result = fmpy.simulate_fmu(
@@ -98,7 +100,7 @@ def test_breaks_away_at_its_torque(instantiate: Any, excess: float) -> None:
     plant.initialize(1e-6)
     holding = plant.get(TORQUES)
     plant.begin()
-    plant.set(TORQUES, holding + [BREAKAWAY * (1.0 + excess), 0.0])
+    plant.set(TORQUES, holding + np.array([BREAKAWAY * (1.0 + excess), 0.0]))
     assert plant.get(FRICTION)[0] == pytest.approx(-BREAKAWAY * (1.0 + excess) if excess < 0.0 else -COULOMB, rel=1e-12)
     plant.fmu.doStep(0.0, 0.01)
     assert (plant.get(RATES)[0] > 0.0) == (excess > 0.0)
@@ -107,7 +109,10 @@ def test_breaks_away_at_its_torque(instantiate: Any, excess: float) -> None:
 def test_costs_less_than_three_smooth_ones(instantiate: Any) -> None:
     """Events cost evaluations, but not three times those of friction that is smoothed at 0.01 rad/s."""
     work = {}
-    for name, friction in {"sticks": STICKING, "smooth": {"viscous": 0.5, "coulomb": COULOMB, "velocity": 0.01}}.items():
+    for name, friction in {
+        "sticks": STICKING,
+        "smooth": {"viscous": 0.5, "coulomb": COULOMB, "velocity": 0.01},
+    }.items():
         plant = instantiate(RIGID | {"effects.joint_friction": friction}, "stepping")
         step_through(plant, 1e-6)
         work[name] = plant.fmu.getInteger([3])[0]
@@ -120,7 +125,7 @@ def test_rolls_back_to_the_last_bit(instantiate: Any) -> None:
     plant.initialize(1e-6)
     torques = swinging(plant.get(TORQUES))
     plant.begin()
-    for k in range(0, COUNT // 2):
+    for k in range(COUNT // 2):
         plant.set(TORQUES, torques[2 * k])
         state = plant.fmu.getFMUstate()
         ends = []

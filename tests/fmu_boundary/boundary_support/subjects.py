@@ -34,7 +34,7 @@ class Subject:
         own: hand-written and constant files, which must compile without a warning.
         generated: CasADi's.
         guid: of the model description.
-        counts: N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS, and N_STATES where there is model exchange.
+        counts: N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS, and N_STATES and N_INDICATORS where there is model exchange.
     """
 
     own: dict[str, str]
@@ -45,21 +45,30 @@ class Subject:
     @property
     def defines(self) -> tuple[str, ...]:
         """For the compiler; steps that have no end are given up early."""
-        names = ("N_INPUTS", "N_SETTABLE", "N_REALS", "N_INTEGERS", "N_STATES")
+        names = ("N_INPUTS", "N_SETTABLE", "N_REALS", "N_INTEGERS", "N_STATES", "N_INDICATORS")
         numbers = [f"-D{name}={count}" for name, count in zip(names, self.counts, strict=False)]
         return (f'-DGUID="{self.guid}"', *numbers, "-DFLEX_MAX_STEPS=3000.0", "-DFLEX_MAX_SAMPLES=3000.0")
 
 
 def scene(drive: str) -> Scene:
-    """The smallest robot that bends: one mode in each proximal arm."""
+    """The smallest robot that bends: one mode in each proximal arm; driven by torques, its motors stick."""
     return load_scene("barnard2012-6kg").replace(
-        {"effects.proximal_bending": 1, "effects.distal_axial": 0, "cosimulation.drive": drive}
+        {
+            "effects.proximal_bending": 1,
+            "effects.distal_axial": 0,
+            "effects.joint_friction": {"kind": "stiction", "coulomb": 1.0, "breakaway": 2.0}
+            if drive == "torque"
+            else {},
+            "cosimulation.drive": drive,
+        }
     )
 
 
 def _fragile() -> Subject:
     """One that can fail in every way."""
-    return Subject(runtime_sources("plant") | {"models.c": _adapted_model()}, {}, "{fragile}", (1, 3, 5, N_INTEGERS, 2))
+    return Subject(
+        runtime_sources("plant") | {"models.c": _adapted_model()}, {}, "{fragile}", (1, 3, 5, N_INTEGERS, 2, 0)
+    )
 
 
 def _adapted_model() -> str:
@@ -71,7 +80,14 @@ def _adapted_model() -> str:
 def _robot(drive: str) -> Subject:
     model = build_model(scene(drive))
     inputs, settable = len(model.inputs), len(model.inputs) + len(model.parameters)
-    counts = (inputs, settable, settable + len(model.outputs) + 1, N_INTEGERS, 2 * len(model.unknowns))
+    counts = (
+        inputs,
+        settable,
+        settable + len(model.outputs) + 1,
+        N_INTEGERS,
+        2 * len(model.unknowns),
+        len(model.frictions),
+    )
     return _subject(generate_sources(model, EXPERIMENT), counts)
 
 

@@ -1,6 +1,7 @@
 /* Calls of an FMU with arguments from a tape, each judged by what the standard and the FMU promise.
  *
- * The build defines what is fuzzed: GUID, N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS, and N_STATES if there is model exchange. */
+ * The build defines what is fuzzed: GUID, N_INPUTS, N_SETTABLE, N_REALS, N_INTEGERS, and N_STATES and N_INDICATORS if there is
+ * model exchange. */
 #ifndef FLEXFMU_TEST_FUZZED_CALLS_H
 #define FLEXFMU_TEST_FUZZED_CALLS_H
 
