@@ -169,6 +169,24 @@ class HasLatency(Protocol):
 
 
 @runtime_checkable
+class LimitsStep(Protocol):
+    """Is stepped, no further at once than its signals are good polynomials."""
+
+    @property
+    def largest_step(self) -> float:
+        """Largest communication step [s]; longer ones are divided."""
+
+
+@runtime_checkable
+class RatesFollowInputs(Protocol):
+    """Its outputs are continuous where its inputs jump, their derivatives jump along: it has its turn when its inputs are
+    there, but where that alone would close a loop."""
+
+    @property
+    def rates_follow_inputs(self) -> bool: ...
+
+
+@runtime_checkable
 class MayNeedRegularSteps(Protocol):
     """Is stepped, but perhaps by one and the same step length alone: an FMU that can't vary its communication step."""
 

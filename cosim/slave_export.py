@@ -13,6 +13,7 @@ from flexfmu.cosim.exported_system import ExportedSlave, ExportedSystem
 from flexfmu.cosim.fmu.sampled_slave import FmuTask, SampledFmu
 from flexfmu.cosim.fmu.slave import FmuSlave
 from flexfmu.cosim.fmu.variables import Value
+from flexfmu.cosim.imperfections.lag import Lag
 from flexfmu.cosim.loop.recording import slave_facts
 from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.cosim.scene_system import PLANT, SceneSystem, scene_system
@@ -65,7 +66,12 @@ def export_slaves(
     loop = loop_of(scene) if loop is None else loop
     robot = build_scene(scene, cache=cache).path
     system = scene_system(scene, loop, robot)
-    chosen = _chosen(system.slaves, names)
+    step = scene.cosimulation.step
+    # a lag in continuous time leaves as one with many samples in its time constant
+    chosen = tuple(
+        BlockSlave(each.sampled(step), each.name) if isinstance(each, Lag) else each
+        for each in _chosen(system.slaves, names)
+    )
     for slave in chosen:
         _check_exportable(slave)
     options = _Options(platforms=None if platforms is None else tuple(platforms), naming=naming, cache=cache)
@@ -77,7 +83,7 @@ def export_slaves(
         export.write(chosen[number], path)
         exported.append(ExportedSlave(facts, path, _start_values(chosen[number], system)))
     connections = _between({facts.name for facts in slave_facts(chosen)}, system.wiring.connections)
-    whole = ExportedSystem(tuple(exported), connections, scene.cosimulation.step, export.stop_time)
+    whole = ExportedSystem(tuple(exported), connections, step, export.stop_time)
     return whole.named(naming, {slave.name for slave in chosen if not _is_copied(slave)})
 
 

@@ -16,7 +16,7 @@ imperfections = {
     "ideal": [],
     "saturation, 80 N.m": [{"kind": "saturation", "limit": 80.0}],
     "rate limit, 5 N.m/ms": [{"kind": "rate-limit", "rate": 5e3}],
-    "lag, 0.2 ms": [{"kind": "lag", "time_constant": 0.2e-3, "sample_time": 0.02e-3}],
+    "lag, 0.2 ms": [{"kind": "lag", "time_constant": 0.2e-3}],
 }
 for label, sections in imperfections.items():
     found = measure_run(run_scene(scene.replace({"imperfection": sections})))

@@ -27,7 +27,7 @@ class SignalSection(LoopSection):
     """Something that signals of both joints pass: the motors' torques, the measured positions or velocities, or the
     references (all of them where it delays, the positions alone otherwise).
 
-    The sample time is that of the first controller with one, else the communication step.
+    The sample time is that of the first controller with one, else the communication step; a lag needs none.
     """
 
     signal: Literal["torque", "position", "velocity", "reference"]
@@ -154,11 +154,19 @@ class JitterSection(SignalSection):
 
 
 class LagSection(SignalSection):
-    """First-order lag, as a current loop has it."""
+    """First-order lag, as a current loop has it: in continuous time, or with a `sample_time` at these instants."""
 
     kind: Literal["lag"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
     time_constant: Seconds
+
+    @model_validator(mode="after")
+    def _offset_has_a_sample_time(self) -> Self:
+        if self.offset and self.sample_time is None:
+            raise ValueError(
+                f"an `offset` of {self.offset:g} s needs a `sample_time` in s; leave both out for continuous time"
+            )
+        return self
 
 
 class PayloadErrorSection(Section):

@@ -43,7 +43,7 @@ class BlockSlave:
         self.sample_time, self.offset = block.sample_time, block.offset
         self.feedthrough, self.latency = dict(block.feedthrough), dict(block.latency)
         known = (*block.inputs, *block.parameters)
-        self.variables = tuple(_slave_variable(each) for each in (*known, *block.outputs))
+        self.variables = tuple(slave_variable(each) for each in (*known, *block.outputs))
         self._inputs, self._known = len(block.inputs), len(known)
         self._memory = np.zeros(len(self.variables) + 2 * len(block.states))
         self._memory[: self._known] = [each.start or 0.0 for each in known]
@@ -185,7 +185,7 @@ def check_parameter(variable: Variable, value: float | None, where: str) -> None
         raise InputError(f"{where}: {variable.name} must be at most {variable.maximum} {variable.unit}, got {value}")
 
 
-def _slave_variable(variable: Variable) -> SlaveVariable:
+def slave_variable(variable: Variable) -> SlaveVariable:
     """As the master sees it; no unit fits every unit, as in an FMU."""
     unit = "" if variable.unit == "1" else variable.unit
     return SlaveVariable(variable.name, variable.causality, unit, variable.start)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from flexfmu.cosim.blocks.slave import BlockSlave
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.fmu.sampled_slave import fmu_slave
+from flexfmu.cosim.imperfections.lag import Lag
 from flexfmu.cosim.loop.controller_builder import controller_block
 from flexfmu.cosim.loop.imperfection_builder import imperfection_block
 from flexfmu.cosim.loop.loop import PayloadError, Shaper
@@ -83,8 +84,8 @@ class LoopBuilder:
         if isinstance(section, (PythonSection, FmuSection)):
             return self._custom(section)
         name = self._names.chosen(section.name, section.kind.replace("-", "_"))
-        block = imperfection_block(section, name, self._sample_time, self._before)
-        return self._connected(BlockSlave(block, name), section)
+        made = imperfection_block(section, name, self._sample_time, self._before)
+        return self._connected(made if isinstance(made, Lag) else BlockSlave(made, name), section)
 
     def _slave(self, block: SymbolicBlock, section: LoopSection) -> Slave:
         """A block as a slave, named and connected as its section says."""

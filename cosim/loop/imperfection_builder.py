@@ -9,7 +9,7 @@ from flexfmu.cosim.imperfections import delay_filter
 from flexfmu.cosim.imperfections.channels import Channel, joint_channels
 from flexfmu.cosim.imperfections.delay import delay
 from flexfmu.cosim.imperfections.jitter import jitter
-from flexfmu.cosim.imperfections.lag import lag
+from flexfmu.cosim.imperfections.lag import Lag, lag
 from flexfmu.cosim.imperfections.noise import gaussian_noise, uniform_noise
 from flexfmu.cosim.imperfections.quantisation import encoder, quantisation
 from flexfmu.cosim.imperfections.rate_limit import rate_limit
@@ -27,8 +27,8 @@ class Sampling(TypedDict):
 
 def imperfection_block(
     section: Any, name: str, sample_time: float, before: Callable[[str], Sequence[float]]
-) -> SymbolicBlock:
-    """The block of an imperfection's section.
+) -> SymbolicBlock | Lag:
+    """The block of an imperfection's section; a slave for a lag without a sample time.
 
     Args:
         section: one of `flexfmu.model.imperfection_sections`, but for slaves of the user's own and payload errors.
@@ -59,6 +59,8 @@ def imperfection_block(
             return uniform_noise(channels, section.half_width or 0.0, section.seed, name=name, **sampling)
         case sections.JitterSection():
             return jitter(channels, section.time, section.seed, name=name, **sampling)
+    if section.sample_time is None:
+        return Lag(channels, section.time_constant, name)
     return lag(channels, section.time_constant, **sampling)
 
 

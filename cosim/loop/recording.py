@@ -78,5 +78,6 @@ def _description(slave: Slave) -> str:
     if block is not None:
         return str(block.description)
     names = {"FmuSlave": "FMU", "SampledFmu": "FMU, sampled", "TrajectorySlave": "Planned motion"}
+    names["Lag"] = "First-order lag in continuous time"
     names["FmuTask"] = "FMU, sampled, with outputs calculated in its step"
     return names.get(type(slave).__name__, type(slave).__name__)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 
 from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
-from flexfmu.cosim.slave import Sampled, SamplesInTwoPhases, Slave, feedthrough
+from flexfmu.cosim.slave import RatesFollowInputs, Sampled, SamplesInTwoPhases, Slave, feedthrough
 
 Variable = tuple[int, str]
 """Index of a slave and name of one of its variables."""
@@ -45,9 +45,9 @@ def dependencies(slaves: Sequence[Slave], connections: Sequence[Connection]) -> 
 
     A slave that reads its inputs and puts out in one call at its sample instants is visited when all of its inputs are
     there, whatever it declares, but where that alone would close a loop: there it puts out what it knew one sample
-    earlier.
+    earlier. So is one whose outputs' derivatives follow its inputs.
     """
-    one_call = {i for i, slave in enumerate(slaves) if in_one_call(slave)}
+    one_call = {i for i, slave in enumerate(slaves) if in_one_call(slave) or isinstance(slave, RatesFollowInputs)}
     closing = one_call & _in_loops(declared(slaves, connections, one_call))
     algebraic = _in_loops(declared(slaves, connections, one_call - closing))
     return declared(slaves, connections, one_call - (closing - algebraic))

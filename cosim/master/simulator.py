@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from flexfmu.cosim.master.coupling_error import CouplingError
 from flexfmu.cosim.master.delays import SignalDelay, signal_delays
 from flexfmu.cosim.master.dependencies import Connection
 from flexfmu.cosim.master.ending import blown_up, message_of, outcome_of, overshot
-from flexfmu.cosim.master.grid import COINCIDENT, Clock, TimeGrid, time_grid
+from flexfmu.cosim.master.grid import COINCIDENT, MAXIMUM_RATIO, Clock, TimeGrid, time_grid
 from flexfmu.cosim.master.isolation import ChildLostError, Isolation, in_child, portable
 from flexfmu.cosim.master.links import Transport
 from flexfmu.cosim.master.outcome import Outcome, Simulation
@@ -32,7 +33,7 @@ from flexfmu.cosim.master.step_control import StepDoubling
 from flexfmu.cosim.master.stepping_order import feedback_signals
 from flexfmu.cosim.master.system import System
 from flexfmu.cosim.results import Recording
-from flexfmu.cosim.slave import HasBreakpoints, MayNeedRegularSteps, Sampled, Slave, Terminates, offset
+from flexfmu.cosim.slave import HasBreakpoints, LimitsStep, MayNeedRegularSteps, Sampled, Slave, Terminates, offset
 
 
 @dataclass(frozen=True)
@@ -250,7 +251,26 @@ def _grid(system: System, start: float, stop: float, step: float, ticks: bool) -
     """The communication points."""
     clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
     marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
-    return time_grid(start, stop, step, marks, clocks, ticks=ticks)
+    return time_grid(start, stop, step / _parts(system, step), marks, clocks, ticks=ticks)
+
+
+def _parts(system: System, step: float) -> int:
+    """Into how many parts a communication step [s] is divided for slaves that limit it.
+
+    Raises:
+        InputError: there would be far too many.
+    """
+    parts = 1
+    for slave in system.slaves:
+        if isinstance(slave, LimitsStep):
+            wanted = step / slave.largest_step
+            if not wanted < MAXIMUM_RATIO:
+                raise InputError(
+                    f"{slave.name} needs steps of {slave.largest_step:g} s, {wanted:.3g} of them in a communication step of "
+                    f"{step:g} s; what is that fast hardly matters: leave it out, or take a smaller step"
+                )
+            parts = max(parts, ceil(wanted - COINCIDENT))
+    return parts
 
 
 def _check_regular_steps(system: System, grid: TimeGrid, step: float, varies: bool) -> None:

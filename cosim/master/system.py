@@ -26,7 +26,7 @@ from flexfmu.cosim.master.dependencies import (
 )
 from flexfmu.cosim.master.iteration import LoopSolver
 from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
-from flexfmu.cosim.slave import Causality, Slave, can_save, feedthrough
+from flexfmu.cosim.slave import Causality, Sampled, Slave, can_save, feedthrough
 
 
 @dataclass(frozen=True)
@@ -228,14 +228,18 @@ def _refusal(slaves: Sequence[Slave], ring: Sequence[Variable]) -> AlgebraicLoop
 
 
 def _step_order(slaves: Sequence[Slave], connections: Sequence[Connection]) -> tuple[int, ...]:
-    """Sources before targets; a loop is opened where the fewest feedthrough inputs, then inputs, are late."""
+    """Sources before targets; a loop is opened where the fewest feedthrough inputs, then inputs, are late.
+
+    What is held between samples is never late.
+    """
     remaining = list(range(len(slaves)))
     order: list[int] = []
     direct = {(i, name) for i, slave in enumerate(slaves) for names in feedthrough(slave).values() for name in names}
+    stepped = [each for each in connections if not isinstance(slaves[each.source], Sampled)]
 
     def late(slave: int) -> tuple[int, int]:
         """Inputs of the slave whose source would be advanced after it: with direct feedthrough, and all."""
-        inputs = [each for each in connections if each.target == slave and each.source in remaining]
+        inputs = [each for each in stepped if each.target == slave and each.source in remaining]
         names = [slaves[slave].variables[each.input].name for each in inputs]
         return sum((slave, name) in direct for name in names), len(inputs)
 

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from math import factorial
 from typing import Any
 
 import control
+import mpmath
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.imperfections.lag import lag
+from flexfmu.cosim.imperfections.lag import Lag, lag
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import connect
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
 
 TORQUE = Channel("joint1.torque", "N.m", 2.0)
 
@@ -42,3 +49,114 @@ def test_time_constants_are_parameters_and_zero_is_one_sample_of_delay(run: Any)
     np.testing.assert_array_equal(y[:, 0], [1.0, 3.0, -2.0, 5.0])
     np.testing.assert_array_equal(run(block, u, {"joint2.torque.time_constant": 0.0})[:, 1], y[:, 0])
     assert y[1, 1] == 3.0 + np.exp(-1.0) * (1.0 - 3.0)
+
+
+@settings(derandomize=True, deadline=None, max_examples=40)
+@given(ratio=st.floats(1e-4, 30.0), seed=st.integers(0, 1000))
+def test_continuous_lag_is_exact_for_polynomials(ratio: float, seed: int) -> None:
+    """A step over any part or multiple of the time constant gives the closed form, evaluated to 40 digits."""
+    h, u = 0.5, np.random.default_rng(seed).normal(size=6)
+    slave, y = Lag([TORQUE], h / ratio), np.empty(1)
+    slave.initialize(0.0, 1.0, None)
+    slave.set(np.array([0]), u[:1])
+    slave.set_derivatives(np.array([0]), u[1:, None])
+    slave.step(0.0, h)
+    slave.get(np.array([2]), y)
+    with mpmath.workdps(40):
+        time, end = mpmath.mpf(h / ratio), mpmath.mpf(h)
+
+        def particular(t: Any) -> Any:
+            """The polynomial that solves T p' + p = u: the sum of (-T)^k times the k-th derivative of u."""
+            return sum(
+                (-time) ** k * mpmath.mpf(u[j]) * t ** (j - k) / mpmath.factorial(j - k)
+                for j in range(6)
+                for k in range(j + 1)
+            )
+
+        exact = float(particular(end) + (2 - particular(mpmath.mpf(0))) * mpmath.exp(-end / time))
+    assert y[0] == pytest.approx(exact, rel=0.0, abs=1e-15 * (2.0 + abs(u).max()))
+
+
+class Staircase:
+    """A controller at 1 kHz that puts out random torques."""
+
+    name, sample_time = "controller", 1e-3
+    variables = (SlaveVariable("joint1.torque", "output", "N.m"),)
+    torques = np.random.default_rng(4).normal(size=41)
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.count = 0
+
+    def sample(self, time: float) -> None:
+        self.count += 1
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+    def step(self, time: float, step: float) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = self.torques[max(self.count - 1, 0)]
+
+
+class Inertia:
+    """v' = torque, solved exactly for a polynomial torque; first and second derivative of v are given."""
+
+    name, max_input_order, max_output_order = "inertia", 9, 2
+    feedthrough = {"v": ()}  # noqa: RUF012
+    variables = (SlaveVariable("v", "output"), SlaveVariable("torque", "input", "N.m", 0.0))
+
+    def __init__(self) -> None:
+        self.v, self.torque = 0.0, np.zeros(10)
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None: ...
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.torque[:] = 0.0
+        self.torque[0] = values[0]
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        self.torque[1 : len(derivatives) + 1] = derivatives[:, 0]
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[0] = self.v
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        derivatives[:, 0] = self.torque[: len(derivatives)]
+
+    def step(self, time: float, step: float) -> None:
+        self.v += sum(value * step ** (k + 1) / factorial(k + 1) for k, value in enumerate(self.torque))
+        self.torque[:] = 0.0
+
+
+@pytest.mark.parametrize("step", [1e-3, 2e-4, 2.5e-5])
+def test_a_short_lag_behind_a_slow_controller(step: float) -> None:
+    """Whatever the communication step: at 1 kHz a lag of 0.2 ms acts as one of 0.2 ms, on what the inertia gets and on its
+    rates right after the jumps; the list of delays tells the lag and the controller's hold."""
+    time_constant = 2e-4
+    slaves = [Inertia(), Staircase(), Lag([Channel("joint1.torque", "N.m", 0.0)], time_constant)]
+    wires = [("controller.joint1.torque", "lag.joint1.torque.input"), ("lag.joint1.torque", "inertia.torque")]
+    result = simulate(connect(slaves, wires), 0.04, step)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    time, v = result.recording.time, result.recording["inertia.v"]
+    right = np.append(np.diff(time) > 0.0, True)
+    exact_y, exact_v, y, speed = [], [], 0.0, 0.0
+    for k, u in enumerate(Staircase.torques):
+        since = time[right][(time[right] > (k - 1e-6) * 1e-3) & (time[right] < (k + 1 - 1e-6) * 1e-3)] - k * 1e-3
+        exact_y += (u + (y - u) * np.exp(-since / time_constant)).tolist()
+        exact_v += (speed + u * since + (y - u) * time_constant * -np.expm1(-since / time_constant)).tolist()
+        speed += u * 1e-3 + (y - u) * time_constant * -np.expm1(-5.0)
+        y = u + (y - u) * np.exp(-5.0)
+    np.testing.assert_allclose(result.recording["lag.joint1.torque"].values[right], exact_y, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(v.values[right], exact_v, rtol=0.0, atol=1e-9 * 1e-3)
+    assert [each.average for each in result.delays] == [pytest.approx(5e-4), pytest.approx(time_constant)]
+    jumps = abs(time[right] / 1e-3 - np.round(time[right] / 1e-3)) < 1e-6
+    slope = (Staircase.torques[:40] - np.array(exact_y)[jumps][:40]) / time_constant
+    assert v.second is not None
+    np.testing.assert_allclose(v.second[right][jumps][:40], slope, rtol=1e-9)
+
+
+def test_what_a_continuous_lag_refuses() -> None:
+    """No time constant of zero, and none that asks for thousands of steps in one."""
+    with pytest.raises(InputError, match=r"time constant of joint1\.torque must be positive, got 0\.0 s"):
+        Lag([TORQUE], 0.0)
+    with pytest.raises(InputError, match=r"lag needs steps of 1e-08 s, 1e\+05 of them"):
+        simulate(connect([Lag([TORQUE], 1e-8)], []), 1.0, 1e-3)

@@ -9,6 +9,7 @@ from typing import Any, get_args
 
 import pytest
 
+from flexfmu.cosim.experiment import run_scene
 from flexfmu.cosim.loop.sections import loop_of
 from flexfmu.model.controller_sections import ControllerSection
 from flexfmu.model.cosimulation_section import Anderson, FixedPoint, StepControl
@@ -45,3 +46,24 @@ def test_every_key_is_named(section: Any) -> None:
         assert kind in PAGE
     for key in section.model_fields:
         assert re.search(rf"\b{key}\b", PAGE), f"{section.__name__}.{key}"
+
+
+def test_the_example_of_imperfections_settles(robot: Scene) -> None:
+    """Whoever copies it gets a loop that comes to rest, with the lag alone and with all of its imperfections: within twice
+    the deflection of a spring like the proportional gain."""
+    (block,) = (each for each in BLOCKS if '"lag"' in each)
+    data = tomllib.loads(block)
+    (gain,) = (each["proportional"] for each in data["controller"])
+    lags = [each for each in data["imperfection"] if each["kind"] == "lag"]
+    for imperfections in (lags, data["imperfection"]):
+        run = run_scene(robot.replace({**data, "imperfection": imperfections, "trajectory.dwell": 0.25}))
+        assert run.completed, run.message
+        last = run.recording.time > run.recording.time[-1] - 0.05
+        for joint in ("joint1", "joint2"):
+            found, wanted, torque = (
+                run.recording[f"{joint}.{signal}"].values[last]
+                for signal in ("position", "reference.position", "torque")
+            )
+            assert abs(found - wanted).max() < 2.0 * abs(torque.mean()) / gain
+    delays = {each.connection: each for each in run.delays}
+    assert delays["lag.joint1.torque -> plant.joint1.torque"].average == lags[0]["time_constant"]
