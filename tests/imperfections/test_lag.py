@@ -160,3 +160,18 @@ def test_what_a_continuous_lag_refuses() -> None:
         Lag([TORQUE], 0.0)
     with pytest.raises(InputError, match=r"lag needs steps of 1e-08 s, 1e\+05 of them"):
         simulate(connect([Lag([TORQUE], 1e-8)], []), 1.0, 1e-3)
+
+
+def test_a_continuous_lag_leaves_as_a_block() -> None:
+    """With ten samples or more in its shortest time constant, a whole number of them in a communication step, and the
+    same names; the list of delays would tell that it is half a sample later."""
+    slave = Lag(joint_channels("torque", (1.0, 2.0)), [2.3e-4, 1e-3])
+    block = slave.sampled(1e-3)
+    samples = 1e-3 / block.sample_time
+    assert samples == pytest.approx(round(samples), rel=1e-12)
+    assert 2.3e-5 / 2.0 < block.sample_time <= 2.3e-5
+    assert [each.name for each in slave.variables if each.causality != "parameter"] == [
+        each.name for each in (*block.inputs, *block.outputs)
+    ]
+    for name, time in slave.latency.items():
+        assert block.latency[name] - block.sample_time / 2.0 == pytest.approx(time, rel=2e-3)

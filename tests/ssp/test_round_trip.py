@@ -17,6 +17,7 @@ from flexfmu.cosim.results import Column
 from flexfmu.cosim.ssp.export import PARAMETERS, export_ssp
 from flexfmu.cosim.ssp.loading import load_ssp
 from flexfmu.model.scene import Scene
+from flexfmu.model.scene_file import load_scene
 
 TIGHT = 1e-11
 """Of the magnitude of a signal: what passes between the slaves, torques and the end effector's motion differ by what the
@@ -109,3 +110,14 @@ def test_a_torque_driven_robot_without_controller_is_held(controlled_scene: Scen
     x = simulation.recording["plant.end_effector.position.x"].values
     assert simulation.outcome is Outcome.COMPLETED
     assert np.ptp(x) < 1e-9
+
+
+def test_a_continuous_lag_leaves_as_a_sampled_one(tmp_path: Path) -> None:
+    """The end effector is off by what half a sample of a tenth of the time constant makes, as the page says."""
+    lag, pd = {"kind": "lag", "time_constant": 2e-4}, {"kind": "pd", "proportional": 5e3, "derivative": 50.0}
+    changes = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.0}
+    loop = {"controller": [pd | {"sample_time": 1e-3}], "imperfection": [lag]}
+    scene = load_scene("barnard2012-6kg").replace({**changes, **loop, "name": "lagging"})
+    found, expected = load_ssp(export_ssp(scene, tmp_path / "lag.ssp")).simulate().recording, run_scene(scene).recording
+    x = np.interp(expected.time, found.time, found["plant.end_effector.position.x"].values)
+    assert abs(x - expected["end_effector.position.x"].values).max() == pytest.approx(2.6e-6, rel=0.1)
