@@ -44,8 +44,12 @@ def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi
     return compile_function(function) if compiled else function
 
 
-def compile_function(function: casadi.Function) -> casadi.Function:
+def compile_function(function: casadi.Function, *companions: casadi.Function) -> casadi.Function:
     """The same function, evaluated in compiled C; compiled once for each text of the code.
+
+    Args:
+        function: the function.
+        companions: what CasADi shall find beside it, like its Jacobian ``jac_<name>``.
 
     Raises:
         MissingCompilerError: there is no C compiler.
@@ -53,7 +57,8 @@ def compile_function(function: casadi.Function) -> casadi.Function:
         ArchiveError: neither the cache's folder nor a temporary one can be written.
     """
     generator = casadi.CodeGenerator(f"{function.name()}.c")
-    generator.add(function)
+    for each in (function, *companions):
+        generator.add(each)
     code = with_elementary_functions(str(generator.dump()))
     return casadi.external(function.name(), str(_library(function.name(), code)))
 

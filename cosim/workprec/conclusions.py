@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
-from flexfmu.cosim.workprec.study import Study
-from flexfmu.cosim.workprec.trial import Trial
+from flexfmu.cosim.workprec.study import OURS, Study
+from flexfmu.cosim.workprec.tool_trials import PAPER_LINE
+from flexfmu.cosim.workprec.trial import Curve, Trial
 
 ASKED = 1e-5, 1e-3
 """Accuracies that the sentence speaks of."""
 
-OURS = ("integrators", "communication")
+COMPARED = 1e-5
+"""Error at which other tools are compared, where they reach it."""
+
+CHOICES = ("integrators", "communication")
 """Families between whose settings a user of this FMU chooses."""
 
 
@@ -22,7 +27,7 @@ def cheapest(trials: Iterable[Trial], error: float) -> Trial | None:
 
 def sentence(study: Study) -> str:
     """What accuracy costs on this scene."""
-    ours = [each for each in study.trials if each.family in OURS]
+    ours = [each for each in study.trials if each.family in CHOICES]
     first, second = (cheapest(ours, error) for error in ASKED)
     if first is None or first.time is None:
         return f"No setting reached {ASKED[0]:.0e}."
@@ -37,19 +42,31 @@ def sentence(study: Study) -> str:
     return f"{text}; the cheapest setting for {ASKED[1]:.0e} is {cost}."
 
 
-def advantages(study: Study) -> dict[str, float]:
-    """Line of another tool → how many times longer it takes than our fastest setting of at least the same accuracy; of all
-    its settings the one that does best."""
-    found = {}
-    for line in dict.fromkeys(each.line for each in study.family("tools")):
-        theirs = [each for each in study.family("tools") if each.line == line and each.error is not None]
-        ratios = [_ratio(study, each) for each in theirs]
-        known = [ratio for ratio in ratios if ratio is not None]
-        if known:
-            found[line] = min(known)
+@dataclass(frozen=True)
+class Advantage:
+    """How much longer another tool takes than ours.
+
+    Attributes:
+        error: that both have.
+        ratio: its time over ours, each interpolated on the curve of the best settings.
+    """
+
+    error: float
+    ratio: float
+
+
+def advantages(study: Study) -> dict[str, Advantage]:
+    """Line of another tool → what it takes for an error of `COMPARED`, or for the nearest one that it has reached."""
+    tools = study.family("tools")
+    curves = {
+        line: Curve.of(each for each in tools if each.line == line)
+        for line in dict.fromkeys(each.line for each in tools)
+    }
+    ours, found = curves.pop(OURS, Curve(())), {}
+    curves.pop(PAPER_LINE, None)  # our own solver, and the beginning of the motion alone
+    for line, curve in curves.items():
+        error = min(max(COMPARED, curve.least, ours.least), curve.most)
+        own, theirs = ours.time(error), curve.time(error)
+        if own and theirs:
+            found[line] = Advantage(error, theirs / own)
     return found
-
-
-def _ratio(study: Study, theirs: Trial) -> float | None:
-    ours = cheapest([each for each in study.trials if each.family in OURS], theirs.error or 0.0)
-    return None if ours is None or not ours.time or theirs.time is None else theirs.time / ours.time

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.blocks.code import compile_function
 from flexfmu.cosim.workprec.motion_polynomials import DEGREE
+from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene import Scene
 from flexfmu.model.statics import static_equilibrium
@@ -26,41 +28,67 @@ NUMBERS = 2 + 3 * (DEGREE + 1) * 2
 
 @dataclass(frozen=True)
 class Equations:
-    """dz/dt = f(t, z) with z = [q_e, dq_e/dt].
+    """dz/dt = f(t, z) with z = [q_e, dq_e/dt / pace]: solvers have one absolute tolerance for both.
 
     Attributes:
         n: number of elastic coordinates.
-        rate: (t, z, piece) → dz/dt (2 n,).
-        rate_expression: the same as a CasADi function that isn't compiled, for solvers that want its derivatives.
+        rate: (t, z, piece) → dz/dt (2 n,), compiled together with its Jacobian, which CasADi's solvers find there.
+        jacobian: (t, z, piece, dz/dt, which may be left out) → the parts of that Jacobian by t, z and piece; those by t and
+            piece are empty, as nothing needs them.
         position: (t, z, piece) → end-effector position (2,) [m].
         start: z at the beginning (2 n,).
     """
 
     n: int
     rate: casadi.Function
-    rate_expression: casadi.Function
+    jacobian: casadi.Function
     position: casadi.Function
     start: Array
+
+    def bound(self, piece: Array) -> BoundFunction:
+        """The rate on one piece."""
+        return BoundFunction(self.rate, piece)
+
+    def bound_jacobian(self, piece: Array) -> Callable[[float, Array], Array]:
+        """(t, z) → exact Jacobian of the rate (2 n, 2 n) on one piece."""
+        flat, shape = BoundFunction(self.jacobian, piece, output=1), (2 * self.n, 2 * self.n)
+        return lambda t, z: flat(t, z).reshape(shape, order="F")
 
 
 @lru_cache(maxsize=4)
 def equations(scene: Scene, joints: tuple[float, float]) -> Equations:
     """The equations of a scene, that starts at these joint angles [rad]."""
-    model = numeric_model(scene)
+    model, pace = numeric_model(scene), _pace(scene, joints)
     n, t = model.n, casadi.SX.sym("t")
-    z, piece = casadi.SX.sym("z", 2 * n), casadi.SX.sym("piece", NUMBERS)
+    z, piece, a = casadi.SX.sym("z", 2 * n), casadi.SX.sym("piece", NUMBERS), casadi.SX.sym("a", n)
     u = joint_motion(t, piece)
-    q, v = z[:n], z[n:]
-    acceleration = casadi.solve(model.mass_matrix(q, u), -model.elastic_forces(q, v, casadi.SX.zeros(n), u))
-    rate = casadi.Function("rate", [t, z, piece], [casadi.densify(casadi.cse(casadi.vertcat(v, acceleration)))])
+    q, v = z[:n], pace * z[n:]
+    mass = model.mass_matrix(q, u)
+    acceleration = casadi.solve(mass, -model.elastic_forces(q, v, casadi.SX.zeros(n), u))
+    rate = casadi.Function("rate", [t, z, piece], [casadi.densify(casadi.cse(casadi.vertcat(v, acceleration / pace)))])
+
+    # M a + b = 0 holds for all z, so that M da/dz = -d(M a + b)/dz with a held
+    change = casadi.substitute(casadi.jacobian(model.elastic_forces(q, v, a, u), z), a, acceleration)
+    rows = casadi.vertcat(casadi.jacobian(v, z), -casadi.solve(mass, casadi.densify(change)) / pace)
+    by_z, unused = casadi.densify(casadi.cse(rows)), casadi.SX.sym("dz", 2 * n)
+    by_all = [casadi.SX(2 * n, 1), by_z, casadi.SX(2 * n, NUMBERS)]
+    jacobian = casadi.Function("jac_rate", [t, z, piece, unused], by_all)
+
+    compiled = compile_function(rate, jacobian)
     position = casadi.densify(model.motion(q, v, acceleration, u)[0])
     return Equations(
         n=n,
-        rate=compile_function(rate),
-        rate_expression=rate,
+        rate=compiled,
+        jacobian=compiled.jacobian(),
         position=compile_function(casadi.Function("position", [t, z, piece], [casadi.cse(position)])),
         start=_start(scene, joints, n),
     )
+
+
+def _pace(scene: Scene, joints: tuple[float, float]) -> float:
+    """First natural frequency [rad/s] at the start, by which rates are larger than coordinates."""
+    frequencies = natural_frequencies(scene, joints)
+    return float(2.0 * np.pi * frequencies[0]) if frequencies.size else 1.0
 
 
 def _start(scene: Scene, joints: tuple[float, float], n: int) -> Array:
@@ -90,18 +118,21 @@ def _clenshaw(x: Symbol, series: list[Symbol]) -> Symbol:
 
 
 class BoundFunction:
-    """A function (t, z, piece) → (count,) on buffers of its own, for one piece, without conversions on the way."""
+    """A function (t, z, piece) → (count,) on buffers of its own, for one piece, without conversions on the way.
 
-    def __init__(self, function: casadi.Function, piece: Array) -> None:
+    A matrix comes column by column; with several outputs one is chosen.
+    """
+
+    def __init__(self, function: casadi.Function, piece: Array, output: int = 0) -> None:
         self._time, self._state, self._piece = np.zeros(1), np.zeros(function.numel_in(1)), piece.copy()
-        self._result = np.zeros(function.numel_out(0))
+        self._result = np.zeros(function.numel_out(output))
         self._function = function
         buffer: Any
         buffer, self._evaluate = function.buffer()
         self._kept = buffer  # the call needs it
         for i, values in enumerate((self._time, self._state, self._piece)):
             buffer.set_arg(i, values.data)
-        buffer.set_res(0, self._result.data)
+        buffer.set_res(output, self._result.data)
 
     def __call__(self, t: float, z: Array) -> Array:
         self._time[0] = t

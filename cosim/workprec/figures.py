@@ -78,19 +78,9 @@ def _all(study: Study, names: Sequence[str]) -> Figure:
 
 
 def lines_of(study: Study, name: str) -> dict[str, list[Trial]]:
-    """Line → its trials; among other tools ours are shown by what is best among our settings."""
-    trials = [*study.family(name), *(pareto(study) if name == "tools" else [])]
+    """Line → its trials."""
+    trials = study.family(name)
     return {line: [each for each in trials if each.line == line] for line in dict.fromkeys(t.line for t in trials)}
-
-
-def pareto(study: Study) -> list[Trial]:
-    """Of our integrators' settings those that no other one beats in both error and time."""
-    good = sorted((each for each in study.family("integrators") if not each.failed), key=lambda each: each.error or 0.0)
-    best: list[Trial] = []
-    for each in good:
-        if each.time is not None and all((other.time or 0.0) > each.time for other in best):
-            best.append(each)
-    return [Trial("tools", "flexfmu", f"{each.line} {each.label}", each.error, each.time) for each in best]
 
 
 def draw_family(axes: Axes, study: Study, name: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from flexfmu.cosim.errors import CosimError
@@ -35,15 +35,21 @@ TIGHT = 1e-10
 FAILURES = (CosimError, BuildError)
 
 
-def integrator_trials(subject: Subject, step: float, announce: Announce) -> Iterator[Trial]:
-    """Every integrator over tolerances or fixed steps, at one communication step [s]."""
-    for name in CONTROLLED:
+def integrator_trials(
+    subject: Subject,
+    step: float,
+    announce: Announce,
+    controlled: Sequence[str] = CONTROLLED,
+    fixed_steps: Sequence[float] = FIXED_STEPS,
+) -> Iterator[Trial]:
+    """Integrators over tolerances, and the classical one over fixed steps [s], at one communication step [s]."""
+    for name in controlled:
         for tolerance in TOLERANCES:
             announce(f"{name}, tolerance {tolerance:.0e}")
             scene: dict[str, object] = {"cosimulation.integrator": name}
             options = {"communication_step": step, "tolerance": tolerance}
             yield fmu_trial(subject, "integrators", name, f"{tolerance:.0e}", scene, options)
-    for fixed in FIXED_STEPS:
+    for fixed in fixed_steps:
         announce(f"rk4, step {fixed:g} s")
         scene = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": fixed}
         yield fmu_trial(subject, "integrators", "rk4", f"{1e6 * fixed:g} µs", scene, {"communication_step": step})

@@ -14,10 +14,11 @@ from flexfmu.trajectories.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-DEGREE = 31
-"""Of every polynomial."""
+DEGREE = 95
+"""Of every polynomial: so high that the motions of the shipped scenes need no piece more than they have breakpoints, since solvers
+of several steps start anew with each piece."""
 
-ACCURACY = 1e-12
+ACCURACY = 1e-13
 """Largest error of an angle relative to its range; pieces are halved until they keep it."""
 
 SMALLEST = 2.0**-12
@@ -64,11 +65,7 @@ def _fit(motion: Trajectory, begin: float, end: float) -> tuple[Piece, float]:
     half, centre = 0.5 * (end - begin), 0.5 * (begin + end)
     nodes = chebyshev.chebpts1(DEGREE + 1)
     between = np.cos(np.linspace(0.0, np.pi, 3 * DEGREE))[1:-1]
-    values = motion.evaluate(centre + half * np.concatenate([nodes, between]), 0)[0]
-    angles = chebyshev.chebfit(nodes, values[: DEGREE + 1], DEGREE)
-    error = np.abs(chebyshev.chebval(between, angles).T - values[DEGREE + 1 :]).max()
-    series = [angles]
-    for _ in range(2):
-        rate = chebyshev.chebder(series[-1]) / half
-        series.append(np.concatenate([rate, np.zeros((1, 2))]))
-    return Piece(begin, end, np.stack(series)), float(error / max(1.0, np.ptp(values)))
+    values = motion.evaluate(centre + half * np.concatenate([nodes, between]), 2)
+    series = np.stack([chebyshev.chebfit(nodes, each[: DEGREE + 1], DEGREE) for each in values])
+    error = np.abs(chebyshev.chebval(between, series[0]).T - values[0, DEGREE + 1 :]).max()
+    return Piece(begin, end, series), float(error / max(1.0, np.ptp(values[0])))

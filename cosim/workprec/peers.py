@@ -8,14 +8,14 @@ from importlib.util import find_spec
 from flexfmu.cosim.references import DAMPING_TIME, compare_motions
 from flexfmu.cosim.workprec.fmu_trials import Announce
 from flexfmu.cosim.workprec.subject import RunError, Subject
-from flexfmu.cosim.workprec.trial import Trial
+from flexfmu.cosim.workprec.trial import Curve, Trial, sweep
 from flexfmu.model.errors import SceneError
 from flexfmu.model.scene import ModalDamping, Scene
 
 LINE = "Exudyn, ANCF beams"
 
-STEPS = (1e-3, 2.5e-4, 2e-4, 1e-4)
-"""Fixed steps of the generalised-alpha method [s]."""
+STEPS = (1e-3, 5e-4, 2.5e-4, 1e-4)
+"""Fixed steps of the generalised-alpha method [s], from which a sweep takes as many as it needs; those of its reference are shorter."""
 
 ELEMENTS = 2
 """Beam elements a link: for the paper's scenes as accurate as the smallest of these steps."""
@@ -24,7 +24,7 @@ CONVERGED_ELEMENTS, CONVERGED_STEP = 4, 2.5e-5
 """Exudyn's own reference."""
 
 
-def exudyn_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
+def exudyn_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[Trial]:
     """The same mechanism by ANCF beam elements; errors are counted from Exudyn's own converged run, since all its links bend
     and stretch whatever the scene chooses, and it has no modal damping."""
     if find_spec("exudyn") is None:
@@ -43,15 +43,18 @@ def exudyn_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
     except (SceneError, RunError) as failure:
         yield failed("", failure)
         return
-    for step in STEPS:
+
+    def trial(step: float) -> Trial:
         label = f"{1e3 * step:g} ms"
         try:
             motion = run(step, ELEMENTS)
         except RunError as failure:
-            yield failed(label, failure)
-            continue
+            return failed(label, failure)
         error = compare_motions(motion, converged, subject.motion, subject.instants).position
-        yield Trial("tools", LINE, label, error, motion.time, f"{ELEMENTS} elements a link, from its own converged run")
+        note = f"{ELEMENTS} elements a link, from its own converged run"
+        return Trial("tools", LINE, label, error, motion.time, note)
+
+    yield from sweep(STEPS, trial, ours)
 
 
 def comparable(scene: Scene) -> Scene:

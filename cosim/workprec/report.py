@@ -47,9 +47,10 @@ def notes(study: Study) -> list[str]:
     found = [sentence(study)]
     agreement = f", which agree within {study.agreement:.1e}" if study.agreement is not None else ""
     found.append(f"References: {study.references}{agreement}.")
-    ratios = [f"{line} {ratio:.3g} times" for line, ratio in advantages(study).items()]
-    if ratios:
-        found.append(f"For the same accuracy other tools take longer, at their best: {', '.join(ratios)}.")
+    compared = advantages(study)
+    for error in sorted({each.error for each in compared.values()}):
+        ratios = [f"{line} {each.ratio:.2g} times" for line, each in compared.items() if each.error == error]
+        found.append(f"For an error of {error:.1e} other tools take longer than flexfmu: {', '.join(ratios)}.")
     return found
 
 
@@ -70,7 +71,8 @@ def data(study: Study) -> dict[str, Any]:
         "references": study.references,
         "agreement": study.agreement,
         "sentence": sentence(study),
-        "advantages": advantages(study),
+        "advantages": {line: each.ratio for line, each in advantages(study).items()},
+        "advantage_errors": {line: each.error for line, each in advantages(study).items()},
         "trials": [vars(trial) for trial in study.trials],
         "versions": versions(),
     }

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Literal
+from collections.abc import Callable, Iterator
+from typing import Any, Literal
 
 import casadi
 import numpy as np
@@ -14,44 +14,47 @@ from flexfmu.cosim.workprec.equations import NUMBERS, BoundFunction, Equations, 
 from flexfmu.cosim.workprec.fmu_trials import Announce
 from flexfmu.cosim.workprec.motion_polynomials import Piece, pieces
 from flexfmu.cosim.workprec.subject import RunError, Subject
-from flexfmu.cosim.workprec.trial import Trial, fastest
+from flexfmu.cosim.workprec.trial import Curve, Trial, fastest, sweep
 
 Array = NDArray[np.float64]
 
-Method = Literal["Radau", "LSODA", "DOP853"]
+Method = Literal["Radau", "BDF", "LSODA", "DOP853"]
 
-SCIPY: Mapping[Method, Sequence[float]] = {
-    "Radau": (1e-3, 1e-4, 1e-5, 1e-6),
-    "LSODA": (1e-3, 1e-5, 1e-7, 1e-9),
-    "DOP853": (1e-3, 1e-6, 1e-9),
-}
-"""Method → relative tolerances."""
+SCIPY: tuple[Method, ...] = ("Radau", "BDF", "LSODA", "DOP853")
+IMPLICIT: tuple[Method, ...] = ("Radau", "BDF", "LSODA")
+"""Those that take a Jacobian."""
 
-SUNDIALS = {"cvodes": (1e-3, 1e-5, 1e-7)}
+TOLERANCES = tuple(float(f"1e-{digits}") for digits in range(2, 13))
+"""Relative tolerances from which a sweep takes as many as it needs."""
 
 ABSOLUTE = 1e-4
 """Absolute tolerance of an elastic coordinate relative to the relative one, in its own magnitude [m]: 0.1 mm is what links
 of this size bend."""
 
 
-def scipy_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
-    """SciPy's solvers, restarted at every breakpoint, positions at the instants of comparison."""
+def scipy_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[Trial]:
+    """SciPy's solvers with the exact Jacobian, restarted at every breakpoint, positions at the instants of comparison."""
     system, parts = system_of(subject)
-    for method, tolerances in SCIPY.items():
-        for tolerance in tolerances:
+    for method in SCIPY:
+
+        def trial(tolerance: float, method: Method = method) -> Trial:
             announce(f"SciPy {method}, tolerance {tolerance:.0e}")
             run = scipy_run(subject, system, parts, method, tolerance)
-            yield solver_trial(subject, f"SciPy {method}", f"{tolerance:.0e}", run)
+            return solver_trial(subject, f"SciPy {method}", f"{tolerance:.0e}", run)
+
+        yield from sweep(TOLERANCES, trial, ours)
 
 
-def sundials_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
-    """CVODES through CasADi, with exact Jacobians, restarted at every breakpoint."""
+def sundials_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[Trial]:
+    """CVODES through CasADi, rate and exact Jacobian compiled, restarted at every breakpoint."""
     system, parts = system_of(subject)
-    for plugin, tolerances in SUNDIALS.items():
-        for tolerance in tolerances:
-            announce(f"CasADi {plugin}, tolerance {tolerance:.0e}")
-            run = _sundials(subject, system, parts, plugin, tolerance)
-            yield solver_trial(subject, f"CasADi {plugin}", f"{tolerance:.0e}", run)
+
+    def trial(tolerance: float) -> Trial:
+        announce(f"CasADi cvodes, tolerance {tolerance:.0e}")
+        run = _sundials(subject, system, parts, "cvodes", tolerance)
+        return solver_trial(subject, "CasADi cvodes", f"{tolerance:.0e}", run)
+
+    yield from sweep(TOLERANCES, trial, ours)
 
 
 def system_of(subject: Subject) -> tuple[Equations, tuple[Piece, ...]]:
@@ -88,18 +91,42 @@ def ends(instants: Array, end: float) -> Array:
 
 
 def scipy_run(
-    subject: Subject, system: Equations, parts: tuple[Piece, ...], method: Method, tolerance: float
+    subject: Subject,
+    system: Equations,
+    parts: tuple[Piece, ...],
+    method: Method,
+    tolerance: float,
+    exact_jacobian: bool = True,
 ) -> Callable[[], Array]:
-    rates = [BoundFunction(system.rate, piece.numbers) for piece in parts]
+    """A run of one of SciPy's methods: (N, 2) positions [m] at the instants of comparison.
+
+    Args:
+        subject, system, parts: what is simulated.
+        method: name of the method.
+        tolerance: relative tolerance.
+        exact_jacobian: False for SciPy's own finite differences.
+    """
+    rates = [system.bound(piece.numbers) for piece in parts]
+    has_jacobian = exact_jacobian and method in IMPLICIT
+    extra: list[dict[str, Any]] = [
+        {"jac": system.bound_jacobian(piece.numbers)} if has_jacobian else {} for piece in parts
+    ]
     positions = [BoundFunction(system.position, piece.numbers) for piece in parts]
 
     def run() -> Array:
         state, found = system.start, []
-        for piece, rate, position in zip(parts, rates, positions, strict=True):
+        for piece, rate, position, options in zip(parts, rates, positions, extra, strict=True):
             instants = compared(subject, piece)
             wanted = ends(instants, piece.end)
             solution = solve_ivp(
-                rate, (piece.begin, piece.end), state, method, wanted, rtol=tolerance, atol=ABSOLUTE * tolerance
+                rate,
+                (piece.begin, piece.end),
+                state,
+                method,
+                wanted,
+                rtol=tolerance,
+                atol=ABSOLUTE * tolerance,
+                **options,
             )
             if not solution.success:
                 raise RunError(solution.message)
@@ -113,8 +140,8 @@ def scipy_run(
 def _sundials(
     subject: Subject, system: Equations, parts: tuple[Piece, ...], plugin: str, tolerance: float
 ) -> Callable[[], Array]:
-    t, z, p = casadi.SX.sym("t"), casadi.SX.sym("z", 2 * system.n), casadi.SX.sym("p", NUMBERS)
-    problem = {"t": t, "x": z, "p": p, "ode": system.rate_expression(t, z, p)}
+    t, z, p = casadi.MX.sym("t"), casadi.MX.sym("z", 2 * system.n), casadi.MX.sym("p", NUMBERS)
+    problem = {"t": t, "x": z, "p": p, "ode": system.rate(t, z, p)}
     options = {"reltol": tolerance, "abstol": ABSOLUTE * tolerance, "max_num_steps": 1_000_000}
     solvers = []
     for piece in parts:

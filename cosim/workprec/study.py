@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from flexfmu.cosim.workprec import effect_trials, fmu_trials, formulation_trials, peers, solver_trials, tool_trials
 from flexfmu.cosim.workprec.fmu_trials import Announce
 from flexfmu.cosim.workprec.subject import Subject, subject_of
-from flexfmu.cosim.workprec.trial import Trial
+from flexfmu.cosim.workprec.trial import Curve, Trial
 from flexfmu.model.scene import Scene
 
 STEP = 1e-3
 """Communication step at which integrators, tools and effects are compared [s]."""
+
+OURS = "flexfmu"
+"""Line of the best of our integrators' settings among other tools."""
 
 LADDER_TOLERANCE = 1e-8
 """Of the integrator while effects are compared."""
@@ -64,24 +67,32 @@ def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: f
     announce("reference")
     _ = subject.reference
     agreement, references = _check_reference(subject, announce)
-    makers = _makers(subject, step, announce)
-    trials = tuple(trial for name in FAMILIES if name in families for trial in makers[name]())
-    return Study(scene, subject.stop, subject.scale, agreement, references, trials)
+    trials: list[Trial] = []
+    makers = _makers(subject, step, announce, trials)
+    for name in (each for each in FAMILIES if each in families):
+        trials += makers[name]()
+    return Study(scene, subject.stop, subject.scale, agreement, references, tuple(trials))
 
 
-def _makers(subject: Subject, step: float, announce: Announce) -> dict[str, Callable[[], Iterator[Trial]]]:
-    """Family → what makes its trials."""
+def _makers(
+    subject: Subject, step: float, announce: Announce, known: Sequence[Trial]
+) -> dict[str, Callable[[], Iterator[Trial]]]:
+    """Family → what makes its trials, given those of the families before it."""
     has_equations = is_differential_equation(subject.scene)
 
     def nothing() -> Iterator[Trial]:
         return iter(())
 
     def tools() -> Iterator[Trial]:
-        yield from solver_trials.scipy_trials(subject, announce)
-        yield from solver_trials.sundials_trials(subject, announce)
-        yield from tool_trials.model_exchange_trials(subject, announce)
+        measured = [each for each in known if each.family == "integrators"]
+        ours = Curve.of(measured or fmu_trials.integrator_trials(subject, step, announce, ("automatic",), ()))
+        for each in ours.trials:
+            yield replace(each, family="tools", line=OURS, label=f"{each.line} {each.label}")
+        yield from solver_trials.scipy_trials(subject, ours, announce)
+        yield from solver_trials.sundials_trials(subject, ours, announce)
+        yield from tool_trials.model_exchange_trials(subject, ours, announce)
         yield tool_trials.paper_trial(subject, announce)
-        yield from peers.exudyn_trials(subject, announce)
+        yield from peers.exudyn_trials(subject, ours, announce)
 
     return {
         "integrators": lambda: fmu_trials.integrator_trials(subject, step, announce),
@@ -96,8 +107,9 @@ def _makers(subject: Subject, step: float, announce: Announce) -> dict[str, Call
 
 
 def is_differential_equation(scene: Scene) -> bool:
-    """Whether the scene is one smooth equation between breakpoints: motion-driven, elastic, nothing in the loop."""
-    return scene.cosimulation.drive == "motion" and not scene.controller and not scene.imperfection
+    """Whether the scene is one smooth equation between breakpoints: motion-driven, elastic, nothing in the loop or sampled."""
+    is_sampled = any(getattr(each, "apply", "sampled") == "sampled" for each in scene.shaper)
+    return scene.cosimulation.drive == "motion" and not (scene.controller or scene.imperfection or is_sampled)
 
 
 def _check_reference(subject: Subject, announce: Announce) -> tuple[float | None, str]:

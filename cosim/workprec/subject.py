@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.errors import CosimError
 from flexfmu.cosim.experiment import PreparedScene, Run
-from flexfmu.cosim.planning import MotionPlan, plan
+from flexfmu.cosim.planning import MotionPlan
 from flexfmu.model.scene import Scene
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def subject_of(scene: Scene) -> Subject:
     """A scene with its planned motion, shapers included."""
     from flexfmu.cosim.loop.sections import loop_of
 
-    return Subject(scene, loop_of(scene, plan(scene)).motion)
+    return Subject(scene, loop_of(scene).motion)
 
 
 def completed(run: Run) -> Run:

@@ -7,7 +7,7 @@ import pytest
 
 from flexfmu.cosim.workprec import peers
 from flexfmu.cosim.workprec.subject import subject_of
-from flexfmu.cosim.workprec.trial import Trial
+from flexfmu.cosim.workprec.trial import Curve, Trial
 from flexfmu.model.scene_file import load_scene
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
@@ -16,7 +16,7 @@ SCENE = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
 def trials(**changes: object) -> list[Trial]:
     """Exudyn's trials of the scene with changed keys."""
     scene = SCENE.replace({key.replace("__", "."): value for key, value in changes.items()})
-    return list(peers.exudyn_trials(subject_of(scene), lambda text: None))
+    return list(peers.exudyn_trials(subject_of(scene), Curve(()), lambda text: None))
 
 
 @pytest.mark.slow
