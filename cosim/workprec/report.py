@@ -49,7 +49,7 @@ def notes(study: Study) -> list[str]:
     found.append(f"References: {study.references}{agreement}.")
     compared = advantages(study)
     for error in sorted({each.error for each in compared.values()}):
-        ratios = [f"{line} {each.ratio:.2g} times" for line, each in compared.items() if each.error == error]
+        ratios = [f"{line} {each.ratio:.0f} times" for line, each in compared.items() if each.error == error]
         found.append(f"For an error of {error:.1e} other tools take longer than flexfmu: {', '.join(ratios)}.")
     return found
 
