@@ -169,9 +169,16 @@ class PreparedScene:
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
         self._facts = slave_facts(self._parts.slaves)
         self._simulator: Simulator | None = None
-        again = {"fmu_path": self._fmu_path, "initial": initial, "input_order": input_order, "loop": self._loop}
-        again |= {"isolate": self._isolate, "call_limit": self._call_limit}
-        self._again: Mapping[str, Any] = {"scene": scene, "record": record, **again}
+        self._again: Mapping[str, Any] = {
+            "scene": scene,
+            "fmu_path": self._fmu_path,
+            "initial": initial,
+            "input_order": input_order,
+            "loop": self._loop,
+            "record": record,
+            "isolate": self._isolate,
+            "call_limit": self._call_limit,
+        }
         self._times = planning, building, watch.lap()
 
     def _check_step(self) -> None:
