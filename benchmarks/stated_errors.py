@@ -5,9 +5,9 @@ with 0.2 ms is its own uncertainty: where that exceeds half the stated error, th
 most the stated one. Near: it is at least a hundredth of it. Cost: processor time of a companion, preparing and measuring
 included, over that of the run and its metrics.
 
-    python benchmarks/stated_errors.py [SCENE ...] [--companions 1] [--worst 0] [--json]
+    python benchmarks/stated_errors.py [SCENE ...] [--companions 1] [--worst 0] [--list] [--json]
 
-takes about six minutes for all scenes.
+takes about ten minutes for all scenes.
 """
 
 from __future__ import annotations
@@ -154,6 +154,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", help="names of the scenes; all by default")
     parser.add_argument("--companions", type=int, default=1, help="companion runs for each error, 1 or 2")
     parser.add_argument("--worst", type=int, default=0, help="also list so many metrics that are furthest from held")
+    parser.add_argument("--list", action="store_true", help="also list every metric of every run")
     parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
     options = parser.parse_args()
     rows, judged = [], []
@@ -174,8 +175,10 @@ def main() -> None:
         return
     for row in rows[-len(TOLERANCES) - len(STEPS) - 1 :]:
         show(row)
-    for one in sorted(judged, key=lambda one: one.stated / max(one.true, 1e-300))[: options.worst]:
-        print(f"  {one}")
+    worst = sorted(judged, key=lambda one: one.stated / max(one.true, 1e-300))[: options.worst]
+    for one in judged if options.list else worst:
+        settings = f"{one.scene}, {one.tolerance:g}, {1e3 * one.step:g} ms"
+        print(f"{settings:50} {one.metric:30} {one.value:13.6g}   true {one.true:8.1e}   stated {one.stated:8.1e}")
 
 
 def scene_of(name: str) -> Scene:
