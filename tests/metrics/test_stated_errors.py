@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 import runpy
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from flexfmu.cosim.closed_loop import run_loop
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import PreparedScene, Run, run_scene
 from flexfmu.cosim.measuring.metric_table import display
 from flexfmu.cosim.metrics import measure_run
 from flexfmu.cosim.reports.summary import coarse_metrics
+from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
 from flexfmu.model.scene_file import load_scene
 
 STUDY = Path(__file__).parents[2] / "benchmarks" / "stated_errors.py"
@@ -90,6 +94,50 @@ def test_a_companion_changes_nothing_in_the_run(run: Run) -> None:
     second = prepared.run()
     for name, column in first.recording.columns.items():
         assert column.values.tobytes() == second.recording[name].values.tobytes(), name
+
+
+class Spring:
+    """A sampled slave of a user's: ties the motors to their start, and counts its samples."""
+
+    name, sample_time, samples = "spring", 5e-3, 0
+    variables = (
+        *(SlaveVariable(f"joint{joint}.position", "input", "rad") for joint in (1, 2)),
+        *(SlaveVariable(f"joint{joint}.torque", "output", "N.m") for joint in (1, 2)),
+    )
+
+    def __init__(self) -> None:
+        self.angles, self.torques, self.start = np.zeros(2), np.zeros(2), np.zeros(2)
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Begin anew: the first sample finds the start."""
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """Angles."""
+        self.angles[indices] = values
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Torques."""
+        values[:] = self.torques[indices - 2]
+
+    def sample(self, time: float) -> None:
+        """Springs of 100 N.m/rad."""
+        self.start = self.angles.copy() if time == 0.0 else self.start
+        self.torques = 100.0 * (self.start - self.angles)
+        self.samples += 1
+
+    def step(self, time: float, step: float) -> None:
+        """Nothing happens between samples."""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="isolation needs Linux")
+def test_a_companion_leaves_a_user_s_slaves_alone(run: Run) -> None:
+    """Whoever looks into their own slave after the run finds what the run left there, not what the companion did."""
+    spring, scene = Spring(), run.scene.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+    own = run_loop(scene, [spring], communication_step=5e-3)
+    samples = spring.samples
+    assert samples > 100
+    assert (measure_run(own)["peak_tracking_error_1"].error or math.inf) < 1e-3
+    assert spring.samples == samples
 
 
 @pytest.mark.parametrize(("tolerance", "step", "error"), [(1e-6, 2e-4, 1e-3), (1e-8, 1e-3, 1.0)])
