@@ -58,6 +58,27 @@ void test_stick_slip_follows_its_closed_form(void) {
     }
 }
 
+// fixed steps end at events too: the classical method keeps its order over them
+void test_fixed_steps_end_at_events(void) {
+  double worst[2] = {0.0, 0.0};
+  for (int k = 0; k < 2; k++) {
+    flex_plant *plant = make_plant(&sliders, 1e-6);
+    double y, v, force;
+    plant->record->method = FLEX_RUNGE_KUTTA_4;
+    plant->record->fixed_step = k ? 0.05 : 0.1;
+    CHECK(flex_plant_begin(plant).outcome == FLEX_DONE);
+    flex_inputs_set_derivative(&plant->inputs, 0, 0.0, 1, 0.3);
+    flex_plant_inputs_changed(plant);
+    for (int i = 0; i < 20; i++) {
+      advance(plant, i, 1.0, 1);
+      stick_slip(0.3, i + 1.0, &y, &v, &force);
+      worst[k] = fmax(worst[k], fabs(output(plant, 0) - y));
+    }
+    free_plant(plant);
+  }
+  CHECK_BETWEEN(worst[0] / worst[1], 12.0, 24.0);
+}
+
 // what is held doesn't creep, not by the last digit in an hour; a millionth more than breakaway moves it
 void test_sticking_is_a_state(void) {
   for (int moves = 0; moves < 2; moves++) {

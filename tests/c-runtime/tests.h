@@ -44,6 +44,7 @@
   X(blow_up_is_reported)                        \
   X(bad_inputs_leave_no_trace)                  \
   X(stick_slip_follows_its_closed_form)         \
+  X(fixed_steps_end_at_events)                \
   X(sticking_is_a_state)                      \
   X(breakaway_is_met_within_a_step)           \
   X(two_frictions_keep_the_balance)           \

@@ -114,6 +114,11 @@ EFFECTS = {
         {"effects.joint_friction": {"viscous": 0.0, "coulomb": 0.0}},
         parameters=frozenset({"joint_friction.viscous"}),
     ),
+    "friction that sticks": Effect(
+        {"effects.joint_friction": {"kind": "stiction", "coulomb": 1.0}},
+        {"effects.joint_friction": {"kind": "stiction"}},
+        parameters=frozenset({"joint_friction.coulomb", "joint_friction.breakaway"}),
+    ),
     "elastic transmissions": Effect(
         {"effects.transmission": {"stiffness": 1e4}, "effects.motor_inertia": 0.1},
         {},

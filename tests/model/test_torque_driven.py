@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from flexfmu.model.assembly import motor_angles
+from flexfmu.model.errors import SceneError
 from flexfmu.model.linear import linearize, operating_point
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.multipliers import constrained_model, motion_driven_accelerations
@@ -42,6 +43,10 @@ DRIVES = {
     "motor inertia and friction": {
         "effects.motor_inertia": 0.05,
         "effects.joint_friction": {"viscous": 0.3, "coulomb": 2.0, "velocity": 0.1},
+    },
+    "friction that sticks": {
+        "effects.motor_inertia": 0.05,
+        "effects.joint_friction": {"kind": "stiction", "coulomb": 2.0, "breakaway": 3.0, "stribeck_velocity": 2.0},
     },
     "elastic transmissions": {
         "effects.motor_inertia": 0.05,
@@ -151,6 +156,34 @@ def test_friction_follows_its_law() -> None:
         lost = (rough(q, [w, 0.0], a) - base(q, [w, 0.0], a)).full().ravel()
         assert lost[0] == pytest.approx(0.5 * w + 3.0 * w / np.hypot(w, 0.2), abs=1e-12)
         assert lost[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_sticking_friction_follows_stribecks_curve() -> None:
+    """In slip it falls from breakaway to Coulomb friction; where a rate of zero is given, it has no direction."""
+    friction = {"kind": "stiction", "viscous": 0.5, "coulomb": 3.0, "breakaway": 4.0, "stribeck_velocity": 0.2}
+    base, rough = (
+        inverse_dynamics(load_scene("barnard2012-6kg").replace({"effects.joint_friction": law}))
+        for law in ({}, friction)
+    )
+    q, a = motor_angles(torque_scene().mechanism, POSE), [0.0, 0.0]
+    for w in (-5.0, -0.1, 0.0, 0.01, 2.0):
+        lost = (rough(q, [w, 0.0], a) - base(q, [w, 0.0], a)).full().ravel()
+        dry = np.sign(w) * (3.0 + np.exp(-((w / 0.2) ** 2)))
+        assert lost == pytest.approx([0.5 * w + dry, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("friction", "message"),
+    [
+        ({"kind": "stiction", "coulomb": 2.0, "breakaway": 1.0}, r"`breakaway` must be at least `coulomb` = 2.0 N.m"),
+        ({"kind": "stiction", "coulomb": 2.0, "velocity": 0.1}, r"velocity` is not a known key"),
+        ({"kind": "sticky"}, r"`effects.joint_friction.kind` must be one of 'smooth', 'stiction'"),
+    ],
+)
+def test_contradictory_friction_is_refused(friction: dict[str, object], message: str) -> None:
+    """A motor that turns is not braked by more than holds it, and the keys of one kind don't mean anything to the other."""
+    with pytest.raises(SceneError, match=message):
+        torque_scene({"effects.joint_friction": friction})
 
 
 def test_transmission_twists_under_load_and_vibrates_as_two_masses() -> None:
