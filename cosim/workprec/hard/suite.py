@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from itertools import chain
 
 from flexfmu.cosim.errors import CosimError, InputError
-from flexfmu.cosim.workprec.hard import gain, motions, parameters, repetition, singularity, steps, stiffness
+from flexfmu.cosim.workprec.hard import gain, motions, parameters, repetition, singularity, steps, sticking, stiffness
 from flexfmu.cosim.workprec.hard.case import Finding, HardCase
 from flexfmu.model.errors import EquilibriumError
 from flexfmu.trajectories.errors import TrajectoryError
 
-FAMILIES = (singularity, stiffness, parameters, motions, steps, gain, repetition)
+FAMILIES = (singularity, stiffness, parameters, motions, steps, sticking, gain, repetition)
 
 
 @dataclass(frozen=True)
