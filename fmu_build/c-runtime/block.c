@@ -22,6 +22,7 @@ static void take(flex_block *block, const flex_block_model *model, flex_arena *a
   block->p = flex_take_doubles(arena, (size_t)model->n_parameters);
   block->x = flex_take_doubles(arena, n);
   block->next_x = flex_take_doubles(arena, n);
+  block->due_y = flex_take_doubles(arena, (size_t)model->n_outputs);
   block->y = flex_take_doubles(arena, (size_t)model->n_outputs);
   flex_inputs_take(&block->inputs, model->n_inputs, model->max_input_order, arena);
   block->state_size = arena->used - begin;
@@ -70,6 +71,11 @@ void flex_block_changed(flex_block *block) {
   block->record->is_taken = 0;
 }
 
+void flex_block_input_set(flex_block *block) {
+  block->record->is_open = 1;
+  flex_block_changed(block);
+}
+
 // index of the first number that is not finite, or -1
 static int first_bad(const double *values, int count) {
   for (int i = 0; i < count; i++)
@@ -77,43 +83,58 @@ static int first_bad(const double *values, int count) {
   return -1;
 }
 
-// outputs and next states for the inputs at the present time
-static int take_sample(flex_block *block) {
+// outputs and next states for the inputs at the present time, unless they are known
+static int evaluate(flex_block *block) {
   const flex_block_model *model = block->model;
   double time = block->record->time;
+  if (block->record->is_taken) return 0;
   flex_inputs_evaluate(&block->inputs, time, 0.0, block->u);
   for (int i = 0; i < model->n_inputs; i++)
     if (flex_refuse_input(block->message, &model->input_variables[i], time, block->u[i])) return 1;
 
   // generated code may use what is behind arguments and results for itself
   block->arg[0] = block->x, block->arg[1] = block->u, block->arg[2] = block->p;
-  block->res[0] = block->y, block->res[1] = block->next_x;
+  block->res[0] = block->due_y, block->res[1] = block->next_x;
   if (model->sample.call(block->arg, block->res, block->iw, block->w, 0))
     return flex_refuse(block->message, "sampling at %.9g s: the equations cannot be evaluated; check inputs", time);
-
-  // no NaN travels on silently
-  int bad = first_bad(block->y, model->n_outputs);
-  if (bad >= 0)
-    return flex_refuse(block->message, "sampling at %.9g s: %s is %g; check inputs and parameters", time,
-                       model->output_variables[bad].name, block->y[bad]);
-  bad = first_bad(block->next_x, model->n_states);
-  if (bad >= 0)
-    return flex_refuse(block->message, "sampling at %.9g s: state %d becomes %g; check inputs and parameters", time, bad + 1,
-                       block->next_x[bad]);
   block->record->is_taken = 1;
   return 0;
 }
 
-int flex_block_need_outputs(flex_block *block) {
+static int refuse_output(flex_block *block, int index) {
+  return flex_refuse(block->message, "sampling at %.9g s: %s is %g; check inputs and parameters", block->record->time,
+                     block->model->output_variables[index].name, block->due_y[index]);
+}
+
+// the outputs of this sample are those to hold; no NaN travels on silently
+static int take_sample(flex_block *block) {
+  const flex_block_model *model = block->model;
+  if (evaluate(block)) return 1;
+  int bad = first_bad(block->due_y, model->n_outputs);
+  if (bad >= 0) return refuse_output(block, bad);
+  bad = first_bad(block->next_x, model->n_states);
+  if (bad >= 0)
+    return flex_refuse(block->message, "sampling at %.9g s: state %d becomes %g; check inputs and parameters",
+                       block->record->time, bad + 1, block->next_x[bad]);
+  memcpy(block->y, block->due_y, (size_t)model->n_outputs * sizeof *block->y);
+  return 0;
+}
+
+int flex_block_output(flex_block *block, int index, double *value) {
   const flex_block_record *record = block->record;
-  int is_open = record->is_due || !record->is_moving;
-  return is_open && !record->is_taken ? take_sample(block) : 0;
+  int is_known = record->is_due && (record->is_open || !block->model->feeds_through[index]);
+  *value = block->y[index];
+  if (record->is_moving && !is_known) return 0;
+  if (evaluate(block)) return 1;
+  if (!isfinite(block->due_y[index])) return refuse_output(block, index);
+  *value = block->due_y[index];
+  return 0;
 }
 
 // the sample that is due, for good
 static int complete_sample(flex_block *block) {
   flex_block_record *record = block->record;
-  if (!record->is_taken && take_sample(block)) return 1;
+  if (take_sample(block)) return 1;
   memcpy(block->x, block->next_x, (size_t)block->model->n_states * sizeof *block->x);
   record->next++;
   record->is_due = record->is_taken = 0;
@@ -127,9 +148,10 @@ static double next_instant(const flex_block *block) {
 
 int flex_block_begin(flex_block *block) {
   flex_block_record *record = block->record;
-  if (flex_block_need_outputs(block)) return 1;
-  record->is_moving = 1;
+  if (take_sample(block)) return 1;
+  record->is_moving = record->is_open = 1;
   record->is_due = block->model->offset <= flex_time_slack(0.0, block->model->sample_time);
+  record->is_taken = record->is_due;
   return 0;
 }
 
@@ -146,15 +168,17 @@ int flex_block_advance(flex_block *block, double t0, double t1) {
   for (int i = 0; i < block->inputs.count; i++)
     if (block->inputs.base[i] == record->time) block->inputs.base[i] = t0;
   record->time = t0;
+  record->is_open = 1;
   if (record->is_due && complete_sample(block)) return 1;
 
-  // instants within the step
+  // instants within the step, where the inputs are what their polynomials say
   for (double instant = next_instant(block); instant < t1 - slack; instant = next_instant(block)) {
     record->time = instant;
     record->is_due = 1;
     if (complete_sample(block)) return 1;
   }
   record->time = t1;
+  record->is_open = 0;
   record->is_due = next_instant(block) <= t1 + slack;
   return 0;
 }

@@ -87,8 +87,7 @@ static int get_real(flex_block *block, unsigned index, double *value) {
   } else if (index < settable) {
     *value = block->p[index - m];
   } else {
-    if (flex_block_need_outputs(block)) return 1;
-    *value = block->y[index - settable];
+    return flex_block_output(block, (int)(index - settable), value);
   }
   return 0;
 }
@@ -120,7 +119,7 @@ int flex_backend_set_real(flex_backend *backend, unsigned index, double value) {
   if (index >= m) return set_parameter(block, index - m, value);
   if (flex_refuse_value(block->message, &model->input_variables[index], value)) return 1;
   flex_inputs_set(&block->inputs, (int)index, block->record->time, value);
-  flex_block_changed(block);
+  flex_block_input_set(block);
   return 0;
 }
 
@@ -145,7 +144,7 @@ static int set_input_derivative(flex_block *block, unsigned index, int order, do
   if (flex_refuse_derivative(block->message, model->input_variables[index].name, order, model->max_input_order, value))
     return 1;
   flex_inputs_set_derivative(&block->inputs, (int)index, block->record->time, order, value);
-  flex_block_changed(block);
+  flex_block_input_set(block);
   return 0;
 }
 

@@ -18,6 +18,7 @@ typedef struct {
   int max_input_order; /* highest order that fmi2SetRealInputDerivatives accepts */
 
   const flex_variable *input_variables, *parameter_variables, *output_variables;
+  const int *feeds_through; /* for each output: 1 = it depends on inputs of the same instant */
   const double *start_states;
 
   double sample_time; /* [s], above zero */

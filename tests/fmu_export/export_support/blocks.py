@@ -27,7 +27,7 @@ def block(
     sample_time: float = SAMPLE_TIME,
     offset: float = 0.0,
 ) -> SymbolicBlock:
-    """A block with inputs ``in1``.. and outputs ``out1``.., all dimensionless; every output may depend on every input."""
+    """A block with inputs ``in1``.. and outputs ``out1``.., all dimensionless; feedthrough is what the equations have."""
     symbols = [
         casadi.SX.sym(symbol, size) for symbol, size in zip("xup", (len(states), inputs, len(parameters)), strict=True)
     ]
@@ -35,9 +35,14 @@ def block(
     functions = [
         casadi.Function(key, symbols, [value]) for key, value in zip(("output", "update"), results, strict=True)
     ]
+    depends = casadi.DM(functions[0].jac_sparsity(0, 1), 1).full()
+    feedthrough = {
+        f"out{i + 1}": tuple(f"in{j + 1}" for j in np.flatnonzero(row)) for i, row in enumerate(depends)
+    }
     return SymbolicBlock(
         name=name,
         description=f"A block named {name}",
+        feedthrough=feedthrough,
         sample_time=sample_time,
         offset=offset,
         inputs=tuple(Variable(f"in{i + 1}", "1", f"Input {i + 1}", "input", start=0.0) for i in range(inputs)),
