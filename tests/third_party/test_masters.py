@@ -6,11 +6,17 @@ has the same numbers; and as the step becomes smaller, all tend to what ours fin
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
+from export_support.blocks import SAMPLE_TIME, expected
+from export_support.kinds import KINDS, motion, seen_late, signals_of, source
 from third_party_support.agreement import ROUNDING, TOOLS, SharedRun, Tool, apart, exact, shared_run, tool
 
+from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.scene_file import load_scene
 
 pytestmark = pytest.mark.slow
@@ -63,3 +69,39 @@ def test_controlled_robot_in_other_masters(tmp_path: Path) -> None:
     late = [apart(tool("ecos").simulate(shared, step), exact(shared, step)) for step in (STEPS[1], STEPS[1] / 2)]
     assert late[1] < 0.01
     assert late[0] / late[1] > 1.8
+
+
+SAMPLES = 160
+"""Of the blocks: ramps, sines and steps at every input, and more than the longest memory."""
+
+
+def side_by_side(blocks: Mapping[str, SymbolicBlock], folder: Path) -> SharedRun:
+    """The blocks' FMUs, all fed by one source."""
+    fmus, connections, signals = {"source": str(build_block_fmu(source()).path)}, [], []
+    for number, block in enumerate(blocks.values()):
+        name = f"block{number}"
+        fmus[name] = str(build_block_fmu(block).path)
+        pairs = zip(signals_of(block), block.inputs, strict=True)
+        connections += [[f"source.signal{i}", f"{name}.{each.name}"] for i, each in pairs]
+        signals += [f"{name}.{each.name}" for each in block.outputs]
+    system = {"fmus": fmus, "connections": connections, "signals": signals}
+    return SharedRun(load_scene("barnard2012-6kg"), system, folder)
+
+
+@pytest.mark.parametrize("name", ["libcosim", "ecos", "Maestro"])
+def test_every_kind_of_block(name: str, tmp_path: Path) -> None:
+    """Ramps, sines and steps at all inputs: a tool that records before it sets inputs has the sample before where outputs
+    depend on inputs at once, one that records afterwards this one; neither has new states with old inputs. Maestro, whose
+    preparation takes long, gets one block of each kind that has memory."""
+    blocks = {kind: make() for kind, make in KINDS.items()}
+    if name == "Maestro":
+        blocks = {kind: block for kind, block in blocks.items() if block.states and ":" not in kind}
+    shared = side_by_side(blocks, tmp_path)
+    found = tool(name).simulate(shared, SAMPLE_TIME, stop=SAMPLES * SAMPLE_TIME)[:SAMPLES]
+    assert len(found) >= SAMPLES - 1
+    rule = seen_late if tool(name).records == "before" else expected
+    exact = {kind: rule(block, motion(block, SAMPLES + 1))[1 : len(found) + 1] for kind, block in blocks.items()}
+    assert found.shape[1] == sum(each.shape[1] for each in exact.values())
+    parts = np.split(found, np.cumsum([each.shape[1] for each in exact.values()])[:-1], axis=1)
+    for (kind, values), part in zip(exact.items(), parts, strict=True):
+        np.testing.assert_allclose(part, values, rtol=0.0, atol=1e-12 * max(1.0, abs(values).max()), err_msg=kind)

@@ -36,9 +36,7 @@ def block(
         casadi.Function(key, symbols, [value]) for key, value in zip(("output", "update"), results, strict=True)
     ]
     depends = casadi.DM(functions[0].jac_sparsity(0, 1), 1).full()
-    feedthrough = {
-        f"out{i + 1}": tuple(f"in{j + 1}" for j in np.flatnonzero(row)) for i, row in enumerate(depends)
-    }
+    feedthrough = {f"out{i + 1}": tuple(f"in{j + 1}" for j in np.flatnonzero(row)) for i, row in enumerate(depends)}
     return SymbolicBlock(
         name=name,
         description=f"A block named {name}",

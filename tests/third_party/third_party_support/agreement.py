@@ -66,7 +66,9 @@ def shared_run(scene: Scene, folder: Path, signals: Sequence[str] = SIGNALS) -> 
     exported = export_slaves(scene, folder / "fmus")
     fmus = {slave.name: str(slave.path) for slave in exported.slaves}
     connections = [list(pair) for pair in exported.connections]
-    return SharedRun(scene, {"fmus": fmus, "connections": connections, "signals": list(signals)}, folder)
+    return SharedRun(
+        scene, {"fmus": fmus, "connections": connections, "signals": [f"plant.{name}" for name in signals]}, folder
+    )
 
 
 def our_master(shared: SharedRun, step: float, algorithm: Algorithm, input_order: int | None) -> Table:
@@ -74,22 +76,22 @@ def our_master(shared: SharedRun, step: float, algorithm: Algorithm, input_order
     slaves = [FmuSlave(path, name, input_order=input_order) for name, path in shared.system["fmus"].items()]
     wired = connect(slaves, [tuple(pair) for pair in shared.system["connections"]])
     recording = simulate(wired, stop=STOP, step=step, algorithm=algorithm).recording
-    return np.column_stack([recording[f"plant.{name}"].values[1:] for name in shared.system["signals"]])
+    return np.column_stack([recording[name].values[1:] for name in shared.system["signals"]])
 
 
-def python_master(name: str, shared: SharedRun, step: float) -> Table:
+def python_master(name: str, shared: SharedRun, step: float, stop: float = STOP) -> Table:
     """A master with Python bindings, in a process of its own."""
     python_tool(MODULES[name])
     file = shared.folder / "system.json"
     file.write_text(json.dumps(shared.system))
-    output = run([sys.executable, masters.__file__, name, str(file), str(step), str(STOP)], shared.folder)
+    output = run([sys.executable, masters.__file__, name, str(file), str(step), str(stop)], shared.folder)
     line = next(line for line in output.splitlines() if line.startswith("rows: "))
     return np.array(json.loads(line.removeprefix("rows: ")))[:, 1:]
 
 
-def java_master(shared: SharedRun, step: float) -> Table:
+def java_master(shared: SharedRun, step: float, stop: float = STOP) -> Table:
     """Maestro, which leaves out the last point."""
-    return maestro.simulate(shared.system, step, STOP, shared.folder)[1:, 1:]
+    return maestro.simulate(shared.system, step, stop, shared.folder)[1:, 1:]
 
 
 def fmpy_run(shared: SharedRun, step: float, kind: str, **options: Any) -> Table:
@@ -100,17 +102,18 @@ def fmpy_run(shared: SharedRun, step: float, kind: str, **options: Any) -> Table
     sequence of same size").
     """
     table = input_table(shared.scene, step)
+    signals = [name.removeprefix("plant.") for name in shared.system["signals"]]
     result = fmpy.simulate_fmu(
         shared.system["fmus"]["plant"],
         fmi_type=kind,
         stop_time=STOP,
         output_interval=step,
         input=table if kind == "CoSimulation" else held(table),
-        output=shared.system["signals"],
+        output=signals,
         record_events=False,
         **options,
     )
-    return np.column_stack([result[name][1:] for name in shared.system["signals"]])
+    return np.column_stack([result[name][1:] for name in signals])
 
 
 def input_table(scene: Scene, spacing: float) -> Any:
@@ -140,14 +143,14 @@ class Tool:
     Attributes:
         name: of the tool.
         records: whether it records the robot's outputs ``before`` or ``after`` it gets its new inputs.
-        simulate: shared run, communication step [s] → signals (points, signals) at the points after the first.
+        simulate: shared run, communication step [s], end of the run as ``stop`` [s] → signals (points, signals) at the points after the first.
         like: name of the tool that follows the same rule, and so has the same numbers; empty for the first one.
         within: largest difference to that one.
     """
 
     name: str
     records: Literal["before", "after"]
-    simulate: Callable[[SharedRun, float], Table]
+    simulate: Callable[..., Table]
     like: str = ""
     within: float = 0.0
 

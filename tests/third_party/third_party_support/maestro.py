@@ -33,11 +33,15 @@ def simulate(system: Mapping[str, Any], step: float, stop: float, folder: Path) 
     connections: dict[str, list[str]] = {}
     for source, target in system["connections"]:
         connections.setdefault(_port(source), []).append(_port(target))
+    logged: dict[str, list[str]] = {}
+    for signal in system["signals"]:
+        slave, variable = signal.split(".", 1)
+        logged.setdefault(f"{{{slave}}}.{slave}1", []).append(variable)
     model = {
         "fmus": fmus,
         "connections": connections,
         "parameters": {},
-        "logVariables": {"{plant}.plant1": system["signals"]},
+        "logVariables": logged,
         "algorithm": {"type": "fixed-step", "size": step},
         "startTime": 0.0,
         "endTime": stop,
@@ -52,7 +56,7 @@ def simulate(system: Mapping[str, Any], step: float, stop: float, folder: Path) 
     run([*start, "interpret", "-runtime", "spec.runtime.json", "spec.mabl"], folder)
     with (folder / "outputs.csv").open(newline="") as text:
         rows = list(csv.DictReader(text))
-    columns = ["time", *(f"{{plant}}.plant1.{name}" for name in system["signals"])]
+    columns = ["time", *map(_port, system["signals"])]
     return np.array([[float(row[column]) for column in columns] for row in rows])
 
 

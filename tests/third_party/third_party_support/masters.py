@@ -12,7 +12,7 @@ from typing import Any
 
 Rows = list[list[float]]
 System = dict[str, Any]
-"""``fmus``: name of a slave → its file; ``connections``: pairs of full names; ``signals``: outputs of ``plant`` to record."""
+"""``fmus``: name of a slave → its file; ``connections``: pairs of full names; ``signals``: full names of outputs to record."""
 
 
 def libcosim(system: System, step: float, count: int) -> Rows:
@@ -34,11 +34,13 @@ def libcosim(system: System, step: float, count: int) -> Rows:
         assert execution.connect_real_variables(*ends) == 0
     observer = CosimObserver.create_last_value()
     execution.add_observer(observer)
-    signals = [references["plant"][name] for name in system["signals"]]
+    signals = [each.split(".", 1) for each in system["signals"]]
+    wanted = {name: [references[name][variable] for owner, variable in signals if owner == name] for name in indices}
     rows = []
     for n in range(count):
         assert execution.step(1)
-        rows.append([(n + 1) * step, *observer.last_real_values(indices["plant"], signals)])
+        values = {name: iter(observer.last_real_values(indices[name], each)) for name, each in wanted.items() if each}
+        rows.append([(n + 1) * step, *(next(values[owner]) for owner, _ in signals)])
     return rows
 
 
@@ -56,7 +58,7 @@ def ecos(system: System, step: float, count: int) -> Rows:
     rows = []
     for n in range(count):
         simulation.step(1)
-        rows.append([(n + 1) * step, *(simulation.get_real(f"plant::{name}") for name in system["signals"])])
+        rows.append([(n + 1) * step, *(simulation.get_real(name.replace(".", "::", 1)) for name in system["signals"])])
     return rows
 
 

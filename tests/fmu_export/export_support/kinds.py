@@ -1,0 +1,161 @@
+"""Every kind of block that the toolkit makes, and what each does with ramps, sines and steps."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable
+from typing import Any
+
+import casadi
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from export_support.blocks import SAMPLE_TIME, expected
+from flexfmu.cosim.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
+from flexfmu.cosim.controllers.from_control import control_block
+from flexfmu.cosim.controllers.iterative_learning import iterative_learning
+from flexfmu.cosim.controllers.limits import symmetric
+from flexfmu.cosim.controllers.linear_system import linear_system
+from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.controllers.pid import pid
+from flexfmu.cosim.controllers.state_feedback import state_feedback, static_feedforward
+from flexfmu.cosim.controllers.state_space import state_space
+from flexfmu.cosim.imperfections.channels import joint_channels
+from flexfmu.cosim.imperfections.delay import delay, whole_delay
+from flexfmu.cosim.imperfections.delay_filter import Lagrange, Thiran
+from flexfmu.cosim.imperfections.jitter import jitter
+from flexfmu.cosim.imperfections.lag import lag
+from flexfmu.cosim.imperfections.noise import gaussian_noise, uniform_noise
+from flexfmu.cosim.imperfections.quantisation import encoder, quantisation
+from flexfmu.cosim.imperfections.rate_limit import rate_limit
+from flexfmu.cosim.imperfections.saturation import saturation
+from flexfmu.cosim.shaping.block import shaper_block
+from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.rigid_dynamics import inverse_dynamics
+from flexfmu.model.scene_file import load_scene
+from flexfmu.model.symbolic import Variable
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+
+Array = NDArray[np.float64]
+
+SEQUENCE = ImpulseSequence((0.0, 0.0081, 0.0163), (0.3, 0.45, 0.25))
+POSITIONS = joint_channels("position", (0.4, -0.6))
+
+
+def robot() -> Any:
+    """Rigid inverse dynamics of the paper's robot."""
+    return inverse_dynamics(load_scene("barnard2012-6kg"))
+
+
+def feedback() -> SymbolicBlock:
+    """Feedback of an observer's states, which follows a reference."""
+    plant = oscillator()
+    return state_feedback(plant, [[2.0, 1.0]], [[0.4], [0.3]], reference=static_feedforward(plant, ["y[0]"]))
+
+
+def oscillator() -> Any:
+    """A damped double integrator."""
+    return linear_system([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.2]], [[1.0, 0.0]], sample_time=SAMPLE_TIME)
+
+
+TIME: Any = {"sample_time": SAMPLE_TIME}
+
+KINDS: dict[str, Callable[[], SymbolicBlock]] = {
+    "pd": lambda: pd((900.0, 800.0), 12.0, limits=symmetric(40.0), **TIME),
+    "pid": lambda: pid(900.0, 4e4, 12.0, filter_time=3e-3, limits=symmetric(40.0), **TIME),
+    "pid: unfiltered": lambda: pid(0.0, 0.0, 100.0, **TIME),
+    "computed_torque": lambda: computed_torque(robot(), 4e3, 90.0, **TIME),
+    "inverse_dynamics_feedforward": lambda: inverse_dynamics_feedforward(robot(), **TIME),
+    "iterative_learning": lambda: iterative_learning(100.0, 40, shift=2, forgetting=0.01, **TIME),
+    "state_feedback": feedback,
+    "state_space": lambda: state_space(oscillator()),
+    "control_block": lambda: control_block(control.tf([0.02, 1.0], [0.01, 1.0]), method="tustin", **TIME),
+    "shaper_block": lambda: shaper_block(SEQUENCE, SAMPLE_TIME),
+    "saturation": lambda: saturation(POSITIONS, -0.5, 0.7, **TIME),
+    "rate_limit": lambda: rate_limit(POSITIONS, 100.0, 80.0, **TIME),
+    "whole_delay": lambda: whole_delay(POSITIONS, 5, **TIME),
+    "whole_delay: long": lambda: whole_delay(POSITIONS, 150, **TIME),
+    "delay": lambda: delay(POSITIONS, 2.3 * SAMPLE_TIME, **TIME),
+    "delay: short": lambda: delay(POSITIONS, 0.4 * SAMPLE_TIME, **TIME),
+    "delay: Lagrange": lambda: delay(POSITIONS, 2.3 * SAMPLE_TIME, interpolation=Lagrange(3), **TIME),
+    "delay: Thiran": lambda: delay(POSITIONS, 2.3 * SAMPLE_TIME, interpolation=Thiran(2), **TIME),
+    "quantisation": lambda: quantisation(POSITIONS, 1e-2, **TIME),
+    "encoder": lambda: encoder(4000, window=3, **TIME),
+    "lag": lambda: lag(POSITIONS, 2e-3, **TIME),
+    "jitter": lambda: jitter(POSITIONS, 0.8 * SAMPLE_TIME, 5, **TIME),
+    "gaussian_noise": lambda: gaussian_noise(POSITIONS, [0.1, 0.2], 5, **TIME),
+    "uniform_noise": lambda: uniform_noise(POSITIONS, 0.1, 5, **TIME),
+}
+"""Name of the function that makes a kind, variants behind a colon → a block of it."""
+
+
+def makers(*rooms: Any) -> set[str]:
+    """Names of all functions of these packages that make a block."""
+    names = set()
+    for room in rooms:
+        for each in pkgutil.iter_modules(room.__path__):
+            module = importlib.import_module(f"{room.__name__}.{each.name}")
+            for name, function in inspect.getmembers(module, inspect.isfunction):
+                makes = function.__annotations__.get("return") in ("SymbolicBlock", SymbolicBlock)
+                if makes and function.__module__ == module.__name__ and not name.startswith("_"):
+                    names.add(name)
+    return names
+
+
+STAGE = 50
+"""Samples after which what was a ramp becomes a sine, and that a step."""
+
+POSES = (3.2407, 1.1738) * 2
+"""Joint angles near which the robot can be assembled: references and measurements."""
+
+SIGNALS = 12
+"""Outputs of the source before those for `POSES`; each feeds one input of a block at most."""
+
+
+def source() -> SymbolicBlock:
+    """Ramps of 2/s, sines and steps of different heights, without inputs; then small ones about each of `POSES`."""
+    k, no = casadi.SX.sym("k"), casadi.SX.sym("no", 0)
+    ramp, sine = 2.0 * SAMPLE_TIME * (k - STAGE * casadi.floor(k / STAGE)), casadi.sin(0.3 * k)
+    shapes = [ramp, sine, casadi.if_else(casadi.fmod(k, 20.0) < 10.0, 0.0, 1.0)]
+    stage = casadi.fmod(casadi.floor(k / STAGE), 3.0)
+    turns = [
+        casadi.if_else(stage < 1, shapes[i], casadi.if_else(stage < 2, shapes[i - 1], shapes[i - 2])) for i in range(3)
+    ]
+    signals = [(1.0 + 0.1 * i) * turns[i % 3] for i in range(SIGNALS)]
+    signals += [pose + 0.02 * turns[i % 3] for i, pose in enumerate(POSES)]
+    return SymbolicBlock(
+        name="source",
+        description="Ramps, sines and steps",
+        sample_time=SAMPLE_TIME,
+        inputs=(),
+        outputs=tuple(Variable(f"signal{i}", "1", f"Signal {i}", "output") for i in range(len(signals))),
+        states=(0.0,),
+        output=casadi.Function("output", [k, no, no], [casadi.vertcat(*signals)]),
+        update=casadi.Function("update", [k, no, no], [k + 1.0]),
+    )
+
+
+def signals_of(block: SymbolicBlock) -> list[int]:
+    """The output of the source that each input of a block is connected to; angles of the robot where it must be assembled."""
+    names = [each.name for each in block.inputs]
+    has_motion = any(name.endswith("acceleration") for name in names)
+    angles = [name for name in names if has_motion and name.endswith("position")]
+    return [SIGNALS + angles.index(name) if name in angles else i for i, name in enumerate(names)]
+
+
+def motion(block: SymbolicBlock, count: int) -> Array:
+    """Inputs (count, inputs) from the source."""
+    signals = expected(source(), np.empty((count, 0)))
+    return signals[:, signals_of(block)]
+
+
+def seen_late(block: SymbolicBlock, inputs: Array) -> Array:
+    """What an importer reads at the instants that sets its inputs afterwards, (count, outputs): outputs with direct
+    feedthrough are those of the sample before."""
+    on_time = expected(block, inputs)
+    late = np.vstack([on_time[:1], on_time[:-1]])
+    feeds = [bool(block.feedthrough.get(each.name, block.inputs)) for each in block.outputs]
+    return np.where(feeds, late, on_time)
