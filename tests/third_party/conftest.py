@@ -9,9 +9,6 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "fmu_export"))
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
-    str(Path(__file__).parent),
-    str(Path(__file__).parents[1] / "fmu_export"),
-]  # pytest imports without them
 
 from third_party_support.drawn import descriptions
 

@@ -143,7 +143,7 @@ class Tool:
     Attributes:
         name: of the tool.
         records: whether it records the robot's outputs ``before`` or ``after`` it gets its new inputs.
-        simulate: shared run, communication step [s], end of the run as ``stop`` [s] → signals (points, signals) at the points after the first.
+        simulate: shared run, communication step and ``stop`` [s] → signals (points, signals) at the points after the first.
         like: name of the tool that follows the same rule, and so has the same numbers; empty for the first one.
         within: largest difference to that one.
     """
