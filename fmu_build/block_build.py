@@ -33,9 +33,12 @@ def build_block_fmu(
 
     It samples at start time + offset + k * sample time, whatever the communication step: a step may hold many sample
     instants or none. At an instant within a step it reads its inputs as their polynomials have them there (held, unless
-    derivatives were set). After a step the outputs are those of the last instant up to its end; where the end is an
-    instant itself they follow inputs that are set there, and the sample is completed with the last of them when the next
-    step begins. Before the first instant the outputs are those of the start states and the inputs at initialisation.
+    derivatives were set). After a step the outputs are those of the last instant up to its end. Where the end is an
+    instant itself, outputs with direct feedthrough hold the sample before until an input is set there, and follow the
+    inputs from then on; the sample is completed with the last of them when the next step begins. So importers that set
+    inputs before they read outputs get this sample, all others get it a communication step later, and none gets new
+    states with old inputs. Before the first instant the outputs are those of the start states and the inputs at
+    initialisation.
 
     Args:
         block: what to export.

@@ -108,6 +108,19 @@ def controlled_scene() -> Scene:
 
 
 @pytest.fixture(scope="session")
+def staggered_ssp(controlled_scene: Scene, ssp_cache: Path) -> Path:
+    """The controlled scene as an SSP file, each block sampling after those that feed it."""
+    sections = controlled_scene.model_dump(exclude_none=True)
+    (pd, feedforward), (encoder, lag, payload) = sections["controller"], sections["imperfection"]
+    changes = {
+        "name": "staggered",
+        "controller": [pd | {"offset": 1e-4}, feedforward | {"offset": 5e-5}],
+        "imperfection": [encoder, lag | {"offset": 5e-5}, payload],
+    }
+    return _exported(controlled_scene.replace(changes), ssp_cache)
+
+
+@pytest.fixture(scope="session")
 def motion_ssp(motion_scene: Scene, ssp_cache: Path) -> Path:
     """The motion-driven scene as an SSP file."""
     return _exported(motion_scene, ssp_cache)

@@ -9,6 +9,8 @@ import fmpy.ssp.simulation
 import numpy as np
 import pytest
 from ssp_support.importers import SIGNAL, simulate
+from ssp_support.loops import INSTANTS, SAMPLE_TIME, export_loop, in_our_master, off
+from ssp_support.loops import STEPS as LOOP_STEPS
 
 from flexfmu.cosim.ssp.loading import load_ssp
 
@@ -55,12 +57,41 @@ def test_other_importers(tool: str, motion_ssp: Path, reference: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", ["libcosimpy", "ecospy"])
-def test_controllers_in_other_importers(tool: str, controlled_ssp: Path) -> None:
-    """Controllers, shaper, encoder and amplifier too, though each passes signals on a step late."""
-    recording = load_ssp(controlled_ssp, stop=INSTANT).simulate().recording
+def test_controllers_in_other_importers(tool: str, staggered_ssp: Path) -> None:
+    """Controllers, shaper, encoder and amplifier too: each samples a communication step after those that feed it, so that
+    what passes signals on a step late is in time."""
+    recording = load_ssp(staggered_ssp, stop=INSTANT).simulate().recording
     expected = float(recording[f"plant.{SIGNAL}"].values[-1])
-    errors = [abs(at_the_instant(tool, controlled_ssp, step) - expected) for step in (1e-4, 5e-5)]
-    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.2)
+    for step in (5e-5, 2.5e-5):
+        assert at_the_instant(tool, staggered_ssp, step) == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "tools"),
+    [
+        ("PD", ["libcosimpy", "ecospy", "fmpy"]),
+        ("PID", ["libcosimpy", "ecospy", "fmpy"]),
+        ("PD, encoder, window 1", ["libcosimpy", "ecospy"]),
+        ("PD, encoder, window 4", ["libcosimpy", "ecospy"]),
+        ("PID, encoder", ["libcosimpy", "ecospy"]),
+        ("PID, encoder, offset", ["libcosimpy", "ecospy", "fmpy"]),
+    ],
+)
+def test_torque_driven_loops(name: str, tools: list[str], tmp_path: Path) -> None:
+    """A controller's torque comes a communication step late, an error of first order in the step. Behind an encoder that
+    samples at the same instants measurements are a sample late, by which the robot is ahead; with an offset they aren't."""
+    path = export_loop(name, tmp_path)
+    exact = in_our_master(path)
+    speed = np.abs(np.diff(exact)).max() / (INSTANTS[1] - INSTANTS[0])
+    is_late = "encoder" in name and "offset" not in name
+    for tool in tools:
+        wide, narrow = (off(tool, path, step, exact).max() for step in (LOOP_STEPS[-1], LOOP_STEPS[-1] / 2))
+        if is_late:
+            assert narrow == pytest.approx(speed * SAMPLE_TIME, rel=0.1)
+        else:
+            assert wide < 1e-5
+            assert wide / narrow == pytest.approx(2.0, rel=0.1)
 
 
 def test_libcosim_takes_the_step_from_the_file(motion_ssp: Path) -> None:
