@@ -153,6 +153,22 @@ def test_last_word_before_the_step_counts(export: Export) -> None:
     assert_rounding(instance.get_outputs(), expected(block, np.array([[-1.0, 0.5], [0.3, 0.1]]))[1])
 
 
+def test_inputs_that_are_not_set_keep_their_values(export: Export) -> None:
+    """One input set at an instant is enough for this sample; without any the outputs are those of the sample before, and the
+    block goes on all the same."""
+    block = pd_controller()
+    exact = expected(block, np.array([[1.0, 0.2]] * 6 + [[3.0, 0.2]] * 4))
+    instance = export(block)().start(in1=1.0, in2=0.2)
+    for k in range(1, 6):
+        instance.step(SAMPLE_TIME, until=k * SAMPLE_TIME)
+        assert_rounding(instance.get_outputs(), exact[k - 1])
+    instance.step(SAMPLE_TIME, until=6 * SAMPLE_TIME)
+    instance.set("in1", 3.0)
+    assert_rounding(instance.get_outputs(), exact[6])
+    instance.step(SAMPLE_TIME, until=7 * SAMPLE_TIME)
+    assert_rounding(instance.get_outputs(), exact[6])
+
+
 def test_inputs_between_instants_wait(export: Export) -> None:
     """Between instants the outputs are held, whatever is set, and at an instant until something is set there: an importer
     that sets its inputs after it has read the outputs stands a step before the instant with them."""
