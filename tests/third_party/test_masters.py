@@ -59,8 +59,8 @@ def test_half_the_step_halves_the_difference(each: Tool, shared: SharedRun) -> N
 
 
 def test_controlled_robot_in_other_masters(tmp_path: Path) -> None:
-    """Three FMUs in a loop, with everything connected that a controller wants. Other masters know no sample times: a
-    controller measures a communication step late, which vanishes with the step."""
+    """Three FMUs in a loop, with everything connected that a controller wants. Other masters read
+    outputs before they set inputs: torques come a communication step late, which vanishes with the step."""
     signals = ("end_effector.position.x", "joint1.position", "joint1.velocity")
     shared = shared_run(load_scene("barnard2012-6kg").replace(CONTROLLED), tmp_path, signals)
     expected = tool("libcosim").simulate(shared, STEPS[0])
