@@ -50,7 +50,7 @@ def scene() -> Scene:
             "imperfection": [
                 {"kind": "encoder", "counts_per_turn": 1e5},
                 {"kind": "payload-error", "relative": 0.1},
-                {"kind": "lag", "time_constant": 2e-4},
+                {"kind": "lag", "time_constant": 2e-4, "sample_time": 5e-4},
             ],
         }
     )
