@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from math import ceil
 from pathlib import Path
@@ -21,6 +22,7 @@ from flexfmu.cosim.master.outcome import Outcome, Simulation
 from flexfmu.cosim.master.selection import EVERYTHING, Selection
 from flexfmu.cosim.master.simulator import Simulator
 from flexfmu.cosim.master.system import connect
+from flexfmu.cosim.measuring.divergence import divergence
 from flexfmu.cosim.measuring.rigid_motion import RigidMotion
 from flexfmu.cosim.planning import MotionPlan
 from flexfmu.cosim.scene_recording import SceneRecording
@@ -233,7 +235,7 @@ class PreparedScene:
     def _result(self, parts: SceneSystem, simulation: Simulation, timing: Timing) -> Run:
         """Everything about a simulated scene; where it failed, the values that suggest another unit are named too."""
         hints = () if simulation.outcome is Outcome.COMPLETED else self._loop.motion.scene.unit_hints
-        return Run(
+        run = Run(
             plan=self._loop.motion,
             recording=self._recording.of(simulation.recording, parts),
             outcome=simulation.outcome,
@@ -249,6 +251,11 @@ class PreparedScene:
             parameters=parts.changes,
             companion=self._companion(parts.changes),
         )
+        # a slave that fails far from where its controller should keep it isn't the cause
+        failed = run.outcome not in (Outcome.COMPLETED, Outcome.INTERRUPTED, Outcome.COUPLING_UNSTABLE)
+        if failed and (unstable := divergence(run)) is not None:
+            return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
+        return run
 
     def _companion(self, parameters: Mapping[str, float]) -> Companion:
         """The same with shorter communication steps, which divide this one, and tighter tolerances."""

@@ -101,7 +101,8 @@ def _print_summary(summary: Mapping[str, Any], choice: str, folder: Path) -> Non
         parts.append(Text("late: " + "; ".join(delay["description"] for delay in late)))
     if health["warnings"]:
         parts.append(Text(_warning_line(health), style="yellow"))
-    parts += [Text(f"warning: {sentence}", style="yellow") for sentence in health["large_deflections"]]
+    sentences = [*health["large_deflections"], *filter(None, [health["unstable_loop"]])]
+    parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]
     parts.append(Text(f"results.csv, summary.json and report.html are in {folder}"))
     print_rich(*parts)
 

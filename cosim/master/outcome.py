@@ -19,6 +19,7 @@ class Outcome(Enum):
     LOOP_NOT_SOLVED = "a loop of signals was not solved by its iteration; the results end before it"
     STEP_TOO_SMALL = "the smallest communication step doesn't keep the tolerance; the results end before it"
     COUPLING_UNSTABLE = "signals that go round between slaves grow faster than the communication step can resolve"
+    LOOP_UNSTABLE = "the control loop is unstable; the results end where a slave could not follow any more"
     INTERRUPTED = "the simulation was interrupted; the results end there"
 
 

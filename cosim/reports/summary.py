@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.effects.summary import choice_summary
+from flexfmu.cosim.measuring.divergence import divergence
 from flexfmu.cosim.measuring.metric_table import ALL_METRICS
 from flexfmu.cosim.measuring.small_deflections import exceeded
 from flexfmu.cosim.metrics import Measurement, Metrics
@@ -135,6 +136,7 @@ def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]
         "interpolation_errors": {name: measurement.interpolation_error for name, measurement in measurements.items()},
         "warnings": [_warning(run, name, measurements[name]) for name in coarse_metrics(measurements)],
         "large_deflections": exceeded(run),
+        "unstable_loop": divergence(run) if run.completed else None,
     }
 
 
