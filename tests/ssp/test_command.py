@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from zipfile import ZipFile
@@ -103,3 +104,14 @@ def test_failures_are_one_line(ssd: str, status: int, problem: str, make_ssp: Ma
     assert problem.split()[-1] in result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert (tmp_path / "out" / "results.csv").exists() == (status == 1)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
+def test_an_fmu_that_exits_leaves_results(make_ssp: MakeSsp, tmp_path: Path) -> None:
+    """Another tool's FMU that calls exit ends its run alone: named, at its time, with status 1 and all that was recorded."""
+    path = make_ssp(of_second(inline(parameter_set(trouble='Enumeration value="exits"'))))
+    ran = flexfmu("run", str(path), "--step", "0.1", "--out", str(tmp_path / "out"))
+    assert ran.exit_code == 1, ran.output
+    assert "failed at 0.5 s: it ended its process with exit status 0" in ran.stderr
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["end_time"] == pytest.approx(0.5)
+    assert Recording.read_csv(tmp_path / "out" / "results.csv").time[-1] == pytest.approx(0.5)
