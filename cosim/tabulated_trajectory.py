@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.measuring.hermite import two_point
-from flexfmu.cosim.slave import Indices, RealArray
+from flexfmu.cosim.slave import RealArray
 from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, tabulate
 from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.trajectory import Trajectory
@@ -66,15 +66,15 @@ class TabulatedTrajectory:
         early, late = (times < first, times >= last) if side == "right" else (times <= first, times > last)
         piece = np.maximum(np.searchsorted(self._begins, times, side) - 1, 0)
         elapsed = np.minimum(times, last) - self._begins[piece]
-        jets = np.stack([self._derivative(k, piece, elapsed) for k in range(order + 1)])
+        # the polynomials at these points, and the powers of the time that all derivatives share
+        here = [each[:, piece] for each in self._polynomials[: order + 1]]
+        powers = np.array([elapsed**j / factorial(j) for j in range(len(here[0]))])
+        jets = np.empty((order + 1, *here[0].shape[1:]))
+        for k in range(order + 1):
+            kind = min(k, ACCELERATION)
+            terms = here[kind][k - kind :]
+            np.einsum("jn,jna->na", powers[: len(terms)], terms, out=jets[k])
         for still, position in zip((early, late), self._rest, strict=True):
             jets[:, still] = 0.0
             jets[0, still] = position
         return jets
-
-    def _derivative(self, order: int, piece: Indices, elapsed: RealArray) -> RealArray:
-        """(N, axes) a derivative some time after the beginning of each point's piece."""
-        kind = min(order, ACCELERATION)
-        terms = self._polynomials[kind][order - kind :, piece]
-        powers = np.array([elapsed**j / factorial(j) for j in range(len(terms))])
-        return np.asarray(np.einsum("jn,jna->na", powers, terms))

@@ -25,6 +25,9 @@ END_ORDER = 4
 FEW = 8
 """So few points are looked up in a table when they are asked for again and again."""
 
+MANY = 64
+"""So many looked-up points are kept."""
+
 REFERENCES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"))
 """Which derivative of the trajectory each reference is, with what it appends to the unit."""
 
@@ -68,6 +71,7 @@ class TrajectorySlave:
         self.trajectory = trajectory
         self._times = self._polynomials = self._ends = self._now = np.empty(0)
         self._next = 0
+        self._seen: dict[float, tuple[RealArray, RealArray]] = {}
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
@@ -100,16 +104,38 @@ class TrajectorySlave:
 
     def _calculate(self, times: RealArray) -> None:
         """The polynomials of all steps between these points."""
-        first, last = self._landings(times)
-        order, source = END_ORDER if self.ends_exactly else self.max_output_order, self._source(times.size)
+        near = COINCIDENT * float(np.diff(times).max())
+        if times.size <= FEW and self._times.size:
+            self._polynomials, self._ends = self._looked_up(times, near)
+        else:
+            self._polynomials, self._ends = self._limits(self.trajectory, times, near)
+        self._times = times
+        if self.ends_exactly:
+            self._polynomials = self._hermite_polynomials(self._polynomials)
+
+    def _looked_up(self, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
+        """Limits at a few points, for a master that chooses its steps on the way and asks for the same ones again and
+        again; the trajectory's series would take as long for one of them as for a thousand."""
+        new = [time for time in times.tolist() if time not in self._seen]
+        if new:
+            if len(self._seen) > MANY:
+                self._seen.clear()
+                new = times.tolist()
+            source = self._table if self.announced_order <= END_ORDER or self.ends_exactly else self.trajectory
+            self._seen |= zip(new, zip(*self._limits(source, np.array(new), near), strict=True), strict=True)
+        begins, ends = zip(*(self._seen[time] for time in times.tolist()), strict=True)
+        return np.array(begins), np.array(ends)
+
+    def _limits(self, source: Trajectory, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
+        """(N, orders, variables): right limits and left limits of all references with their derivatives."""
+        first, last = self._landings(times, near)
         jumps = np.flatnonzero(np.isin(first, self.breakpoints))
         left = np.arange(times.size + jumps.size) >= times.size
+        order = END_ORDER if self.ends_exactly else self.max_output_order
         both = _references(source, np.concatenate([last, first[jumps]]), left, order)
-        self._polynomials, self._times = both[: times.size], times
-        self._ends = self._polynomials[:, : END_ORDER + 1].copy()
-        self._ends[jumps] = both[times.size :, : END_ORDER + 1]
-        if self.ends_exactly:
-            self._polynomials = self._hermite_polynomials(self._polynomials[:, : END_ORDER + 1])
+        begins, ends = both[: times.size], both[: times.size, : END_ORDER + 1].copy()
+        ends[jumps] = both[times.size :, : END_ORDER + 1]
+        return begins, ends
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Begin with the left limits at the start."""
@@ -143,22 +169,14 @@ class TrajectorySlave:
         self._next = 0
         self._now = self._ends[0]
 
-    def _landings(self, times: RealArray) -> tuple[RealArray, RealArray]:
+    def _landings(self, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
         """Times at which left and right limits are taken: where breakpoints share a communication point, left of the
         first and right of the last, exactly."""
-        near = COINCIDENT * float(np.diff(times).max())
         points = np.array(self.breakpoints)
         begin, end = points.searchsorted(times - near), points.searchsorted(times + near, "right")
         first, last, lands = times.copy(), times.copy(), begin < end
         first[lands], last[lands] = points[begin[lands]], points[end[lands] - 1]
         return first, last
-
-    def _source(self, count: int) -> Trajectory:
-        """Where references come from: the trajectory, or its table for a master that chooses its steps on the way and
-        asks for a few points again and again, for which the trajectory's series would take as long as for a thousand."""
-        is_again = self._times.size > 0
-        known = self.announced_order <= END_ORDER or self.ends_exactly
-        return self._table if count <= FEW and is_again and known else self.trajectory
 
     @cached_property
     def _table(self) -> Trajectory:

@@ -10,11 +10,16 @@ from flexfmu.cosim.errors import LoopError, SlaveError, StepSizeError
 from flexfmu.cosim.master.coupling_error import CouplingError
 from flexfmu.cosim.master.recorder import Recorder
 from flexfmu.cosim.master.schedule import OFF_GRID, Schedule, Snapshot
-from flexfmu.cosim.master.step_control import GROW, StepDoubling, fitted
+from flexfmu.cosim.master.step_control import GROW, ErrorBudget, StepDoubling, fitted
+from flexfmu.cosim.slave import RealArray
 
 
 class ControlledSteps:
     """Crosses the distance between two points of the grid in steps that keep a tolerance.
+
+    Each step is taken at once and in two halves, which are kept: their distance is what the step adds to the error. A
+    second solution goes on in long steps from mark to mark, never put right: its distance from the first is what the
+    system has made of all errors since. (Both by Richardson's extrapolation.)
 
     Attributes:
         time: end of the last accepted step [s].
@@ -23,17 +28,27 @@ class ControlledSteps:
     """
 
     def __init__(
-        self, schedule: Schedule, recorder: Recorder, control: StepDoubling, error: CouplingError, first: float
+        self,
+        schedule: Schedule,
+        recorder: Recorder,
+        control: StepDoubling,
+        error: CouplingError,
+        first: float,
+        budget: ErrorBudget,
     ) -> None:
-        self.time = -inf
+        self.time = self._mark = -inf
         self.accepted = self.rejected = 0
         self.largest = 0.0
         self._schedule = schedule
         self._recorder = recorder
         self._control = control
         self._error = error
+        self._budget = budget
         self._step = min(first, control.largest)
         self._least = control.least(first)
+        self._signals = np.empty(0)
+        self._short: Snapshot | None = None
+        self._long: Snapshot | None = None
 
     def cross(self, begin: float, end: float) -> None:
         """Advance to ``end`` [s], all points between exchanged and recorded, the end itself not yet.
@@ -42,68 +57,115 @@ class ControlledSteps:
             StepSizeError: not even the smallest step keeps the tolerance.
             SlaveError: a slave fails even in the smallest step.
         """
-        self.time = begin
-        self._error.learn()
-        while self.time < end:
-            if self.time > begin:
-                self._schedule.exchange(OFF_GRID, self.time, False)
-                self._recorder.append(self.time)
-            self._advance(end)
-            self._error.learn()
+        self.time, self._mark = begin, begin
+        if self.accepted == 0:
+            self._error.start(self._schedule.inputs)
+        self._signals = self._error.signals()
+        self._error.learn(self._signals)
+        try:
+            self._short = self._schedule.save()
+            while self.time < end:
+                if self.time > begin:
+                    if self._schedule.futures:
+                        self._schedule.exchange(OFF_GRID, self.time, False)
+                    self._recorder.append(self.time)
+                self._advance(end)
+        finally:
+            self._short = _replaced(self._short, None)
+            if self._schedule.samples:
+                self.finish()
+
+    def finish(self) -> None:
+        """End the long steps: after the run, and where slaves sample, which have no saved states."""
+        self._long = _replaced(self._long, None)
+        self._budget.carry()
 
     def _advance(self, end: float) -> None:
         """One step that keeps the tolerance, no further than ``end``."""
         wanted, rejected = self._step, self.rejected
-        snapshot = self._schedule.save()
-        with snapshot.states:
-            while True:
-                step = fitted(max(self._step, self._least), end - self.time)
-                error = self._try(step, end, snapshot)
-                proposal = self._control.next_step(step, error, self._error.order)
-                if error <= 1.0:
-                    break
-                self.rejected += 1
-                self._step = proposal
+        while True:
+            step = fitted(max(self._step, self._least), end - self.time)
+            reached = self.time + step if step < end - self.time else end
+            error, added = self._try(reached)
+            proposal = self._control.next_step(step, error, self._error.order)
+            if error <= 1.0:
+                break
+            self.rejected += 1
+            self._step = proposal
+        self._budget.spend(step, added, self._accumulated(reached, added, reached < end or not self._schedule.samples))
         shortened = self.rejected == rejected and proposal >= GROW * step
         self._step = max(proposal, wanted) if shortened else proposal
-        self.time = end if step == end - self.time else self.time + step
+        self.time = reached
         self.accepted += 2
         self.largest = max(self.largest, 0.5 * step)
 
-    def _try(self, step: float, end: float, snapshot: Snapshot) -> float:
-        """Take a step at once, then in two halves; its error over what is allowed. Taken back where that is above 1.
+    def _try(self, end: float) -> tuple[float, float]:
+        """Take a step at once, then in two halves; what it adds to the error, over what it may add, and by itself. Taken
+        back where it adds too much.
 
         A slave that fails, or a loop that isn't solved, may manage a smaller step: that too counts as a large error.
         """
-        recorded = self._recorder.count
+        recorded, step, worst = self._recorder.count, end - self.time, ""
+        error = added = inf
         try:
-            error, worst = self._double(self.time, self.time + step if step < end - self.time else end, snapshot)
+            errors, grown = self._double(end)
+            ratios = errors / self._budget.allowed(self.time, end, grown)
+            error, added = float(ratios.max(initial=0.0)), float(errors.max(initial=0.0))
+            worst = self._error.name(int(np.argmax(ratios))) if ratios.size else ""
         except (SlaveError, LoopError):
             if step <= self._least:
                 raise
-            error, worst = inf, ""
         if error > 1.0:
             if step <= self._least:
                 raise StepSizeError(self._complaint(worst, step, error))
             self._recorder.rewind(recorded)
-            self._schedule.restore(snapshot)
-        return error
+            self._restore(self._short)
+        return error, added
 
-    def _double(self, begin: float, end: float, snapshot: Snapshot) -> tuple[float, str]:
-        """The step at once, back, and in two halves, of which the middle is recorded."""
-        schedule, middle = self._schedule, begin + 0.5 * (end - begin)
-        schedule.begin(np.array([begin, end]))
-        schedule.advance(begin, end)
-        schedule.refresh(end)
-        at_once = self._error.signals()
-        schedule.restore(snapshot)
-        schedule.begin(np.array([begin, middle, end]))
+    def _double(self, end: float) -> tuple[RealArray, RealArray]:
+        """The step at once, back, and in two halves, of which the middle is recorded; how both differ."""
+        schedule, begin = self._schedule, self.time
+        middle, at_once = begin + 0.5 * (end - begin), self._at_once(end)
+        self._restore(self._short)
+        schedule.begin(begin, middle, end)
         schedule.advance(begin, middle)
         schedule.exchange(OFF_GRID, middle, False)
         self._recorder.append(middle)
         schedule.advance(middle, end)
-        schedule.refresh(end)
-        return self._error.compare(at_once, end - begin)
+        schedule.refresh(end, self._error.following)
+        self._signals = self._error.signals()
+        return self._error.compare(self._signals, at_once)
+
+    def _at_once(self, end: float, jump: bool = False) -> RealArray:
+        """(n,) signals after one step, at whose beginning they may jump."""
+        self._schedule.begin(self.time, end, jump=jump)
+        self._schedule.advance(self.time, end)
+        self._schedule.refresh(end, self._error.following)
+        return self._error.signals()
+
+    def _accumulated(self, end: float, added: float, goes_on: bool) -> float:
+        """The error since the last mark, at the end of a step that adds so much of it: the long steps go there too."""
+        self._error.learn(self._signals)
+        before = self._long or self._short
+        if before is self._short and not goes_on:
+            return added
+        schedule, kept = self._schedule, self._schedule.save()
+        try:
+            self._restore(before)
+            long = self._at_once(end, jump=self.time == self._mark)
+            self._long = _replaced(self._long, schedule.save() if goes_on else None)
+        except (SlaveError, LoopError):
+            # too long a step for them: they begin anew
+            self._long, long = _replaced(self._long, None), None
+            self._budget.carry()
+        self._short = _replaced(self._short, kept)
+        self._restore(kept)
+        return added if long is None else float(self._error.compare(self._signals, long)[0].max(initial=0.0))
+
+    def _restore(self, snapshot: Snapshot | None) -> None:
+        """Go back."""
+        if snapshot is not None:
+            self._schedule.restore(snapshot)
 
     def _complaint(self, worst: str, step: float, error: float) -> str:
         """Why there is no smaller step."""
@@ -112,3 +174,10 @@ class ControlledSteps:
             f"at {self.time:.9g} s, even with a step of {step:.3g} s; take a larger tolerance, a smaller smallest step, "
             f"or a higher precision within the slaves"
         )
+
+
+def _replaced(old: Snapshot | None, new: Snapshot | None) -> Snapshot | None:
+    """The new one, when the old one isn't needed any more."""
+    if old is not None:
+        old.states.release()
+    return new

@@ -1,4 +1,4 @@
-"""The error of the coupling over a step, from one step and two halves."""
+"""The error of the coupling: over one step, and what has accumulated of it since the start."""
 
 from __future__ import annotations
 
@@ -7,42 +7,61 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.master.links import Coupling, Couplings, Transport
-from flexfmu.cosim.master.ports import OutputPort
+from flexfmu.cosim.master.ports import InputPort, OutputPort
+from flexfmu.cosim.master.state import StateKeeper
 from flexfmu.cosim.master.step_control import StepDoubling
 from flexfmu.cosim.master.system import System
-from flexfmu.cosim.slave import RealArray
+from flexfmu.cosim.slave import Indices, KnowsItsFuture, RealArray, Sampled, Slave, feedthrough
 
-WATCHED_ROWS = 2
-"""Values and first derivatives are watched."""
+NUDGE = 1e-6
+"""Change of an input, relative and absolute, that shows which derivatives it enters at once."""
+
+PEERS = 1.0 / 3.0
+"""A signal's magnitude is at least this part of that of others of its kind: the second component of a velocity, say, that
+has hardly begun to change."""
+
+TINY = float(np.finfo(np.float64).tiny)
+"""Keeps quotients of zeros finite."""
 
 
 @dataclass(frozen=True)
 class Watched:
-    """Signals of a port whose error counts: some columns of its first rows."""
+    """Signals of a port whose error counts.
+
+    Attributes:
+        port: the port.
+        rows, columns: (n,) which of its signals: values in row 0, first derivatives in row 1.
+    """
 
     port: OutputPort
-    columns: Sequence[int]
-    rows: int
+    rows: Indices
+    columns: Indices
 
-    def signals(self) -> RealArray:
-        """(n,) the current signals."""
-        return np.asarray(self.port.signals[: self.rows, self.columns]).ravel()
-
-    def magnitudes(self, span: float) -> RealArray:
-        """(n,) their magnitudes, a derivative's at least that of its signal over ``span`` [s]."""
-        rows = abs(self.port.signals[: self.rows, self.columns])
-        if self.rows == WATCHED_ROWS:
-            np.maximum(rows[1], rows[0] / span, out=rows[1])
-        return np.asarray(rows).ravel()
-
+    @property
     def names(self) -> list[str]:
         """Their names."""
         slave = self.port.slave
         names = [f"{slave.name}.{slave.variables[self.port.indices[column]].name}" for column in self.columns]
-        return names + [f"der({name},1)" for name in names if self.rows == WATCHED_ROWS]
+        return [f"der({name},1)" if row else name for name, row in zip(names, self.rows, strict=True)]
+
+    @property
+    def kinds(self) -> list[tuple[str, str]]:
+        """For each the slave and the unit, or the output's own name in place of an unknown unit."""
+        variables = [self.port.slave.variables[self.port.indices[column]] for column in self.columns]
+        units = [each.unit or each.name for each in variables]
+        return [(self.port.slave.name, unit + "/s" * row) for unit, row in zip(units, self.rows.tolist(), strict=True)]
+
+    def with_rates(self, inputs: InputPort) -> Watched:
+        """With the first derivatives of all values that don't change at once with an input that errs."""
+        if self.port.recorded < 2:
+            return self
+        rates = self.columns[~_entered_rates(inputs, self.port)[self.columns]]
+        rows = np.concatenate([self.rows, np.ones(rates.size, np.intp)])
+        return Watched(self.port, rows, np.concatenate([self.columns, rates]))
 
 
 class CouplingError:
@@ -50,6 +69,7 @@ class CouplingError:
 
     Attributes:
         order: power of the step that the error per unit step goes with.
+        following: output ports of signals that what is known in advance may enter at once: to be read when it is passed on.
     """
 
     def __init__(
@@ -60,73 +80,132 @@ class CouplingError:
         if control.signals is None:
             self._watched = _watched_by_default(system, ports, couplings)
         else:
-            self._watched = [_find(ports, name) for name in control.signals]
-        self._names = [name for each in self._watched for name in each.names()]
+            self._watched = _find(ports, control.signals)
+        self._slaves = [system.slaves.index(each.port.slave) for each in self._watched]
         self.order = 1 + min(map(_degree, filter(_counts, couplings.values())), default=0)
-        self._scale = np.zeros(len(self._names))
+        self.following: list[OutputPort] = []
+
+    def start(self, inputs: Sequence[InputPort]) -> None:
+        """Watch first derivatives too, unless an input that errs enters them at once: the rates of positions accumulate
+        errors, accelerations don't. The slaves must have been initialised and fed.
+
+        Args:
+            inputs: input ports, in the order of `System.slaves`.
+        """
+        pairs = list(zip(self._watched, (inputs[slave] for slave in self._slaves), strict=True))
+        self.following = [each.port for each, port in pairs if any(not _errs(link.source.slave) for link in port.links)]
+        if self._control.signals is None:
+            self._watched = [each.with_rates(port) for each, port in pairs]
+        self._names = [name for each in self._watched for name in each.names]
+        kinds = [kind for each in self._watched for kind in each.kinds]
+        known = list(dict.fromkeys(kinds))
+        self._kind = np.array([known.index(kind) for kind in kinds], np.intp)
+        rates = [
+            (known.index((slave, unit + "/s")), i)
+            for i, (slave, unit) in enumerate(known)
+            if (slave, unit + "/s") in known
+        ]
+        self._rates, self._changing = np.array(rates, np.intp).reshape(-1, 2).T
+        self._of_kind, self._scale = np.zeros(len(known)), np.zeros(len(kinds))
 
     def signals(self) -> RealArray:
         """(n,) the current signals."""
-        return np.concatenate([np.empty(0), *(each.signals() for each in self._watched)])
+        return np.concatenate([np.empty(0), *(each.port.signals[each.rows, each.columns] for each in self._watched)])
 
-    def learn(self) -> None:
-        """Take the current signals into account for the magnitudes."""
-        np.maximum(self._scale, self._magnitudes(), out=self._scale)
+    def learn(self, signals: RealArray) -> None:
+        """Take signals (n,) into account for the magnitudes: each its own largest one so far, no less than a third of that
+        of its slave's others with the same unit, nor, for a rate, than what changes its signal once in a run."""
+        sizes, largest = abs(signals), self._of_kind
+        np.maximum.at(largest, self._kind, sizes)
+        np.maximum.at(largest, self._rates, largest[self._changing] / (PEERS * self._span))
+        self._scale = np.maximum(np.maximum(self._scale, sizes), PEERS * largest[self._kind])
 
-    def _magnitudes(self) -> RealArray:
-        """(n,) magnitudes of the current signals; a derivative's is at least what changes its signal once in a run."""
-        return np.concatenate([np.empty(0), *(each.magnitudes(self._span) for each in self._watched)])
-
-    def compare(self, at_once: RealArray, step: float) -> tuple[float, str]:
-        """The error of the current signals, which came from two halves, over the allowed one, and whose it is.
+    def compare(self, short: RealArray, long: RealArray) -> tuple[RealArray, RealArray]:
+        """(n,) the error of signals over the tolerance, and by which part their magnitudes have grown since `learn`.
 
         Args:
-            at_once: (n,) signals from one step.
-            step: its length [s].
+            short: (n,) the signals.
+            long: (n,) the same from steps twice as long.
         """
-        if not self._names:
-            return 0.0, ""
-        halves = self.signals()
-        error = abs(halves - at_once) / (2.0**self.order - 1.0)
-        scale = np.maximum(self._scale, self._magnitudes())
-        allowed = (self._control.tolerance * scale + self._control.absolute) * (step / self._span)
-        ratio = np.divide(error, allowed, out=np.where(error > 0.0, np.inf, 0.0), where=allowed > 0.0)
-        worst = int(np.argmax(ratio))
-        return float(ratio[worst]), self._names[worst]
+        scale = np.maximum(self._scale, abs(short))
+        allowed = (2.0**self.order - 1.0) * (self._control.tolerance * scale + self._control.absolute)
+        return abs(short - long) / np.maximum(allowed, TINY), 1.0 - self._scale / np.maximum(scale, TINY)
+
+    def name(self, signal: int) -> str:
+        """Name of a signal."""
+        return self._names[signal]
 
 
 def _watched_by_default(system: System, ports: Sequence[OutputPort], couplings: Couplings) -> list[Watched]:
-    """Of all slaves whose inputs have an error: outputs that are passed on, with their derivatives; without these, or
-    where nothing is passed on, all continuous outputs."""
-    erring = {target for (_, target), coupling in couplings.items() if _counts(coupling)}
-    watched = []
-    for i in sorted(erring):
-        port = ports[i]
-        used = {each.output for each in system.connections if each.source == i}
-        if used and port.recorded >= WATCHED_ROWS:
-            watched.append(Watched(port, np.searchsorted(port.indices, sorted(used)).tolist(), WATCHED_ROWS))
-            continue
-        continuous = [k for k, index in enumerate(port.indices) if not port.slave.variables[index].discrete]
-        watched.append(Watched(port, continuous, 1))
-    return watched
+    """Of all slaves whose inputs have an error: outputs that are passed on; all continuous ones where none is, or where
+    they tell no rates. Those that an erring input enters at once, as it does a spring's force, follow the others; they
+    count if there are no others."""
+    watched: list[Watched] = []
+    following: list[Watched] = []
+    for i in sorted({target for (_, target), coupling in couplings.items() if _counts(coupling)}):
+        port, variables = ports[i], ports[i].slave.variables
+        used = {each.output for each in system.connections if each.source == i and port.recorded > 1}
+        erring = {
+            variables[each.input].name
+            for each in system.connections
+            if each.target == i and _errs(system.slaves[each.source])
+        }
+        entered = {name for name, inputs in feedthrough(port.slave).items() if erring & set(inputs)}
+        columns = [
+            k
+            for k, index in enumerate(port.indices)
+            if index in (used or port.indices) and not variables[index].discrete
+        ]
+        states = [k for k in columns if variables[port.indices[k]].name not in entered]
+        (watched if states else following).append(_values(port, states or columns))
+    return watched or following
 
 
-def _find(ports: Sequence[OutputPort], name: str) -> Watched:
-    """The named output, with its first derivative if it has one.
+def _errs(source: Slave) -> bool:
+    """Whether what the slave gives has an error at communication points too: it has been stepped."""
+    return not isinstance(source, KnowsItsFuture | Sampled)
+
+
+def _entered_rates(inputs: InputPort, outputs: OutputPort) -> NDArray[np.bool_]:
+    """(n,) which first derivatives of a slave's outputs change at once with an input that errs."""
+    before, fed = outputs.signals.copy(), inputs.fed.copy()
+    with StateKeeper([inputs.slave]) as state:
+        for link in inputs.links:
+            if _errs(link.source.slave):
+                inputs.fed[0, link.slots] += NUDGE * (1.0 + abs(fed[0, link.slots]))
+        inputs.send()
+        outputs.transfer()
+        entered: NDArray[np.bool_] = outputs.signals[1] != before[1]
+        state.restore()
+    inputs.fed[:], outputs.signals[:] = fed, before
+    return entered
+
+
+def _find(ports: Sequence[OutputPort], names: Sequence[str]) -> list[Watched]:
+    """The named outputs.
 
     Raises:
         InputError: there is no such output.
     """
-    known = {}
-    for port in ports:
-        for column, index in enumerate(port.indices):
-            known[f"{port.slave.name}.{port.slave.variables[index].name}"] = port, column
-    if name not in known:
-        hint = get_close_matches(name, known, n=1, cutoff=0.0)
-        remedy = f"; did you mean {hint[0]!r}?" if hint else ", nor any other"
-        raise InputError(f"step control can't watch {name!r}: there is no such output{remedy}")
-    port, column = known[name]
-    return Watched(port, [column], min(port.recorded, WATCHED_ROWS))
+    known = {
+        f"{port.slave.name}.{port.slave.variables[index].name}": (port, column)
+        for port in ports
+        for column, index in enumerate(port.indices)
+    }
+    columns: dict[OutputPort, list[int]] = {}
+    for name in names:
+        if name not in known:
+            hint = get_close_matches(name, known, n=1, cutoff=0.0)
+            remedy = f"; did you mean {hint[0]!r}?" if hint else ", nor any other"
+            raise InputError(f"step control can't watch {name!r}: there is no such output{remedy}")
+        port, column = known[name]
+        columns.setdefault(port, []).append(column)
+    return [_values(port, each) for port, each in columns.items()]
+
+
+def _values(port: OutputPort, columns: Sequence[int]) -> Watched:
+    """Values of a port's signals."""
+    return Watched(port, np.zeros(len(columns), np.intp), np.array(columns, np.intp))
 
 
 def _counts(coupling: Coupling) -> bool:

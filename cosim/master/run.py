@@ -11,7 +11,7 @@ from flexfmu.cosim.master.coupling_error import CouplingError
 from flexfmu.cosim.master.grid import TimeGrid
 from flexfmu.cosim.master.recorder import Recorder
 from flexfmu.cosim.master.schedule import Schedule
-from flexfmu.cosim.master.step_control import StepDoubling
+from flexfmu.cosim.master.step_control import ErrorBudget, StepDoubling
 
 Progress = Callable[[float], None]
 """Called now and then with the simulated fraction, 0..1."""
@@ -73,7 +73,8 @@ class Run:
 
     def control_steps(self, control: StepDoubling, error: CouplingError, first: float) -> None:
         """Take as many steps between the grid's points as a tolerance needs, the first one of length ``first`` [s]."""
-        self._controlled = ControlledSteps(self._schedule, self._recorder, control, error, first)
+        budget = ErrorBudget(float(self._grid.times[0]), float(self._grid.times[-1]))
+        self._controlled = ControlledSteps(self._schedule, self._recorder, control, error, first, budget)
         self._cross = self._controlled.cross
 
     def go(self, tolerance: float | None) -> None:
@@ -86,8 +87,12 @@ class Run:
         self._start()
         if self._compiled is not None:
             self._go_in_c(self._compiled)
-        else:
+            return
+        try:
             self._go_in_python()
+        finally:
+            if self._controlled is not None:
+                self._controlled.finish()
 
     def _go_in_c(self, compiled: CompiledRun) -> None:
         """A piece of the way at a time, between which progress is told and the user can interrupt."""

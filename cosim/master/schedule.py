@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from flexfmu.cosim.master.state import StateKeeper, revocable
 from flexfmu.cosim.master.stepping import Stepping
 from flexfmu.cosim.master.system import AlgebraicLoop, System
 from flexfmu.cosim.master.visit import Visit, plan_visits
-from flexfmu.cosim.slave import Indices, KnowsItsFuture, RealArray
+from flexfmu.cosim.slave import Indices, KnowsItsFuture, RealArray, Sampled
 
 OFF_GRID = -1
 """Stands for the index of a communication point that step control has put between those of the grid."""
@@ -35,23 +35,26 @@ class Schedule:
         selection: what is recorded; what nobody is fed with either isn't read.
 
     Attributes:
-        outputs: output ports, in the order of `System.slaves`; their signals are those of the current instant.
+        inputs, outputs: ports, in the order of `System.slaves`; their signals are those of the current instant.
         couplings: (source, target) → how its signals get there.
         activity: which slave is, or was last, at work.
         turns, updating: who has a turn in an exchange, and who moves on to the next state at its end.
         futures: slaves that announce what comes, with their indices and ports.
+        samples: whether there are slaves that sample.
         rounds: further rounds of an exchange where signals may jump.
         stepping, advance: steps all slaves from one communication point to the next [s] and reads them.
     """
 
     def __init__(self, system: System, grid: TimeGrid, algorithm: Algorithm, selection: Selection = EVERYTHING) -> None:
         self.couplings = couplings(system, algorithm)
-        self._inputs, self.outputs = wire(system, self.couplings, selection)
+        self.inputs, self.outputs = wire(system, self.couplings, selection)
         self.activity = Activity.of([slave.name for slave in system.slaves])
         self._system = system
+        self._revocable = revocable(system.slaves)
+        self.samples = any(isinstance(slave, Sampled) for slave in system.slaves)
         self._grid = grid
         stale = stale_after_step(system, self.couplings)
-        visits = plan_visits(system, self._inputs, self.outputs, grid, stale)
+        visits = plan_visits(system, self.inputs, self.outputs, grid, stale)
         self.turns = self._with_loops(visits)
         self.updating = [visit for visit in visits if visit.update is not None]
         self.futures = [
@@ -60,7 +63,7 @@ class Schedule:
             if isinstance(slave, KnowsItsFuture)
         ]
         self.rounds = loop_order(system, self.couplings)
-        ports = self._inputs, self.outputs
+        ports = self.inputs, self.outputs
         self.stepping = Stepping(system, algorithm, ports, self.couplings, self.activity)
         self.advance = self.stepping.advance
 
@@ -73,7 +76,7 @@ class Schedule:
         start, stop = float(self._grid.times[0]), float(self._grid.times[-1])
         ready: list[OutputPort] = []
         for i in dict.fromkeys([*self._system.visits, *range(len(self._system.slaves))]):
-            slave, inputs, outputs = self._system.slaves[i], self._inputs[i], self.outputs[i]
+            slave, inputs, outputs = self._system.slaves[i], self.inputs[i], self.outputs[i]
             self.activity.slave = i
             for _, future, port in self.futures:
                 if port is outputs:
@@ -85,7 +88,7 @@ class Schedule:
 
     def _reset(self) -> None:
         """Forget the run before."""
-        for inputs, outputs in zip(self._inputs, self.outputs, strict=True):
+        for inputs, outputs in zip(self.inputs, self.outputs, strict=True):
             inputs.reset()
             outputs.reset()
         for turn in self.turns:
@@ -130,20 +133,30 @@ class Schedule:
             if jump or turn.stale:
                 turn.outputs.read(time)
 
-    def refresh(self, time: float) -> None:
-        """Pass on and read the outputs without sampling, so that all that depends on inputs directly is up to date."""
-        self._pass_on(OFF_GRID, time, True)
+    def refresh(self, time: float, ports: Iterable[OutputPort]) -> None:
+        """Pass on the outputs without sampling and read these ports, so that all that depends on inputs directly is up
+        to date."""
+        self._pass_on(OFF_GRID, time, False)
+        for port in ports:
+            port.read(time)
 
-    def begin(self, times: RealArray) -> None:
-        """Choose the coming communication points, from the current or an earlier one on, and begin the first step."""
+    def begin(self, *times: float, jump: bool = False) -> None:
+        """Choose the coming communication points, from the current or a restored one on, and begin the first step.
+
+        Args:
+            times: [s].
+            jump: whether signals may jump at the first one.
+        """
         for i, future, _ in self.futures:
             self.activity.slave = i
-            future.prepare(times)
-        self.exchange(OFF_GRID, float(times[0]), False)
+            future.prepare(np.array(times))
+        if self.futures or jump:
+            # all others are as they were saved, with their inputs
+            self.exchange(OFF_GRID, times[0], jump)
 
     def save(self) -> Snapshot:
-        """Where all is now, to come back to."""
-        return Snapshot(StateKeeper(revocable(self._system.slaves)), [port.signals.copy() for port in self.outputs])
+        """Where all is now, inputs set, to come back to."""
+        return Snapshot(StateKeeper(self._revocable), [port.signals.copy() for port in self.outputs])
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go back; follow it by `begin`."""

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import cast
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.slave import KnowsItsFuture, ReleasesStates, Sampled, SavesState, Slave, can_save
+from flexfmu.cosim.slave import KnowsItsFuture, Sampled, SavesState, Slave, can_save
 
 
 def check_can_save(slaves: Iterable[Slave], purpose: str) -> None:
@@ -49,7 +49,12 @@ class StateKeeper:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.release()
+
+    def release(self) -> None:
+        """Let the states go."""
         for slave, state in self._states:
-            if isinstance(slave, ReleasesStates):
-                slave.release(state)
+            # `ReleasesStates`, asked thousands of times
+            if (release := getattr(slave, "release", None)) is not None:
+                release(state)
         self._states = []
