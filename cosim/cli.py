@@ -88,13 +88,20 @@ def build(
     ] = None,
     platform: PlatformOption = None,
     naming: NamingOption = "structured",
+    enumerations: Annotated[
+        bool,
+        typer.Option(
+            "--enumerations",
+            help="Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.",
+        ),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange."""
     with one_line_errors():
         from flexfmu.cosim.commands.fmu import build_command
 
-        raise typer.Exit(build_command(scene, output, platform or [], naming, json))
+        raise typer.Exit(build_command(scene, output, platform or [], naming, enumerations, json))
 
 
 @app.command()

@@ -59,6 +59,7 @@ def build_fmu(
     tolerance: float = DefaultExperiment.tolerance,
     stop_time: float = DefaultExperiment.stop_time,
     naming: Naming = "structured",
+    enumerations: bool = False,
     cache: bool = True,
     progress: Progress = lambda message: None,
 ) -> BuiltFmu:
@@ -74,6 +75,8 @@ def build_fmu(
         tolerance: relative tolerance of the default experiment; it also holds where the importer gives none.
         stop_time: end [s] of the default experiment.
         naming: of the variables; ``flat`` by the rule of `flexfmu.fmu_build.naming`.
+        enumerations: whether the choices ``initial`` and ``integrator`` are FMI enumerations, which not every importer takes
+            (Maestro 3.1.1 refuses them), instead of Integers.
         cache: False builds anew and replaces what is in the cache.
         progress: is told what happens next.
 
@@ -84,12 +87,12 @@ def build_fmu(
     experiment = DefaultExperiment(stop_time, step, tolerance)
 
     def make_sources() -> Sources:
-        return _generate(model, experiment, naming, progress)
+        return _generate(model, experiment, naming, enumerations, progress)
 
     return build_from_sources(
         make_sources,
         experiment,
-        key=None if key is None else f"{naming} {key}",
+        key=None if key is None else f"{naming} {enumerations} {key}",
         output=output,
         platforms=platforms,
         cache=cache,
@@ -160,6 +163,7 @@ def _generate(
     model: SymbolicModel | Callable[[], SymbolicModel],
     experiment: DefaultExperiment,
     naming: Naming,
+    enumerations: bool,
     progress: Progress,
 ) -> Sources:
     from flexfmu.fmu_build.sources import generate_sources
@@ -167,7 +171,7 @@ def _generate(
     progress("building the model")
     symbolic = model() if callable(model) else model
     progress("generating C")
-    return generate_sources(symbolic, experiment, naming)
+    return generate_sources(symbolic, experiment, naming, enumerations)
 
 
 def _build(

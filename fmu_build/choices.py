@@ -1,8 +1,8 @@
 """Parameters whose whole numbers have names: how FMUs show the choice of an initial state, a method, a limit.
 
-FMI has enumerations for it, but not every importer takes them: Maestro 3.1.1 stops with "Enumeration not supported". So they
-are Integers from 1 on whose descriptions say what the numbers mean; tools that know a choice by name find the names in the
-vendor annotation `ANNOTATION`.
+FMI has enumerations for it, but not every importer takes them: Maestro 3.1.1 stops with "Enumeration not supported". So by
+default they are Integers from 1 on whose descriptions say what the numbers mean; tools that know a choice by name find the names
+in the vendor annotation `ANNOTATION`. Enumerations are an option of the build; numbers and value references stay the same.
 """
 
 from __future__ import annotations
@@ -34,6 +34,11 @@ class Choice:
     name: str
     description: str
     items: Items
+
+    @property
+    def type_name(self) -> str:
+        """Name of its enumeration type."""
+        return f"{self.name.title().replace('_', '').replace('.', '')}Choice"
 
     @property
     def text(self) -> str:

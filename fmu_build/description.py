@@ -14,7 +14,7 @@ from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.fmu_build.interface import Interface, build_interface
 from flexfmu.fmu_build.licences import AUTHOR, LICENSE, copyright_line
-from flexfmu.fmu_build.naming import Naming, named_interface
+from flexfmu.fmu_build.naming import NAMES, Naming, named_interface, structured_names
 from flexfmu.fmu_build.quantities import RealType, real_types
 from flexfmu.fmu_build.templating import render
 from flexfmu.fmu_build.units import unit_definitions
@@ -44,6 +44,7 @@ class Description:
         text: one or two sentences for people.
         interface: variables and structure.
         choices: parameters whose values have names.
+        enumerations: whether these are FMI enumerations; Integers otherwise, which every importer takes.
         max_input_order: highest order of an input's derivative that may be set; 0 for none.
         max_output_order: highest order of an output's derivative that can be read; 0 for none.
         has_tolerance: whether the default experiment's tolerance means anything here.
@@ -60,6 +61,7 @@ class Description:
     text: str
     interface: Interface
     choices: tuple[Choice, ...] = ()
+    enumerations: bool = False
     max_input_order: int = 0
     max_output_order: int = 0
     has_tolerance: bool = False
@@ -70,17 +72,22 @@ class Description:
 
     def __post_init__(self) -> None:
         types = {each.name for each in self.real_types}
+        types |= {each.type_name for each in self.choices if self.enumerations}
         for variable in self.interface.variables:
             if variable.name in types:
                 raise ModelError(f"variable '{variable.name}' has the name of a type; give it another one")
 
     def named(self, naming: Naming) -> Description:
-        """The same with variables named so.
+        """The same with variables named so; flat ones come with the structured names as an annotation.
 
         Raises:
-            ModelError: a variable has no flat name.
+            ModelError: a variable has no flat name, or two have the same.
         """
-        return replace(self, interface=named_interface(self.interface, naming), naming=naming)
+        if naming == "structured":
+            return self
+        names = {NAMES: structured_names(each.name for each in self.interface.variables)}
+        interface = named_interface(self.interface, naming)
+        return replace(self, interface=interface, naming=naming, annotations={**self.annotations, **names})
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -102,7 +109,9 @@ def plant_description(model: SymbolicModel) -> Description:
     return Description(
         name=model.name,
         text=f"{model.description.rstrip('.')}. Inputs may carry derivatives up to order {MAX_INPUT_ORDER} "
-        f"(fmi2SetRealInputDerivatives); output derivatives of orders 1 to {MAX_OUTPUT_DERIVATIVE_ORDER} are exact.",
+        f"(fmi2SetRealInputDerivatives); output derivatives of orders 1 to {MAX_OUTPUT_DERIVATIVE_ORDER} are exact. For model exchange take an "
+        f"implicit solver with error control (CVODE with BDF): the links' fast modes make explicit ones unstable at the step "
+        f"size of the default experiment.",
         interface=build_interface(model),
         choices=(INITIAL, INTEGRATOR),
         max_input_order=MAX_INPUT_ORDER,
@@ -139,6 +148,7 @@ def description_xml(
         source_files=source_files,
         units=unit_definitions(description.units),
         real_types=description.real_types,
+        enumerations={each.name: each for each in description.choices if description.enumerations},
         log_categories=LOG_CATEGORIES,
         max_input_order=description.max_input_order,
         max_output_order=description.max_output_order,

@@ -1,16 +1,16 @@
-"""Flat names of variables, for tools that choke on structured ones, by a rule that can be undone.
+"""Flat names of variables, for tools that choke on structured ones.
 
 =====================================  ==========================  ==============================
 Part of the structured name            in the flat name            example
 =====================================  ==========================  ==============================
-underscore                             two underscores             ``end_effector`` ``end__effector``
 ``.`` before a component               underscore                  ``link11.bending`` ``link11_bending``
 ``[i]``, ``[i,j]``                     underscore, number          ``bending[1]`` ``bending_1``
 ``der(name)``                          ``der_`` in front           ``der(joint1.velocity)`` ``der_joint1_velocity``
 ``der(name,n)``                        ``der`` n ``_`` in front    ``der(x.y,2)`` ``der2_x_y``
 =====================================  ==========================  ==============================
 
-A component that begins with a digit or an underscore, or a first one that reads like a derivative, has no flat name.
+An FMU with flat names tells the structured ones in the vendor annotation `NAMES`; two variables with the same flat name are
+refused.
 """
 
 from __future__ import annotations
@@ -34,41 +34,40 @@ NAMINGS: dict[str, Naming] = {"structured": "structured", "flat": "flat"}
 """All of them, by the words for them."""
 
 _DERIVATIVE = re.compile(r"der\((?P<name>.+?)(?:,(?P<order>\d+))?\)")
-_FLAT_DERIVATIVE = re.compile(r"der(?P<order>\d*)_(?P<name>[^_].*)")
-_FLAT_PARTS = re.compile(r"__|(?:_\d+)+|_")
+
+NAMES = "Names"
+"""Vendor annotation of an FMU with flat names: an attribute for each that differs from the structured name."""
 
 
 def flat_name(name: str) -> str:
     """The flat name of a variable with a structured one.
 
     Raises:
-        ModelError: there is none from which the structured name could be found again.
+        ModelError: there is none: it has other characters than letters, digits and underscores, or begins with a digit.
     """
     derivative = _DERIVATIVE.fullmatch(name)
     flat = f"der{derivative['order'] or ''}_{_flat_path(derivative['name'])}" if derivative else _flat_path(name)
-    if not re.fullmatch(r"[A-Za-z]\w*", flat, re.ASCII) or structured_name(flat) != name:
+    if not re.fullmatch(r"[A-Za-z]\w*", flat, re.ASCII):
         raise ModelError(f"variable '{name}' has no flat name; use names like joint1.torque or link11.bending[1]")
     return flat
 
 
-def structured_name(flat: str) -> str:
-    """The structured name that `flat_name` was given."""
-    derivative = _FLAT_DERIVATIVE.fullmatch(flat)
-    if derivative is None:
-        return _FLAT_PARTS.sub(_structured_part, flat)
-    order = f",{derivative['order']}" if derivative["order"] else ""
-    return f"der({_FLAT_PARTS.sub(_structured_part, derivative['name'])}{order})"
-
-
 def _flat_path(path: str) -> str:
-    return re.sub(r"[.,\[]", "_", path.replace("_", "__").replace("]", ""))
+    return re.sub(r"[.,\[]", "_", path).replace("]", "")
 
 
-def _structured_part(part: re.Match[str]) -> str:
-    text = part.group()
-    if text in ("__", "_"):
-        return "_" if text == "__" else "."
-    return f"[{text[1:].replace('_', ',')}]"
+def structured_names(names: Iterable[str]) -> dict[str, str]:
+    """Flat name → structured name, of the variables for which they differ.
+
+    Raises:
+        ModelError: one has no flat name, or two have the same.
+    """
+    structured: dict[str, str] = {}
+    for name in names:
+        other = structured.setdefault(flat_name(name), name)
+        if other != name:
+            raise ModelError(f"variables '{other}' and '{name}' have the same flat name, {flat_name(name)}; rename one")
+    return {flat: name for flat, name in structured.items() if flat != name}
 
 
 def namer(naming: Naming) -> Callable[[str], str]:

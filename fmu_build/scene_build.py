@@ -40,6 +40,7 @@ def build_scene(
     output: Path | None = None,
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
+    enumerations: bool = False,
     cache: bool = True,
     progress: Progress = lambda message: None,
 ) -> BuiltFmu:
@@ -49,7 +50,7 @@ def build_scene(
 
     Args:
         scene: what to build.
-        output, platforms, naming, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
+        output, platforms, naming, enumerations, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
 
     Raises:
         BuildError: as for `build_fmu`.
@@ -70,6 +71,7 @@ def build_scene(
         tolerance=scene.cosimulation.tolerance,
         stop_time=_stop_time(scene),
         naming=naming,
+        enumerations=enumerations,
         cache=cache,
         progress=progress,
     )

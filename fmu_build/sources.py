@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Literal
 
@@ -65,7 +65,9 @@ class Sources:
         return {path: text.encode() for path, text in texts.items()} | ({ICON_FILE: self.icon} if self.icon else {})
 
 
-def generate_sources(model: SymbolicModel, experiment: DefaultExperiment, naming: Naming = "structured") -> Sources:
+def generate_sources(
+    model: SymbolicModel, experiment: DefaultExperiment, naming: Naming = "structured", enumerations: bool = False
+) -> Sources:
     """Everything of the FMU that is text. The GUID is the hash of all of it, taken with a blank GUID.
 
     Raises:
@@ -77,7 +79,7 @@ def generate_sources(model: SymbolicModel, experiment: DefaultExperiment, naming
     def code(guid: str) -> dict[str, str]:
         return functions | {DESCRIPTION_FILE: generate_description(named, facts, guid, experiment.tolerance)}
 
-    description = plant_description(model).named(naming)
+    description = replace(plant_description(model).named(naming), enumerations=enumerations)
     pages = documentation(named, description, experiment)
     return assemble_sources("plant", description, experiment, code, pages, png(plant_picture(model)))
 

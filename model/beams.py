@@ -39,11 +39,11 @@ class Shape:
     strain: Evaluate
     tip: float
     wave_number: float
-    text: str = "Modal coordinate of the paper's shape"
+    text: str = "the paper's shape"
 
 
-STATIC = "Tip displacement that belongs to the static shape"
-FIXED_INTERFACE = "Modal coordinate with the link's tip held"
+STATIC = "the static shape, tip displacement"
+FIXED_INTERFACE = "shape with the link's tip held"
 
 
 def clamped_free_root(mode: int) -> float:

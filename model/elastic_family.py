@@ -85,9 +85,7 @@ class ElasticFamily(Effect):
             ]
         )
         for link, q in mine:
-            yield Output(
-                f"{link}.root_strain", "1", f"bending strain at the root of {link}, on its outer side,", q, gain
-            )
+            yield Output(f"{link}.root_strain", "1", f"bending strain on the outer side of the root of {link}", q, gain)
 
     def title(self) -> str:
         return f"{self._family.group} {'bending' if self._family.direction == 'bending' else 'elongation'}"
@@ -120,6 +118,9 @@ def _shear(shape: Shape) -> Evaluate:
 
 
 _TIP_NAMES: dict[Direction, tuple[str, str]] = {
-    "bending": ("tip_deflection", "displacement of the tip across the undeformed axis, positive counter-clockwise,"),
+    "bending": (
+        "tip_deflection",
+        "displacement, across the undeformed axis and positive counter-clockwise, of the tip",
+    ),
     "axial": ("elongation", "change of length"),
 }

@@ -166,7 +166,11 @@ class Robot:
     @property
     def elastic_texts(self) -> tuple[str, ...]:
         """What each elastic coordinate is."""
-        modes = tuple(shape.text for _, part in self.elastic for shape in part.family.shapes)
+        modes = tuple(
+            f"{part.family.direction.capitalize()} coordinate {k + 1} of {link.name}: {shape.text}"
+            for link, part in self.elastic
+            for k, shape in enumerate(part.family.shapes)
+        )
         return modes + ("Twist of the transmission, link minus motor",) * self.twist.numel()
 
     @property

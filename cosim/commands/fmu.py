@@ -34,7 +34,9 @@ def naming_convention(word: str) -> Naming:
     return NAMINGS[word]
 
 
-def build_command(source: str, output: Path | None, platforms: list[str], naming: str, as_json: bool) -> int:
+def build_command(
+    source: str, output: Path | None, platforms: list[str], naming: str, enumerations: bool, as_json: bool
+) -> int:
     """Build the scene's FMU and print where it is; the exit status.
 
     Raises:
@@ -52,6 +54,7 @@ def build_command(source: str, output: Path | None, platforms: list[str], naming
             output=target,
             platforms=platforms or None,
             naming=convention,
+            enumerations=enumerations,
             progress=lambda text: show(text, None),
         )
     if as_json:

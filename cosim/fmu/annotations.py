@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 from flexfmu.cosim.errors import FmuFileError
 from flexfmu.fmu_build.choices import ANNOTATION
+from flexfmu.fmu_build.naming import NAMES
 
 if TYPE_CHECKING:
     from flexfmu.cosim.fmu.file import UnpackedFmu
@@ -48,9 +49,14 @@ def choices(path: Path, folder: Path) -> Mapping[str, Mapping[str, int]]:
     return _read(path, folder, ANNOTATION, lambda at: {name: _numbered(text) for name, text in at.items()}) or {}
 
 
+def names(path: Path, folder: Path) -> Mapping[str, str]:
+    """Structured names of variables with flat ones: flat → structured; none in any other FMU. Arguments as for `choices`."""
+    return _read(path, folder, NAMES, dict) or {}
+
+
 def _read(path: Path, folder: Path, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
     root = ElementTree.parse(folder / "modelDescription.xml")
-    found = root.find(f"VendorAnnotations/Tool[@name='flexfmu']/{element}")
+    found = root.find(f"VendorAnnotations/Tool[@name='flexfmu']//{element}")
     if found is None:
         return None
     try:

@@ -12,7 +12,7 @@ from flexfmu.cosim.fmu.file import UnpackedFmu
 INTERPOLATION_ORDER = 1
 """Highest input derivative of an FMU that says no more than that it interpolates inputs: all that FMI 2.0 lets it say."""
 
-ANNOTATION = "VendorAnnotations/Tool[@name='flexfmu']/InputDerivatives"
+ANNOTATION = "VendorAnnotations/Tool[@name='flexfmu']//InputDerivatives"
 """Where our FMUs say more: the attribute ``maxOrder`` is the highest order that fmi2SetRealInputDerivatives takes."""
 
 

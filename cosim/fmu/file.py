@@ -16,8 +16,7 @@ import fmpy
 from fmpy.model_description import Item, SimpleType, read_model_description
 
 from flexfmu.cosim.errors import FmuFileError
-from flexfmu.cosim.fmu.annotations import choices
-from flexfmu.fmu_build.naming import structured_name
+from flexfmu.cosim.fmu.annotations import choices, names
 
 
 @dataclass(frozen=True)
@@ -74,17 +73,16 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
         attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
         if str(description.generationTool).startswith("flexfmu "):
-            _restore_names(description)
+            _restore_names(description, names(path, folder))
             _name_choices(description, choices(path, folder))
         _unpacked[digest] = folder, description
     return _unpacked[digest]
 
 
-def _restore_names(description: Any) -> None:
+def _restore_names(description: Any, structured: Mapping[str, str]) -> None:
     """Give the variables of our own FMUs with flat names the structured ones, so that they connect like any others."""
-    if description.variableNamingConvention == "flat":
-        for variable in description.modelVariables:
-            variable.name = structured_name(variable.name)
+    for variable in description.modelVariables:
+        variable.name = structured.get(variable.name, variable.name)
 
 
 def _name_choices(description: Any, names: Mapping[str, Mapping[str, int]]) -> None:

@@ -22,7 +22,6 @@ from flexfmu.cosim.planning import plan
 from flexfmu.cosim.slave import SlaveVariable
 from flexfmu.cosim.slave_export import export_slaves
 from flexfmu.cosim.trajectory_slave import TrajectorySlave
-from flexfmu.fmu_build.naming import structured_name
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 
@@ -106,10 +105,10 @@ def test_flat_fmus_move_as_the_scene(tmp_path: Path) -> None:
         assert {end for ends in system.connections for end in ends if end.startswith(f"{slave.name}.")} <= names
     slaves: list[Any] = [
         TrajectorySlave(FmuTrajectory(trajectory.path)),
-        FmuSlave(plant.path, plant.name, {structured_name(key): value for key, value in plant.parameters.items()}),
+        FmuSlave(plant.path, plant.name, {"payload.mass": plant.parameters["payload_mass"]}),
         fmu_slave(pd.path, pd.name),
     ]
-    wires = [(structured_name(source), structured_name(target)) for source, target in system.connections]
+    wires = export_slaves(scene, tmp_path / "structured").connections
     found = simulate(connect(slaves, wires), system.stop_time, system.step, tolerance=1e-6)
     assert found.outcome is Outcome.COMPLETED, found.message
     expected = run_scene(scene).recording["joint1.position"].values
