@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from flexfmu.cosim.fmu.file import open_fmu
 from flexfmu.cosim.results import Column
 from flexfmu.cosim.slave import Sampled, Slave, offset
 
@@ -77,7 +79,13 @@ def _description(slave: Slave) -> str:
     block = getattr(slave, "block", None)
     if block is not None:
         return str(block.description)
-    names = {"FmuSlave": "FMU", "SampledFmu": "FMU, sampled", "TrajectorySlave": "Planned motion"}
-    names["Lag"] = "First-order lag in continuous time"
-    names["FmuTask"] = "FMU, sampled, with outputs calculated in its step"
-    return names.get(type(slave).__name__, type(slave).__name__)
+    names = {
+        "FmuSlave": "FMU",
+        "SampledFmu": "FMU, sampled",
+        "FmuTask": "FMU, sampled, with outputs calculated in its step",
+        "TrajectorySlave": "Planned motion",
+        "Lag": "First-order lag in continuous time",
+    }
+    what = names.get(type(slave).__name__, type(slave).__name__)
+    path = getattr(slave, "path", None)
+    return what if path is None else f"{what}: {open_fmu(Path(path)).description.modelName}"

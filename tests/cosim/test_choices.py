@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import fmpy
 import pytest
+from fmpy import read_model_description
 
 from flexfmu.cosim.errors import FmuFileError, InputError
 from flexfmu.cosim.fmu.file import open_fmu
@@ -34,6 +37,25 @@ def test_names_stand_for_numbers(robot: Path, parameters: dict[str, int | str], 
     found = settings(settable_variables(open_fmu(robot).description), parameters)
     assert [setting.value for setting in found] == numbers
     assert {setting.handle.kind for setting in found} == {"Integer"}
+
+
+def items_of(variable: Any) -> dict[str, int]:
+    """Names and numbers of an enumeration."""
+    return {item.name: int(item.value) for item in variable.declaredType.items}
+
+
+def test_choices_are_enumerations_on_request(tmp_path: Path) -> None:
+    """The same numbers behind names that every tool with enumerations shows; fmpy finds nothing wrong."""
+    scene = load_scene("barnard2012-6kg")
+    path = build_scene(scene, enumerations=True, output=tmp_path / "enumerations.fmu").path
+    variables = {each.name: each for each in read_model_description(str(path), validate=True).modelVariables}
+    items = items_of(variables["integrator"])
+    assert (variables["integrator"].type, items["radau3"], items["rk4"]) == ("Enumeration", 5, 7)
+    found = settings(settable_variables(open_fmu(path).description), {"initial": "undeformed", "integrator": 5})
+    assert [setting.value for setting in found] == [2, 5]
+    starts = {"initial": items_of(variables["initial"])["undeformed"]}
+    result = fmpy.simulate_fmu(str(path), stop_time=1e-3, start_values=starts, output=["link11.bending[1]"])
+    assert result["link11.bending[1]"][0] == 0.0
 
 
 @pytest.mark.parametrize(
