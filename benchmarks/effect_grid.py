@@ -1,8 +1,11 @@
-"""The scenes that the automatic choice of effects is held against: two robots, three profiles, 0 to 10 kg, 0.2 to 1 s."""
+"""The scenes that the automatic choice of effects is held against: a grid of two robots, three profiles, 0 to 10 kg, 0.2 to 1 s; and
+scenes drawn at random, 0.15 to 3 s, with three kinds of damping."""
 
 from __future__ import annotations
 
 import itertools
+import math
+import random
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,22 +33,50 @@ TASKS = ((0.0, 0.20), (0.1, 0.30), (0.5, 0.60), (1.0, 0.20), (3.0, 0.30), (6.0, 
 """Payload [kg] and duration [s]."""
 
 
+DAMPINGS: dict[str, dict[str, Any]] = {
+    "modal": {"kind": "modal", "ratio": 0.1357},
+    "stiffness": {"kind": "stiffness", "time": 1e-4},
+    "none": {"kind": "none"},
+}
+
+
 @dataclass(frozen=True)
 class Case:
-    """One scene of the grid: names of robot and profile, payload [kg] and duration [s]."""
+    """One scene: names of robot and profile, payload [kg], duration [s] and name of the damping."""
 
     robot: str
     profile: str
     payload: float
     duration: float
+    damping: str = "modal"
 
     def scene(self) -> Scene:
         """The paper's scene with this robot and task."""
         changes = {"trajectory.profile": PROFILES[self.profile], "trajectory.duration": self.duration}
+        changes["effects.damping"] = DAMPINGS[self.damping]
         return PAPER.replace({**ROBOTS[self.robot], **changes, "payload.mass": self.payload})
 
 
 GRID = tuple(Case(robot, profile, *task) for robot, profile, task in itertools.product(ROBOTS, PROFILES, TASKS))
+
+
+def drawn(count: int, seed: int) -> tuple[Case, ...]:
+    """Cases at random: one payload of six is none, the others and all durations are as often small as large."""
+    dice = random.Random(seed)
+
+    def between(low: float, high: float) -> float:
+        return float(f"{low * math.exp(dice.random() * math.log(high / low)):.2g}")
+
+    return tuple(
+        Case(
+            dice.choice(list(ROBOTS)),
+            dice.choice(list(PROFILES)),
+            between(0.05, 10.0) if dice.randrange(6) else 0.0,
+            between(0.15, 3.0),
+            dice.choice(list(DAMPINGS)),
+        )
+        for _ in range(count)
+    )
 
 
 def fmu_of(scene: Scene) -> Path:

@@ -15,7 +15,7 @@ from flexfmu.cosim.effects.summary import choice_summary
 from flexfmu.cosim.effects.tables import comparison_table, contribution_table, frequency_table
 from flexfmu.cosim.measuring.metric_table import METRICS
 from flexfmu.cosim.reports.json_text import to_json
-from flexfmu.model.choice_section import INTEGRATOR_SHARE, Choice, integrator_tolerance
+from flexfmu.model.choice_section import INTEGRATOR_SHARE, Choice
 from flexfmu.model.scene_file import load_scene
 from flexfmu.model.selection.given import absent_effects
 from flexfmu.model.selection.words import percent, set_text
@@ -83,6 +83,6 @@ def _report(study: EffectStudy) -> list[RenderableType]:
         *([f"the scene has no {absent}: it alone could say how large they are"] if absent else []),
         f"chosen for {percent(choice.tolerance)}: {set_text(study.scene)}",
         f"estimated error of this set: {worst}; it may be {percent(limit)}",
-        f"tolerance of the FMU: {integrator_tolerance(choice.tolerance):g}",
+        f"tolerance of the FMU: {study.scene.cosimulation.tolerance:g}",
     ]
     return [contribution_table(study), frequency_table(study), *map(Text, lines)]

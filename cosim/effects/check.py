@@ -2,34 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from flexfmu.cosim.effects.choice import Step, quiet
 from flexfmu.cosim.effects.study import EffectStudy
-from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.effects.verified import EXACT, FmuOf, Observed, observe
 from flexfmu.cosim.workprec.trial import fastest_in_turns
-from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.choice_section import MeasureName
-from flexfmu.model.scene import Scene
 from flexfmu.model.selection.choose import estimated_errors
 from flexfmu.model.selection.measures import scales
-from flexfmu.model.selection.richest import richest
 from flexfmu.model.selection.search import richer
-
-FmuOf = Callable[[Scene], Path]
-"""Scene → an FMU with its effects."""
-
-
-@dataclass(frozen=True)
-class Observed:
-    """Metrics of a run, and the run, to be repeated."""
-
-    metrics: Mapping[MeasureName, float]
-    run: Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -60,9 +43,6 @@ def effectivity(estimated: float, observed: float) -> float | None:
     return estimated / observed if observed else None
 
 
-EXACT = 1e-7
-"""Tolerance of the FMUs in comparisons, so that the effects alone make the difference."""
-
 EVERYTHING = "everything"
 """Effect of the comparison with the richest set, whose estimate is that of the choice, safety included."""
 
@@ -89,8 +69,8 @@ def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = qu
     show("running the chosen set", None)
     base = observe(chosen, names, fmu_of, EXACT)
     show("running the richest set", None)
-    full = observe(richest(chosen), (*names, "peak_position_error"), fmu_of, EXACT)
-    units = scales(full.metrics)
+    full = observe(estimator.richest, (*names, "peak_position_error"), fmu_of, EXACT)
+    units = scales(full.metrics, estimator.asked)
 
     def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> Comparison:
         observed = {name: abs(other.metrics[name] - base.metrics[name]) / units[name] for name in names}
@@ -103,33 +83,3 @@ def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = qu
             show(f"running with {each.effect}: {each.change}", None)
             estimated = estimator.changes(chosen.effects, each.scene.effects)
             yield compare(each.effect, each.change, estimated, observe(each.scene, names, fmu_of, EXACT))
-
-
-def observe(
-    scene: Scene, of: tuple[MeasureName, ...], fmu_of: FmuOf | None = None, tolerance: float | None = None
-) -> Observed:
-    """Metrics of a scene's run without its controllers, shapers and imperfections, as the estimates are made.
-
-    Args:
-        scene: with its effects chosen.
-        of: the metrics.
-        fmu_of: where its FMU comes from; built, or taken from the cache, when None.
-        tolerance: of the FMU; the scene's own when None.
-
-    Raises:
-        ResultsError: the run failed, or a metric doesn't exist.
-    """
-    bare = scene.replace({"controller": [], "shaper": [], "imperfection": [], "cosimulation.drive": "motion"})
-    path = (fmu_of or _built)(bare)
-    prepared = PreparedScene(bare, fmu_path=path, tolerance=tolerance)
-    run = prepared.run()
-    if not run.completed:
-        raise ResultsError(f"the comparison with {scene.name} failed: {run.message}")
-    measured = measure_run(run, companions=0)
-    values = {name: measured[name].value for name in of}
-    return Observed({name: value for name, value in values.items() if value is not None}, prepared.run)
-
-
-def _built(scene: Scene) -> Path:
-    """The scene's FMU; what was estimated isn't part of it, so that all choices of one set share it."""
-    return build_scene(scene.replace({"effects.choice": None})).path

@@ -29,15 +29,16 @@ def resolved(scene: Scene, show: Step = quiet) -> Scene:
     The choice is made along the scene's own motion, before any shaping, with motors that follow it exactly.
 
     Raises:
+        BuildError: an FMU that the choice is verified by can't be built.
+        ResultsError: its run failed.
         TrajectoryError: that motion isn't feasible.
     """
     if scene.effects.select is None:
         return scene
-    from flexfmu.model.selection.choose import choose_effects
+    from flexfmu.cosim.effects.verified import choose_verified
 
     tolerance, of = wanted(scene)
-    show("choosing the effects", None)
-    return choose_effects(scene, plan(scene).joints, tolerance, of)
+    return choose_verified(scene, plan(scene).joints, tolerance, of, asked(scene), show)[0]
 
 
 def wanted(
@@ -55,6 +56,11 @@ def wanted(
     if not SMALLEST <= value <= LARGEST:
         raise SceneError(f"the tolerance must be between {SMALLEST:g} and {LARGEST:g} (relative error), got {value:g}")
     return value, tuple(dict.fromkeys(names))
+
+
+def asked(scene: Scene, of: tuple[str, ...] = ()) -> tuple[MeasureName, ...]:
+    """The metrics that the user has named: those given, or the scene's; none where they are the usual ones."""
+    return wanted(scene, of=of)[1] if of or scene.effects.of else ()
 
 
 def _measure(name: str, dwells: bool) -> MeasureName:

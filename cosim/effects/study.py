@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from flexfmu.cosim.effects.choice import Step, quiet, wanted
+from flexfmu.cosim.effects.choice import Step, asked, quiet, wanted
+from flexfmu.cosim.effects.verified import choose_verified
 from flexfmu.cosim.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.planning import MotionPlan, plan
 from flexfmu.model.choice_section import Choice, EstimatedEffect
 from flexfmu.model.scene import Scene
-from flexfmu.model.selection.choose import choose_effects, neighbours
+from flexfmu.model.selection.choose import neighbours
 from flexfmu.model.selection.cost import Cost, costs
 from flexfmu.model.selection.estimator import Estimator
 from flexfmu.model.selection.given import given_effects
@@ -76,14 +77,13 @@ def study_effects(
         show: told what is being done.
 
     Raises:
+        BuildError, ResultsError: as for `resolved`.
         SceneError: the tolerance or a metric is impossible.
         TrajectoryError: the motion isn't feasible.
     """
     limit, names = wanted(scene, tolerance, of)
-    show("choosing the effects", None)
     motion = plan(scene)
-    estimator = Estimator(scene, motion.joints, names)
-    chosen = choose_effects(scene, motion.joints, limit, names, estimator)
+    chosen, estimator = choose_verified(scene, motion.joints, limit, names, asked(scene, of), show)
     show("looking at what the robot gives", None)
     found = _changes(estimator, chosen, motion)
     show("timing the equations", None)

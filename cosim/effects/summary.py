@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from flexfmu.model.choice_section import integrator_tolerance
 from flexfmu.model.scene import CHOOSABLE, Scene
 
 
@@ -23,7 +22,7 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
         "of": list(choice.of),
         "chosen": chosen_set(scene),
         "estimated_error": dict(zip(choice.of, choice.error, strict=True)),
-        "integrator_tolerance": integrator_tolerance(choice.tolerance),
+        "integrator_tolerance": scene.cosimulation.tolerance,
         "effects": [
             {
                 "effect": each.effect,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
+from typing import get_args
 
 from flexfmu.model.choice_section import INTEGRATOR_SHARE, Choice, EstimatedEffect, MeasureName
 from flexfmu.model.enrichment import Neighbour
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene import FamilyName, Scene
 from flexfmu.model.selection.estimator import Estimator
 from flexfmu.model.selection.motion_grid import JointMotion
 from flexfmu.model.selection.richest import richest, with_set
@@ -16,8 +17,56 @@ SAFETY = 1.5
 """By what estimated errors are multiplied: one step of Newton's method and finite time steps leave a few percent."""
 
 
+CONVERGED = 0.1
+"""By how many tolerances the richest set may differ from the next richer one."""
+
+MOST_MODES = 8
+"""Of a family in the richest set."""
+
+
+def rich_enough(
+    scene: Scene,
+    motion: JointMotion,
+    tolerance: float,
+    of: tuple[MeasureName, ...],
+    asked: Collection[MeasureName] = (),
+) -> Scene:
+    """The scene with a richest set that one mode more in every family changes by less than `CONVERGED` of the tolerance.
+
+    It starts as `RICHEST` and grows by the modes that are worth most. Foreshortening hardly depends on the number of modes and is left
+    out while they are counted.
+
+    Args and errors: as for `choose_effects`; `asked` as for `Estimator`.
+    """
+    most = richest(scene)
+    while True:
+        richer = one_more(most, get_args(FamilyName))
+        plain, grown = (each.replace({"effects.foreshortening": False}) for each in (most, richer))
+        estimator = Estimator(scene, motion, of, asked, grown)
+        while max(estimator.errors(plain.effects).values()) > CONVERGED * tolerance:
+            steps = [one_more(plain, [family]) for family in get_args(FamilyName)]
+            plain = min(
+                (each for each in steps if estimator.covers(each.effects) and each != plain),
+                key=lambda each: max(estimator.errors(each.effects).values()),
+            )
+        found = plain.replace({"effects.foreshortening": True})
+        if found == most or richer == most:
+            return most
+        most = found
+
+
+def one_more(scene: Scene, families: Sequence[str]) -> Scene:
+    """The scene with one mode more of some families, as far as `MOST_MODES`."""
+    return scene.replace({f"effects.{key}": min(getattr(scene.effects, key) + 1, MOST_MODES) for key in families})
+
+
 def choose_effects(
-    scene: Scene, motion: JointMotion, tolerance: float, of: tuple[MeasureName, ...], estimator: Estimator | None = None
+    scene: Scene,
+    motion: JointMotion,
+    tolerance: float,
+    of: tuple[MeasureName, ...],
+    estimator: Estimator | None = None,
+    safety: Mapping[MeasureName, float] | None = None,
 ) -> Scene:
     """The scene with the cheapest set of effects whose estimated errors are within half the tolerance.
 
@@ -29,23 +78,25 @@ def choose_effects(
         tolerance: largest relative error of the metrics.
         of: the metrics.
         estimator: for this scene, motion and metrics, where there is one.
+        safety: by what the estimates of each metric are multiplied; `SAFETY` when None.
     """
-    estimates = estimator or Estimator(scene, motion, of)
-    limit = (1.0 - INTEGRATOR_SHARE) * tolerance
+    estimates = estimator or Estimator(scene, motion, of, most=rich_enough(scene, motion, tolerance, of))
+    limit, factor = (1.0 - INTEGRATOR_SHARE) * tolerance, safety or dict.fromkeys(of, SAFETY)
+
+    def error(each: Scene, sharp: bool) -> float:
+        return max(factor[name] * value for name, value in estimates.errors(each.effects, sharp=sharp).items())
+
     chosen = cheapest(
-        richest(scene),
-        with_set(scene, {}),
-        lambda each: SAFETY * max(estimates.errors(each.effects, sharp=False).values()),
-        lambda each: max(estimated_errors(estimates, each).values()),
-        limit,
+        estimates.richest, with_set(scene, {}), lambda each: error(each, False), lambda each: error(each, True), limit
     )
-    error = tuple(estimated_errors(estimates, chosen).values())
-    choice = Choice(tolerance=tolerance, of=of, error=error, effects=tuple(_estimated(estimates, chosen)))
+    error_of = estimates.errors(chosen.effects)
+    errors = tuple(factor[name] * error_of[name] for name in of)
+    choice = Choice(tolerance=tolerance, of=of, error=errors, effects=tuple(_estimated(estimates, chosen)))
     return chosen.replace({"effects.choice": choice.model_dump()})
 
 
 def estimated_errors(estimator: Estimator, scene: Scene) -> Mapping[MeasureName, float]:
-    """Errors of a scene's set of effects because of what it leaves out, safety included, relative to the metrics' scales."""
+    """Errors of a scene's set of effects because of what it leaves out, `SAFETY` included, relative to the metrics' scales."""
     return {name: SAFETY * value for name, value in estimator.errors(scene.effects).items()}
 
 

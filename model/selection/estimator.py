@@ -10,7 +10,7 @@ method's correction.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import get_args
@@ -36,15 +36,28 @@ class Estimator:
         scene: robot and loads; its choice of elastic effects doesn't matter.
         motion: the planned motion of its motors.
         of: the metrics.
+        asked: those of them that the user named, see `flexfmu.model.selection.measures.scales`.
+        most: the scene with the richest set, see `flexfmu.model.selection.richest`; with `RICHEST` there when None.
+
+    Attributes:
+        richest: the scene with the richest set.
+        asked: metrics that the user named.
     """
 
-    def __init__(self, scene: Scene, motion: JointMotion, of: tuple[MeasureName, ...]) -> None:
-        self._richest, self._of = richest(scene), of
+    def __init__(
+        self,
+        scene: Scene,
+        motion: JointMotion,
+        of: tuple[MeasureName, ...],
+        asked: Collection[MeasureName] = (),
+        most: Scene | None = None,
+    ) -> None:
+        self.richest, self._of, self.asked = richest(scene) if most is None else most, of, asked
         self._grid: MotionGrid = motion_grid(motion, scene.trajectory.dwell)
         self._static_start = scene.cosimulation.initial == "static"
         self._robots: dict[tuple[str, bool], RobotAlong] = {}
         self._known: dict[tuple[str, bool], Metrics] = {}
-        robot = self._robot(self._richest.effects)
+        robot = self._robot(self.richest.effects)
         self._rigid = robot.outputs(_still(robot.load.shape))
 
     @cached_property
@@ -55,14 +68,14 @@ class Estimator:
     @cached_property
     def scales(self) -> Metrics:
         """What errors are relative to, see `flexfmu.model.selection.measures.scales`."""
-        units = scales(self._full)
+        units = scales(self._full, self.asked)
         return {name: units[name] for name in self._of}
 
     @cached_property
     def _full(self) -> Metrics:
         """What the reference and its scales need."""
         needed = tuple(dict.fromkeys(("peak_position_error", *self._of)))
-        return measure_behaviour(self._behaviour(self._richest.effects, sharp=True), needed)
+        return measure_behaviour(self._behaviour(self.richest.effects, sharp=True), needed)
 
     def metrics(self, effects: Effects, *, sharp: bool = True) -> Metrics:
         """The metrics with a set of effects, in SI units."""
@@ -73,7 +86,7 @@ class Estimator:
 
     def covers(self, effects: Effects) -> bool:
         """Whether the richest set contains this one."""
-        most = self._richest.effects
+        most = self.richest.effects
         return all(getattr(effects, family) <= getattr(most, family) for family in get_args(FamilyName))
 
     def changes(self, effects: Effects, other: Effects, *, sharp: bool = True) -> Metrics:
@@ -83,13 +96,13 @@ class Estimator:
 
     def errors(self, effects: Effects, *, sharp: bool = True) -> Metrics:
         """By how much the metrics differ from those of the richest set, relative to their scales."""
-        return self.changes(effects, self._richest.effects, sharp=sharp)
+        return self.changes(effects, self.richest.effects, sharp=sharp)
 
     def _robot(self, effects: Effects) -> RobotAlong:
         """The richest robot with the beam theory of a set of effects."""
         key = effects.beam, effects.foreshortening
         if key not in self._robots:
-            self._robots[key] = RobotAlong(with_beams(self._richest, effects), self._grid)
+            self._robots[key] = RobotAlong(with_beams(self.richest, effects), self._grid)
         return self._robots[key]
 
     def _behaviour(self, effects: Effects, sharp: bool) -> Behaviour:

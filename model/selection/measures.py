@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,9 @@ from flexfmu.model.selection.robot_along import Outputs
 
 Array = NDArray[np.float64]
 
-FLOOR = 0.1
-"""Where a metric is near zero, errors are relative to this fraction of the largest deviation that elasticity causes."""
+FLOOR, ASKED_FLOOR = 0.1, 1e-4
+"""Where a metric is near zero, errors are relative to this fraction of the largest deviation that elasticity causes; the second one
+holds where the user asked for the metric: what is smaller, no run resolves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +50,19 @@ def measure_behaviour(behaviour: Behaviour, of: Iterable[MeasureName]) -> dict[M
     return {name: _MEASURES[name](behaviour) for name in of}
 
 
-def scales(reference: Mapping[MeasureName, float]) -> dict[MeasureName, float]:
+def scales(reference: Mapping[MeasureName, float], asked: Collection[MeasureName] = ()) -> dict[MeasureName, float]:
     """What errors of each metric are relative to, in the metric's unit.
 
     This is the metric itself, but for positions at least `FLOOR` times the peak position error, which must be among the
     metrics of the reference: a residual vibration that has died out is no scale for anything.
+
+    Args:
+        reference: metrics of the richest set.
+        asked: metrics that the user named, which are judged relative to themselves (down to `ASKED_FLOOR`).
     """
-    floor = FLOOR * reference["peak_position_error"]
-    return {name: max(abs(value), floor) if name in _POSITIONS else abs(value) for name, value in reference.items()}
+    peak = reference["peak_position_error"]
+    floors = {name: peak * (ASKED_FLOOR if name in asked else FLOOR) for name in reference if name in _POSITIONS}
+    return {name: max(abs(value), floors.get(name, 0.0)) for name, value in reference.items()}
 
 
 def _peak_torque(joint: int) -> Callable[[Behaviour], float]:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-STEPS = 3000
-"""Steps over motion and dwell: 0.15 ms for 0.45 s, a 20th of a period at 300 Hz."""
+STEPS, LONGEST_STEP, MOST_STEPS = 3000, 5e-4, 12_000
+"""Steps over motion and dwell, 0.15 ms for 0.45 s, a 20th of a period at 300 Hz; the longest step [s], a 20th at 100 Hz; and how many
+steps at most."""
 
 
 class JointMotion(Protocol):
@@ -65,10 +66,10 @@ class MotionGrid:
         return np.array([(self.time[b - 1] - self.time[a]) / (b - a - 1) for a, b in self.spans])
 
 
-def motion_grid(motion: JointMotion, dwell: float, steps: int = STEPS) -> MotionGrid:
+def motion_grid(motion: JointMotion, dwell: float) -> MotionGrid:
     """The instants of a motion with a standstill of `dwell` [s] after it."""
     bounds = [*motion.breakpoints, *([motion.duration + dwell] if dwell else [])]
-    step = bounds[-1] / steps
+    step = max(min(bounds[-1] / STEPS, LONGEST_STEP), bounds[-1] / MOST_STEPS)
     times, joints, spans, start = [], [], [], 0
     for a, b in pairwise(bounds):
         time = np.linspace(a, b, max(int(np.ceil((b - a) / step)), 2) + 1)
