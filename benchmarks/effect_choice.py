@@ -85,7 +85,9 @@ def main() -> None:
             print(f"[{index + 1}/{len(cases)}] {_line(rows[-1])}", file=sys.stderr, flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     found = [(each, [row for row in rows if row.tolerance == each]) for each in options.tolerance]
-    criteria = [(tolerance, some, tuple(judge(some, tolerance))) for tolerance, some in found]
+    criteria = [
+        (tolerance, some, tuple(judge(some, tolerance, drawn=bool(options.drawn)))) for tolerance, some in found
+    ]
     text = "\n".join(report(some, judged, tolerance) for tolerance, some, judged in criteria)
     (options.out / "effect_choice.md").write_text(text, encoding="utf-8")
     data = [
@@ -120,8 +122,8 @@ def examine(case: Case, tolerance: float, search_margin: float | None = None, as
     return Row(case, set_text(chosen), size, estimated, observed, effectivity(estimated, observed), search, tolerance)
 
 
-def judge(rows: Sequence[Row], tolerance: float) -> Iterator[Criterion]:
-    """The criteria, with what was found."""
+def judge(rows: Sequence[Row], tolerance: float, *, drawn: bool) -> Iterator[Criterion]:
+    """The criteria, with what was found; for drawn scenes that of the tolerance alone."""
     below = sum(row.observed < tolerance for row in rows)
     largest = percent(max(row.observed for row in rows))
     yield Criterion(
@@ -129,6 +131,8 @@ def judge(rows: Sequence[Row], tolerance: float) -> Iterator[Criterion]:
         below == len(rows),
         f"{below} of {len(rows)} scenes, largest {largest}",
     )
+    if drawn:
+        return
     ratios = sorted(row.effectivity for row in rows if row.effectivity is not None)
     least, most = EFFECTIVITIES
     sharp = sum(least <= ratio <= most for ratio in ratios)

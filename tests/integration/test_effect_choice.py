@@ -10,9 +10,11 @@ from typer.testing import CliRunner
 
 from flexfmu.cosim.cli import app
 from flexfmu.cosim.effects import check as effect_check
-from flexfmu.cosim.effects.check import EVERYTHING, Observed, check_choice, comparisons
-from flexfmu.cosim.effects.choice import resolved
+from flexfmu.cosim.effects import verified
+from flexfmu.cosim.effects.check import EVERYTHING, check_choice, comparisons
+from flexfmu.cosim.effects.choice import MEASURED, resolved
 from flexfmu.cosim.effects.study import study_effects
+from flexfmu.cosim.effects.verified import EXACT, Observed, choose_verified, observe
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.experiment import PreparedScene
 from flexfmu.cosim.planning import plan
@@ -20,12 +22,14 @@ from flexfmu.model.choice_section import MeasureName
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
-from flexfmu.model.selection.choose import SAFETY
+from flexfmu.model.selection.choose import SAFETY, one_more
+from flexfmu.model.selection.estimator import Estimator
+from flexfmu.model.selection.richest import richest, with_set
 
 ROOT = Path(__file__).parents[2]
 OPEN = load_scene(ROOT / "examples" / "effects_auto.toml")
-TORQUE = {"effects.of": ["peak_torque_1"], "effects.tolerance": 0.4}
-"""A wish that rigid links fulfil."""
+TORQUE = {"effects.of": ["peak_torque_1"], "effects.tolerance": 0.5}
+"""A wish that rigid links fulfil, by so much that no run has to confirm it."""
 
 
 @pytest.mark.slow
@@ -65,12 +69,86 @@ def test_open_scene_runs_as_rigid_where_that_will_do(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"trajectory.duration": 3.0, "effects.damping": {"kind": "none"}},
+        {"payload.mass": 0.0, "trajectory.duration": 0.15},
+    ],
+    ids=["undamped and slow", "unloaded and fast"],
+)
+def test_a_tenth_of_a_percent_is_kept_where_estimates_are_hard(changes: dict[str, object]) -> None:
+    """Of vibrations that are 0.4 % of the deflection and never die out, and where the usual richest set is itself 0.12 % off: the error
+    beside a richer one than the choice knows is below 0.1 %, of the residual vibration relative to itself."""
+    scene = load_scene("barnard2012-6kg").replace({"cosimulation.tolerance": 5e-4, **changes})
+    chosen, estimator = choose_verified(scene, plan(scene).joints, 1e-3, MEASURED, MEASURED)
+    richer = one_more(estimator.richest, ("proximal_bending", "distal_bending", "distal_axial"))
+    own, exact = observe(chosen, MEASURED).metrics, observe(richer, MEASURED, tolerance=EXACT).metrics
+    assert max(abs(own[name] / exact[name] - 1.0) for name in MEASURED) < 1e-3
+
+
+class Pretended:
+    """Stands in for searching and running: sets are rigid links and everything; runs are by a factor further from the richest one's
+    than estimated, and off by 200 times their own tolerance."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, scene: Scene) -> None:
+        names: tuple[MeasureName, ...] = ("peak_torque_1", "peak_position_error")
+        self.estimator, self.factor = Estimator(scene, plan(scene).joints, names), 1.0
+        monkeypatch.setattr(verified, "rich_enough", lambda *_: self.estimator.richest)
+        monkeypatch.setattr(verified, "Estimator", lambda *_: self.estimator)
+        monkeypatch.setattr(verified, "choose_effects", self.choose)
+        monkeypatch.setattr(verified, "observe", self.observe)
+
+    def choose(
+        self,
+        scene: Scene,
+        _: object,
+        tolerance: float,
+        of: tuple[MeasureName, ...],
+        __: object,
+        safety: dict[str, float],
+    ) -> Scene:
+        for each in (with_set(scene, {}), richest(scene)):
+            error = safety["peak_torque_1"] * self.estimator.errors(each.effects)["peak_torque_1"]
+            if error <= 0.5 * tolerance:
+                break
+        choice = {"tolerance": tolerance, "of": of, "error": (error,), "effects": ()}
+        return each.replace({"effects.choice": choice})
+
+    def observe(
+        self, scene: Scene, of: tuple[MeasureName, ...], fmu_of: object = None, tolerance: float | None = None
+    ) -> Observed:
+        exact, own = self.estimator.reference, self.estimator.metrics(scene.effects)
+        off = 1.0 - 200.0 * (tolerance or scene.cosimulation.tolerance)
+        return Observed(
+            {name: off * (exact[name] + self.factor * (own[name] - exact[name])) for name in of}, lambda: None
+        )
+
+
+def test_choices_that_runs_contradict_are_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rigid links are estimated to do for 10 % of the torque. Runs confirm it; with four times the error they make the choice more
+    careful; and an integrator that is to blame gets a tighter tolerance, unless the scene gives it one."""
+    scene = OPEN.replace(TORQUE | {"effects.tolerance": 0.1})
+    runs, joints = Pretended(monkeypatch, scene), plan(scene).joints
+    exact = scene.replace({"cosimulation.tolerance": 1e-7})
+    for runs.factor, elastic in ((1.0, False), (4.0, True)):
+        chosen, _ = choose_verified(exact, joints, 0.1, ("peak_torque_1",))
+        assert bool(chosen.effects.proximal_bending) is elastic
+    runs.factor = 1.0
+    chosen = resolved(scene)
+    assert chosen.effects.proximal_bending == 0
+    assert chosen.cosimulation.tolerance == pytest.approx(1e-4)
+    given = scene.replace({"cosimulation.tolerance": 2e-3})
+    assert resolved(given).cosimulation.tolerance == 2e-3
+
+
 def test_the_documentation_of_an_fmu_says_what_was_chosen() -> None:
     """The note names the set, the tolerance and every effect that was left out; scenes that choose themselves have none."""
     chosen = resolved(OPEN.replace(TORQUE))
     note = build_model(chosen).effects[-1]
     assert note.title == "choice of effects"
-    assert note.sentence.startswith("Effects chosen for 40 %: rigid links")
+    assert note.sentence.startswith("Effects chosen for 50 %: rigid links")
     assert "proximal_bending (1 mode" in note.sentence
     assert all(each.title != note.title for each in build_model(chosen.replace({"effects.choice": None})).effects)
 

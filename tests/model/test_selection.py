@@ -14,9 +14,10 @@ from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene import Scene
 from flexfmu.model.scene_file import load_scene
 from flexfmu.model.selection import richest as richest_module
-from flexfmu.model.selection.choose import choose_effects, estimated_errors
+from flexfmu.model.selection.choose import choose_effects, estimated_errors, rich_enough
 from flexfmu.model.selection.estimator import Estimator
 from flexfmu.model.selection.given import absent_effects, given_effects
+from flexfmu.model.selection.measures import scales
 from flexfmu.model.selection.motion_grid import motion_grid
 from flexfmu.model.selection.response import LinearSystem
 from flexfmu.model.selection.richest import RICHEST, richest, with_set
@@ -156,6 +157,22 @@ def test_one_shape_more_of_each_family_changes_nothing(monkeypatch: pytest.Monke
     finer = estimator(LIGHT, names)
     for name in names:
         assert abs(estimates.reference[name] - finer.reference[name]) < 1e-3 * estimates.scales[name], name
+
+
+def test_the_richest_set_grows_with_the_tolerance() -> None:
+    """Without payload in 0.15 s two axial shapes of the distal links are worth 0.1 % of the residual vibration: one does for 2 %, not for
+    0.1 %."""
+    scene = LIGHT.replace({"payload.mass": 0.0, "trajectory.duration": 0.15})
+    motion, names = plan(scene).joints, OF[2:] + OF[:1]
+    assert rich_enough(scene, motion, 0.02, names) == richest(scene)
+    assert rich_enough(scene, motion, 1e-3, names).effects.distal_axial > RICHEST["distal_axial"]
+
+
+def test_a_residual_vibration_that_was_asked_for_is_judged_relative_to_itself() -> None:
+    """Of 2 % of the deflection: relative to itself then, and else to a tenth of the deflection."""
+    reference: dict[MeasureName, float] = {"peak_position_error": 1e-3, "residual_vibration_amplitude": 2e-5}
+    assert scales(reference)["residual_vibration_amplitude"] == pytest.approx(1e-4)
+    assert scales(reference, ["residual_vibration_amplitude"]) == reference
 
 
 def test_what_the_robot_gives_is_told_too_and_what_it_lacks(heavy: Estimator) -> None:
