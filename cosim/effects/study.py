@@ -9,7 +9,7 @@ from flexfmu.cosim.effects.choice import Step, asked, quiet, wanted
 from flexfmu.cosim.effects.verified import choose_verified
 from flexfmu.cosim.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.model.choice_section import Choice, EstimatedEffect
+from flexfmu.model.choice_section import Choice, EstimatedEffect, integrator_tolerance
 from flexfmu.model.scene import Scene
 from flexfmu.model.selection.choose import neighbours
 from flexfmu.model.selection.cost import Cost, costs
@@ -82,6 +82,11 @@ def study_effects(
         TrajectoryError: the motion isn't feasible.
     """
     limit, names = wanted(scene, tolerance, of)
+    own = scene.effects.tolerance
+    if own is None or scene.cosimulation.tolerance == integrator_tolerance(
+        own
+    ):  # a tolerance for other effects, or for none
+        scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
     motion = plan(scene)
     chosen, estimator = choose_verified(scene, motion.joints, limit, names, asked(scene, of), show)
     show("looking at what the robot gives", None)
