@@ -71,21 +71,22 @@ def test_open_scene_runs_as_rigid_where_that_will_do(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "changes",
+    ("changes", "more"),
     [
-        {"trajectory.duration": 3.0, "effects.damping": {"kind": "none"}},
-        {"payload.mass": 0.0, "trajectory.duration": 0.15},
+        ({"trajectory.duration": 3.0, "effects.damping": {"kind": "none"}}, ()),
+        ({"payload.mass": 0.0, "trajectory.duration": 0.15}, ("distal_axial",)),
     ],
     ids=["undamped and slow", "unloaded and fast"],
 )
-def test_a_tenth_of_a_percent_is_kept_where_estimates_are_hard(changes: dict[str, object]) -> None:
+def test_a_tenth_of_a_percent_is_kept_where_estimates_are_hard(
+    changes: dict[str, object], more: tuple[str, ...]
+) -> None:
     """Of vibrations that are 0.4 % of the deflection and never die out, and where the usual richest set is itself 0.12 % off: the error
-    beside a richer one than the choice knows is below 0.1 %, of the residual vibration relative to itself."""
+    beside the richest set, or one that is richer still, is below 0.1 %, of the residual vibration relative to itself."""
     scene = load_scene("barnard2012-6kg").replace({"cosimulation.tolerance": 5e-4, **changes})
     chosen, estimator = choose_verified(scene, plan(scene).joints, 1e-3, MEASURED, MEASURED)
-    richer = one_more(estimator.richest, ("proximal_bending", "distal_bending", "distal_axial"))
-    own, exact = observe(chosen, MEASURED).metrics, observe(richer, MEASURED, tolerance=EXACT).metrics
-    assert max(abs(own[name] / exact[name] - 1.0) for name in MEASURED) < 1e-3
+    own, exact = observe(chosen, MEASURED), observe(one_more(estimator.richest, more), MEASURED, tolerance=EXACT)
+    assert max(abs(own.metrics[name] / exact.metrics[name] - 1.0) for name in MEASURED) < 1e-3
 
 
 class Pretended:
