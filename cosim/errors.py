@@ -31,6 +31,14 @@ class StepSizeError(CosimError):
     """Not even the smallest communication step keeps the error of the coupling that was asked for."""
 
 
+class WorkError(CosimError):
+    """A run takes far more work than its length allows."""
+
+
+class CostWarning(UserWarning):
+    """A run will take long, or much memory."""
+
+
 class ResultsError(CosimError):
     """Results can't be written or read."""
 

@@ -6,12 +6,15 @@ from math import inf
 
 import numpy as np
 
-from flexfmu.cosim.errors import LoopError, SlaveError, StepSizeError
+from flexfmu.cosim.errors import LoopError, SlaveError, StepSizeError, WorkError
 from flexfmu.cosim.master.coupling_error import CouplingError
 from flexfmu.cosim.master.recorder import Recorder
 from flexfmu.cosim.master.schedule import OFF_GRID, Schedule, Snapshot
 from flexfmu.cosim.master.step_control import GROW, ErrorBudget, StepDoubling, fitted
 from flexfmu.cosim.slave import RealArray
+
+WORK_AT_START, WORK = 1e5, 100.0
+"""So many steps may be made, and so many times those of the first one's length."""
 
 
 class ControlledSteps:
@@ -46,6 +49,7 @@ class ControlledSteps:
         self._budget = budget
         self._step = min(first, control.largest)
         self._least = control.least(first)
+        self._first, self._most = first, WORK_AT_START + WORK * budget.span / first
         self._signals = np.empty(0)
         self._short: Snapshot | None = None
         self._long: Snapshot | None = None
@@ -55,6 +59,7 @@ class ControlledSteps:
 
         Raises:
             StepSizeError: not even the smallest step keeps the tolerance.
+            WorkError: that many steps are no use.
             SlaveError: a slave fails even in the smallest step.
         """
         self.time, self._mark = begin, begin
@@ -84,6 +89,7 @@ class ControlledSteps:
         """One step that keeps the tolerance, no further than ``end``."""
         wanted, rejected = self._step, self.rejected
         while True:
+            self._check_work(end)
             step = fitted(max(self._step, self._least), end - self.time)
             reached = self.time + step if step < end - self.time else end
             error, added = self._try(reached)
@@ -166,6 +172,17 @@ class ControlledSteps:
         """Go back."""
         if snapshot is not None:
             self._schedule.restore(snapshot)
+
+    def _check_work(self, end: float) -> None:
+        """Give up when the steps have become far more than those of the first one's length would be."""
+        steps = self.accepted + self.rejected
+        if steps > self._most:
+            raise WorkError(
+                f"step control has made {steps} steps up to {self.time:.9g} s, where the run goes on beyond {end:.9g} s, and "
+                f"is at steps of {self._step:.3g} s: far more than steps of {self._first:.3g} s would be; take a larger "
+                f"tolerance, derivatives of inputs and outputs or a softer coupling, a larger `minimum`, or a smaller first "
+                f"step if so many are meant"
+            )
 
     def _complaint(self, worst: str, step: float, error: float) -> str:
         """Why there is no smaller step."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from flexfmu.cosim.errors import LoopError, NotFiniteError, SlaveError, StepSizeError
+from flexfmu.cosim.errors import LoopError, NotFiniteError, SlaveError, StepSizeError, WorkError
 from flexfmu.cosim.master.outcome import Outcome
 from flexfmu.cosim.master.stability import Instability
 
@@ -18,6 +18,7 @@ def outcome_of(error: BaseException | None, initialized: bool) -> Outcome:
     kinds = {
         LoopError: Outcome.LOOP_NOT_SOLVED,
         StepSizeError: Outcome.STEP_TOO_SMALL,
+        WorkError: Outcome.TOO_MUCH_WORK,
         NotFiniteError: Outcome.NOT_FINITE,
     }
     other = Outcome.STEP_FAILED if initialized else Outcome.INITIALISATION_FAILED
@@ -28,7 +29,7 @@ def message_of(error: BaseException | None, outcome: Outcome, active: str, reach
     """What happened, in one line."""
     if error is None or isinstance(error, KeyboardInterrupt):
         return outcome.value
-    if isinstance(error, LoopError | StepSizeError):
+    if isinstance(error, LoopError | StepSizeError | WorkError):
         return " ".join(str(error).split())
     slave = error.slave if isinstance(error, SlaveError) else active
     reason = error.reason if isinstance(error, SlaveError) else f"{type(error).__name__}: {error}"

@@ -18,6 +18,7 @@ class Outcome(Enum):
     NOT_FINITE = "a slave's output became infinite or not a number; the results end before it"
     LOOP_NOT_SOLVED = "a loop of signals was not solved by its iteration; the results end before it"
     STEP_TOO_SMALL = "the smallest communication step doesn't keep the tolerance; the results end before it"
+    TOO_MUCH_WORK = "the run took far more steps than its length allows; the results end where they led"
     COUPLING_UNSTABLE = "signals that go round between slaves grow faster than the communication step can resolve"
     LOOP_UNSTABLE = "the control loop is unstable; the results end where a slave could not follow any more"
     INTERRUPTED = "the simulation was interrupted; the results end there"

@@ -13,11 +13,15 @@ from contextlib import suppress
 
 import numpy as np
 
+from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.master.ports import OutputPort
 from flexfmu.cosim.results import Column, RealArray, Recording
 
 _MADV_POPULATE_WRITE = 23
 """Of Linux 5.14 and later."""
+
+
+SPEND_LESS = "take a larger communication step or sample time, a shorter run, or record fewer signals (`record`)"
 
 
 class Recorder:
@@ -29,6 +33,7 @@ class Recorder:
         shared: whether child processes record in the same memory.
 
     Attributes:
+        values: how many numbers are expected.
         time: (capacity,) recorded instants [s], not a number behind them.
         blocks: for each port its present signals (orders + 1, n) and the recorded ones (capacity, orders + 1, n).
     """
@@ -39,8 +44,15 @@ class Recorder:
         self._units = [[each.unit for each in variables] for _, variables in signals]
         self._signals = [port.signals[: port.recorded] for port in ports]
         self._count = 0
+        self.values = capacity * sum(signals.size for signals in self._signals)
         self._memories = [_Memory(shape, shared) for shape in (*(signals.shape for signals in self._signals), ())]
-        self._enlarge(max(capacity, 1))
+        try:
+            self._enlarge(max(capacity, 1))
+        except (MemoryError, OSError):
+            raise InputError(
+                f"{self.values:.3g} values at {capacity:.3g} instants are {8e-9 * self.values:.3g} GB, more than there is; "
+                f"{SPEND_LESS}"
+            ) from None
         self.time.fill(np.nan)
 
     def append(self, time: float) -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from time import perf_counter
 
 from flexfmu.cosim.compiled.run import CompiledRun
+from flexfmu.cosim.errors import CostWarning
 from flexfmu.cosim.master.controlled_steps import ControlledSteps
 from flexfmu.cosim.master.coupling_error import CouplingError
 from flexfmu.cosim.master.grid import TimeGrid
-from flexfmu.cosim.master.recorder import Recorder
+from flexfmu.cosim.master.recorder import SPEND_LESS, Recorder
 from flexfmu.cosim.master.schedule import Schedule
 from flexfmu.cosim.master.step_control import ErrorBudget, StepDoubling
 
@@ -18,6 +21,18 @@ Progress = Callable[[float], None]
 
 PROGRESS_CALLS = 100
 """How often progress is told in a run."""
+
+MANY_POINTS, MANY_VALUES = 10**7, 10**8
+"""What more communication points or recorded values will cost is told."""
+
+SAMPLE, SAMPLE_TIME = 0.01, 2.0
+"""Fraction of the points, or seconds, from which the time of all is estimated."""
+
+BYTES_PER_VALUE = 19.0
+"""Memory of a recorded value, as it comes and in its column (`benchmarks/long_runs.py`)."""
+
+BYTES_PER_VALUE_IN_FILES = 50.0
+"""The same while results.csv is written."""
 
 UNINTERRUPTED = 100
 """Points that are run without looking whether the user interrupts."""
@@ -85,6 +100,7 @@ class Run:
         self._schedule.initialize(tolerance)
         self.initialized = True
         self._start()
+        self._began, self._foreseen = perf_counter(), False
         if self._compiled is not None:
             self._go_in_c(self._compiled)
             return
@@ -102,6 +118,7 @@ class Run:
         try:
             for piece in range(1, pieces + 1):
                 compiled.go(count * piece // pieces)
+                self._foresee(compiled.points)
                 if self._progress is not None:
                     self._progress(piece / pieces)
         finally:
@@ -116,12 +133,33 @@ class Run:
             time, jump = times[n + 1], marked[n + 1]
             cross(times[n], time)
             self._passed += 1
+            if n % UNINTERRUPTED == 0:
+                self._foresee(n)
             if jump:
                 record(time)
             exchange(n + 1, time, jump)
             record(time)
             if self._progress is not None and (self._passed % every == 0 or self._passed == count):
                 self._progress((time - times[0]) / (times[-1] - times[0]))
+
+    def _foresee(self, points: int) -> None:
+        """Warn of the time and memory that a long run will take, as soon as its first points tell; how much step control
+        will do isn't known."""
+        count, values = self._grid.times.size - 1, self._recorder.values
+        if self._foreseen or points == 0:
+            return
+        seconds = perf_counter() - self._began
+        if points < SAMPLE * count and seconds < SAMPLE_TIME:
+            return
+        self._foreseen = True
+        if self._controlled is None and (count > MANY_POINTS or values > MANY_VALUES):
+            warnings.warn(
+                f"this run makes {count:.3g} communication steps and records {values:.3g} values: about "
+                f"{_duration(seconds / points * count)} and {BYTES_PER_VALUE * 1e-9 * values:.2g} GB of memory, "
+                f"{BYTES_PER_VALUE_IN_FILES * 1e-9 * values:.2g} GB where results.csv is written; to spend less, {SPEND_LESS}",
+                CostWarning,
+                stacklevel=2,
+            )
 
     @property
     def reached(self) -> Reached:
@@ -139,3 +177,9 @@ class Run:
             self._recorder.append(start)
         self._schedule.exchange(0, start, jump=True)
         self._recorder.append(start)
+
+
+def _duration(seconds: float) -> str:
+    """Seconds, minutes or hours."""
+    unit, size = ("h", 3600.0) if seconds > 5400.0 else ("min", 60.0) if seconds > 90.0 else ("s", 1.0)
+    return f"{seconds / size:.2g} {unit}"

@@ -102,9 +102,13 @@ class ErrorBudget:
 
     Args:
         start, stop: of the run [s].
+
+    Attributes:
+        span: length of the run [s].
     """
 
     def __init__(self, start: float, stop: float) -> None:
+        self.span = stop - start
         self._start, self._stop, self._time = start, stop, start
         self._made = self._present = self._integral = self._carried = self._fading = 0.0
         self._rising = 1.0

@@ -28,6 +28,14 @@
 #define FLEX_MAX_STEPS 1000000.0
 #endif
 
+/* evaluations of the equations that may be made at the start, per communication step, however often it is repeated, and per
+ * second of motion: a mode at 1 MHz takes no more, something that changes far faster than it matters does */
+#ifndef FLEX_WORK_AT_START
+#define FLEX_WORK_AT_START 1e6
+#endif
+#define FLEX_WORK_PER_STEP 1e3
+#define FLEX_WORK_PER_SECOND 4e7
+
 void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *arena) {
   size_t size = (size_t)n;
   integrator->n = n;
@@ -72,6 +80,7 @@ void flex_integrator_start(flex_integrator *integrator) {
   size_t size = (size_t)integrator->n * sizeof(double);
   memset(integrator->y_rest, 0, size);
   memset(integrator->v_rest, 0, size);
+  integrator->work_left = FLEX_WORK_AT_START;
   record->step = 0.0;
   record->scale = fmax(*integrator->floor, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
   flex_integrator_restart(integrator);
@@ -109,7 +118,8 @@ static flex_failure advance_rigid(flex_integrator *integrator, double t0, double
 }
 
 // equal steps towards t1 until one fails or another size is called for; how far they came is in result->time
-static flex_outcome make_steps(flex_integrator *integrator, double t1, double *attempts, flex_failure *result) {
+static flex_outcome make_steps(flex_integrator *integrator, double t1, long long last, double *attempts,
+                               flex_failure *result) {
   flex_integrator_record *record = integrator->record;
   double start = result->time, remaining = t1 - start, fixed = *integrator->fixed_step;
   double count = fmax(1.0, ceil(remaining / record->step * (1.0 - 1e-9)));
@@ -122,6 +132,11 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, double *a
     if ((*attempts)++ >= FLEX_MAX_STEPS) {
       result->value = FLEX_MAX_STEPS;
       return FLEX_TOO_MANY_STEPS;
+    }
+    // a fixed step is work that was asked for
+    if (fixed == 0.0 && *integrator->stages.equations->evaluations > last) {
+      result->value = FLEX_WORK_PER_SECOND;
+      return FLEX_TOO_MUCH_WORK;
     }
     double allowed = integrator->local_error * record->scale;
     flex_outcome outcome =
@@ -143,8 +158,7 @@ static flex_failure fixed_step_failure(flex_integrator *integrator, flex_failure
   return blamed;
 }
 
-flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1) {
-  if (integrator->n == 0) return advance_rigid(integrator, t0, t1);
+static flex_failure advance(flex_integrator *integrator, double t0, double t1, long long last) {
   flex_integrator_record *record = integrator->record;
   flex_failure result = {FLEX_DONE, t0, 0.0};
   double attempts = 0.0, span = t1 - t0, fixed = *integrator->fixed_step;
@@ -155,9 +169,9 @@ flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, dou
     record->step = first_step(integrator, span);
 
   while (result.time < t1) {
-    result.outcome = make_steps(integrator, t1, &attempts, &result);
+    result.outcome = make_steps(integrator, t1, last, &attempts, &result);
     if (result.outcome == FLEX_DONE) continue;
-    if (result.outcome == FLEX_TOO_MANY_STEPS) return result;
+    if (result.outcome == FLEX_TOO_MANY_STEPS || result.outcome == FLEX_TOO_MUCH_WORK) return result;
     if (fixed > 0.0) return fixed_step_failure(integrator, result);
 
     // a step too small to help: what went wrong is reported
@@ -167,5 +181,15 @@ flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, dou
     }
   }
   result.outcome = FLEX_DONE;
+  return result;
+}
+
+flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, double t1) {
+  if (integrator->n == 0) return advance_rigid(integrator, t0, t1);
+  const long long *evaluations = integrator->stages.equations->evaluations;
+  long long before = *evaluations;
+  integrator->work_left += FLEX_WORK_PER_STEP + FLEX_WORK_PER_SECOND * (t1 - t0);
+  flex_failure result = advance(integrator, t0, t1, before + (long long)fmin(integrator->work_left, 1e18));
+  integrator->work_left -= (double)(*evaluations - before);
   return result;
 }

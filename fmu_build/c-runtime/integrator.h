@@ -24,6 +24,7 @@ struct flex_integrator {
   flex_integrator_record *record;
   const double *floor;      /* least scale */
   const double *fixed_step; /* [s]; 0 = the error decides */
+  double work_left;         /* evaluations that may still be made; not given back with a saved state */
   int wants_longer_steps;   /* 1 = a step is shorter than what is left of the communication step */
 
   /* numeric state, one after the other in memory: position, rate, what rounding left of both, acceleration, accelerations

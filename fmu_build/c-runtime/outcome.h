@@ -10,6 +10,7 @@ typedef enum {
   FLEX_NOT_DEFINITE,   /* the mass matrix is not positive definite */
   FLEX_TOO_SINGULAR,   /* the margin of the mechanism is violated */
   FLEX_TOO_MANY_STEPS, /* the end of the communication step is out of reach */
+  FLEX_TOO_MUCH_WORK,  /* far more evaluations of the equations than a motion of this length takes */
   FLEX_NO_EQUILIBRIUM, /* Newton's method found no static equilibrium */
   FLEX_BAD_SCALE,      /* the error norm of the model is unusable */
   FLEX_STEP_TOO_LONG   /* the equations could not be solved with the fixed step */

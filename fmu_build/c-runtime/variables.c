@@ -56,6 +56,14 @@ void flex_explain(flex_plant *plant, const char *what, const flex_failure *failu
       refuse(plant, "%s: at %.9g s %.0f steps have been made within one communication step; make that shorter", what, t,
              value);
       break;
+    case FLEX_TOO_MUCH_WORK:
+      refuse(plant,
+             "%s: at %.9g s the equations of motion have been evaluated %lld times, more than %.3g times per second of motion: "
+             "something changes far faster than it can matter, such as friction whose velocity is tiny; let it stick "
+             "(joint_friction.kind = \"stiction\") or give it a larger velocity, take a larger tolerance, or a fixed "
+             "integrator.step, which has no such limit",
+             what, t, plant->record->stages.evaluations, value);
+      break;
     case FLEX_NO_EQUILIBRIUM:
       refuse(plant,
              "%s: at %.9g s no static equilibrium was found, the last correction was %.3g; start undeformed (initial = 2)",

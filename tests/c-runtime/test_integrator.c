@@ -6,6 +6,7 @@
 #include "models.h"
 #include "plants.h"
 #include "tests.h"
+#include "variables.h"
 
 #define TAU 6.283185307179586
 
@@ -163,6 +164,23 @@ void test_stiff_modes_in_motion_are_resolved(void) {
   flex_plant *plant = let_go(frequency, 0.05, deflection, 1e-5);
   advance(plant, 0.0, 1e-3, 50);
   CHECK_BETWEEN(vibration_error(plant, deflection), 0.0, 1e-4);
+  free_plant(plant);
+}
+
+// motion that takes far more work than its length admits ends, with a sentence, and soon again when the step is repeated
+void test_work_without_end_is_told(void) {
+  const double frequency[3] = {1.0, 3.0, 1e8}, y[3] = {0.0, 0.0, 1.0}, v[3] = {0.0, 0.0, 0.0};
+  flex_plant *plant = make_plant(&oscillators, 1e-6);
+  memcpy(plant->p, frequency, sizeof frequency);
+  begin_at(plant, y, v);
+  flex_failure failure = flex_plant_advance(plant, 0.0, 1e-3);
+  CHECK(failure.outcome == FLEX_TOO_MUCH_WORK && failure.time < 1e-3);
+  long long evaluations = plant->record->stages.evaluations;
+  CHECK_BETWEEN((double)evaluations, 1.0e6, 1.1e6);
+  flex_explain(plant, "integration", &failure);
+  CHECK(strstr(plant->message, "more than 4e+07 times per second of motion") && strstr(plant->message, "larger tolerance"));
+  CHECK(flex_plant_advance(plant, failure.time, failure.time + 1e-3).outcome == FLEX_TOO_MUCH_WORK);
+  CHECK_BETWEEN((double)(plant->record->stages.evaluations - evaluations), 0.0, 1e5);
   free_plant(plant);
 }
 

@@ -17,6 +17,7 @@
   X(tolerance_is_achieved_between_short_steps)  \
   X(stiff_modes_at_rest_cost_nothing)           \
   X(stiff_modes_in_motion_are_resolved)         \
+  X(work_without_end_is_told)                   \
   X(forced_motion_is_exact)                     \
   X(jumps_of_the_input_are_met)                 \
   X(inputs_that_go_on_cost_nothing)             \

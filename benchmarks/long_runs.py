@@ -1,0 +1,56 @@
+"""What long runs are said to cost, and what they cost: a closed loop at 4 kHz.
+
+python benchmarks/long_runs.py [--seconds 75] [--csv]
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import tempfile
+import warnings
+from pathlib import Path
+from time import perf_counter
+
+from flexfmu.cosim.errors import CostWarning
+from flexfmu.cosim.experiment import PreparedScene
+from flexfmu.model.scene_file import load_scene
+
+LOOP = {
+    "cosimulation.drive": "torque",
+    "cosimulation.step": 2.5e-4,
+    "effects.motor_inertia": 0.01,
+    "controller": [{"kind": "pd", "proportional": 1e3, "derivative": 10.0, "sample_time": 2.5e-4}],
+}
+
+
+def peak() -> float:
+    """Most memory so far [GB]."""
+    return 1024e-9 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def main() -> None:
+    """Run, and compare."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=75.0, help="motion and dwell [s]")
+    parser.add_argument("--csv", action="store_true", help="write results.csv too")
+    options = parser.parse_args()
+    scene = load_scene("barnard2012-0.1kg")
+    prepared = PreparedScene(scene.replace(LOOP | {"trajectory.dwell": options.seconds - scene.trajectory.duration}))
+    before, begin = peak(), perf_counter()
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", CostWarning)
+        run = prepared.run()
+    print(f"said: {told[0].message if told else 'nothing'}")
+    print(f"simulated: {run.timing.simulate:.3g} s, {perf_counter() - begin:.3g} s in all, {peak() - before:.3g} GB")
+    if options.csv:
+        with tempfile.TemporaryDirectory() as folder:
+            begin = perf_counter()
+            size = run.recording.write_csv(Path(folder) / "results.csv").stat().st_size
+            print(
+                f"results.csv: {perf_counter() - begin:.3g} s, {1e-9 * size:.3g} GB; {peak() - before:.3g} GB of memory"
+            )
+
+
+if __name__ == "__main__":
+    main()
