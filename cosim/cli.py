@@ -171,6 +171,10 @@ def run(
             show_default=False,
         ),
     ] = None,
+    ssd: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="System of an SSP file that holds several. Default: SystemStructure.ssd."),
+    ] = None,
     isolate: Annotated[
         bool | None,
         typer.Option(
@@ -204,9 +208,11 @@ def run(
         if scene.lower().endswith(".ssp") or is_zipfile(scene):
             from flexfmu.cosim.commands.export import run_ssp_command
 
-            raise typer.Exit(run_ssp_command(Path(scene), out, step, stop_time, json, isolate))
+            raise typer.Exit(run_ssp_command(Path(scene), out, step, stop_time, json, isolate, ssd))
         if stop_time is not None:
             raise InputError("--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`")
+        if ssd is not None:
+            raise InputError("--ssd goes with an SSP file; a scene is one system")
         raise typer.Exit(run_command(scene, out, json, step, isolate, 1 if verify is None else 2 * verify))
 
 

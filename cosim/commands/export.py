@@ -18,6 +18,7 @@ from flexfmu.cosim.loop.recording import slave_facts
 from flexfmu.cosim.master.master import Outcome, Simulation
 from flexfmu.cosim.reports.json_text import to_json
 from flexfmu.cosim.reports.output import RESULTS, OutputFolder
+from flexfmu.cosim.ssp.archive import DESCRIPTION
 from flexfmu.cosim.ssp.export import export_ssp
 from flexfmu.cosim.ssp.loading import SspSystem, load_ssp
 
@@ -43,12 +44,13 @@ def run_ssp_command(
     stop_time: float | None,
     as_json: bool,
     isolate: bool | None = None,
+    ssd: str | None = None,
 ) -> int:
-    """Simulate an SSP file, with step and stop time [s] instead of its own; write results.csv and summary.json, print how it went; the exit status.
+    """Simulate an SSP file, or the variant ``ssd`` in it, with step and stop time [s] instead of its own; write results.csv and summary.json, print how it went; the exit status.
 
     What was recorded before a failure is written too.
     """
-    loaded = load_ssp(source, stop=stop_time, step=step)
+    loaded = load_ssp(source, stop=stop_time, step=step, ssd=ssd or DESCRIPTION)
     folder = OutputFolder(out or RESULTS / source.stem)
     folder.prepare()
     with progress() as show:
@@ -85,6 +87,7 @@ def _summary(loaded: SspSystem, simulation: Simulation) -> Mapping[str, Any]:
         ],
         "connections": [loaded.system.describe(each) for each in loaded.system.connections],
         "ignored_parameters": list(loaded.ignored),
+        "remarks": list(loaded.remarks),
     }
 
 
@@ -97,6 +100,7 @@ def _print(summary: Mapping[str, Any], simulation: Simulation, folder: Path) -> 
     if summary["ignored_parameters"]:
         names = ", ".join(summary["ignored_parameters"])
         parts.append(Text(f"warning: parameters that fit no variable were ignored: {names}", style="yellow"))
+    parts += [Text(f"warning: {remark}", style="yellow") for remark in summary["remarks"]]
     parts.append(Text(f"results.csv and summary.json are in {folder}"))
     print_rich(*parts)
 

@@ -33,13 +33,18 @@ class SspArchive:
 
     Args:
         path: the file.
+        description: path within it of the system that is meant; a package may hold variants of its default.
+
+    Attributes:
+        description: see above.
+        variants: other systems beside it.
 
     Raises:
-        SspError: it is missing, no zip archive, or holds no system structure description.
+        SspError: it is missing, no zip archive, or doesn't hold that system.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, description: str = DESCRIPTION) -> None:
+        self.path, self.description = path, description
         try:
             self._content = path.read_bytes()
             self._archive = zipfile.ZipFile(BytesIO(self._content))
@@ -48,8 +53,10 @@ class SspArchive:
         except (zipfile.BadZipFile, NotImplementedError):
             raise SspError(f"{path} is no SSP: not a zip file; check the path or export it again") from None
         self._entries = {entry.filename: entry for entry in self._archive.infolist()}
-        if DESCRIPTION not in self._entries:
-            raise SspError(f"{path} is no SSP: it holds no {DESCRIPTION}; export it again")
+        self.variants = sorted({each for each in self._entries if each.endswith(".ssd")} - {description})
+        if description not in self._entries:
+            remedy = f"take another: --ssd {self.variants[0]}" if self.variants else "export it again"
+            raise SspError(f"{path} is no SSP: it holds no {description}; {remedy}")
 
     def label(self, file: str) -> str:
         """A file within the archive, for errors."""
@@ -78,13 +85,12 @@ class SspArchive:
         except DAMAGED as error:
             raise SspError(f"{prefix} can't be unpacked: {error}; export it again") from None
 
-    def resolve(self, source: str, where: str, base: str = DESCRIPTION) -> str:
+    def resolve(self, source: str, where: str) -> str:
         """Path within the archive of what a source attribute names.
 
         Args:
-            source: a relative URI.
+            source: a URI relative to the system's description.
             where: who names it, for errors.
-            base: file that it is relative to.
 
         Raises:
             SspError: it is no relative path, or leads out of the archive.
@@ -94,7 +100,7 @@ class SspArchive:
             raise SspError(
                 f"{where} has source={source!r}; only files within the archive, resources/plant.fmu for example"
             )
-        parts: list[str] = list(PurePosixPath(base).parent.parts)
+        parts: list[str] = list(PurePosixPath(self.description).parent.parts)
         for part in unquote(uri.path).split("/"):
             if part == ".." and parts:
                 parts.pop()
@@ -103,7 +109,7 @@ class SspArchive:
             elif part not in ("", "."):
                 parts.append(part)
         if uri.path.startswith("/") or any("\\" in part or "\0" in part for part in parts):
-            raise SspError(f"{where} has source={source!r}; take a path relative to {DESCRIPTION}, with slashes")
+            raise SspError(f"{where} has source={source!r}; take a path relative to {self.description}, with slashes")
         return "/".join(parts)
 
     def extract(self, file: str, where: str) -> Path:

@@ -123,7 +123,7 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
     """The slave's component: all of its outputs, and those inputs that are fed."""
     fed = {_ends(target) for _, target in connections}
     fmu = open_fmu(slave.path)
-    bare = component_fmu(Component(slave.name, _source(slave), ()), fmu, ())
+    bare = component_fmu(Component(slave.name, _source(slave), ()), fmu)
     shown = [
         _connector(each, bare)
         for each in bare.variables.values()

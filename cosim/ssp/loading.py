@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
+from flexfmu.cosim.errors import FmuFileError
 from flexfmu.cosim.fmu.annotations import breakpoints
 from flexfmu.cosim.fmu.file import open_fmu
 from flexfmu.cosim.fmu.sampled_slave import fmu_slave
@@ -15,16 +18,19 @@ from flexfmu.cosim.fmu.variables import Value
 from flexfmu.cosim.master.algorithms import Algorithm
 from flexfmu.cosim.master.isolation import CALL_LIMIT, isolation
 from flexfmu.cosim.master.iteration import Anderson, LoopSolver
+from flexfmu.cosim.master.linear_map import LinearMap
 from flexfmu.cosim.master.master import Progress, Simulation, simulate
 from flexfmu.cosim.master.step_control import StepDoubling
 from flexfmu.cosim.master.system import System, connect
+from flexfmu.cosim.results import Column, RealArray, Recording
 from flexfmu.cosim.slave import Slave
-from flexfmu.cosim.ssp.archive import SspArchive
+from flexfmu.cosim.ssp.archive import DESCRIPTION, SspArchive
 from flexfmu.cosim.ssp.parameters import start_values
 from flexfmu.cosim.ssp.reading import read_structure
-from flexfmu.cosim.ssp.structure import SspError, Structure
-from flexfmu.cosim.ssp.variables import ComponentFmu, component_fmu
-from flexfmu.cosim.ssp.wiring import wires
+from flexfmu.cosim.ssp.structure import Component, SspError, Structure, levels
+from flexfmu.cosim.ssp.structure import System as NestedSystem
+from flexfmu.cosim.ssp.variables import ComponentFmu, check_connectors, component_fmu
+from flexfmu.cosim.ssp.wiring import Network, Origin, shown, wires
 from flexfmu.cosim.trajectory_slave import REFERENCES, TrajectorySlave
 
 
@@ -38,6 +44,9 @@ class SspSystem:
         start, stop: [s].
         step: communication step [s].
         ignored: parameters in the file that fit no variable.
+        names: full name of a component → name of its slave, which holds no dot.
+        shown: full names of systems' connectors → the outputs that they show.
+        remarks: what was passed over, for the user.
     """
 
     structure: Structure
@@ -46,6 +55,9 @@ class SspSystem:
     stop: float
     step: float
     ignored: tuple[str, ...]
+    names: Mapping[str, str]
+    shown: Mapping[str, Origin]
+    remarks: tuple[str, ...] = ()
 
     def simulate(
         self,
@@ -57,7 +69,8 @@ class SspSystem:
         isolate: bool | None = None,
         call_limit: float = CALL_LIMIT,
     ) -> Simulation:
-        """Run it with `flexfmu.cosim.master.master.simulate`; without a tolerance the FMUs use their own.
+        """Run it with `flexfmu.cosim.master.master.simulate`; without a tolerance the FMUs use their own. Results have the
+        file's names: ``inner.first.x`` for a component within a system, ``inner.y`` for a system's connector.
 
         Args:
             tolerance, progress, algorithm, step_control: see there.
@@ -67,7 +80,7 @@ class SspSystem:
         Raises:
             InputError: the times make no sense, or a slave would have to go back to an earlier state but can't.
         """
-        return simulate(
+        simulation = simulate(
             self.system,
             self.stop,
             self.step,
@@ -78,6 +91,18 @@ class SspSystem:
             step_control=step_control,
             isolation=isolation(isolate, self.system.slaves, call_limit, theirs=False),
         )
+        return replace(simulation, recording=self._renamed(simulation.recording))
+
+    def _renamed(self, recording: Recording) -> Recording:
+        """Signals under the file's names, and those of systems' connectors."""
+        owners = {slave: name for name, slave in self.names.items()}
+        parts = {name: name.split(".", 1) for name in recording.columns}
+        columns = {f"{owners[slave]}.{name}": recording.columns[full] for full, (slave, name) in parts.items()}
+        for name, origin in self.shown.items():
+            source = columns.get(".".join(origin.node))
+            if source is not None:
+                columns.setdefault(name, _mapped(source, origin))
+        return Recording(recording.time, columns)
 
 
 def load_ssp(
@@ -87,33 +112,39 @@ def load_ssp(
     stop: float | None = None,
     step: float | None = None,
     loops: LoopSolver | None = None,
+    ssd: str = DESCRIPTION,
 ) -> SspSystem:
-    """Read an SSP file of SSP 1.0 whose components are FMUs of FMI 2.0 for co-simulation.
+    """Read an SSP file of SSP 1.0, or one of SSP 2.0 that has no more, whose components are FMUs for co-simulation.
 
-    FMUs that this package made run as in the scene they come from: trajectories are streamed with all derivatives, blocks
+    Systems within systems are flattened.     FMUs that this package made run as in the scene they come from: trajectories are streamed with all derivatives, blocks
     are sampled at their own instants. Others are sampled where the file has an annotation with their sample time, or where
     they can't vary their step and their default experiment has a step size; else they are stepped. Units are converted, linear transformations and parameter sets
-    applied. What the system's own input connectors feed stays at its start value.
+    applied at all levels. What the system's own input connectors feed stays at the value that a parameter set gives these, else
+    at its start value.
 
     Args:
         path: the file.
         start, stop: [s]; by default what the file says, else 0 and the latest stop time that an FMU names.
         step: communication step [s]; by default what the file says, else the smallest that an FMU names.
         loops: how algebraic loops are solved; `Anderson` when None.
+        ssd: path within the file of the system that is meant, where it isn't the default.
 
     Raises:
         SspError: the file is missing, broken, contradicts itself or its FMUs, or needs what this program doesn't do:
-            nested systems, signal dictionaries, mappings that aren't linear, model exchange, connected parameters.
+            signal dictionaries, packages in packages, connections with tables that are no lines, calculated parameters
+            that are connected.
         FmuFileError: an FMU is broken, of another kind, or has no binary for this platform.
         InputError: a value is out of range, or the slaves can't be wired.
     """
-    archive = SspArchive(Path(path))
+    archive = SspArchive(Path(path), ssd)
     structure = read_structure(archive)
     fmus = _fmus(structure, archive)
-    starts = start_values(structure, fmus)
-    names = _names(structure)
+    remarks = _remarks(structure, fmus)
+    network = Network(structure, fmus)
+    starts = start_values(structure, fmus, network)
+    names = _names(fmus)
     slaves = [_slave(fmu, names[name], starts.values[name]) for name, fmu in fmus.items()]
-    system = connect(slaves, wires(structure, fmus, names), loops=Anderson() if loops is None else loops)
+    system = connect(slaves, wires(network, fmus, names), loops=Anderson() if loops is None else loops)
     defaults = [fmu.fmu.description.defaultExperiment for fmu in fmus.values()]
     stops = [float(each.stopTime) for each in defaults if each is not None and each.stopTime]
     steps = [float(each.stepSize) for each in defaults if each is not None and each.stepSize]
@@ -124,29 +155,99 @@ def load_ssp(
         _known("stop", archive, stop, structure.stop, max(stops, default=None)),
         _known("step", archive, step, structure.step, min(steps, default=None)),
         starts.ignored,
+        names,
+        shown(structure, network),
+        tuple(dict.fromkeys([*_variants(archive), *remarks, *network.remarks])),
     )
 
 
 def _fmus(structure: Structure, archive: SspArchive) -> dict[str, ComponentFmu]:
-    """Name of a component → its FMU.
+    """Full name of a component → its FMU.
 
     Raises:
-        SspError: there is none, or two share a name.
+        SspError: there is none, or two elements share a name.
+        FmuFileError: an FMU can't be run.
     """
     fmus: dict[str, ComponentFmu] = {}
-    for component in structure.components:
-        if component.name in fmus:
-            raise SspError(f"{component.where}: another component has the same name; rename one")
-        fmu = open_fmu(archive.extract(component.source, component.where))
-        fmus[component.name] = component_fmu(component, fmu, structure.units)
+    names: list[str] = []
+    for prefix, level in levels(structure):
+        elements: list[Component | NestedSystem] = [*level.systems, *level.components]
+        for element in elements:
+            if prefix + element.name in names:
+                raise SspError(f"{element.where}: another element has the same name; rename one")
+            names.append(prefix + element.name)
+        for component in level.components:
+            path = archive.extract(component.source, component.where)
+            with _named(component):
+                fmus[prefix + component.name] = component_fmu(component, open_fmu(path))
     if not fmus:
         raise SspError(f"{archive.path}: system {structure.name!r} has no components; there is nothing to run")
     return fmus
 
 
-def _names(structure: Structure) -> Mapping[str, str]:
-    """Name of a component → name of its slave, which holds no dot."""
-    return {each.name: each.name.replace(".", "_") for each in structure.components}
+@contextmanager
+def _named(component: Component) -> Iterator[None]:
+    """Errors name the component and its FMU within the file.
+
+    Raises:
+        FmuFileError: again.
+    """
+    try:
+        yield
+    except FmuFileError as error:
+        reason = re.sub(r"^\S*/flexfmu-ssp-\S+\.fmu", component.source, str(error))
+        raise FmuFileError(f"{component.where}: {reason}") from error
+
+
+def _remarks(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> list[str]:
+    """What of the components was passed over.
+
+    Raises:
+        SspError: a connector that is connected contradicts its FMU.
+    """
+    remarks = []
+    connected = {
+        (prefix + (element or ""), name)
+        for prefix, level in levels(structure)
+        for each in level.connections
+        for element, name in (each.start, each.end)
+    }
+    for name, fmu in fmus.items():
+        used = [each.name for each in fmu.component.connectors if (name, each.name) in connected]
+        remarks += check_connectors(fmu, used, structure.units)
+        if fmu.component.implementation == "ModelExchange":
+            remarks.append(f"{fmu.component.where} is for model exchange; its FMU's co-simulation was taken")
+    return remarks
+
+
+def _variants(archive: SspArchive) -> list[str]:
+    """Other systems in the file."""
+    others = ", ".join(each for each in archive.variants)
+    return [f"took {archive.description}; the file also holds {others} (--ssd)"] if others else []
+
+
+def _names(fmus: Mapping[str, ComponentFmu]) -> Mapping[str, str]:
+    """Full name of a component → name of its slave, which holds no dot."""
+    names: dict[str, str] = {}
+    for full in fmus:
+        name = full.replace(".", "_")
+        while name in names.values():
+            name += "_"
+        names[full] = name
+    return names
+
+
+def _mapped(column: Column, origin: Origin) -> Column:
+    """A signal as the connector at the end of its way shows it."""
+    linear, slope = origin.linear, LinearMap(origin.linear.factor)
+    unit = origin.unit if isinstance(origin.unit, str) else origin.unit.name
+    first, second = (None if each is None else _along(slope, each) for each in (column.first, column.second))
+    return Column(unit, _along(linear, column.values), first, second)
+
+
+def _along(linear: LinearMap, values: RealArray) -> RealArray:
+    """All values, mapped."""
+    return linear.factor * values + linear.offset
 
 
 def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value]) -> Slave:
@@ -154,7 +255,8 @@ def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value]) -> Sla
     if breakpoints(fmu.fmu) and not parameters:
         return _trajectory(fmu, name)
     sample_time, offset = fmu.component.sampling or (None, 0.0)
-    return fmu_slave(fmu.fmu.path, name, parameters, sample_time=sample_time, offset=offset)
+    with _named(fmu.component):
+        return fmu_slave(fmu.fmu.path, name, parameters, sample_time=sample_time, offset=offset)
 
 
 def _trajectory(fmu: ComponentFmu, name: str) -> Slave:

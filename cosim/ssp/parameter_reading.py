@@ -7,30 +7,41 @@ from typing import cast, get_args
 
 from flexfmu.cosim.fmu.variables import Value
 from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
-from flexfmu.cosim.ssp.archive import DESCRIPTION, SspArchive
-from flexfmu.cosim.ssp.structure import Binding, MappingEntry, Parameter, ParameterSet, Type, Unit
+from flexfmu.cosim.ssp.archive import SspArchive
+from flexfmu.cosim.ssp.structure import (
+    Binding,
+    MappingEntry,
+    Parameter,
+    ParameterSet,
+    Transformation,
+    Type,
+    Unit,
+    ValueMap,
+)
 from flexfmu.cosim.ssp.xml_tree import Node, parse
 
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 PARAMETER_SET, PARAMETER_MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
 
-_TRANSFORMATIONS = ("BooleanMappingTransformation", "IntegerMappingTransformation", "EnumerationMappingTransformation")
+NUMBERS: dict[str, Type] = {
+    **dict.fromkeys(("Float32", "Float64"), "Real"),
+    **dict.fromkeys(("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64"), "Integer"),
+}
+"""Types of numbers in SSP 2.0 and FMI 3.0 → those of SSP 1.0 and FMI 2.0."""
 
 
-def read_bindings(element: Node, archive: SspArchive, component: str | None = None) -> tuple[Binding, ...]:
+def read_bindings(element: Node, archive: SspArchive) -> tuple[Binding, ...]:
     """The parameter bindings of a component or system.
 
     Args:
         element: the component or system.
         archive: where external sets are.
-        component: path of the component's FMU; None for a system.
 
     Raises:
         SspError: a set is missing, broken, or of another kind.
     """
-    found = element.children("ParameterBindings", "ParameterBinding")
-    return tuple(_binding(each, archive, component) for each in found)
+    return tuple(_binding(each, archive) for each in element.children("ParameterBindings", "ParameterBinding"))
 
 
 def read_units(nodes: Node) -> tuple[Unit, ...]:
@@ -38,15 +49,15 @@ def read_units(nodes: Node) -> tuple[Unit, ...]:
     return tuple(_unit(each) for each in nodes.children("Units", "Unit"))
 
 
-def read_transformation(node: Node) -> LinearMap:
-    """The linear map of a connection or mapping entry.
+def read_transformation(node: Node) -> Transformation:
+    """The transformation of a connection or mapping entry.
 
     Raises:
-        SspError: it has a transformation of another kind, or one that makes no sense.
+        SspError: it makes no sense.
     """
-    for name in _TRANSFORMATIONS:
-        if (other := node.child(name)) is not None:
-            raise other.error("is not supported, only LinearTransformation is; map the values inside an FMU")
+    for kind in ("Boolean", "Integer", "Enumeration"):
+        if (table := node.child(f"{kind}MappingTransformation")) is not None:
+            return ValueMap(tuple(_pair(each, kind) for each in table.children("MapEntry")))
     linear = node.child("LinearTransformation")
     if linear is None:
         return IDENTITY
@@ -54,20 +65,28 @@ def read_transformation(node: Node) -> LinearMap:
     return LinearMap(1.0 if factor is None else factor, 0.0 if offset is None else offset)
 
 
-def _binding(node: Node, archive: SspArchive, component: str | None) -> Binding:
+def _pair(node: Node, kind: str) -> tuple[Value, Value]:
+    """What an entry of a table maps to what."""
+    source, target = (_READ[kind](node, each) for each in ("source", "target"))
+    if source is None or target is None:
+        raise node.error("needs the attributes 'source' and 'target'; add them")
+    return source, target
+
+
+def _binding(node: Node, archive: SspArchive) -> Binding:
     """One parameter binding."""
     if node.text("type") not in (None, "", PARAMETER_SET):
         raise node.error(f"has the type {node.text('type')!r}; only {PARAMETER_SET} can be read")
-    source = _source(node, archive, component)
+    source = _source(node, archive)
     root = _external(archive, source, node, "ParameterSet") if source else node.child("ParameterValues", "ParameterSet")
     if root is None:
         raise node.error("has neither a source nor a ParameterSet within; add one of them")
     mapping = node.child("ParameterMapping")
-    entries = None if mapping is None else _mapping(mapping, archive, component)
+    entries = None if mapping is None else _mapping(mapping, archive)
     return Binding(_parameter_set(root), node.text("prefix") or "", entries, source, node.where)
 
 
-def _source(node: Node, archive: SspArchive, component: str | None) -> str | None:
+def _source(node: Node, archive: SspArchive) -> str | None:
     """Path within the archive of an external file, None where the content is in the SSD."""
     source = node.text("source")
     if not source:
@@ -77,7 +96,7 @@ def _source(node: Node, archive: SspArchive, component: str | None) -> str | Non
         raise node.error(f"has sourceBase={base!r}, which must be SSD or component")
     if base == "component":
         raise node.error("takes its source from within an FMU (sourceBase='component'); put the file beside the FMU")
-    return archive.resolve(source, node.where, DESCRIPTION)
+    return archive.resolve(source, node.where)
 
 
 def _external(archive: SspArchive, file: str, asking: Node, root: str) -> Node:
@@ -85,11 +104,11 @@ def _external(archive: SspArchive, file: str, asking: Node, root: str) -> Node:
     return parse(archive.read(file, asking.where), archive.label(file), root)
 
 
-def _mapping(node: Node, archive: SspArchive, component: str | None) -> tuple[MappingEntry, ...]:
+def _mapping(node: Node, archive: SspArchive) -> tuple[MappingEntry, ...]:
     """A mapping, external or not."""
     if node.text("type") not in (None, "", PARAMETER_MAPPING):
         raise node.error(f"has the type {node.text('type')!r}; only {PARAMETER_MAPPING} can be read")
-    source = _source(node, archive, component)
+    source = _source(node, archive)
     root = _external(archive, source, node, "ParameterMapping") if source else node.child("ParameterMapping")
     if root is None:
         raise node.error("has neither a source nor a mapping within; add one of them")
@@ -101,44 +120,49 @@ def _mapping(node: Node, archive: SspArchive, component: str | None) -> tuple[Ma
             not each.boolean("suppressUnitConversion"),
         )
         for each in root.children("MappingEntry")
+        if each.text("source") != ""  # a template's entry that nobody has filled in
     )
 
 
 def _parameter_set(root: Node) -> ParameterSet:
-    """A parameter set.
+    """A parameter set; the last value of a name counts.
 
     Raises:
-        SspError: a parameter is given twice or has no value.
+        SspError: a parameter has no value.
     """
-    parameters = tuple(_parameter(each) for each in root.children("Parameters", "Parameter"))
-    names = [each.name for each in parameters]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise root.error(f"has the parameter {twice!r} twice; keep one")
-    return ParameterSet(root.required("name"), parameters, read_units(root))
+    found: dict[str, Parameter] = {}
+    repeated: list[str] = []
+    for each in map(_parameter, root.children("Parameters", "Parameter")):
+        if found.get(each.name, each) != each:
+            repeated.append(f"{root.where} has the parameter {each.name!r} twice, {each.value!r} counts")
+        found[each.name] = each
+    return ParameterSet(root.required("name"), tuple(found.values()), read_units(root), tuple(repeated))
 
 
 def _parameter(node: Node) -> Parameter:
     """One parameter with its typed value."""
-    value = next((each for each in node.children("*") if each.tag in _READ or each.tag == "Binary"), None)
+    value = next((each for each in node.children("*") if each.tag in (*_READ, *NUMBERS, "Binary")), None)
     if value is None:
         raise node.error(f"has no value; give it one of {', '.join(get_args(Type))}")
     if value.tag == "Binary":
         raise node.error("is Binary, which FMI 2.0 doesn't have; leave it out")
-    found = _READ[value.tag](value)
+    kind = NUMBERS.get(value.tag, cast(Type, value.tag))
+    if len((value.text("value") or "").split()) > 1 and value.tag != kind:
+        raise value.error("is an array of SSP 2.0, which this program doesn't read; give each element its own value")
+    found = _READ[kind](value, "value")
     if found is None:
         raise value.error("lacks the attribute 'value'; add it")
-    return Parameter(node.required("name"), cast(Type, value.tag), found, value.text("unit"))
+    return Parameter(node.required("name"), kind, found, value.text("unit"))
 
 
-_READ: dict[str, Callable[[Node], Value | None]] = {
-    "Real": lambda node: node.number("value"),
-    "Integer": lambda node: node.integer("value"),
-    "Boolean": lambda node: None if node.text("value") is None else node.boolean("value"),
-    "String": lambda node: node.text("value"),
-    "Enumeration": lambda node: node.text("value"),
+_READ: dict[str, Callable[[Node, str], Value | None]] = {
+    "Real": Node.number,
+    "Integer": Node.integer,
+    "Boolean": lambda node, attribute: None if node.text(attribute) is None else node.boolean(attribute),
+    "String": Node.text,
+    "Enumeration": Node.text,
 }
-"""Type → how its value is read."""
+"""Type → how the value of an attribute is read."""
 
 
 def _unit(node: Node) -> Unit:

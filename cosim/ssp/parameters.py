@@ -1,4 +1,4 @@
-"""Which values the parameter sets of a system give to the variables of its FMUs."""
+"""Which values the parameter sets of a system give to the variables of its FMUs, by name or through connectors."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from flexfmu.cosim.fmu.variables import Value
-from flexfmu.cosim.master.linear_map import IDENTITY
-from flexfmu.cosim.ssp.structure import Binding, MappingEntry, Parameter, SspError, Structure, Unit
+from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
+from flexfmu.cosim.ssp.structure import Binding, MappingEntry, Parameter, SspError, Structure, ValueMap, levels
 from flexfmu.cosim.ssp.variables import ComponentFmu, conversion, variable_unit
-
-Target = tuple[str, str]
-"""Names of a component and of its variable."""
+from flexfmu.cosim.ssp.wiring import Network, Node
 
 
 @dataclass(frozen=True)
@@ -27,39 +25,64 @@ class StartValues:
     ignored: tuple[str, ...]
 
 
-def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> StartValues:
-    """Apply all bindings: those of components first, then the system's, which outrank them; later ones outrank earlier.
+def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network) -> StartValues:
+    """Apply all bindings: inner ones first, then those of the systems around them, which outrank them; later ones outrank
+    earlier. Values of systems' connectors go on to what these feed.
+
+    Args:
+        structure: the system.
+        fmus: full name of a component → the component with its FMU.
+        network: its connections; it gets remarks.
 
     Raises:
         SspError: a value doesn't suit its variable's type or unit, or comes from one that can't be set.
     """
     values: dict[str, dict[str, Value]] = {name: {} for name in fmus}
+    given: dict[Node, tuple[Parameter, str]] = {}
     ignored: list[str] = []
-    for binding, names in _levels(structure, fmus):
+    for binding, names in _levels(structure, fmus, network):
+        network.remarks += binding.values.remarks
+        units = {unit.name: unit for unit in binding.values.units}
         for parameter, entry in _used(binding):
             if entry.target not in names:
                 ignored.append(entry.target)
                 continue
-            component, variable = names[entry.target]
-            values[component][variable] = _value(parameter, entry, fmus[component], variable, binding)
+            element, variable = node = names[entry.target]
+            where = f"{binding.where}: parameter {parameter.name!r}"
+            known = {**network.units, **(fmus[element].units if element in fmus else {}), **units}
+            unit = variable_unit(fmus[element], variable) if element in fmus else network.unit(node)
+            source = unit if parameter.unit is None else known.get(parameter.unit, parameter.unit)
+            convert = conversion(source, unit, where, network.remarks) if entry.converts_units else IDENTITY
+            changed = replace(parameter, value=_transformed(parameter.value, entry, convert, where))
+            if element in fmus:
+                values[element][variable] = _value(changed, fmus[element], variable, where)
+            else:
+                given[node] = changed, where
+                network.value_units[node] = source
+    for node in network.feeds:
+        origin = network.origin(node, given) if node[0] in fmus else None
+        if origin is not None and origin.node in given:
+            parameter, where = given[origin.node]
+            if origin.linear != IDENTITY:
+                parameter = replace(parameter, value=origin.linear(_number(parameter, where)))
+            values[node[0]][node[1]] = _value(parameter, fmus[node[0]], node[1], where)
     return StartValues(values, tuple(dict.fromkeys(ignored)))
 
 
-def _levels(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> Iterator[tuple[Binding, Mapping[str, Target]]]:
+def _levels(
+    structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network
+) -> Iterator[tuple[Binding, Mapping[str, Node]]]:
     """All bindings in the order in which they are applied, with the names that they may use."""
-    for component in structure.components:
-        own = {name: (component.name, name) for name in fmus[component.name].variables}
-        yield from ((binding, own) for binding in component.bindings)
-    everything = {f"{component}.{name}": (component, name) for component, fmu in fmus.items() for name in fmu.variables}
-    yield from ((binding, {**everything, **_exposed(structure)}) for binding in structure.bindings)
-
-
-def _exposed(structure: Structure) -> dict[str, Target]:
-    """Variables that the system shows under the names of its own connectors."""
-    inner = {each.name for each in structure.connectors if each.kind in ("input", "parameter")}
-    ends = [pair for each in structure.connections for pair in ((each.start, each.end), (each.end, each.start))]
-    return {name: (element, variable) for (outer, name), (element, variable) in ends
-            if outer is None and name in inner and element is not None}  # fmt: skip
+    nodes = {f"{element}.{name}": (element, name) for element, fmu in fmus.items() for name in fmu.variables}
+    nodes |= {f"{node[0]}.{node[1]}".lstrip("."): node for node in network.connectors if node[0] not in fmus}
+    for prefix, level in reversed([*levels(structure)]):
+        for component in level.components:
+            own = {name: (prefix + component.name, name) for name in fmus[prefix + component.name].variables}
+            yield from ((binding, own) for binding in component.bindings)
+    for prefix, level in reversed([*levels(structure)]):
+        if level.bindings:
+            inside = {name.removeprefix(prefix): node for name, node in nodes.items() if name.startswith(prefix)}
+            yield from ((binding, inside) for binding in level.bindings)
 
 
 def _used(binding: Binding) -> Sequence[tuple[Parameter, MappingEntry]]:
@@ -71,22 +94,49 @@ def _used(binding: Binding) -> Sequence[tuple[Parameter, MappingEntry]]:
     return [(known[entry.source], entry) for entry in binding.mapping if entry.source in known]
 
 
-def _value(parameter: Parameter, entry: MappingEntry, fmu: ComponentFmu, name: str, binding: Binding) -> Value:
-    """The value in the variable's type and unit."""
-    variable, where = fmu.variables[name], f"{binding.where}: parameter {parameter.name!r}"
+def _transformed(value: Value, entry: MappingEntry, convert: LinearMap, where: str) -> Value:
+    """The value, converted and transformed.
+
+    Raises:
+        SspError: it is no number, or not in the table.
+    """
+    transformation = entry.transformation
+    if isinstance(transformation, ValueMap):
+        table = dict(transformation.pairs)
+        if value not in table:
+            raise SspError(f"{where} is {value!r}, which its mapping doesn't have; add it")
+        return table[value]
+    linear = convert.then(transformation)
+    if linear == IDENTITY:
+        return value
+    if isinstance(value, (bool, str)):
+        raise SspError(f"{where} is {value!r}, which a linear transformation can't change; give its value")
+    return linear(value)
+
+
+def _number(parameter: Parameter, where: str) -> float:
+    """The value, which has to be a number.
+
+    Raises:
+        SspError: it is none.
+    """
+    if isinstance(parameter.value, str):
+        raise SspError(f"{where} is {parameter.value!r}, which a linear transformation can't change; give its value")
+    return float(parameter.value)
+
+
+def _value(parameter: Parameter, fmu: ComponentFmu, name: str, where: str) -> Value:
+    """The value in the variable's type.
+
+    Raises:
+        SspError: it doesn't suit, or the FMU calculates the variable.
+    """
+    variable, kind, value = fmu.variables[name], fmu.type(name), parameter.value
     if variable.initial not in ("exact", "approx") and variable.causality != "input":
         raise SspError(f"{where} sets {name!r} of {fmu.component.source}, which the FMU calculates; leave it out")
+    if kind in ("Integer", "Enumeration") and isinstance(value, float) and value.is_integer():
+        return int(value)
     allowed = {"Real": ("Real", "Integer"), "Enumeration": ("Enumeration", "Integer")}
-    if parameter.type not in allowed.get(variable.type, (variable.type,)):
+    if parameter.type not in allowed.get(kind, (kind,)):
         raise SspError(f"{where} is {parameter.type}; {name!r} of {fmu.component.source} is {variable.type}")
-    if variable.type != "Real":
-        if entry.transformation != IDENTITY:
-            raise SspError(f"{where} is transformed, but {name!r} of {fmu.component.source} is no Real; give its value")
-        return parameter.value
-    units: dict[str, Unit] = {unit.name: unit for unit in binding.values.units}
-    target = variable_unit(fmu, name)
-    source = (
-        target if parameter.unit is None else units.get(parameter.unit, fmu.units.get(parameter.unit, parameter.unit))
-    )
-    convert = conversion(source, target, where) if entry.converts_units else IDENTITY
-    return convert.then(entry.transformation)(float(parameter.value))
+    return float(value) if kind == "Real" else value

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import cast, get_args
 
-from flexfmu.cosim.ssp.archive import DESCRIPTION, SspArchive
-from flexfmu.cosim.ssp.parameter_reading import read_bindings, read_transformation, read_units
-from flexfmu.cosim.ssp.structure import Component, Connection, Connector, Kind, Structure, Type
+from flexfmu.cosim.ssp.archive import SspArchive
+from flexfmu.cosim.ssp.parameter_reading import NUMBERS, read_bindings, read_transformation, read_units
+from flexfmu.cosim.ssp.structure import Component, Connection, Connector, Kind, Structure, System, Type
 from flexfmu.cosim.ssp.xml_tree import Node, parse
 
 FMU = "application/x-fmu-sharedlibrary"
@@ -17,48 +17,70 @@ ANNOTATION = "flexfmu"
 OSP_STEP = ("FixedStepAlgorithm", "baseStepSize")
 """Element and attribute of the Open Simulation Platform's annotation with the communication step."""
 
+OMS_STEPS = (("FixedStepMaster", "stepSize"), ("SimulationInformation", "fixedStepSize"))
+"""The same in annotations of OMSimulator 2 and 3."""
+
 
 def read_structure(archive: SspArchive) -> Structure:
-    """What an SSP's ``SystemStructure.ssd`` says.
+    """What the description of an SSP's system says.
 
     Raises:
-        SspError: it isn't SSP 1, contradicts the standard, or has nested systems, signal dictionaries or
-            transformations that aren't linear.
+        SspError: it isn't SSP 1 or 2, contradicts the standard, or has signal dictionaries or elements that are no FMUs.
     """
-    root = parse(archive.read(DESCRIPTION), archive.label(DESCRIPTION), "SystemStructureDescription")
+    name = archive.description
+    root = parse(archive.read(name), archive.label(name), "SystemStructureDescription")
     version = root.required("version")
-    if not version.startswith("1."):
-        raise root.error(f"is of SSP {version}; this program reads SSP 1.0")
+    if not version.startswith(("1.", "2.")):
+        raise root.error(f"is of SSP {version}; this program reads SSP 1.0, and what it has in SSP 2.0")
     system = root.child("System")
     if system is None:
         raise root.error("has no System; export it again")
     experiment = root.child("DefaultExperiment")
+    outer = _system(system, archive)
     return Structure(
         name=root.required("name"),
-        components=tuple(_component(each, archive) for each in system.children("Elements", "*")),
-        connections=tuple(_connection(each) for each in system.children("Connections", "Connection")),
-        connectors=_connectors(system),
-        bindings=read_bindings(system, archive),
+        components=outer.components,
+        connections=outer.connections,
+        connectors=outer.connectors,
+        bindings=outer.bindings,
+        systems=outer.systems,
         units=read_units(root),
         start=None if experiment is None else experiment.number("startTime"),
         stop=None if experiment is None else experiment.number("stopTime"),
-        step=None if experiment is None else _step(experiment),
+        step=_step(experiment, system),
         description=root.text("description") or "",
     )
 
 
-def _step(experiment: Node) -> float | None:
+def _system(node: Node, archive: SspArchive) -> System:
+    """A system with all within it."""
+    elements = [*node.children("Elements", "*")]
+    systems = tuple(_system(each, archive) for each in elements if each.tag == "System")
+    return System(
+        name=node.text("name") or "",
+        components=tuple(_component(each, archive) for each in elements if each.tag != "System"),
+        connections=tuple(_connection(each) for each in node.children("Connections", "Connection")),
+        connectors=_connectors(node),
+        bindings=read_bindings(node, archive),
+        systems=systems,
+        where=node.where,
+    )
+
+
+def _step(experiment: Node | None, system: Node) -> float | None:
     """The communication step [s], which SSP 1.0 leaves to annotations; None where none of those known has it.
 
     Raises:
         SspError: it isn't positive.
     """
-    element, attribute = OSP_STEP
-    for node in experiment.descendants(element):
-        step = node.number(attribute)
-        if step is not None and step <= 0.0:
-            raise node.error(f"has {attribute}='{step:g}', which must be positive [s]")
-        return step
+    known = [(experiment, *OSP_STEP)] if experiment is not None else []
+    for place, element, attribute in [*known, *((system, *each) for each in OMS_STEPS)]:
+        for node in place.descendants(element):
+            step = node.number(attribute)
+            if step is not None and step <= 0.0:
+                raise node.error(f"has {attribute}='{step:g}', which must be positive [s]")
+            if step is not None:
+                return step
     return None
 
 
@@ -75,10 +97,11 @@ def _component(node: Node, archive: SspArchive) -> Component:
         name,
         source,
         _connectors(node),
-        read_bindings(node, archive, source),
+        read_bindings(node, archive),
         node.text("description") or "",
         node.where,
         _sampling(node),
+        node.text("implementation") or "CoSimulation",
     )
 
 
@@ -103,21 +126,17 @@ def _sampling(node: Node) -> tuple[float, float] | None:
 
 
 def _check_kind(node: Node) -> None:
-    """The element is an FMU for co-simulation.
+    """The element is an FMU.
 
     Raises:
         SspError: it is something else.
     """
-    if node.tag == "System":
-        raise node.error(
-            "is a nested system, which this program doesn't read; move its components into the outer system"
-        )
+    if node.tag == "SignalDictionaryReference":
+        raise node.error("is a signal dictionary, which this program doesn't read; connect its signals directly")
     if node.tag != "Component":
         raise node.error("is not supported; only components that are FMUs are, connect them directly")
     if (kind := node.text("type") or FMU) != FMU:
         raise node.error(f"has the type {kind!r}; only FMUs ({FMU}) can be run, put the package's FMUs in directly")
-    if node.text("implementation") == "ModelExchange":
-        raise node.error("is for model exchange; this program co-simulates, take implementation='CoSimulation'")
 
 
 def _connectors(node: Node) -> tuple[Connector, ...]:
@@ -139,19 +158,19 @@ def _connector(node: Node) -> Connector:
     name, kind = node.required("name"), node.required("kind")
     if kind not in get_args(Kind):
         raise node.error(f"has the kind {kind!r}, which must be one of {', '.join(get_args(Kind))}")
-    kinds = (*get_args(Type), "Binary")
+    if node.child("Dimension") is not None:
+        raise node.error("is an array of SSP 2.0, which this program doesn't read; connect its elements one by one")
+    kinds = (*get_args(Type), *NUMBERS, "Binary")
     typed = next((each for each in node.children("*") if each.tag in kinds), None)
-    if typed is not None and typed.tag == "Binary":
-        raise node.error("is Binary, which FMI 2.0 doesn't have; leave it out")
-    connector_type = None if typed is None else cast(Type, typed.tag)
+    connector_type = None if typed is None else NUMBERS.get(typed.tag, cast(Type, typed.tag))
     return Connector(name, cast(Kind, kind), connector_type, None if typed is None else typed.text("unit"), node.where)
 
 
 def _connection(node: Node) -> Connection:
     """One connection."""
     return Connection(
-        (node.text("startElement"), node.required("startConnector")),
-        (node.text("endElement"), node.required("endConnector")),
+        (node.text("startElement") or None, node.required("startConnector")),
+        (node.text("endElement") or None, node.required("endConnector")),
         read_transformation(node),
         not node.boolean("suppressUnitConversion"),
         node.where,

@@ -1,11 +1,11 @@
 """A system structure description as data: what an SSD says, without XML and without FMUs.
 
-Names follow SSP 1.0 (Modelica Association, 2019).
+Names follow SSP 1.0 (Modelica Association, 2019); of SSP 2.0 there is what 1.0 has.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from math import isclose
 from typing import Literal
@@ -47,6 +47,26 @@ class Unit:
 
 
 @dataclass(frozen=True)
+class ValueMap:
+    """A table from values to values: booleans, integers, or names of enumerations' items."""
+
+    pairs: tuple[tuple[Value, Value], ...]
+
+    def linear(self) -> LinearMap | None:
+        """The line through all pairs, false being 0 and true 1; None where there is none."""
+        if not self.pairs or any(isinstance(each, str) for pair in self.pairs for each in pair):
+            return None
+        points = dict.fromkeys((float(x), float(y)) for x, y in self.pairs)
+        (x0, y0), (x1, y1) = min(points), max(points)
+        slope = 0.0 if x0 == x1 else (y1 - y0) / (x1 - x0)
+        fits = all(y0 + slope * (x - x0) == y for x, y in points)
+        return LinearMap(slope, y0 - slope * x0) if fits else None
+
+
+Transformation = LinearMap | ValueMap
+
+
+@dataclass(frozen=True)
 class Connector:
     """What an element shows to the outside.
 
@@ -60,7 +80,7 @@ class Connector:
 
     name: str
     kind: Kind
-    type: Type | None = None
+    type: Type | Literal["Binary"] | None = None
     unit: str | None = None
     where: str = ""
 
@@ -71,14 +91,14 @@ class Connection:
 
     Attributes:
         start, end: (element, connector); element None for connectors of the system itself.
-        transformation: linear map from source to target.
+        transformation: from source to target.
         converts_units: whether units are converted before.
         where: file and line, for errors.
     """
 
     start: tuple[str | None, str]
     end: tuple[str | None, str]
-    transformation: LinearMap = IDENTITY
+    transformation: Transformation = IDENTITY
     converts_units: bool = True
     where: str = ""
 
@@ -102,11 +122,12 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """Values with the units that they use."""
+    """Values with the units that they use, and remarks on what was wrong with the file."""
 
     name: str
     parameters: tuple[Parameter, ...]
     units: tuple[Unit, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -115,7 +136,7 @@ class MappingEntry:
 
     source: str
     target: str
-    transformation: LinearMap = IDENTITY
+    transformation: Transformation = IDENTITY
     converts_units: bool = True
 
 
@@ -150,6 +171,7 @@ class Component:
         description: what it is.
         where: file and line, for errors.
         sampling: sample time and offset [s] of an FMU that doesn't state them itself; None where the file doesn't say.
+        implementation: kind of FMU that the file asks for.
     """
 
     name: str
@@ -159,6 +181,26 @@ class Component:
     description: str = ""
     where: str = ""
     sampling: tuple[float, float] | None = None
+    implementation: str = "CoSimulation"
+
+
+@dataclass(frozen=True)
+class System:
+    """A system within another.
+
+    Attributes:
+        name: name of the element.
+        components, connections, connectors, bindings, systems: as for `Structure`.
+        where: file and line, for errors.
+    """
+
+    name: str
+    components: tuple[Component, ...]
+    connections: tuple[Connection, ...] = ()
+    connectors: tuple[Connector, ...] = ()
+    bindings: tuple[Binding, ...] = ()
+    systems: tuple[System, ...] = ()
+    where: str = ""
 
 
 @dataclass(frozen=True)
@@ -170,7 +212,8 @@ class Structure:
         components: its FMUs.
         connections: who feeds whom.
         connectors: the system's own connectors.
-        bindings: parameter sets of the system, which outrank those of components.
+        bindings: parameter sets of the system, which outrank those of its elements.
+        systems: systems within it.
         units: units that connectors refer to.
         start, stop: default experiment [s]; None where the file doesn't say.
         step: communication step [s]; None where the file doesn't say.
@@ -187,3 +230,13 @@ class Structure:
     stop: float | None = None
     step: float | None = None
     description: str = ""
+    systems: tuple[System, ...] = ()
+
+
+def levels(structure: Structure) -> Iterator[tuple[str, Structure | System]]:
+    """The system and all within it, outer ones first, with what is put before the names of their elements: ``inner.``."""
+    waiting: list[tuple[str, Structure | System]] = [("", structure)]
+    while waiting:
+        prefix, level = waiting.pop(0)
+        yield prefix, level
+        waiting += [(f"{prefix}{each.name}.", each) for each in level.systems]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
 from flexfmu.cosim.fmu.file import UnpackedFmu
 from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
-from flexfmu.cosim.ssp.parameter_reading import BASE_UNITS
+from flexfmu.cosim.ssp.parameter_reading import BASE_UNITS, NUMBERS
 from flexfmu.cosim.ssp.structure import Component, Connector, SspError, Unit
 
 _DIMENSIONLESS = ("", "1")
@@ -31,18 +31,36 @@ class ComponentFmu:
     variables: Mapping[str, Any]
     units: Mapping[str, Unit]
 
+    def type(self, name: str) -> str:
+        """Type of a variable, by its name in FMI 2.0."""
+        found: str = self.variables[name].type
+        return NUMBERS.get(found, found)
 
-def component_fmu(component: Component, fmu: UnpackedFmu, units: Sequence[Unit]) -> ComponentFmu:
-    """Check a component's connectors against its FMU.
+
+def component_fmu(component: Component, fmu: UnpackedFmu) -> ComponentFmu:
+    """A component with the variables and units of its FMU."""
+    variables = {variable.name: variable for variable in fmu.description.modelVariables}
+    return ComponentFmu(component, fmu, variables, _fmu_units(fmu.description))
+
+
+def check_connectors(owner: ComponentFmu, connected: Collection[str], units: Sequence[Unit]) -> list[str]:
+    """Check a component's connectors against its FMU; remarks on those that fail and aren't connected.
 
     Raises:
-        SspError: a connector has no variable, or contradicts it.
+        SspError: a connected one has no variable, or contradicts it.
     """
-    variables = {variable.name: variable for variable in fmu.description.modelVariables}
-    found = ComponentFmu(component, fmu, variables, _fmu_units(fmu.description))
-    for connector in component.connectors:
-        _check(connector, found, {unit.name: unit for unit in units})
-    return found
+    known, problems = {unit.name: unit for unit in units}, {}
+    for connector in owner.component.connectors:
+        try:
+            _check(connector, owner, known)
+        except SspError as error:
+            if connector.name in connected:
+                raise
+            problems[connector.name] = str(error)
+    if not problems:
+        return []
+    first, others = next(iter(problems.values())), [*problems][1:]
+    return [f"unconnected, ignored: {first}" + (f"; so are {', '.join(others)}" if others else "")]
 
 
 def unit_of(connector: Connector, owner: ComponentFmu, units: Mapping[str, Unit]) -> Unit | str:
@@ -59,20 +77,21 @@ def variable_unit(owner: ComponentFmu, name: str) -> Unit | str:
     return owner.units.get(text) or text
 
 
-def conversion(source: Unit | str, target: Unit | str, where: str) -> LinearMap:
-    """From one unit to another; nothing to do where one of them is unknown.
+def conversion(source: Unit | str, target: Unit | str, where: str, remarks: list[str]) -> LinearMap:
+    """From one unit to another; nothing to do where one of them is unknown, with a remark where it has a name.
 
     Raises:
-        SspError: they measure different things, or one of them isn't defined.
+        SspError: they measure different things.
     """
     names = [each if isinstance(each, str) else each.name for each in (source, target)]
     if names[0] == names[1] or any(name in _DIMENSIONLESS for name in names):
         return IDENTITY
     for each in (source, target):
         if isinstance(each, str):
-            raise SspError(
-                f"{where}: the unit {each!r} isn't defined; define it in <Units>, or set suppressUnitConversion"
+            remarks.append(
+                f"{where}: the unit {each!r} isn't defined, so values aren't converted; define it in <Units>"
             )
+            return IDENTITY
     assert isinstance(source, Unit)
     assert isinstance(target, Unit)
     found = source.to(target)
@@ -104,7 +123,7 @@ def _check(connector: Connector, owner: ComponentFmu, units: Mapping[str, Unit])
         raise SspError(
             f"{connector.where} is of kind {connector.kind}; in {owner.component.source} it is {variable.causality}"
         )
-    if connector.type is not None and connector.type != variable.type:
+    if connector.type is not None and connector.type != owner.type(connector.name):
         raise SspError(f"{connector.where} is {connector.type}; in {owner.component.source} it is {variable.type}")
     said, own = unit_of(connector, owner, units), variable_unit(owner, connector.name)
     if isinstance(said, Unit) and isinstance(own, Unit) and said.to(own) != IDENTITY:

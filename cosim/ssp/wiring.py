@@ -1,96 +1,218 @@
-"""From a system structure's connections to the master's: direction, existence, types and units."""
+"""Where a connector's signal comes from, through systems within systems; and the connections that the master makes of it.
+
+A system's own connector passes on what reaches it from outside (inputs, parameters) or from inside (outputs). On the way
+values are converted between units, then transformed, connection by connection.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 
-from flexfmu.cosim.master.linear_map import IDENTITY
+from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.master.system import Wire
-from flexfmu.cosim.ssp.structure import Connection, Connector, SspError, Structure, Unit
+from flexfmu.cosim.ssp.structure import Connection, Connector, SspError, Structure, System, Unit, ValueMap, levels
 from flexfmu.cosim.ssp.variables import ComponentFmu, conversion, unit_of
+
+Node = tuple[str, str]
+"""Full name of an element (``inner.first``; empty for the whole system) and its connector."""
 
 _TYPES = {
     "Real": ("Real", "Integer"),
-    "Integer": ("Integer",),
+    "Integer": ("Integer", "Enumeration"),
     "Boolean": ("Boolean",),
-    "Enumeration": ("Enumeration",),
+    "Enumeration": ("Enumeration", "Integer"),
 }
 """Type of an input → types of outputs that may feed it."""
 
+_TAKERS, _GIVERS = ("input", "parameter"), ("output", "calculatedParameter")
+"""Kinds of connectors that an element's values go into and come from; for a system's own ones, seen from inside, the
+other way round."""
 
-def wires(structure: Structure, fmus: Mapping[str, ComponentFmu], names: Mapping[str, str]) -> list[Wire]:
-    """Connections between components; what the system's own connectors are connected to stays at its start value.
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a signal comes from.
+
+    Attributes:
+        node: an FMU's output, or a system's connector that nothing feeds.
+        linear: what happens on the way.
+        unit: unit that the signal arrives in; empty where nothing says.
+        where: the last connection on the way, for errors.
+    """
+
+    node: Node
+    linear: LinearMap = IDENTITY
+    unit: Unit | str = ""
+    where: str = ""
+
+
+class Network:
+    """All connections of a system and those within it.
 
     Args:
         structure: the system.
-        fmus: name of a component → the component with its FMU.
-        names: name of a component → name of its slave.
+        fmus: full name of a component → the component with its FMU.
+
+    Attributes:
+        connectors: of all elements.
+        feeds: connector → the one that feeds it, and the connection.
+        units: name → unit that the structure defines.
+        value_units: connector → unit of the value that a parameter set gives it, where it has none itself.
+        remarks: what the user should know.
 
     Raises:
-        SspError: an end doesn't exist, leads the wrong way, or types or units don't fit.
+        SspError: an end doesn't exist, leads the wrong way, or is fed twice.
     """
-    units = {unit.name: unit for unit in structure.units}
-    inner = [each for each in structure.connections if _is_inner(each, structure)]
-    return [_wire(each, fmus, names, units) for each in inner]
 
+    def __init__(self, structure: Structure, fmus: Mapping[str, ComponentFmu]) -> None:
+        self._fmus = fmus
+        self.units = {unit.name: unit for unit in structure.units}
+        self.value_units: dict[Node, Unit | str] = {}
+        self.remarks: list[str] = []
+        self.connectors: dict[Node, Connector] = {}
+        self.feeds: dict[Node, tuple[Node, Connection]] = {}
+        for prefix, level in levels(structure):
+            for each in level.connectors:
+                self.connectors[prefix[:-1], each.name] = each
+            for component in level.components:
+                for each in component.connectors:
+                    self.connectors[prefix + component.name, each.name] = each
+        for prefix, level in levels(structure):
+            for connection in level.connections:
+                self._add(connection, prefix, level)
 
-def _is_inner(connection: Connection, structure: Structure) -> bool:
-    """Whether both ends are on components.
+    def origin(self, node: Node, values: Collection[Node] | None = None) -> Origin | None:
+        """Where the connector's signal comes from; None where nothing feeds it.
 
-    Raises:
-        SspError: the system has no connector of that name.
-    """
-    own = [connector for element, connector in (connection.start, connection.end) if element is None]
-    known = [each.name for each in structure.connectors]
-    for name in own:
-        if name not in known:
+        Args:
+            node: the connector.
+            values: connectors of systems that have a value of their own, where only these count as origins.
+
+        Raises:
+            SspError: it comes from itself, units don't fit, or a table on the way isn't a line.
+        """
+        way = [node]
+        while way[-1] in self.feeds:
+            way.append(self.feeds[way[-1]][0])
+            if way[-1] in way[:-1]:
+                ring = " <- ".join(_full_name(each) for each in way)
+                raise SspError(f"{self.feeds[node][1].where}: connectors feed each other in a ring: {ring}; open it")
+        while values is not None and len(way) > 1 and way[-1][0] not in self._fmus and way[-1] not in values:
+            way.pop()
+        linear, unit = IDENTITY, self.unit(way[-1])
+        for taker in reversed(way[:-1]):
+            giver, connection = self.feeds[taker]
+            where, own = f"{connection.where} from {giver[1]!r} to {taker[1]!r}", self.unit(taker)
+            if connection.converts_units:
+                linear = linear.then(conversion(unit, own, where, self.remarks))
+            linear = linear.then(_line(connection))
+            unit = own or unit
+        return None if len(way) == 1 else Origin(way[-1], linear, unit, self.feeds[node][1].where)
+
+    def unit(self, node: Node) -> Unit | str:
+        """Unit of a connector, its bare name where nothing defines it, empty where nothing says."""
+        connector = self.connectors[node]
+        if node[0] in self._fmus:
+            return unit_of(connector, self._fmus[node[0]], self.units)
+        return self.units.get(connector.unit or "", connector.unit or self.value_units.get(node, ""))
+
+    def _add(self, connection: Connection, prefix: str, level: Structure | System) -> None:
+        """One connection, from giver to taker."""
+        ends = [self._end(connection, *end, prefix, level) for end in (connection.start, connection.end)]
+        kinds = [self.connectors[node].kind for node in ends]
+        own = connection.start[0] is None, connection.end[0] is None
+        gives = [kind in (_TAKERS if inside else _GIVERS) for kind, inside in zip(kinds, own, strict=True)]
+        if gives.count(True) != 1 or "inout" in kinds:
+            raise SspError(f"{connection.where} joins {kinds[0]} and {kinds[1]}; connect an output and an input")
+        giver, taker = ends if gives[0] else reversed(ends)
+        if taker in self.feeds:
+            raise SspError(f"{connection.where}: {_full_name(taker)} is connected twice; keep one source")
+        self.feeds[taker] = giver, connection
+
+    def _end(
+        self, connection: Connection, element: str | None, name: str, prefix: str, level: Structure | System
+    ) -> Node:
+        """The connector that an end names.
+
+        Raises:
+            SspError: there is none.
+        """
+        elements = {each.name: each.connectors for each in level.components}
+        elements |= {each.name: each.connectors for each in level.systems}
+        if element is not None and element not in elements:
             raise SspError(
-                f"{connection.where} names the system's connector {name!r}, which doesn't exist{_hint(name, known)}"
+                f"{connection.where} names the element {element!r}, which doesn't exist{_hint(element, [*elements])}"
             )
-    return not own
+        known = [each.name for each in (level.connectors if element is None else elements[element])]
+        if name not in known:
+            owner = (
+                f"the connector {name!r}, which {element!r} doesn't have"
+                if element
+                else f"the system's connector {name!r}, which doesn't exist"
+            )
+            raise SspError(f"{connection.where} names {owner}{_hint(name, known)}")
+        return (prefix[:-1] if element is None else prefix + element), name
 
 
-def _wire(
-    connection: Connection, fmus: Mapping[str, ComponentFmu], names: Mapping[str, str], units: Mapping[str, Unit]
-) -> Wire:
-    """One connection, from output to input."""
-    ends = [_end(connection, element or "", name, fmus) for element, name in (connection.start, connection.end)]
-    kinds = [connector.kind for _, connector in ends]
-    if sorted(kinds) != ["input", "output"]:
-        remedy = "set the parameter with a parameter set" if "parameter" in kinds else "connect an output and an input"
-        raise SspError(f"{connection.where} joins {kinds[0]} and {kinds[1]}; {remedy}")
-    (giver, output), (taker, receiver) = ends if kinds[0] == "output" else reversed(ends)
-    types = giver.variables[output.name].type, taker.variables[receiver.name].type
-    if types[0] not in _TYPES.get(types[1], ()):
-        raise SspError(
-            f"{connection.where} feeds {types[1]} {receiver.name!r} from {types[0]} {output.name!r}; convert in an FMU"
-        )
-    source, target = unit_of(output, giver, units), unit_of(receiver, taker, units)
-    where = f"{connection.where} from {output.name!r} to {receiver.name!r}"
-    convert = conversion(source, target, where) if connection.converts_units else IDENTITY
-    linear = convert.then(connection.transformation)
-    return f"{names[giver.component.name]}.{output.name}", f"{names[taker.component.name]}.{receiver.name}", linear
+def wires(network: Network, fmus: Mapping[str, ComponentFmu], names: Mapping[str, str]) -> list[Wire]:
+    """Connections between components, for the master.
 
-
-def _end(
-    connection: Connection, element: str, name: str, fmus: Mapping[str, ComponentFmu]
-) -> tuple[ComponentFmu, Connector]:
-    """The connector that an end names.
+    Args:
+        network: all connections.
+        fmus: full name of a component → the component with its FMU.
+        names: full name of a component → name of its slave.
 
     Raises:
-        SspError: there is none.
+        SspError: types or units don't fit, or a parameter would change during the run.
     """
-    if element not in fmus:
+    found: list[Wire] = []
+    for node in network.feeds:
+        origin = network.origin(node) if node[0] in fmus else None
+        if origin is None or origin.node[0] not in fmus:
+            continue
+        kinds = network.connectors[origin.node].kind, network.connectors[node].kind
+        if kinds != ("output", "input"):
+            raise SspError(
+                f"{origin.where} joins {kinds[0]} and {kinds[1]}; parameters are set before the run: use a parameter set"
+            )
+        types = [fmus[element].type(name) for element, name in (origin.node, node)]
+        if types[0] not in _TYPES.get(types[1], ()):
+            raise SspError(
+                f"{origin.where} feeds {types[1]} {node[1]!r} from {types[0]} {origin.node[1]!r}; convert in an FMU"
+            )
+        source, target = (f"{names[element]}.{name}" for element, name in (origin.node, node))
+        found.append((source, target, origin.linear))
+    return found
+
+
+def shown(structure: Structure, network: Network) -> dict[str, Origin]:
+    """Full names of systems' connectors → where their signals come from, for the results."""
+    nodes = [(prefix[:-1], each.name) for prefix, level in levels(structure) for each in level.connectors]
+    found = {_full_name(node): network.origin(node) for node in nodes}
+    return {name: origin for name, origin in found.items() if origin is not None}
+
+
+def _line(connection: Connection) -> LinearMap:
+    """What a connection does to its signal.
+
+    Raises:
+        SspError: the master can't, since it is a table that is no line.
+    """
+    if not isinstance(connection.transformation, ValueMap):
+        return connection.transformation
+    found = connection.transformation.linear()
+    if found is None:
         raise SspError(
-            f"{connection.where} names the element {element!r}, which doesn't exist{_hint(element, [*fmus])}"
+            f"{connection.where} has a table that is no line; map the values inside an FMU, or in a parameter set's mapping"
         )
-    connectors = {each.name: each for each in fmus[element].component.connectors}
-    if name not in connectors:
-        raise SspError(
-            f"{connection.where} names the connector {name!r}, which {element!r} doesn't have{_hint(name, [*connectors])}"
-        )
-    return fmus[element], connectors[name]
+    return found
+
+
+def _full_name(node: Node) -> str:
+    """``inner.first.x``."""
+    return f"{node[0]}.{node[1]}" if node[0] else node[1]
 
 
 def _hint(name: str, known: list[str]) -> str:

@@ -11,16 +11,23 @@ from flexfmu.cosim.fmu.variables import Value
 from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.ssp.parameter_reading import BASE_UNITS
 from flexfmu.cosim.ssp.reading import ANNOTATION, FMU, OSP_STEP
-from flexfmu.cosim.ssp.structure import Binding, Component, Connection, Connector, ParameterSet, Structure, Unit
-from flexfmu.cosim.ssp.xml_tree import NAMESPACE
+from flexfmu.cosim.ssp.structure import (
+    Binding,
+    Component,
+    Connection,
+    Connector,
+    ParameterSet,
+    Structure,
+    System,
+    Transformation,
+    Unit,
+)
+from flexfmu.cosim.ssp.xml_tree import NAMESPACES
 
 VERSION = "1.0"
 
 _NAMESPACES = {
-    "ssc": f"{NAMESPACE}SystemStructureCommon",
-    "ssd": f"{NAMESPACE}SystemStructureDescription",
-    "ssv": f"{NAMESPACE}SystemStructureParameterValues",
-    "ssm": f"{NAMESPACE}SystemStructureParameterMapping",
+    **NAMESPACES,
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
     "flexfmu": "urn:flexfmu:ssp",
 }
@@ -39,16 +46,7 @@ def ssd_xml(structure: Structure, tool: str) -> bytes:
     """
     root = etree.Element(_tag("ssd:SystemStructureDescription"), nsmap=_NAMESPACES)
     _set(root, version=VERSION, name=structure.name, description=structure.description, generationTool=tool)
-    system = _add(root, "ssd:System", name=structure.name, description=structure.description)
-    _connectors(system, structure.connectors)
-    _bindings(system, structure.bindings)
-    elements = _add(system, "ssd:Elements")
-    for component in structure.components:
-        _component(elements, component)
-    if structure.connections:
-        connections = _add(system, "ssd:Connections")
-        for connection in structure.connections:
-            _connection(connections, connection)
+    _system(_add(root, "ssd:System", name=structure.name, description=structure.description), structure)
     _units(root, "ssd:Units", structure.units)
     _experiment(root, structure)
     return _bytes(root)
@@ -61,10 +59,25 @@ def ssv_xml(values: ParameterSet, tool: str) -> bytes:
     return _bytes(root)
 
 
+def _system(node: Any, system: Structure | System) -> None:
+    """What is in a system, and in those within it."""
+    _connectors(node, system.connectors)
+    _bindings(node, system.bindings)
+    elements = _add(node, "ssd:Elements") if system.components or system.systems else None
+    for component in system.components:
+        _component(elements, component)
+    for inner in system.systems:
+        _system(_add(elements, "ssd:System", name=inner.name), inner)
+    if system.connections:
+        connections = _add(node, "ssd:Connections")
+        for connection in system.connections:
+            _connection(connections, connection)
+
+
 def _component(elements: Any, component: Component) -> None:
     """A component; connectors and bindings follow."""
     node = _add(elements, "ssd:Component", name=component.name, description=component.description)
-    _set(node, type=FMU, source=component.source, implementation="CoSimulation")
+    _set(node, type=FMU, source=component.source, implementation=component.implementation)
     _connectors(node, component.connectors)
     _bindings(node, component.bindings)
     if component.sampling is not None:
@@ -92,10 +105,18 @@ def _connection(connections: Any, connection: Connection) -> None:
     _transformation(node, connection.transformation)
 
 
-def _transformation(node: Any, linear: LinearMap) -> None:
-    """A linear map, unless it is the identity."""
-    if linear != IDENTITY:
-        _add(node, "ssc:LinearTransformation", factor=repr(linear.factor), offset=repr(linear.offset))
+def _transformation(node: Any, transformation: Transformation) -> None:
+    """A linear map, unless it is the identity, or a table."""
+    if isinstance(transformation, LinearMap):
+        if transformation != IDENTITY:
+            factor, offset = repr(transformation.factor), repr(transformation.offset)
+            _add(node, "ssc:LinearTransformation", factor=factor, offset=offset)
+        return
+    values = [each for pair in transformation.pairs for each in pair]
+    kind = {bool: "Boolean", int: "Integer"}.get(type(values[0]) if values else str, "Enumeration")
+    table = _add(node, f"ssc:{kind}MappingTransformation")
+    for source, target in transformation.pairs:
+        _add(table, "ssc:MapEntry", source=_text(source), target=_text(target))
 
 
 def _bindings(element: Any, bindings: Iterable[Binding]) -> None:

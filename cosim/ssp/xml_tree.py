@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
@@ -13,6 +14,14 @@ from flexfmu.cosim.ssp.structure import SspError
 
 NAMESPACE = "http://ssp-standard.org/SSP1/"
 """How the names of all namespaces of SSP 1 begin."""
+
+NAMESPACES = {
+    "ssc": f"{NAMESPACE}SystemStructureCommon",
+    "ssd": f"{NAMESPACE}SystemStructureDescription",
+    "ssv": f"{NAMESPACE}SystemStructureParameterValues",
+    "ssm": f"{NAMESPACE}SystemStructureParameterMapping",
+}
+"""The standard's prefixes."""
 
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
@@ -129,7 +138,7 @@ def parse(content: bytes, file: str, root: str) -> Node:
     """
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
     try:
-        element = etree.fromstring(content, parser)
+        element = etree.fromstring(_with_prefixes(content), parser)
     except etree.XMLSyntaxError as error:
         raise SspError(f"{file} is no XML: {' '.join(str(error.msg).split())}; export it again") from None
     if element.getroottree().docinfo.doctype:
@@ -138,3 +147,15 @@ def parse(content: bytes, file: str, root: str) -> Node:
     if node.tag != root or not (etree.QName(element).namespace or "").startswith(NAMESPACE):
         raise SspError(f"{file} begins with <{element.tag}>, must begin with <{root}> of SSP 1; check the file")
     return node
+
+
+def _with_prefixes(content: bytes) -> bytes:
+    """The document with the standard's prefixes declared, which some tools leave out."""
+    for prefix, uri in NAMESPACES.items():
+        used, known = f"<{prefix}:".encode(), re.search(rf"xmlns:{prefix}\s*=".encode(), content)
+        if used in content and not known:
+            # on the first element, whatever it is called
+            content = re.sub(
+                rb"<([A-Za-z][\w.:-]*)", rb'<\1 xmlns:%s="%s"' % (prefix.encode(), uri.encode()), content, count=1
+            )
+    return content

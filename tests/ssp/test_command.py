@@ -91,7 +91,7 @@ def test_scenes_have_a_stop_time_of_their_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("ssd", "status", "problem"),
     [
-        (SSD.replace('version="1.0" name', 'version="2.0" name'), 2, "is of SSP 2.0"),
+        (SSD.replace('version="1.0" name', 'version="3.0" name'), 2, "is of SSP 3.0"),
         (of_second(inline(parameter_set(trouble='Enumeration value="fails"'))), 1, "second is tired"),
         (SSD.replace('stopTime="1"', 'stopTime="-1"'), 2, "-1"),
     ],

@@ -52,42 +52,59 @@ def connected(inner: str = "", attributes: str = "", **ends: str) -> str:
 
 MAPPED = f'<ssm:ParameterMapping {NAMESPACES} version="1.0"><ssm:MappingEntry source="a" target="rate"><ssc:BooleanMappingTransformation/></ssm:MappingEntry></ssm:ParameterMapping>'
 
+PASSING = (
+    '<ssd:System name="inner"><ssd:Connectors><ssd:Connector name="a" kind="input"/><ssd:Connector name="b" kind="output"/>'
+    '</ssd:Connectors><ssd:Connections><ssd:Connection startConnector="a" endConnector="b"/></ssd:Connections></ssd:System>'
+)
+RING = (
+    '<ssd:Connection startElement="inner" startConnector="b" endElement="inner" endConnector="a"/>'
+    '<ssd:Connection startElement="inner" startConnector="b" endElement="second" endConnector="u"/>'
+)
+TABLE = "<ssc:IntegerMappingTransformation>{}</ssc:IntegerMappingTransformation>".format(
+    "".join(f'<ssc:MapEntry source="{i}" target="{i * i}"/>' for i in range(3))
+)
+
 WRONG: dict[str, tuple[str, str]] = {
     "no XML": ("<ssd:System", "is no XML"),
     "another root": ("<a/>", "must begin with <SystemStructureDescription>"),
-    "version": (changed('version="1.0" name', 'version="2.0" name'), "is of SSP 2.0"),
+    "version": (changed('version="1.0" name', 'version="3.0" name'), "is of SSP 3.0"),
     "no system": (f'<ssd:SystemStructureDescription {NAMESPACES} version="1.0" name="x"/>', "has no System"),
-    "nested system": (changed("<ssd:Elements>", '<ssd:Elements><ssd:System name="inner"/>'), "'inner'> is a nested system"),
+    "nested system of the same name": (changed("<ssd:Elements>", '<ssd:Elements><ssd:System name="first"/>'), "<Component name='first'>: another element has the same name"),
+    "ring of connectors": (
+        changed("<ssd:Elements>", f"<ssd:Elements>{PASSING}").replace(CONNECTION, RING),
+        "connectors feed each other in a ring: second.u <- inner.b <- inner.a <- inner.b",
+    ),
     "dictionary": (
         changed("<ssd:Elements>", '<ssd:Elements><ssd:SignalDictionaryReference name="d" dictionary="e"/>'),
-        "<SignalDictionaryReference name='d'> is not supported",
+        "<SignalDictionaryReference name='d'> is a signal dictionary, which",
     ),
     "package in package": (
         changed('name="first"', 'name="first" type="application/x-ssp-package"'),
         "has the type 'application/x-ssp-package'",
     ),
-    "model exchange": (changed('name="first"', 'name="first" implementation="ModelExchange"'), "is for model exchange"),
     "no name": (changed('name="first"', 'id="first"'), "lacks the attribute 'name'"),
-    "same name": (changed('name="first"', 'name="second"'), "another component has the same name"),
+    "same name": (changed('name="first"', 'name="second"'), "another element has the same name"),
     "missing file": (changed("resources/decay.fmu", "resources/decoy.fmu"), "isn't in decays.ssp; it holds"),
     "from the net": (changed("resources/decay.fmu", "http://localhost/decay.fmu"), "only files within the archive"),
     "absolute": (changed("resources/decay.fmu", "/etc/passwd"), "relative to SystemStructure.ssd"),
     "upwards": (changed("resources/decay.fmu", "../decay.fmu"), "leads out of the archive"),
     "upwards, hidden": (changed("resources/decay.fmu", "resources/%2e%2e/%2E%2E/decay.fmu"), "leads out of the archive"),
     "backslash": (changed("resources/decay.fmu", "resources\\decay.fmu"), "with slashes"),
-    "unknown variable": (changed('name="steps"', 'name="step"'), "has no variable 'step'; did you mean 'steps'?"),
+    "unknown variable": (changed('name="u"', 'name="uu"').replace('endConnector="u"', 'endConnector="uu"'), "has no variable 'uu'; did you mean 'u'?"),
     "wrong direction": (changed('name="u" kind="input"', 'name="u" kind="output"'), "is of kind output; in resources/decay.fmu it is input"),
-    "wrong type": (changed("<ssc:Integer/>", "<ssc:Real/>"), "is Real; in resources/decay.fmu it is Integer"),
+    "wrong type": (changed('<ssc:Real unit="m"/>', "<ssc:Integer/>"), "is Integer; in resources/decay.fmu it is Real"),
     "unknown kind": (changed('kind="input"', 'kind="inlet"'), "has the kind 'inlet'"),
     "two connectors": (changed('name="steps" kind="output"', 'name="x" kind="output"'), "two connectors named 'x'"),
     "wrong unit": (changed('<ssc:Real unit="m"/>', '<ssc:Real unit="mm"/>'), "is in mm; in resources/decay.fmu it is in m"),
-    "binary": (changed("<ssc:Integer/>", "<ssc:Binary/>"), "is Binary"),
+    "binary": (changed('<ssc:Real unit="m"/>', "<ssc:Binary/>"), "is Binary"),
+    "array": (changed("<ssc:Integer/>", '<ssc:Integer/><ssd:Dimension size="3"/>'), "is an array of SSP 2.0"),
     "unknown element": (connected(startElement="furst"), "names the element 'furst', which doesn't exist; did you mean 'first'?"),
     "unknown connector": (connected(startConnector="y"), "names the connector 'y', which 'first' doesn't have"),
     "unknown system connector": (connected(startElement=""), "names the system's connector 'x', which doesn't exist"),
     "two outputs": (connected(endConnector="x"), "joins output and output"),
     "types": (connected(endConnector="inverted"), "feeds Boolean 'inverted' from Real 'x'"),
-    "transformation": (connected("<ssc:IntegerMappingTransformation/>"), "<IntegerMappingTransformation> is not supported"),
+    "table": (connected(TABLE), "has a table that is no line"),
+    "calculated parameter": (connected(endConnector="rate").replace('<ssd:Connector name="inverted" kind="input"/>', '<ssd:Connector name="rate" kind="parameter"/>'), "joins output and parameter; parameters are set before the run"),
     "factor": (connected('<ssc:LinearTransformation factor="two"/>'), "has factor='two', which must be a number"),
     "not finite": (connected('<ssc:LinearTransformation offset="INF"/>'), "has offset='INF', which must be finite"),
     "suppress": (connected("", 'suppressUnitConversion="maybe"'), "must be true or false"),
@@ -104,11 +121,11 @@ WRONG: dict[str, tuple[str, str]] = {
     "value not finite": (of_second(inline(parameter_set(rate='Real value="NaN"'))), "must be finite"),
     "type of a value": (of_second(inline(parameter_set(rate='Boolean value="true"'))), "is Boolean; 'rate' of resources/decay.fmu is Real"),
     "calculated": (of_second(inline(parameter_set(steps='Integer value="1"'))), "which the FMU calculates"),
-    "unit of a value": (of_system(inline(parameter_set(second__x='Real value="1" unit="furlong"'))), "the unit 'furlong' isn't defined"),
+    "unit of a value": (of_system(inline(parameter_set(second__x='Real value="1" unit="s"'))), "s can't be converted to m"),
     "item": (of_second(inline(parameter_set(trouble='Enumeration value="maybe"'))), "trouble must be one of none, fails, discards, forgets"),
     "mapping": (
         of_second(inline(parameter_set(a='Real value="1"'), mapping=f"<ssd:ParameterMapping>{MAPPED}</ssd:ParameterMapping>")),
-        "<BooleanMappingTransformation> is not supported",
+        "parameter 'a' is 1.0, which its mapping doesn't have",
     ),
 }  # fmt: skip
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from ssp_support.packages import CONNECTION, NAMESPACES, SSD, binding, inline, of_second, of_system, parameter_set
 
+from flexfmu.cosim.master.linear_map import LinearMap
 from flexfmu.cosim.master.master import Outcome
 from flexfmu.cosim.ssp.loading import load_ssp
-from flexfmu.cosim.ssp.structure import Unit
+from flexfmu.cosim.ssp.structure import Unit, ValueMap
 
 MakeSsp = Callable[..., Path]
 STEP, COUNT = 0.125, 8
@@ -171,3 +172,139 @@ def test_times_where_the_file_says_none(make_ssp: MakeSsp, make_decay: Callable[
     ssd = SSD.replace('<ssd:DefaultExperiment startTime="0" stopTime="1"/>', "")
     loaded = load_ssp(make_ssp(ssd, {"resources/decay.fmu": make_decay(experiment)}))
     assert (loaded.start, loaded.stop, loaded.step) == (0.0, 0.5, 0.125)
+
+
+def nested(outer: str = "", within: str = "", into: str = "", out: str = "", bindings: str = "") -> str:
+    """The second FMU in a system ``inner`` of its own, whose connectors u (in mm), y and rate lead to it; the whole system
+    shows ``result`` and has the parameter ``speed``. Arguments: bindings of the whole and of ``inner``, transformations on
+    the way in and on the way out, bindings of the component."""
+    head, rest = SSD.split('<ssd:Component name="second"')
+    second, tail = rest.split("</ssd:Component>")
+    second = second.replace(
+        "</ssd:Connectors>", f'<ssd:Connector name="rate" kind="parameter"/></ssd:Connectors>{bindings}'
+    )
+    own = (
+        '<ssd:Connectors><ssd:Connector name="u" kind="input"><ssc:Real unit="mm"/></ssd:Connector>'
+        '<ssd:Connector name="y" kind="output"/><ssd:Connector name="rate" kind="parameter"/></ssd:Connectors>'
+    )
+    inner = "".join(
+        [
+            f'<ssd:System name="inner">{own}{within}',
+            f'<ssd:Elements><ssd:Component name="second"{second}</ssd:Component></ssd:Elements><ssd:Connections>',
+            f'<ssd:Connection startElement="" startConnector="u" endElement="second" endConnector="u">{into}</ssd:Connection>',
+            '<ssd:Connection startConnector="rate" endElement="second" endConnector="rate"/>',
+            '<ssd:Connection startElement="second" startConnector="x" endConnector="y"/></ssd:Connections></ssd:System>',
+        ]
+    )
+    connections = (
+        '<ssd:Connection startElement="first" startConnector="x" endElement="inner" endConnector="u"/>'
+        '<ssd:Connection startConnector="speed" endElement="inner" endConnector="rate"><ssc:LinearTransformation factor="2"/></ssd:Connection>'
+        f'<ssd:Connection startElement="inner" startConnector="y" endConnector="result">{out}</ssd:Connection>'
+    )
+    shown = '<ssd:Connectors><ssd:Connector name="result" kind="output"/><ssd:Connector name="speed" kind="parameter"/></ssd:Connectors>'
+    ssd = f"{head.replace('<ssd:Elements>', f'{shown}{outer}<ssd:Elements>')}{inner}{tail}"
+    return ssd.replace(CONNECTION, connections)
+
+
+def test_nested_systems(make_ssp: MakeSsp) -> None:
+    """Signals pass through the connectors of systems, converted and transformed on each connection, and are recorded under
+    the connectors' names too."""
+    into, out = (
+        f'<ssc:LinearTransformation factor="{factor}" offset="{offset}"/>' for factor, offset in ((2, 3), (-1, 5))
+    )
+    loaded = load_ssp(make_ssp(nested(into=into, out=out)), step=STEP)
+    recording = loaded.simulate().recording
+    expected = closed_form(2.0, 3.0)  # mm after m: converted into mm and back into m, then transformed
+    assert recording["inner.second.x"].values[-1] == pytest.approx(expected, rel=1e-12)
+    assert (recording["inner.y"].values == recording["inner.second.x"].values).all()
+    assert recording["result"].values[-1] == pytest.approx(5.0 - expected, rel=1e-12)
+    assert recording["inner.u"].values[-1] == pytest.approx(1e3 * recording["first.x"].values[-1], rel=1e-12)
+    assert (recording["inner.u"].unit, loaded.remarks) == ("mm", ())
+
+
+def given(**values: float) -> str:
+    """An inline parameter set of real values."""
+    return inline(parameter_set(**{name: f'Real value="{value}"' for name, value in values.items()}))
+
+
+def test_parameters_at_all_levels(make_ssp: MakeSsp) -> None:
+    """A value reaches its FMU by name from each level and through parameter connectors, which outrank names; outer levels
+    outrank inner ones; prefixes and mappings count at systems as they do at components; an empty source is none."""
+    mapping = '<ssd:ParameterMapping source=""><ssm:ParameterMapping version="1.0"><ssm:MappingEntry source="a.b" target="second.rate"/><ssm:MappingEntry source="" target="second.x"/></ssm:ParameterMapping></ssd:ParameterMapping>'
+    rates = {
+        nested(): 1.0,
+        nested(bindings=given(rate=2.0)): 2.0,
+        nested(bindings=given(rate=2.0), within=given(second__rate=3.0)): 3.0,
+        nested(within=inline(parameter_set(rate='Real value="4"'), 'prefix="second." source=""')): 4.0,
+        nested(within=inline(parameter_set(b='Real value="5"'), 'prefix="a."', mapping)): 5.0,
+        nested(within=given(rate=6.0)): 6.0,
+        nested(within=given(second__rate=3.0), outer=given(inner__second__rate=7.0)): 7.0,
+        nested(within=given(second__rate=3.0), outer=given(speed=4.5)): 9.0,
+    }
+    for ssd, rate in rates.items():
+        loaded = load_ssp(make_ssp(ssd), step=STEP)
+        found = loaded.simulate().recording["inner.second.x"].values[-1]
+        assert found == pytest.approx(closed_form(rates=(1.0, rate)), rel=1e-12)
+        assert loaded.ignored == ()
+
+
+def test_tables(make_ssp: MakeSsp) -> None:
+    """Booleans and items of enumerations are mapped by tables; on a connection a table counts where it is a line."""
+    entries = (
+        '<ssm:MappingEntry source="flag" target="inverted"><ssc:BooleanMappingTransformation><ssc:MapEntry source="false" target="true"/></ssc:BooleanMappingTransformation></ssm:MappingEntry>'
+        '<ssm:MappingEntry source="mood" target="trouble"><ssc:EnumerationMappingTransformation><ssc:MapEntry source="fine" target="none"/></ssc:EnumerationMappingTransformation></ssm:MappingEntry>'
+    )
+    mapping = f'<ssd:ParameterMapping><ssm:ParameterMapping version="1.0">{entries}</ssm:ParameterMapping></ssd:ParameterMapping>'
+    values = parameter_set(flag='Boolean value="false"', mood='Enumeration value="fine"')
+    assert end(make_ssp(of_second(inline(values, mapping=mapping)))) == pytest.approx(closed_form(-1.0), rel=1e-12)
+    assert ValueMap(((False, True), (True, False))).linear() == LinearMap(-1.0, 1.0)
+    assert ValueMap(((1, 10), (3, 20), (5, 30))).linear() == LinearMap(5.0, 5.0)
+    assert ValueMap(((1, 1), (2, 4), (3, 9))).linear() is None
+
+
+def test_ssp_2(make_ssp: MakeSsp) -> None:
+    """A file of SSP 2.0 with what 1.0 has runs, types of FMI 3.0 included."""
+    ssd = SSD.replace('version="1.0" name', 'version="2.0" name').replace("ssc:Real", "ssc:Float64")
+    ssd = of_second(inline(parameter_set(rate='Float64 value="2"')), ssd.replace("ssc:Integer", "ssc:Int32"))
+    assert end(make_ssp(ssd)) == pytest.approx(closed_form(rates=(1.0, 2.0)), rel=1e-12)
+
+
+def test_what_other_tools_write(make_ssp: MakeSsp) -> None:
+    """What contradicts the standard or an FMU without harm is passed over and told: connectors that nothing is connected to,
+    units that nothing defines, a parameter given twice, model exchange, prefixes that aren't declared."""
+    ssd = SSD.replace('name="steps" kind="output"', 'name="_start" kind="parameter"')
+    ssd = ssd.replace('name="second" source', 'name="second" implementation="ModelExchange" source')
+    one = '<ssv:Parameter name="rate"><ssv:Real value="3"/></ssv:Parameter><ssv:Parameters>'
+    values = parameter_set(rate='Real value="2"', x='Real value="4" unit="[m]"')
+    values = values.replace("<ssv:Parameters>", one.replace("<ssv:Parameters>", "").join(["<ssv:Parameters>", ""]))
+    bound = of_second(binding('source="values.ssv"'), ssd)
+    loaded = load_ssp(make_ssp(bound, {"values.ssv": values.replace(NAMESPACES, "")}), step=STEP)
+    assert loaded.simulate().recording["second.x"].values[-1] == pytest.approx(
+        closed_form(rates=(1.0, 2.0), start=4.0), rel=1e-12
+    )
+    for fact in ("'_start'", "'[m]' isn't defined", "'rate' twice, 2.0 counts", "is for model exchange"):
+        assert [fact in remark for remark in loaded.remarks].count(True) == 1, fact
+    assert len(loaded.remarks) == 4
+
+
+def test_variants(make_ssp: MakeSsp) -> None:
+    """A package may hold several systems: the default runs, the others are told and can be asked for, in folders too."""
+    slow = of_second(inline(parameter_set(rate='Real value="0.5"')))
+    moved = slow.replace("resources/", "../resources/")
+    path = make_ssp(files={"slow.ssd": slow, "deep/slow.ssd": moved})
+    assert end(path) == pytest.approx(closed_form(), rel=1e-12)
+    assert load_ssp(path, step=STEP).remarks == (
+        "took SystemStructure.ssd; the file also holds deep/slow.ssd, slow.ssd (--ssd)",
+    )
+    for name in ("slow.ssd", "deep/slow.ssd"):
+        recording = load_ssp(path, step=STEP, ssd=name).simulate().recording
+        assert recording["second.x"].values[-1] == pytest.approx(closed_form(rates=(1.0, 0.5)), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "inner", ['<o:FixedStepMaster stepSize="0.25"/>', '<o:SimulationInformation fixedStepSize="0.25"/>']
+)
+def test_omsimulators_step(make_ssp: MakeSsp, inner: str) -> None:
+    """The communication step in annotations of OMSimulator 2 and 3."""
+    note = f'<ssd:Annotations><ssc:Annotation type="org.openmodelica"><o:A xmlns:o="o">{inner}</o:A></ssc:Annotation></ssd:Annotations></ssd:System>'
+    assert load_ssp(make_ssp(SSD.replace("</ssd:System>", note))).step == 0.25

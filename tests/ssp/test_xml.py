@@ -23,7 +23,9 @@ from flexfmu.cosim.ssp.structure import (
     Parameter,
     ParameterSet,
     Structure,
+    System,
     Unit,
+    ValueMap,
 )
 from flexfmu.cosim.ssp.writing import ssd_xml, ssv_xml
 
@@ -60,7 +62,11 @@ def few(strategy: Any, by: str | None = None) -> Any:
 
 
 SETS = st.builds(ParameterSet, NAMES, few(parameters(), "name"), few(UNITS, "name"))
-ENTRIES = st.builds(MappingEntry, NAMES, NAMES, LINEAR, st.booleans())
+TABLES = st.sampled_from([st.booleans(), st.integers(-9, 9), NAMES]).flatmap(
+    lambda kind: st.lists(st.tuples(kind, kind), min_size=1, max_size=3).map(lambda pairs: ValueMap(tuple(pairs)))
+)
+TRANSFORMATIONS = LINEAR | TABLES
+ENTRIES = st.builds(MappingEntry, NAMES, NAMES, TRANSFORMATIONS, st.booleans())
 BINDINGS = st.builds(Binding, SETS, st.just("") | NAMES, st.none() | few(ENTRIES))
 
 
@@ -79,13 +85,17 @@ COMPONENTS = st.builds(
     few(connectors(), "name"),
     few(BINDINGS),
     st.just("") | NAMES,
+    implementation=st.sampled_from(["any", "CoSimulation", "ModelExchange"]),
 )
 ENDS = st.tuples(st.none() | NAMES, NAMES)
+CONNECTIONS = few(st.builds(Connection, ENDS, ENDS, TRANSFORMATIONS, st.booleans()))
+SYSTEM = (NAMES, few(COMPONENTS, "name"), CONNECTIONS, few(connectors(), "name"), few(BINDINGS))
+SYSTEMS = st.builds(System, *SYSTEM) | st.builds(System, *SYSTEM, few(st.builds(System, *SYSTEM), "name"))
 STRUCTURES = st.builds(
     Structure,
     NAMES,
     few(COMPONENTS, "name").filter(bool),
-    few(st.builds(Connection, ENDS, ENDS, LINEAR, st.booleans())),
+    CONNECTIONS,
     few(connectors(), "name"),
     few(BINDINGS),
     few(UNITS, "name"),
@@ -93,6 +103,7 @@ STRUCTURES = st.builds(
     st.none() | NUMBERS,
     st.none() | st.floats(1e-9, 1e3),
     st.just("") | NAMES,
+    few(SYSTEMS, "name"),
 )
 
 
