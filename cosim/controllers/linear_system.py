@@ -107,7 +107,7 @@ def matrix(values: Any, shape: tuple[int, int], name: str) -> RealArray:
         InputError: the shape is wrong, or a number isn't real and finite; the message names it.
     """
     array = np.array(values)
-    if array.size == 0 and 0 in shape:  # [] stands for a matrix without rows or columns
+    if array.shape in {(0,), (1, 0)} and 0 in shape:  # [] or [[]] stands for a matrix without rows or columns
         array = np.zeros(shape)
     if array.shape != shape:
         raise InputError(

@@ -134,13 +134,14 @@ class _Problem:
         return np.asarray(-np.hstack([by_amplitudes, by_times[:, 1:]]) / self.tolerance**2)
 
     def _squares(self, amplitudes: Array, times: Array, frequencies: Array) -> tuple[Array, Array, Array]:
-        """Squared residuals (M,) and their derivatives by amplitudes and times, (M, N) each."""
+        """Squared residuals (M,) after the latest impulse, and their derivatives by amplitudes and times, (M, N) each."""
+        latest = int(np.argmax(times))  # trials of the optimisation may have impulses out of order
         omega = 2.0 * np.pi * frequencies
         pole = complex(self.ratio, math.sqrt(1.0 - self.ratio**2))
-        waves = np.exp(np.outer(omega, pole * times - self.ratio * times[-1]))
+        waves = np.exp(np.outer(omega, pole * times - self.ratio * times[latest]))
         response = waves @ amplitudes
         squares = np.abs(response) ** 2
         by_amplitudes = 2.0 * (np.conj(response)[:, None] * waves).real
         by_times = 2.0 * (np.conj(response)[:, None] * waves * (pole * omega)[:, None] * amplitudes).real
-        by_times[:, -1] -= 2.0 * self.ratio * omega * squares
+        by_times[:, latest] -= 2.0 * self.ratio * omega * squares
         return squares, by_amplitudes, by_times
