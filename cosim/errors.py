@@ -43,6 +43,10 @@ class ResultsError(CosimError):
     """Results can't be written or read."""
 
 
+class SlaveWarning(UserWarning):
+    """A slave can be used, but does something else than it states or was told."""
+
+
 class SlaveError(CosimError):
     """A slave failed while it was initialised, stepped or read.
 

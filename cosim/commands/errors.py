@@ -53,12 +53,12 @@ def show_note(message: str) -> None:
 
 def _showing(others: Callable[..., None]) -> Callable[..., None]:
     """Shows a warning that concerns the user without the line of code that it comes from; others as before."""
-    from flexfmu.cosim.errors import CostWarning
+    from flexfmu.cosim.errors import CostWarning, SlaveWarning
     from flexfmu.fmu_build.errors import CacheWarning
     from flexfmu.model.errors import SceneWarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
-        if issubclass(category, CacheWarning | CostWarning | SceneWarning):
+        if issubclass(category, CacheWarning | CostWarning | SceneWarning | SlaveWarning):
             show_note(f"warning: {message}")
         else:
             others(message, category, *where)

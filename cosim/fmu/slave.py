@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 import weakref
 from collections.abc import Callable, Mapping
 from functools import cache, partial
@@ -9,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.errors import CosimError, SlaveError, SlaveWarning
 from flexfmu.cosim.fmu import calls as fmi2
 from flexfmu.cosim.fmu.capabilities import highest_input_derivative, highest_output_derivative, needs_regular_steps
 from flexfmu.cosim.fmu.file import UnpackedFmu, open_fmu
@@ -20,6 +22,7 @@ from flexfmu.cosim.fmu.statistics import Statistics
 from flexfmu.cosim.fmu.transfers import Transfers
 from flexfmu.cosim.fmu.variables import FmuVariables, Handle, Value, read_variables, settable_variables, settings
 from flexfmu.cosim.master.binding import nothing
+from flexfmu.cosim.master.isolation import AVAILABLE, CALL_LIMIT, in_child
 from flexfmu.cosim.slave import Call, Indices, RealArray
 
 
@@ -32,6 +35,8 @@ class FmuSlave:
         parameters: start values of parameters (and inputs) by name, in the FMU's units.
         input_order: highest input derivative to use where the FMU interpolates inputs; None for the highest that its
             model description states.
+        output_order: highest output derivative to use, 0 for none; None for the highest that the model description states
+            and the FMU really gives.
 
     Attributes:
         path: the FMU file.
@@ -40,6 +45,8 @@ class FmuSlave:
         can_save: whether the FMU can save and restore its state.
         needs_regular_steps: whether all of its communication steps must have the same length.
         messages: what the FMU logged in the last run, warnings and worse.
+        absent: output → lowest order of its derivatives that was no finite number in the last run; from there on it was
+            taken as zero.
 
     Raises:
         FmuFileError: the FMU is missing or broken, of another kind, or has no binary for this platform.
@@ -52,6 +59,7 @@ class FmuSlave:
         name: str = "fmu",
         parameters: Mapping[str, Value] | None = None,
         input_order: int | None = None,
+        output_order: int | None = None,
     ) -> None:
         self.name = name
         self.path = Path(path)
@@ -60,7 +68,8 @@ class FmuSlave:
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
-        self.max_output_order = highest_output_derivative(self._fmu)
+        stated = highest_output_derivative(self._fmu)
+        self.max_output_order = stated if output_order is None else min(output_order, stated)
         highest = highest_input_derivative(self._fmu)
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
@@ -76,6 +85,43 @@ class FmuSlave:
         self._free: Call = nothing
         self.statistics: Mapping[str, int] = {}
         self.messages: tuple[str, ...] = ()
+        self.absent: dict[str, int] = {}
+        self._missing: list[NDArray[np.bool_]] = []
+        if self.max_output_order and not self._fmu.is_ours:
+            self.max_output_order = self._order_given()
+
+    def _order_given(self) -> int:
+        """Highest derivative that is a finite number for all outputs right after initialisation, as a trial instance shows.
+
+        Dymola and OpenModelica state one order and give NaN. A trial that fails says nothing: the run will tell.
+        """
+        real = [i for i, each in enumerate(self.variables) if each.causality == "output" and not each.discrete]
+        experiment = self._fmu.description.defaultExperiment
+        start = float(getattr(experiment, "startTime", None) or 0.0)
+
+        def tried() -> int:
+            found = np.zeros((self.max_output_order, len(real)))
+            self.initialize(start, start + 1.0, None)
+            try:
+                self.bind_get_derivatives(np.array(real, np.intp), found)()
+            finally:
+                self.terminate()
+            return min(self.absent.values(), default=self.max_output_order + 1) - 1
+
+        try:
+            order = int(in_child(tried, lambda: None, CALL_LIMIT)) if AVAILABLE else tried()
+        except CosimError:
+            return self.max_output_order
+        finally:
+            self._missing.clear()
+        if order < self.max_output_order:
+            warnings.warn(
+                f"{self.name}: {self.path.name} states maxOutputDerivativeOrder = {self.max_output_order}, but after its "
+                f"initialisation derivatives of order {order + 1} are no finite numbers; they are left out",
+                SlaveWarning,
+                stacklevel=3,
+            )
+        return order
 
     def vary(self, changes: Mapping[str, Value]) -> None:
         """Start values of parameters and inputs for the runs to come; all others are those that the slave was made with.
@@ -100,6 +146,9 @@ class FmuSlave:
             SlaveError: the FMU refuses, with its own sentence.
         """
         self.terminate()
+        self.absent = {}
+        for missing in self._missing:
+            missing.fill(False)
         instance, transfers = self._instance, self._transfers
         instance.instantiate(self.name)
         self._run = run = FmuRun(instance)
@@ -167,7 +216,25 @@ class FmuSlave:
     def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
         """A call that reads derivatives of outputs into the buffer."""
         call = self._transfers.get_derivatives(self._select(indices), derivatives)
-        return self._instance.checked("reading output derivatives", call)
+        read = self._instance.checked("reading output derivatives", call)
+        return read if self._fmu.is_ours else self._tidied(read, indices, derivatives)
+
+    def _tidied(self, read: Call, indices: Indices, derivatives: RealArray) -> Call:
+        """The call, with zeros for derivatives that have been no finite numbers, and for those above them."""
+        missing = np.zeros(derivatives.shape, dtype=np.bool_)
+        self._missing.append(missing)
+
+        def tidy() -> None:
+            read()
+            finite = np.isfinite(derivatives)
+            if not finite.all():
+                missing[:] |= np.logical_or.accumulate(~finite, axis=0)
+                for column in np.flatnonzero(missing.any(axis=0)):
+                    self.absent[self.variables[indices[column]].name] = int(missing[:, column].argmax()) + 1
+            if self.absent:
+                derivatives[missing] = 0.0
+
+        return tidy
 
     def save(self) -> object:
         """The FMU's complete state; valid until it is released, or until `terminate`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
@@ -12,7 +13,7 @@ import numpy as np
 from flexfmu.cosim.compiled.library import load
 from flexfmu.cosim.compiled.program import can_compile
 from flexfmu.cosim.compiled.run import CompiledRun
-from flexfmu.cosim.errors import InputError, SlaveError
+from flexfmu.cosim.errors import InputError, SlaveError, SlaveWarning
 from flexfmu.cosim.fmu.slave import FmuSlave
 from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.master.coupling_error import CouplingError
@@ -32,7 +33,7 @@ from flexfmu.cosim.master.state import check_can_save, revocable
 from flexfmu.cosim.master.step_control import StepDoubling
 from flexfmu.cosim.master.stepping_order import feedback_signals
 from flexfmu.cosim.master.system import System
-from flexfmu.cosim.results import Recording
+from flexfmu.cosim.results import Column, Recording
 from flexfmu.cosim.slave import HasBreakpoints, LimitsStep, MayNeedRegularSteps, Sampled, Slave, Terminates, offset
 
 
@@ -178,7 +179,8 @@ class Simulator:
 
     def _result(self, ending: Ending) -> Simulation:
         """What the run gave."""
-        recording, reached, error = self._recorder.recording(), ending.reached, ending.error
+        recording = _without_absent(self._recorder.recording(), self._system.slaves)
+        reached, error = ending.reached, ending.error
         outcome = outcome_of(error, ending.initialized)
         message = message_of(error, outcome, ending.active, reached.time)
         if outcome is not Outcome.INTERRUPTED:
@@ -244,7 +246,28 @@ def _failure(action: Callable[[], None]) -> BaseException | None:
 
 def _report(slave: Slave) -> Mapping[str, Any]:
     """What an FMU says about its run."""
-    return {"statistics": slave.statistics, "messages": slave.messages} if isinstance(slave, FmuSlave) else {}
+    if not isinstance(slave, FmuSlave):
+        return {}
+    return {"statistics": slave.statistics, "messages": slave.messages, "absent": slave.absent}
+
+
+def _without_absent(recording: Recording, slaves: Sequence[Slave]) -> Recording:
+    """The recording without derivatives that were no finite numbers, with a warning for each slave that gave such."""
+    changed = {}
+    for slave in slaves:
+        if not isinstance(slave, FmuSlave) or not slave.absent:
+            continue
+        listed = ", ".join(f"der({output},{order})" for output, order in slave.absent.items())
+        warnings.warn(
+            f"{slave.name}: {listed} were no finite numbers in the run; from these orders on derivatives are left out",
+            SlaveWarning,
+            stacklevel=3,
+        )
+        for output, order in slave.absent.items():
+            if (column := recording.columns.get(name := f"{slave.name}.{output}")) is not None:
+                first = column.first if order > 1 else None
+                changed[name] = Column(column.unit, column.values, first, None)
+    return recording.with_columns(changed) if changed else recording
 
 
 def _grid(system: System, start: float, stop: float, step: float, ticks: bool) -> TimeGrid:
