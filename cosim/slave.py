@@ -5,9 +5,9 @@ Variables are addressed by their index in `Slave.variables`; names are looked up
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,15 @@ class GivesOutputDerivatives(Protocol):
 
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         """Write derivatives (orders, n) of outputs, row k - 1 for order k; at most ``max_output_order`` rows."""
+
+
+@runtime_checkable
+class LacksDerivatives(GivesOutputDerivatives, Protocol):
+    """Gives fewer derivatives of some outputs than of others."""
+
+    @property
+    def lacking(self) -> Mapping[str, int]:
+        """Output → lowest order of its derivatives that isn't given; outputs with all orders are left out."""
 
 
 @runtime_checkable
@@ -248,6 +257,20 @@ class BindsBuffers(Protocol):
 
 
 @runtime_checkable
+class Reports(Protocol):
+    """Has something to say about a run that is over, also about one in another process.
+
+    Attributes:
+        remarks: what a user should know, a sentence each.
+    """
+
+    @property
+    def remarks(self) -> Sequence[str]: ...
+    def report(self) -> Mapping[str, Any]: ...
+    def take_report(self, report: Mapping[str, Any]) -> None: ...
+
+
+@runtime_checkable
 class Terminates(Protocol):
     """Holds resources that a run needs."""
 
@@ -260,9 +283,13 @@ def input_order(slave: Slave) -> int:
     return slave.max_input_order if isinstance(slave, TakesInputDerivatives) else 0
 
 
-def output_order(slave: Slave) -> int:
-    """Highest output derivative that the slave gives."""
-    return slave.max_output_order if isinstance(slave, GivesOutputDerivatives) else 0
+def output_order(slave: Slave, outputs: Iterable[int] = ()) -> int:
+    """Highest output derivative that the slave gives; of all of these outputs, by their indices."""
+    highest = slave.max_output_order if isinstance(slave, GivesOutputDerivatives) else 0
+    if isinstance(slave, LacksDerivatives):
+        names = [slave.variables[index].name for index in outputs]
+        return min([highest, *(slave.lacking[name] - 1 for name in names if name in slave.lacking)])
+    return highest
 
 
 def offset(slave: Slave) -> float:

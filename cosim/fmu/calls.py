@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 """fmi2Status."""
 
-LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3
+DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3
 """fmi2StatusKind."""
 
 CO_SIMULATION = 1
@@ -31,6 +31,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "fmi2GetReal": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
     "fmi2GetInteger": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
     "fmi2GetBoolean": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
+    "fmi2GetString": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
     "fmi2SetReal": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
     "fmi2SetInteger": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
     "fmi2SetBoolean": (c_int, c_void_p, c_void_p, c_size_t, c_void_p),
@@ -38,6 +39,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "fmi2SetRealInputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
     "fmi2GetRealOutputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p),
     "fmi2DoStep": (c_int, c_void_p, c_double, c_double, c_int),
+    "fmi2GetStatus": (c_int, c_void_p, c_int, c_void_p),
     "fmi2GetRealStatus": (c_int, c_void_p, c_int, c_void_p),
     "fmi2GetBooleanStatus": (c_int, c_void_p, c_int, c_void_p),
     "fmi2GetFMUstate": (c_int, c_void_p, c_void_p),

@@ -44,6 +44,16 @@ def needs_regular_steps(fmu: UnpackedFmu) -> bool:
     return not fmu.description.coSimulation.canHandleVariableCommunicationStepSize
 
 
+def only_once_per_process(fmu: UnpackedFmu) -> bool:
+    """Whether a process can have one instance of the FMU only."""
+    return bool(fmu.description.coSimulation.canBeInstantiatedOnlyOncePerProcess)
+
+
+def steps_asynchronously(fmu: UnpackedFmu) -> bool:
+    """Whether fmi2DoStep may return before its step is done, with fmi2Pending."""
+    return bool(fmu.description.coSimulation.canRunAsynchronuously)
+
+
 def fixed_step(fmu: UnpackedFmu) -> float | None:
     """Step size [s] of the default experiment of an FMU that can't vary its communication step; None for any other.
 

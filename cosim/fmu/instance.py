@@ -90,21 +90,35 @@ class FmuInstance:
             self.log.close()
             raise self.error("instantiation", fmi2.ERROR)
 
-    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Set up the experiment and go through initialisation mode."""
+    def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Set up the experiment."""
         setup = self.fmi["fmi2SetupExperiment"]
         given, relative = tolerance is not None, tolerance or 0.0
         self.check("fmi2SetupExperiment", lambda: setup(self.component, given, relative, start_time, 1, stop_time))
+
+    def initialize(self, meanwhile: Call) -> None:
+        """Go through initialisation mode, and do something in it."""
         self.check("initialisation", lambda: self.fmi["fmi2EnterInitializationMode"](self.component))
+        meanwhile()
         self.check("initialisation", lambda: self.fmi["fmi2ExitInitializationMode"](self.component))
         self._initialized = True
+
+    def accepts(self, call: StatusCall) -> bool:
+        """Whether the FMU goes along with a call that it may refuse.
+
+        Raises:
+            SlaveError: it ends with fmi2Fatal.
+        """
+        if (status := call()) == fmi2.FATAL:
+            raise self.error("a call", status)
+        return status <= fmi2.WARNING
 
     def check(self, what: str, call: StatusCall) -> None:
         """Do something and raise what the FMU says if it fails."""
         if (status := call()) > fmi2.WARNING:
             raise self.error(what, status)
 
-    def checked(self, what: str, call: StatusCall) -> Call:
+    def checked(self, what: str, call: StatusCall) -> Checked:
         """The call as one that raises what the FMU says if it fails."""
         return Checked(self, what, call)
 

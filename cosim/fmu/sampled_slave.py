@@ -29,6 +29,7 @@ def fmu_slave(
     *,
     sample_time: float | None = None,
     offset: float = 0.0,
+    output_order: int | None = None,
 ) -> SampledFmu | FmuTask | FmuSlave:
     """The slave that suits an FMU: sampled or stepped.
 
@@ -43,6 +44,7 @@ def fmu_slave(
         name: name of the slave.
         parameters: start values of parameters and inputs by name.
         sample_time, offset: [s]; None for what the FMU states.
+        output_order: highest derivative of its outputs that is asked for, see `FmuSlave`; a sampled FMU holds its outputs.
 
     Raises:
         FmuFileError: the FMU is missing or broken.
@@ -62,9 +64,9 @@ def fmu_slave(
     if chosen is None:
         if offset:
             raise InputError(f"{name}: an offset of {offset:g} s needs a sample time; add sample_time in s")
-        return FmuSlave(path, name, parameters)
+        return FmuSlave(path, name, parameters, output_order=output_order)
     check_sampling(chosen, offset, name)
-    slave = FmuSlave(path, name, parameters, input_order=0)
+    slave = FmuSlave(path, name, parameters, input_order=0, output_order=0)
     at_once = _tried(slave, fmu)
     declared = {output: names for output, names in feedthrough(slave).items() if names}
     if not at_once and declared:
@@ -138,13 +140,18 @@ class FmuTask:
         self.set, self.get = slave.set, slave.get
         self.bind_set, self.bind_get = slave.bind_set, slave.bind_get
         self.bind_set_derivatives, self.bind_get_derivatives = slave.bind_set_derivatives, slave.bind_get_derivatives
-        self.terminate = slave.terminate
+        self.terminate, self.report, self.take_report = slave.terminate, slave.report, slave.take_report
         self._first, self._count = 0.0, 0
 
     @property
     def messages(self) -> tuple[str, ...]:
         """What the FMU logged in the last run, warnings and worse."""
         return self._fmu.messages
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """As of `FmuSlave`."""
+        return self._fmu.remarks
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Begin a run at the first instant; the last step ends one sample after the run."""
@@ -221,8 +228,9 @@ class SampledFmu:
             )
         self.name = name
         self.sample_time, self.offset = times
-        self._fmu = FmuSlave(path, name, parameters, input_order=0)
+        self._fmu = FmuSlave(path, name, parameters, input_order=0, output_order=0)
         self.path, self.parameters = self._fmu.path, self._fmu.parameters
+        self.report, self.take_report = self._fmu.report, self._fmu.take_report
         self.variables, self.can_save = self._fmu.variables, self._fmu.can_save
         self.feedthrough = self._fmu.feedthrough if feedthrough is None else feedthrough
         self._inputs = np.array([i for i, each in enumerate(self.variables) if each.causality == "input"], np.intp)
@@ -239,6 +247,16 @@ class SampledFmu:
         self._values[self._inputs] = buffer
         self._time = begin
         self._send = self._sender()
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """What the FMU logged in the last run, warnings and worse."""
+        return self._fmu.messages
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """As of `FmuSlave`."""
+        return self._fmu.remarks
 
     def _sender(self) -> Call:
         """A call that hands the inputs to the FMU."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -12,18 +12,44 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.errors import CosimError, SlaveError, SlaveWarning
+from flexfmu.cosim.errors import CosimError, InputError, SlaveError
 from flexfmu.cosim.fmu import calls as fmi2
-from flexfmu.cosim.fmu.capabilities import highest_input_derivative, highest_output_derivative, needs_regular_steps
+from flexfmu.cosim.fmu.capabilities import (
+    highest_input_derivative,
+    highest_output_derivative,
+    needs_regular_steps,
+    only_once_per_process,
+)
 from flexfmu.cosim.fmu.file import UnpackedFmu, open_fmu
-from flexfmu.cosim.fmu.instance import FmuInstance, load_calls
+from flexfmu.cosim.fmu.instance import Checked, FmuInstance, load_calls
 from flexfmu.cosim.fmu.run import FmuRun
 from flexfmu.cosim.fmu.statistics import Statistics
 from flexfmu.cosim.fmu.transfers import Transfers
-from flexfmu.cosim.fmu.variables import FmuVariables, Handle, Value, read_variables, settable_variables, settings
+from flexfmu.cosim.fmu.variables import (
+    FmuVariables,
+    Handle,
+    Setting,
+    Value,
+    in_words,
+    read_variables,
+    same,
+    settable_variables,
+    settings,
+)
 from flexfmu.cosim.master.binding import nothing
 from flexfmu.cosim.master.isolation import AVAILABLE, CALL_LIMIT, in_child
 from flexfmu.cosim.slave import Call, Indices, RealArray
+
+LISTED = 5
+"""Names in a sentence; there may be hundreds."""
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A start value and the call that sets it."""
+
+    setting: Setting
+    set: Checked
 
 
 class FmuSlave:
@@ -36,7 +62,7 @@ class FmuSlave:
         input_order: highest input derivative to use where the FMU interpolates inputs; None for the highest that its
             model description states.
         output_order: highest output derivative to use, 0 for none; None for the highest that the model description states
-            and the FMU really gives.
+            and the FMU really gives, output by output.
 
     Attributes:
         path: the FMU file.
@@ -45,8 +71,10 @@ class FmuSlave:
         can_save: whether the FMU can save and restore its state.
         needs_regular_steps: whether all of its communication steps must have the same length.
         messages: what the FMU logged in the last run, warnings and worse.
-        absent: output → lowest order of its derivatives that was no finite number in the last run; from there on it was
-            taken as zero.
+        remarks: what has been set before the last run and was another value after initialisation, a sentence each.
+        lacking: output → lowest order of its derivatives that the FMU doesn't give from the start; it is never asked for.
+        absent: output → lowest order of its derivatives that it didn't give in the last run, or that was no finite number;
+            from there on they are taken as zero.
 
     Raises:
         FmuFileError: the FMU is missing or broken, of another kind, or has no binary for this platform.
@@ -68,8 +96,10 @@ class FmuSlave:
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
-        stated = highest_output_derivative(self._fmu)
-        self.max_output_order = stated if output_order is None else min(output_order, stated)
+        self._stated_order = highest_output_derivative(self._fmu)
+        if output_order is not None and not output_order >= 0:
+            raise InputError(f"{name}: output_order must be zero or positive, got {output_order}")
+        self.max_output_order = self._stated_order if output_order is None else min(output_order, self._stated_order)
         highest = highest_input_derivative(self._fmu)
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
@@ -85,43 +115,58 @@ class FmuSlave:
         self._free: Call = nothing
         self.statistics: Mapping[str, int] = {}
         self.messages: tuple[str, ...] = ()
-        self.absent: dict[str, int] = {}
+        self.remarks: tuple[str, ...] = ()
+        self.lacking: Mapping[str, int] = {}
+        self.absent: Mapping[str, int] = {}
         self._missing: list[NDArray[np.bool_]] = []
         if self.max_output_order and not self._fmu.is_ours:
-            self.max_output_order = self._order_given()
+            self._try_derivatives()
 
-    def _order_given(self) -> int:
-        """Highest derivative that is a finite number for all outputs right after initialisation, as a trial instance shows.
+    def _try_derivatives(self) -> None:
+        """Lower the orders of outputs whose derivatives a trial instance refuses, or gives as no finite numbers.
 
-        Dymola and OpenModelica state one order and give NaN. A trial that fails says nothing: the run will tell.
+        Dymola and OpenModelica state one order and give NaN, always or right after initialisation. A trial that fails says
+        nothing: the run will tell.
         """
-        real = [i for i, each in enumerate(self.variables) if each.causality == "output" and not each.discrete]
+        real = [i for i, handle in enumerate(self._handles) if handle.kind == "Real"]
+        outputs = [i for i in real if self.variables[i].causality == "output"]
         experiment = self._fmu.description.defaultExperiment
         start = float(getattr(experiment, "startTime", None) or 0.0)
 
-        def tried() -> int:
-            found = np.zeros((self.max_output_order, len(real)))
-            self.initialize(start, start + 1.0, None)
+        def tried() -> dict[str, int]:
             try:
-                self.bind_get_derivatives(np.array(real, np.intp), found)()
+                self.initialize(start, start + 1.0, None)
+                return self._derivatives_not_given(outputs)
             finally:
                 self.terminate()
-            return min(self.absent.values(), default=self.max_output_order + 1) - 1
 
         try:
-            order = int(in_child(tried, lambda: None, CALL_LIMIT)) if AVAILABLE else tried()
+            if AVAILABLE:
+                self.lacking = self.absent = in_child(tried, lambda: None, CALL_LIMIT)
+            elif not only_once_per_process(self._fmu):
+                self.lacking = self.absent = tried()
         except CosimError:
-            return self.max_output_order
-        finally:
-            self._missing.clear()
-        if order < self.max_output_order:
-            warnings.warn(
-                f"{self.name}: {self.path.name} states maxOutputDerivativeOrder = {self.max_output_order}, but after its "
-                f"initialisation derivatives of order {order + 1} are no finite numbers; they are left out",
-                SlaveWarning,
-                stacklevel=3,
-            )
-        return order
+            return
+        orders = (self.lacking.get(self.variables[i].name, self.max_output_order + 1) - 1 for i in outputs)
+        self.max_output_order = max(orders, default=0)
+
+    def _derivatives_not_given(self, outputs: Sequence[int]) -> dict[str, int]:
+        """Output → lowest order of its derivatives that isn't there now, for outputs that lack any."""
+        shape = self.max_output_order, len(outputs)
+        found = np.full(shape, np.nan)
+        handles = [self._handles[index] for index in outputs]
+        if not self._instance.accepts(self._transfers.get_derivatives(handles, found)):
+            # asked one by one, it tells which
+            for column, handle in enumerate(handles):
+                one = np.full((shape[0], 1), np.nan)
+                accepted = self._instance.accepts(self._transfers.get_derivatives([handle], one))
+                found[:, column] = one[:, 0] if accepted else np.nan
+        absent = ~np.isfinite(found)
+        return {
+            self.variables[index].name: 1 + int(absent[:, column].argmax())
+            for column, index in enumerate(outputs)
+            if absent[:, column].any()
+        }
 
     def vary(self, changes: Mapping[str, Value]) -> None:
         """Start values of parameters and inputs for the runs to come; all others are those that the slave was made with.
@@ -132,33 +177,66 @@ class FmuSlave:
         self._starts = {**self._given_starts, **self._starting(changes)}
         self.parameters = {**self._given, **changes}
 
-    def _starting(self, parameters: Mapping[str, Value]) -> dict[str, Call]:
-        """Name → call that sets it."""
+    def _starting(self, parameters: Mapping[str, Value]) -> dict[str, _Start]:
+        """Name → start value and the call that sets it."""
+        transfers, checked = self._transfers, self._instance.checked
         return {
-            each.name: self._instance.checked(f"setting {each.name} = {each.value}", self._transfers.setting(each))
+            each.name: _Start(each, checked(f"setting {each.name} = {each.value}", transfers.setting(each)))
             for each in settings(_settable(self._fmu), parameters)
         }
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Instantiate, set parameters and inputs, and go through initialisation mode.
 
+        An FMU of another tool may forget what it is given before initialisation mode and is given it again there. What
+        has been set is read back afterwards; `remarks` says what differs.
+
         Raises:
             SlaveError: the FMU refuses, with its own sentence.
         """
         self.terminate()
-        self.absent = {}
+        self.remarks, self.absent = (), dict(self.lacking)
         for missing in self._missing:
             missing.fill(False)
-        instance, transfers = self._instance, self._transfers
+        instance = self._instance
         instance.instantiate(self.name)
         self._run = run = FmuRun(instance)
         self._free = weakref.finalize(self, run.free)
+        instance.set_up(start_time, stop_time, tolerance)
         for start in self._starts.values():
-            start()
+            start.set()
         handles = [self._handles[index] for index in self._presets]
-        if handles:
-            instance.check("setting inputs", transfers.set(handles, np.array([*self._presets.values()])))
-        instance.initialize(start_time, stop_time, tolerance)
+        presets = self._transfers.set(handles, np.array([*self._presets.values()]))
+        instance.check("setting inputs", presets)
+
+        def repeat() -> None:
+            if self._fmu.is_ours:
+                return
+            for start in self._starts.values():
+                found = self._read_back(start.setting)
+                if start.setting.lasting and (found is None or not same(start.setting.value, found)):
+                    instance.accepts(start.set.call)
+            instance.check("setting inputs", presets)
+
+        instance.initialize(repeat)
+        self.remarks = tuple(self._differences())
+
+    def _differences(self) -> Iterator[str]:
+        """What isn't as it was set; inputs that others have set since are left out, and what can't be read."""
+        preset = {self.variables[index].name for index in self._presets}
+        for name, start in self._starts.items():
+            value, found = start.setting.value, self._read_back(start.setting)
+            if start.setting.lasting and name not in preset and found is not None and not same(value, found):
+                variable = _settable(self._fmu)[name]
+                yield (
+                    f"{name} was set to {in_words(variable, value)}, but is {in_words(variable, found)} after initialisation; "
+                    f"{self.path.name} doesn't take the value, or takes it otherwise than its description says"
+                )
+
+    def _read_back(self, setting: Setting) -> Value | None:
+        """The present value of what was set; None where the FMU doesn't tell."""
+        read = self._transfers.reading(setting)
+        return read.value() if self._instance.accepts(read.call) else None
 
     def step(self, time: float, step: float) -> None:
         """Let the FMU advance.
@@ -215,9 +293,13 @@ class FmuSlave:
 
     def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
         """A call that reads derivatives of outputs into the buffer."""
-        call = self._transfers.get_derivatives(self._select(indices), derivatives)
-        read = self._instance.checked("reading output derivatives", call)
-        return read if self._fmu.is_ours else self._tidied(read, indices, derivatives)
+        handles, what = self._select(indices), "reading output derivatives"
+        if self._fmu.is_ours:
+            return self._instance.checked(what, self._transfers.get_derivatives(handles, derivatives))
+        orders = np.arange(1, len(derivatives) + 1)[:, None]
+        lowest = [self.lacking.get(self.variables[index].name, len(derivatives) + 1) for index in indices]
+        call = self._transfers.get_derivatives(handles, derivatives, orders >= np.array(lowest))
+        return self._tidied(self._instance.checked(what, call), indices, derivatives)
 
     def _tidied(self, read: Call, indices: Indices, derivatives: RealArray) -> Call:
         """The call, with zeros for derivatives that have been no finite numbers, and for those above them."""
@@ -229,12 +311,31 @@ class FmuSlave:
             finite = np.isfinite(derivatives)
             if not finite.all():
                 missing[:] |= np.logical_or.accumulate(~finite, axis=0)
-                for column in np.flatnonzero(missing.any(axis=0)):
-                    self.absent[self.variables[indices[column]].name] = int(missing[:, column].argmax()) + 1
-            if self.absent:
-                derivatives[missing] = 0.0
+                columns = np.flatnonzero(missing.any(axis=0))
+                lowest = {self.variables[indices[k]].name: 1 + int(missing[:, k].argmax()) for k in columns}
+                self.absent = {**self.absent, **lowest}
+            derivatives[missing] = 0.0
 
         return tidy
+
+    def absence(self, outputs: Sequence[str]) -> list[str]:
+        """A sentence about the derivatives of these outputs that were absent in the last run, if there are any."""
+        if not outputs:
+            return []
+        listed = ", ".join(f"der({name},{self.absent[name]})" for name in outputs[:LISTED])
+        more = f" and {len(outputs) - LISTED} more" if len(outputs) > LISTED else ""
+        return [
+            f"{self.path.name} states maxOutputDerivativeOrder = {self._stated_order}, but doesn't give finite numbers for "
+            f"{listed}{more}; output derivatives from these orders on are left out (output_order = 0 asks for none)"
+        ]
+
+    def report(self) -> Mapping[str, Any]:
+        """What there is to say about the last run, for `take_report` in another process."""
+        return {name: vars(self)[name] for name in ("statistics", "messages", "remarks", "absent")}
+
+    def take_report(self, report: Mapping[str, Any]) -> None:
+        """Take over what was reported in another process."""
+        vars(self).update(report)
 
     def save(self) -> object:
         """The FMU's complete state; valid until it is released, or until `terminate`.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from ctypes import c_char_p, c_void_p
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -11,11 +12,19 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.fmu.calls import OK, Calls, address, value_references
 from flexfmu.cosim.fmu.instance import StatusCall
-from flexfmu.cosim.fmu.variables import Handle, Kind, Setting
+from flexfmu.cosim.fmu.variables import Handle, Kind, Setting, Value
 from flexfmu.cosim.slave import RealArray
 
 DTYPES = {"Integer": np.int32, "Boolean": np.int32}
 """Element types of the C arrays for what isn't a Real; fmi2Boolean is an int."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A call that reads a value, and what it has read."""
+
+    call: StatusCall
+    value: Callable[[], Value]
 
 
 class Transfers:
@@ -44,9 +53,12 @@ class Transfers:
             [self._set_kind(kind, columns, references, values) for kind, columns, references in _by_kind(handles)]
         )
 
-    def get_derivatives(self, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
-        """A call that fills ``derivatives`` (orders, n), row k - 1 for order k; zero for what isn't a Real."""
-        return self._derivatives("fmi2GetRealOutputDerivatives", handles, derivatives)
+    def get_derivatives(
+        self, handles: Sequence[Handle], derivatives: RealArray, absent: NDArray[np.bool_] | None = None
+    ) -> StatusCall:
+        """A call that fills ``derivatives`` (orders, n), row k - 1 for order k; what isn't a Real, or is ``absent``
+        (orders, n), is left as it is."""
+        return self._derivatives("fmi2GetRealOutputDerivatives", handles, derivatives, absent)
 
     def set_derivatives(self, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
         """A call that sets derivatives from ``derivatives`` (orders, n); what isn't a Real is left out."""
@@ -59,6 +71,18 @@ class Transfers:
         references = value_references([setting.handle.reference])
         text = (c_char_p * 1)(str(setting.value).encode())
         return lambda: int(self._fmi["fmi2SetString"](self._component, address(references), 1, text))
+
+    def reading(self, setting: Setting) -> Reading:
+        """A call that reads back what was set."""
+        if setting.handle.kind != "String":
+            number = np.zeros(1)
+            return Reading(self.get([setting.handle], number), lambda: float(number[0]))
+        references = value_references([setting.handle.reference])
+        text = (c_char_p * 1)()
+        return Reading(
+            lambda: int(self._fmi["fmi2GetString"](self._component, address(references), 1, text)),
+            lambda: (text[0] or b"").decode("utf-8", "replace"),
+        )
 
     def _get_kind(self, kind: Kind, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
         """Read variables of one kind."""
@@ -93,11 +117,17 @@ class Transfers:
         call = partial(self._fmi[function], self._component, address(array), array.size, address(buffer))
         return _keeping(call, array, buffer)
 
-    def _derivatives(self, function: str, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
-        """All orders of all variables in one call; those that aren't Real get none."""
+    def _derivatives(
+        self, function: str, handles: Sequence[Handle], derivatives: RealArray, absent: NDArray[np.bool_] | None = None
+    ) -> StatusCall:
+        """All orders of all variables in one call, but for what isn't a Real or is absent."""
         orders = np.repeat(np.arange(1, len(derivatives) + 1, dtype=np.int32), len(handles))
         references = value_references([handle.reference for handle in handles] * len(derivatives))
         real = np.tile([handle.kind == "Real" for handle in handles], len(derivatives))
+        if absent is not None:
+            real &= ~absent.ravel()
+        if not real.any():
+            return lambda: OK
         if real.all():
             return self._bind_derivatives(function, references, orders, derivatives)
         buffer = np.zeros(int(real.sum()))

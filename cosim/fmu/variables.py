@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from math import isclose
 from numbers import Real
 from sys import float_info
 from typing import Any, Literal, cast
@@ -17,6 +18,10 @@ Kind = Literal["Real", "Integer", "Boolean", "String"]
 
 Value = float | int | bool | str
 """Value of a parameter; the item's name will do for an enumeration or a numbered choice."""
+
+
+ROUNDING = 1e-12
+"""Relative; FMUs that convert units on the way may give back what they were given with a few roundings."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +88,18 @@ def parameter_names(description: Any) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Setting:
-    """A parameter with the value that it shall have."""
+    """A start value.
+
+    Attributes:
+        name, handle: of the variable.
+        value: what it shall be.
+        lasting: whether it is still that after initialisation, and may be set in initialisation mode: not a mere guess.
+    """
 
     name: str
     handle: Handle
     value: Value
+    lasting: bool = True
 
 
 def settable_variables(description: Any) -> Mapping[str, Any]:
@@ -109,7 +121,9 @@ def settings(known: Mapping[str, Any], parameters: Mapping[str, Value]) -> Seque
     for name, value in parameters.items():
         if name not in known:
             raise InputError(f"the FMU has no parameter {name!r}; {_remedy(name, known)}")
-        result.append(Setting(name, _handle(known[name]), _in_range(known[name], typed(known[name], value))))
+        variable = known[name]
+        lasting = variable.initial != "approx"
+        result.append(Setting(name, _handle(variable), _in_range(variable, typed(variable, value)), lasting))
     return result
 
 
@@ -180,3 +194,23 @@ def typed(variable: Any, value: Value) -> Value:
     if value not in items:
         raise InputError(f"{variable.name} must be one of {', '.join(items)}, got {value!r}")
     return items[value]
+
+
+def in_words(variable: Any, value: Value) -> str:
+    """A value of the variable for people, with its unit or its name."""
+    if variable.type == "String":
+        return repr(value)
+    if variable.type == "Boolean":
+        return "true" if value else "false"
+    items = {int(item.value): item.name for item in variable.declaredType.items or ()} if variable.declaredType else {}
+    if value in items:
+        return f"{items[int(value)]!r}"
+    unit = _unit(variable)
+    return f"{value:.12g}" + (f" {unit}" if unit not in ("", "1") else "")
+
+
+def same(value: Value, found: Value) -> bool:
+    """Whether two values of a variable agree, but for roundings."""
+    if isinstance(value, str) or isinstance(found, str):
+        return value == found
+    return isclose(value, found, rel_tol=ROUNDING, abs_tol=0.0)

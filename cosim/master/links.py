@@ -135,7 +135,8 @@ def couplings(system: System, algorithm: Algorithm) -> Couplings:
 def _coupling(system: System, source: int, target: int, ahead: bool, algorithm: Algorithm) -> Coupling:
     """The best that source and target can do together."""
     giver, taker = system.slaves[source], system.slaves[target]
-    accepted, known = input_order(taker), output_order(giver)
+    used = [each.output for each in system.connections if (each.source, each.target) == (source, target)]
+    accepted, known = input_order(taker), output_order(giver, used)
     if isinstance(giver, Sampled):
         return Coupling(Transport.HELD_SAMPLE, 0, None, exact=True)
     if isinstance(taker, Sampled):

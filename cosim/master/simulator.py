@@ -34,7 +34,16 @@ from flexfmu.cosim.master.step_control import StepDoubling
 from flexfmu.cosim.master.stepping_order import feedback_signals
 from flexfmu.cosim.master.system import System
 from flexfmu.cosim.results import Column, Recording
-from flexfmu.cosim.slave import HasBreakpoints, LimitsStep, MayNeedRegularSteps, Sampled, Slave, Terminates, offset
+from flexfmu.cosim.slave import (
+    HasBreakpoints,
+    LimitsStep,
+    MayNeedRegularSteps,
+    Reports,
+    Sampled,
+    Slave,
+    Terminates,
+    offset,
+)
 
 
 @dataclass(frozen=True)
@@ -126,7 +135,8 @@ class Simulator:
             ending = self._attempt(tolerance, None)
             if (error := ending.error) is not None:
                 error = portable(error, SlaveError(ending.active, f"{type(error).__name__}: {error}"))
-            return replace(ending, error=error, reports=[_report(each) for each in self._system.slaves])
+            reports = [each.report() if isinstance(each, Reports) else {} for each in self._system.slaves]
+            return replace(ending, error=error, reports=reports)
 
         def look() -> object:
             count = recorder.catch_up()
@@ -139,7 +149,8 @@ class Simulator:
             ending: Ending = in_child(attempt, look, isolation.call_limit)
             look()
             for slave, report in zip(self._system.slaves, ending.reports, strict=True):
-                vars(slave).update(report)
+                if isinstance(slave, Reports):
+                    slave.take_report(report)
             return ending
         except ChildLostError as lost:
             error = SlaveError(activity.name, str(lost))
@@ -180,6 +191,7 @@ class Simulator:
     def _result(self, ending: Ending) -> Simulation:
         """What the run gave."""
         recording = _without_absent(self._recorder.recording(), self._system.slaves)
+        _warn(recording, self._system.slaves)
         reached, error = ending.reached, ending.error
         outcome = outcome_of(error, ending.initialized)
         message = message_of(error, outcome, ending.active, reached.time)
@@ -244,30 +256,24 @@ def _failure(action: Callable[[], None]) -> BaseException | None:
     return None
 
 
-def _report(slave: Slave) -> Mapping[str, Any]:
-    """What an FMU says about its run."""
-    if not isinstance(slave, FmuSlave):
-        return {}
-    return {"statistics": slave.statistics, "messages": slave.messages, "absent": slave.absent}
-
-
 def _without_absent(recording: Recording, slaves: Sequence[Slave]) -> Recording:
-    """The recording without derivatives that were no finite numbers, with a warning for each slave that gave such."""
+    """The recording without derivatives that FMUs didn't give."""
     changed = {}
     for slave in slaves:
-        if not isinstance(slave, FmuSlave) or not slave.absent:
-            continue
-        listed = ", ".join(f"der({output},{order})" for output, order in slave.absent.items())
-        warnings.warn(
-            f"{slave.name}: {listed} were no finite numbers in the run; from these orders on derivatives are left out",
-            SlaveWarning,
-            stacklevel=3,
-        )
-        for output, order in slave.absent.items():
+        for output, order in slave.absent.items() if isinstance(slave, FmuSlave) else ():
             if (column := recording.columns.get(name := f"{slave.name}.{output}")) is not None:
-                first = column.first if order > 1 else None
-                changed[name] = Column(column.unit, column.values, first, None)
+                changed[name] = Column(column.unit, column.values, column.first if order > 1 else None, None)
     return recording.with_columns(changed) if changed else recording
+
+
+def _warn(recording: Recording, slaves: Sequence[Slave]) -> None:
+    """Tell what slaves do otherwise than they state or were told."""
+    for slave in slaves:
+        remarks = list(slave.remarks) if isinstance(slave, Reports) else []
+        if isinstance(slave, FmuSlave):
+            remarks += slave.absence([name for name in slave.absent if f"{slave.name}.{name}" in recording.columns])
+        for remark in remarks:
+            warnings.warn(f"{slave.name}: {remark}", SlaveWarning, stacklevel=5)
 
 
 def _grid(system: System, start: float, stop: float, step: float, ticks: bool) -> TimeGrid:
