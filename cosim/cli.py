@@ -50,6 +50,9 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JS
 
 def main() -> None:
     """Entry point of the command ``flexfmu``."""
+    from flexfmu.cosim.commands.console import keep_stdout
+
+    keep_stdout()
     try:
         app()
     except OSError as error:  # a help text that can't be written; the commands catch their own

@@ -67,5 +67,9 @@ class SlaveError(CosimError):
         return type(self), (self.slave, self.reason, self.time)
 
 
+class SlaveEnded(SlaveError):  # noqa: N818 - it isn't an error
+    """A slave asks to end the simulation, which is a normal end: fmi2Discard with fmi2Terminated, for example."""
+
+
 class NotFiniteError(SlaveError):
     """An output is infinite or not a number."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,12 +25,21 @@ class Column:
         values: (N,) values at the recording's times.
         first: (N,) first time derivatives [unit/s]; None when the slave doesn't give them.
         second: (N,) second time derivatives [unit/s²]; None when the slave doesn't give them.
+        texts: what the values stand for as numbers of its items, in a signal of type String; None for numbers.
     """
 
     unit: str
     values: RealArray
     first: RealArray | None = None
     second: RealArray | None = None
+    texts: Sequence[str] | None = None
+
+    def shown(self) -> list[str]:
+        """(N) the values as they are written: the shortest numbers that read back exactly, or texts in quotes."""
+        if self.texts is None:
+            return [*map(repr, self.values.tolist())]
+        known = ['"' + text.replace('"', '""').replace(",", ";").replace("\n", " ") + '"' for text in self.texts]
+        return [known[code] if code < len(known) else '""' for code in self.values.astype(int).tolist()]
 
 
 @dataclass(frozen=True)
@@ -83,7 +92,8 @@ class Recording:
         """Write time and values (not the derivatives) as `fmpy.util.read_csv` reads them.
 
         Names are quoted, ``time`` comes first, values are the shortest that read back exactly. fmpy splits the header
-        at every comma, so ``der(x,2)`` is written ``der(x;2)``. The file appears whole or not at all.
+        at every comma, so ``der(x,2)`` is written ``der(x;2)``; texts are quoted, and commas in them semicolons too. The
+        file appears whole or not at all.
 
         `fmpy.util.plot_result` plots the columns in its argument ``names``, at most 17: without names it takes the first
         19, and plotly refuses that many rows at fmpy's spacing (fmpy 0.3.32).
@@ -92,8 +102,8 @@ class Recording:
             ResultsError: the file can't be written, with the system's reason.
         """
         names = [_file_name(name) for name in ("time", *self.columns)]
-        table = np.column_stack([self.time, *(column.values for column in self.columns.values())])
-        lines = [",".join(f'"{name}"' for name in names), *(",".join(map(repr, row)) for row in table.tolist())]
+        table = [Column("s", self.time).shown(), *(column.shown() for column in self.columns.values())]
+        lines = [",".join(f'"{name}"' for name in names), *map(",".join, zip(*table, strict=True))]
         return write_whole(Path(path), "\n".join(lines) + "\n")
 
     @classmethod
@@ -104,14 +114,25 @@ class Recording:
             ResultsError: there is no such file, or it holds no table of numbers.
         """
         try:
-            with open(path, encoding="utf-8") as file:
+            with open(path, encoding="utf-8", newline="") as file:
                 names = [name.strip().strip('"').replace(";", ",") for name in file.readline().split(",")]
-                table = np.loadtxt(file, delimiter=",", ndmin=2)
+                lines = file.read().splitlines()
+            texts = {i for i, cell in enumerate(lines[0].split(",")) if cell.startswith('"')} if lines else set()
+            # texts are numbered as they come
+            codes: dict[str, int] = {}
+            number: dict[int | str, Callable[[str], float]] = {
+                i: lambda cell: codes.setdefault(cell.strip('"').replace('""', '"'), len(codes)) for i in texts
+            }
+            table = np.loadtxt(lines, delimiter=",", ndmin=2, converters=number, encoding="utf-8")
         except (OSError, UnicodeDecodeError, ValueError) as error:
             raise ResultsError(f"can't read {os.fspath(path)}: {error}") from error
         if names[0] != "time" or table.shape[1] != len(names):
             raise ResultsError(f"{os.fspath(path)} is no table of signals: its first column must be named time")
-        return cls(table[:, 0], {name: Column("", table[:, i]) for i, name in enumerate(names) if i})
+        known = [*codes]
+        columns = {
+            name: Column("", table[:, i], texts=known if i in texts else None) for i, name in enumerate(names) if i
+        }
+        return cls(table[:, 0], columns)
 
 
 def _file_name(name: str) -> str:

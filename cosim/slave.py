@@ -28,6 +28,7 @@ class SlaveVariable:
         unit: unit, for example ``N.m``; empty when unknown, which fits every unit.
         start: start value in ``unit``; None when the slave calculates it.
         discrete: whether it changes in jumps alone, as counters and switches do.
+        text: whether its values are texts, each as its code in `TEXTS`.
     """
 
     name: str
@@ -35,6 +36,34 @@ class SlaveVariable:
     unit: str = ""
     start: float | None = None
     discrete: bool = False
+    text: bool = False
+
+
+class Texts:
+    """Texts with a number each, so that signals of type String travel like all others.
+
+    A code means the same text as long as the process lives, and in its child processes.
+    """
+
+    def __init__(self) -> None:
+        self._codes: dict[str, int] = {}
+
+    def code(self, text: str) -> float:
+        """The number that stands for a text, a new one where it is new."""
+        return float(self._codes.setdefault(text, len(self._codes)))
+
+    def known(self) -> list[str]:
+        """All texts, in the order of their codes."""
+        return [*self._codes]
+
+    def learn(self, texts: Iterable[str]) -> None:
+        """Take over the texts of a child process."""
+        for text in texts:
+            self.code(text)
+
+
+TEXTS = Texts()
+"""The texts of this process."""
 
 
 class Slave(Protocol):

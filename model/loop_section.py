@@ -84,7 +84,8 @@ class FmuSection(LoopSection):
 
     With a `sample_time` it is stepped at its own instants only, its inputs sampled and its outputs held; without one an
     exported block has its own, an FMU that can't vary its communication step takes the step size of its default
-    experiment, and any other is stepped.
+    experiment, and any other is stepped. `output_order` is the highest derivative of its outputs that it is asked for, 0 for
+    none; by default what its description says and it really gives.
     """
 
     kind: Literal["fmu"]
@@ -92,3 +93,4 @@ class FmuSection(LoopSection):
     parameters: dict[str, ParameterValue] = Field(default_factory=dict)
     sample_time: Annotated[Positive | None, quantity("s")] = None
     offset: SecondsOrZero = 0.0
+    output_order: Annotated[int | None, Field(ge=0)] = None

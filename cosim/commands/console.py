@@ -89,6 +89,20 @@ def _stdout() -> TextIO:
     return stdout
 
 
+def keep_stdout() -> None:
+    """Keep standard output for results: what libraries of FMUs print goes to standard error from here on."""
+    try:
+        own = os.dup(sys.stdout.fileno())
+    except (AttributeError, OSError, ValueError):  # there is none
+        return
+    try:
+        os.dup2(2, 1)
+    except OSError:  # there is no standard error
+        os.close(own)
+        return
+    sys.stdout = open(own, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)  # noqa: SIM115 - lives as long as the process
+
+
 def abandon_stdout() -> None:
     """Point standard output to nowhere, or Python complains once more when it flushes at exit."""
     try:

@@ -15,7 +15,7 @@ from flexfmu.cosim.commands.console import print_rich, print_text, progress
 from flexfmu.cosim.commands.errors import FAILURE, show_error
 from flexfmu.cosim.commands.scene import load_resolved
 from flexfmu.cosim.loop.recording import slave_facts
-from flexfmu.cosim.master.master import Outcome, Simulation
+from flexfmu.cosim.master.master import Simulation
 from flexfmu.cosim.reports.json_text import to_json
 from flexfmu.cosim.reports.output import RESULTS, OutputFolder
 from flexfmu.cosim.ssp.archive import DESCRIPTION
@@ -63,7 +63,7 @@ def run_ssp_command(
         print_text(to_json(summary))
     else:
         _print(summary, simulation, folder.path)
-    if simulation.outcome is not Outcome.COMPLETED:
+    if simulation.outcome.is_failure:
         show_error(f"{simulation.message}; what was recorded is in {folder.path}")
         return FAILURE
     return 0

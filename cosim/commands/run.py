@@ -73,7 +73,7 @@ def _measure(
     """What the metrics depend on, the metrics, and why there are none where that is so."""
     none = dict.fromkeys(METRICS, Measurement(None))
     if not run.completed:
-        return None, none, run.message
+        return None, none, run.message if run.outcome.is_failure else None
     try:
         settings = settings_for(run.plan, run.robot)
         return settings, with_errors(run, measure(run.recording, settings), settings, companions, progress), None

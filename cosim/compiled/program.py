@@ -52,8 +52,8 @@ class HasTables(Protocol):
 class StepsInC(Protocol):
     """Is stepped by fmi2DoStep."""
 
-    def bound_step(self) -> tuple[partial[int], Callable[[int, float, float], BaseException]]:
-        """The function with its component bound, and what makes the error."""
+    def bound_step(self) -> tuple[partial[int], Callable[[int, float, float], BaseException]] | None:
+        """The function with its component bound, and what makes the error; None where `step` has more to do."""
 
 
 def can_compile(schedule: Schedule) -> bool:
@@ -163,8 +163,8 @@ def _transfer(call: Call, when: When, owner: int) -> Iterator[Operation]:
 def _step(stepper: Stepper) -> Operation:
     """Advance one slave."""
     slave = stepper.slave
-    if isinstance(slave, StepsInC):
-        call, failure = slave.bound_step()
+    if isinstance(slave, StepsInC) and (bound := slave.bound_step()) is not None:
+        call, failure = bound
         return fmi_step(call, stepper.index, lambda status, begin, end: failure(status, begin, end - begin))
     return outside(lambda point, begin, end: slave.step(begin, end - begin), When.ALWAYS, stepper.index)
 

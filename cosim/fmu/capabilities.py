@@ -49,6 +49,14 @@ def only_once_per_process(fmu: UnpackedFmu) -> bool:
     return bool(fmu.description.coSimulation.canBeInstantiatedOnlyOncePerProcess)
 
 
+def needs(fmu: UnpackedFmu) -> str:
+    """What an FMU that fails to start may lack, to be added to the reason; empty where it stands on its own."""
+    if not fmu.description.coSimulation.needsExecutionTool:
+        return ""
+    tool = fmu.description.generationTool or "the tool that exported it"
+    return f"; it needs {tool} on this machine, running or licensed (needsExecutionTool = true)"
+
+
 def steps_asynchronously(fmu: UnpackedFmu) -> bool:
     """Whether fmi2DoStep may return before its step is done, with fmi2Pending."""
     return bool(fmu.description.coSimulation.canRunAsynchronuously)

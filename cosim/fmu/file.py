@@ -107,7 +107,9 @@ def attempt(path: Path, action: Callable[[], Any]) -> Any:
 def _check(path: Path, folder: Path, description: Any) -> None:
     """Version, kind and platform."""
     if not description.fmiVersion.startswith("2."):
-        raise FmuFileError(f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0")
+        raise FmuFileError(
+            f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0: export it for that"
+        )
     if description.coSimulation is None:
         raise FmuFileError(f"{path} is for model exchange only; export it for co-simulation")
     identifier = description.coSimulation.modelIdentifier

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from ctypes import byref, c_void_p
 from functools import cache
 from itertools import count
@@ -13,7 +13,8 @@ from fmpy.fmi2 import FMU2Slave
 
 from flexfmu.cosim.errors import FmuFileError, SlaveError
 from flexfmu.cosim.fmu import calls as fmi2
-from flexfmu.cosim.fmu.file import UnpackedFmu, attempt
+from flexfmu.cosim.fmu.capabilities import needs, only_once_per_process
+from flexfmu.cosim.fmu.file import UnpackedFmu
 from flexfmu.cosim.fmu.log import FmuLog
 from flexfmu.cosim.master.isolation import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.slave import Call
@@ -22,6 +23,9 @@ StatusCall = Callable[[], int]
 """An FMI call with all its arguments bound; gives an fmi2Status."""
 
 _STATUS = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
+
+_alive: dict[Path, str] = {}
+"""Folder of an FMU that can be instantiated only once per process → name of its instance."""
 
 _serial = count(1)
 """Instance names must differ within a process for FMUs that keep a table of them."""
@@ -43,11 +47,29 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
     }
     if AVAILABLE and not fmu.is_ours:
         try:
-            in_child(lambda: bool(attempt(fmu.path, lambda: FMU2Slave(**arguments))), lambda: None, CALL_LIMIT)
+            in_child(lambda: bool(_loaded(fmu, arguments)), lambda: None, CALL_LIMIT)
         except ChildLostError as lost:
-            raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}") from lost
-    slave: Any = attempt(fmu.path, lambda: FMU2Slave(**arguments))
-    return fmi2.fmi2_calls(slave.dll)
+            raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{needs(fmu)}") from lost
+    return fmi2.fmi2_calls(_loaded(fmu, arguments).dll)
+
+
+def _loaded(fmu: UnpackedFmu, arguments: Mapping[str, str]) -> Any:
+    """The library as fmpy loads it.
+
+    Raises:
+        FmuFileError: it can't be loaded, with the system's reason.
+    """
+    try:
+        return FMU2Slave(**arguments)
+    except Exception as error:
+        # fmpy puts the library's temporary place before the reason
+        reason = " ".join(str(error).replace(f"{fmu.folder}/", "").split()).partition(" shared library ")[2] or str(
+            error
+        )
+        raise FmuFileError(
+            f"{fmu.path} can't be loaded on this machine: {reason}{needs(fmu)}; install what is missing, or export it for "
+            "this system"
+        ) from error
 
 
 class FmuInstance:
@@ -65,6 +87,7 @@ class FmuInstance:
         self.fmi = fmi
         self.log = FmuLog()
         self._name = ""
+        self._fmu = fmu
         self._guid = fmu.description.guid.encode()
         self._resources = Path(fmu.folder, "resources").as_uri().encode()
         self._initialized = self._fatal = False
@@ -76,6 +99,12 @@ class FmuInstance:
             SlaveError: the FMU refuses.
         """
         self._name, self._initialized, self._fatal = name, False, False
+        if (sole := self._fmu.folder if only_once_per_process(self._fmu) else None) in _alive:
+            raise SlaveError(
+                name,
+                f"{self._fmu.path.name} can be instantiated only once per process (canBeInstantiatedOnlyOncePerProcess = "
+                f"true), and {_alive[sole]} is its instance; run one after the other, or export it for several instances",
+            )
         self.log.open()
         self.component.value = self.fmi["fmi2Instantiate"](
             f"{name} {next(_serial)}".encode(),
@@ -88,7 +117,10 @@ class FmuInstance:
         )
         if self.component.value is None:
             self.log.close()
-            raise self.error("instantiation", fmi2.ERROR)
+            error = self.error("instantiation", fmi2.ERROR)
+            raise SlaveError(name, error.reason + needs(self._fmu))
+        if sole is not None:
+            _alive[sole] = name
 
     def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Set up the experiment."""
@@ -138,6 +170,7 @@ class FmuInstance:
             self.fmi["fmi2FreeInstance"](self.component)
         self.component.value = None
         self.log.close()
+        _alive.pop(self._fmu.folder, None)
 
     @property
     def alive(self) -> bool:

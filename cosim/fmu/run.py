@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from ctypes import byref, c_double, c_int, c_void_p
 from functools import partial
+from time import sleep
 
-from flexfmu.cosim.errors import SlaveError
+from flexfmu.cosim.errors import SlaveEnded, SlaveError
 from flexfmu.cosim.fmu import calls as fmi2
 from flexfmu.cosim.fmu.instance import FmuInstance
+
+POLL = 1e-4
+"""How long to wait until an FMU is asked again whether its step is done [s]."""
 
 
 class FmuRun:
@@ -24,12 +28,26 @@ class FmuRun:
         reached, terminated = c_double(time), c_int(0)
         component, fmi = self.instance.component, self.instance.fmi
         error = self.instance.error(f"the step from {time:.9g} s by {step:.9g} s", status, time)
-        if status == fmi2.DISCARD:
-            fmi["fmi2GetRealStatus"](component, fmi2.LAST_SUCCESSFUL_TIME, byref(reached))
-            fmi["fmi2GetBooleanStatus"](component, fmi2.TERMINATED, byref(terminated))
-            ended = "; the FMU asks to end the simulation" if terminated.value else ""
-            return SlaveError(error.slave, error.reason + ended, reached.value)
-        return error
+        if status != fmi2.DISCARD:
+            return error
+        fmi["fmi2GetRealStatus"](component, fmi2.LAST_SUCCESSFUL_TIME, byref(reached))
+        fmi["fmi2GetBooleanStatus"](component, fmi2.TERMINATED, byref(terminated))
+        if terminated.value:
+            return SlaveEnded(error.slave, self.instance.log.complaint() or "fmi2Terminated", reached.value)
+        return SlaveError(error.slave, error.reason, reached.value)
+
+    def awaited(self, status: int) -> int:
+        """The status of fmi2DoStep when its step is done, which goes on in the FMU after fmi2Pending."""
+        pending = c_int(status)
+        while pending.value == fmi2.PENDING:
+            sleep(POLL)
+            if (
+                asked := self.instance.fmi["fmi2GetStatus"](
+                    self.instance.component, fmi2.DO_STEP_STATUS, byref(pending)
+                )
+            ) > fmi2.WARNING:
+                return int(asked)
+        return int(pending.value)
 
     def save(self) -> object:
         """The complete state, in the memory of a released one where there is any."""

@@ -19,6 +19,7 @@ from flexfmu.cosim.fmu.capabilities import (
     highest_output_derivative,
     needs_regular_steps,
     only_once_per_process,
+    steps_asynchronously,
 )
 from flexfmu.cosim.fmu.file import UnpackedFmu, open_fmu
 from flexfmu.cosim.fmu.instance import Checked, FmuInstance, load_calls
@@ -235,8 +236,8 @@ class FmuSlave:
 
     def _read_back(self, setting: Setting) -> Value | None:
         """The present value of what was set; None where the FMU doesn't tell."""
-        read = self._transfers.reading(setting)
-        return read.value() if self._instance.accepts(read.call) else None
+        call, value = self._transfers.reading(setting)
+        return value() if self._instance.accepts(call) else None
 
     def step(self, time: float, step: float) -> None:
         """Let the FMU advance.
@@ -245,11 +246,17 @@ class FmuSlave:
             SlaveError: the FMU fails or gets through only a part of the step; carries the last time that it reached.
         """
         run = self._running()
-        if (status := self._do_step(time, step, run.no_rollback)) > fmi2.WARNING:
+        status = self._do_step(time, step, run.no_rollback)
+        if status == fmi2.PENDING:
+            status = run.awaited(status)
+        if status > fmi2.WARNING:
             raise run.step_error(status, time, step)
 
-    def bound_step(self) -> tuple[partial[int], Callable[[int, float, float], BaseException]]:
-        """fmi2DoStep with its component bound, and what makes the error of a failed step."""
+    def bound_step(self) -> tuple[partial[int], Callable[[int, float, float], BaseException]] | None:
+        """fmi2DoStep with its component bound, and what makes the error of a failed step; None where it may return before
+        the step is done."""
+        if steps_asynchronously(self._fmu):
+            return None
         return self._do_step, lambda status, time, step: self._running().step_error(status, time, step)
 
     def set(self, indices: Indices, values: RealArray) -> None:

@@ -4,33 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from ctypes import c_char_p, c_void_p
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.fmu.calls import OK, Calls, address, value_references
+from flexfmu.cosim.fmu.calls import OK, WARNING, Calls, address, value_references
 from flexfmu.cosim.fmu.instance import StatusCall
 from flexfmu.cosim.fmu.variables import Handle, Kind, Setting, Value
-from flexfmu.cosim.slave import RealArray
+from flexfmu.cosim.slave import TEXTS, RealArray
 
 DTYPES = {"Integer": np.int32, "Boolean": np.int32}
 """Element types of the C arrays for what isn't a Real; fmi2Boolean is an int."""
 
 
-@dataclass(frozen=True)
-class Reading:
-    """A call that reads a value, and what it has read."""
-
-    call: StatusCall
-    value: Callable[[], Value]
-
-
 class Transfers:
     """Calls that move values between variables of an instance and buffers.
 
-    Buffers of doubles hold all kinds of variables: integers and booleans (0 or 1) are converted on the way.
+    Buffers of doubles hold all kinds of variables: integers, booleans (0 or 1) and texts (see `TEXTS`) are converted on the
+    way.
 
     Args:
         fmi: the FMI functions.
@@ -65,29 +57,24 @@ class Transfers:
         return self._derivatives("fmi2SetRealInputDerivatives", handles, derivatives)
 
     def setting(self, setting: Setting) -> StatusCall:
-        """A call that gives a parameter its value."""
-        if setting.handle.kind != "String":
-            return self.set([setting.handle], np.array([float(setting.value)]))
-        references = value_references([setting.handle.reference])
-        text = (c_char_p * 1)(str(setting.value).encode())
-        return lambda: int(self._fmi["fmi2SetString"](self._component, address(references), 1, text))
+        """A call that gives a variable its start value."""
+        value = setting.value
+        return self.set([setting.handle], np.array([TEXTS.code(value) if isinstance(value, str) else float(value)]))
 
-    def reading(self, setting: Setting) -> Reading:
-        """A call that reads back what was set."""
-        if setting.handle.kind != "String":
-            number = np.zeros(1)
-            return Reading(self.get([setting.handle], number), lambda: float(number[0]))
-        references = value_references([setting.handle.reference])
-        text = (c_char_p * 1)()
-        return Reading(
-            lambda: int(self._fmi["fmi2GetString"](self._component, address(references), 1, text)),
-            lambda: (text[0] or b"").decode("utf-8", "replace"),
-        )
+    def reading(self, setting: Setting) -> tuple[StatusCall, Callable[[], Value]]:
+        """A call that reads back what was set, and what it has read."""
+        found = np.zeros(1)
+        call = self.get([setting.handle], found)
+        if setting.handle.kind == "String":
+            return call, lambda: TEXTS.known()[int(found[0])]
+        return call, lambda: float(found[0])
 
     def _get_kind(self, kind: Kind, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
         """Read variables of one kind."""
         if kind == "Real" and len(columns) == values.size:
             return self._bind("fmi2GetReal", references, values)
+        if kind == "String":
+            return self._get_texts(columns, references, values)
         buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
         read = self._bind(f"fmi2Get{kind}", references, buffer)
 
@@ -102,12 +89,37 @@ class Transfers:
         """Set variables of one kind."""
         if kind == "Real" and len(columns) == values.size:
             return self._bind("fmi2SetReal", references, values)
+        if kind == "String":
+            return self._set_texts(columns, references, values)
         buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
         write = self._bind(f"fmi2Set{kind}", references, buffer)
 
         def call() -> int:
             buffer[:] = np.rint(values[columns]) if kind != "Real" else values[columns]
             return write()
+
+        return call
+
+    def _get_texts(self, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
+        """Read variables of type String, as codes."""
+        array, texts = value_references(references), (c_char_p * len(columns))()
+
+        def call() -> int:
+            status = int(self._fmi["fmi2GetString"](self._component, address(array), array.size, texts))
+            if status <= WARNING:
+                values[columns] = [TEXTS.code((text or b"").decode("utf-8", "replace")) for text in texts]
+            return status
+
+        return call
+
+    def _set_texts(self, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
+        """Set variables of type String from codes."""
+        array, texts = value_references(references), (c_char_p * len(columns))()
+
+        def call() -> int:
+            known = TEXTS.known()
+            texts[:] = [known[int(code)].encode() for code in values[columns]]
+            return int(self._fmi["fmi2SetString"](self._component, address(array), array.size, texts))
 
         return call
 

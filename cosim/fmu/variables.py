@@ -11,7 +11,7 @@ from sys import float_info
 from typing import Any, Literal, cast
 
 from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.slave import Causality, SlaveVariable
+from flexfmu.cosim.slave import TEXTS, Causality, SlaveVariable
 
 Kind = Literal["Real", "Integer", "Boolean", "String"]
 """Which family of FMI functions reaches a variable; enumerations are reached like integers."""
@@ -37,7 +37,7 @@ class FmuVariables:
     """All that a model description says about variables.
 
     Attributes:
-        connectable: numeric inputs, outputs and parameters, in the order of the model description.
+        connectable: inputs, outputs and numeric parameters, in the order of the model description.
         handles: how to reach each of them.
         others: name → handle of all further variables (locals).
         feedthrough: output → inputs that it depends on at the same instant; outputs without a statement are left out.
@@ -51,24 +51,28 @@ class FmuVariables:
 
 def read_variables(description: Any) -> FmuVariables:
     """Sort the variables of a model description that fmpy has read."""
-    numeric = [
-        v for v in description.modelVariables if v.causality in ("input", "output", "parameter") and v.type != "String"
+    connectable = [
+        v
+        for v in description.modelVariables
+        if v.causality in ("input", "output") or (v.causality == "parameter" and v.type != "String")
     ]
-    others = {v.name: _handle(v) for v in description.modelVariables if v not in numeric}
-    inputs = {v.name for v in numeric if v.causality == "input"}
+    names = {v.name for v in connectable}
+    others = {v.name: _handle(v) for v in description.modelVariables if v.name not in names}
+    inputs = {v.name for v in connectable if v.causality == "input"}
     depends = {
         unknown.variable.name: tuple(v.name for v in unknown.dependencies if v.name in inputs)
         for unknown in description.outputs
         if unknown.dependencies is not None
     }
-    return FmuVariables(tuple(map(_variable, numeric)), tuple(map(_handle, numeric)), others, depends)
+    return FmuVariables(tuple(map(_variable, connectable)), tuple(map(_handle, connectable)), others, depends)
 
 
 def _variable(variable: Any) -> SlaveVariable:
     """The variable as the master sees it."""
-    start = None if variable.start is None else _number(variable.start)
+    text = variable.type == "String"
+    start = None if variable.start is None else TEXTS.code(variable.start) if text else _number(variable.start)
     discrete = variable.type != "Real" or variable.variability == "discrete"
-    return SlaveVariable(variable.name, cast(Causality, variable.causality), _unit(variable), start, discrete)
+    return SlaveVariable(variable.name, cast(Causality, variable.causality), _unit(variable), start, discrete, text)
 
 
 def _number(text: str) -> float:

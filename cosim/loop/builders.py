@@ -96,7 +96,14 @@ class LoopBuilder:
         if isinstance(section, FmuSection):
             path = section.path
             named = self._names.of_file(path, section.name)
-            slave = fmu_slave(path, named, section.parameters, sample_time=section.sample_time, offset=section.offset)
+            slave = fmu_slave(
+                path,
+                named,
+                section.parameters,
+                sample_time=section.sample_time,
+                offset=section.offset,
+                output_order=section.output_order,
+            )
             return self._connected(slave, section)
         made = from_source(section.source, section.arguments, section.folder)
         return self._connected(as_slave(made, self._names, section.name), section)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from flexfmu.cosim.errors import LoopError, NotFiniteError, SlaveError, StepSizeError, WorkError
+from flexfmu.cosim.errors import LoopError, NotFiniteError, SlaveEnded, SlaveError, StepSizeError, WorkError
 from flexfmu.cosim.master.outcome import Outcome
 from flexfmu.cosim.master.stability import Instability
 
@@ -20,6 +20,7 @@ def outcome_of(error: BaseException | None, initialized: bool) -> Outcome:
         StepSizeError: Outcome.STEP_TOO_SMALL,
         WorkError: Outcome.TOO_MUCH_WORK,
         NotFiniteError: Outcome.NOT_FINITE,
+        SlaveEnded: Outcome.ENDED_BY_SLAVE,
     }
     other = Outcome.STEP_FAILED if initialized else Outcome.INITIALISATION_FAILED
     return next((kind for error_type, kind in kinds.items() if isinstance(error, error_type) and initialized), other)
@@ -39,6 +40,8 @@ def message_of(error: BaseException | None, outcome: Outcome, active: str, reach
         )
     known: float | None = getattr(error, "time", None)
     when = f" at {reached if known is None else known:.9g} s"
+    if outcome is Outcome.ENDED_BY_SLAVE:
+        return f"{slave} asked to end the simulation{when}: {' '.join(reason.split())}"
     return f"{slave} failed{'' if when in reason else when}: {' '.join(reason.split())}"
 
 

@@ -232,6 +232,10 @@ def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
             os._exit(code)
         # leave the parent's objects where they are, or the collector copies them all
         gc.freeze()
+        # what slaves print isn't a result
+        with suppress(OSError):
+            os.dup2(2, 1)
+        sys.stdout = sys.stderr
         # a progress bar has a thread, which isn't here
         sys.stdout, sys.stderr = (getattr(each, "rich_proxied_file", each) for each in (sys.stdout, sys.stderr))
         # the parent hears of Ctrl-C, too, and passes it on

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -79,6 +79,7 @@ class Link:
         slots: which of the target's fed inputs they are.
         coupling: how they get there.
         transformation: what is done to them on the way; None for nothing.
+        jumping: which of the inputs change in jumps alone and have no mean of two values.
     """
 
     source: OutputPort
@@ -86,6 +87,7 @@ class Link:
     slots: slice
     coupling: Coupling
     transformation: Transformation | None = None
+    jumping: Indices = field(default_factory=lambda: np.empty(0, np.intp))
 
     @property
     def interpolates(self) -> bool:
@@ -118,7 +120,9 @@ class Link:
         """Put the polynomial between ``begin`` and the current instant into ``fed``."""
         fed[:, self.slots] = 0.0
         if self.coupling.transport is Transport.AVERAGED:
-            fed[0, self.slots] = 0.5 * (begin[0] + self.ended()[0])
+            mean = 0.5 * (begin[0] + self.ended()[0])
+            mean[self.jumping] = begin[0, self.jumping]
+            fed[0, self.slots] = mean
         else:
             fed[: 2 * len(begin), self.slots] = two_point(begin, self.ended(), step)
         if self.transformation is not None:
@@ -175,8 +179,9 @@ def _input_port(system: System, target: int, outputs: list[OutputPort], coupled:
     for source in dict.fromkeys(each.source for each in incoming):
         group = [each for each in incoming if each.source == source]
         slots = slice(count, count + len(group))
-        place = columns(outputs[source], group)
-        links.append(Link(outputs[source], place, slots, coupled[source, target], transformation(group)))
+        place, variables = columns(outputs[source], group), system.slaves[target].variables
+        jumping = np.flatnonzero([variables[each.input].discrete for each in group])
+        links.append(Link(outputs[source], place, slots, coupled[source, target], transformation(group), jumping))
         count += len(group)
     return InputPort(system.slaves[target], np.array([each.input for each in incoming], np.intp), links)
 

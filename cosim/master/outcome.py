@@ -13,6 +13,7 @@ class Outcome(Enum):
     """How a simulation ended; the value is a sentence for people."""
 
     COMPLETED = "the simulation reached its stop time"
+    ENDED_BY_SLAVE = "a slave asked to end the simulation; the results end there"
     INITIALISATION_FAILED = "a slave could not be initialised; check its parameters and start values"
     STEP_FAILED = "a slave failed within a communication step; the results end before it"
     NOT_FINITE = "a slave's output became infinite or not a number; the results end before it"
@@ -23,6 +24,11 @@ class Outcome(Enum):
     LOOP_UNSTABLE = "the control loop is unstable; the results end where a slave could not follow any more"
     INTERRUPTED = "the simulation was interrupted; the results end there"
 
+    @property
+    def is_failure(self) -> bool:
+        """Whether the run came to no normal end."""
+        return self not in (Outcome.COMPLETED, Outcome.ENDED_BY_SLAVE)
+
 
 @dataclass(frozen=True)
 class Simulation:
@@ -32,7 +38,7 @@ class Simulation:
         recording: all outputs, named ``slave.variable``, up to where the run came.
         outcome: how it ended.
         message: what happened, in one line: which slave, when, and its own words.
-        error: the exception that ended the run; None when it came to its stop time.
+        error: the exception that ended the run; None when it came to its stop time, or a slave asked to end it.
         steps: completed communication steps.
         rejected: steps that step control took back and repeated with a smaller one.
         delays: for each connection how late its signals arrive.

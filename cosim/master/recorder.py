@@ -16,6 +16,7 @@ import numpy as np
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.master.ports import OutputPort
 from flexfmu.cosim.results import Column, RealArray, Recording
+from flexfmu.cosim.slave import TEXTS
 
 _MADV_POPULATE_WRITE = 23
 """Of Linux 5.14 and later."""
@@ -41,6 +42,7 @@ class Recorder:
     def __init__(self, ports: Sequence[OutputPort], capacity: int, *, shared: bool = False) -> None:
         signals = [(port.slave.name, [port.slave.variables[i] for i in port.indices]) for port in ports]
         self._names = [[f"{slave}.{each.name}" for each in variables] for slave, variables in signals]
+        self._texts = [[each.text for each in variables] for _, variables in signals]
         self._units = [[each.unit for each in variables] for _, variables in signals]
         self._signals = [port.signals[: port.recorded] for port in ports]
         self._count = 0
@@ -88,8 +90,8 @@ class Recorder:
     def recording(self) -> Recording:
         """Everything recorded so far, named ``slave.variable``."""
         columns: dict[str, Column] = {}
-        for names, units, rows in zip(self._names, self._units, self._rows, strict=True):
-            columns |= zip(names, _columns(units, rows[: self._count]), strict=True)
+        for names, units, texts, rows in zip(self._names, self._units, self._texts, self._rows, strict=True):
+            columns |= zip(names, _columns(units, texts, rows[: self._count]), strict=True)
         return Recording(self.time[: self._count].copy(), columns)
 
     def populate(self) -> None:
@@ -145,6 +147,8 @@ class _Memory:
                 self._map.madvise(_MADV_POPULATE_WRITE)
 
 
-def _columns(units: Sequence[str], rows: RealArray) -> Iterator[Column]:
-    """Columns of signals with these units, from their rows (N, orders + 1, n)."""
-    return map(Column, units, *rows.transpose(1, 2, 0).copy())
+def _columns(units: Sequence[str], texts: Sequence[bool], rows: RealArray) -> Iterator[Column]:
+    """Columns of signals with these units, some of them texts, from their rows (N, orders + 1, n)."""
+    known = TEXTS.known() if any(texts) else []
+    for unit, text, column in zip(units, texts, rows.transpose(2, 1, 0).copy(), strict=True):
+        yield Column(unit, column[0], texts=known) if text else Column(unit, *column)

@@ -13,7 +13,7 @@ import numpy as np
 from flexfmu.cosim.compiled.library import load
 from flexfmu.cosim.compiled.program import can_compile
 from flexfmu.cosim.compiled.run import CompiledRun
-from flexfmu.cosim.errors import InputError, SlaveError, SlaveWarning
+from flexfmu.cosim.errors import InputError, SlaveEnded, SlaveError, SlaveWarning
 from flexfmu.cosim.fmu.slave import FmuSlave
 from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.master.coupling_error import CouplingError
@@ -35,6 +35,7 @@ from flexfmu.cosim.master.stepping_order import feedback_signals
 from flexfmu.cosim.master.system import System
 from flexfmu.cosim.results import Column, Recording
 from flexfmu.cosim.slave import (
+    TEXTS,
     HasBreakpoints,
     LimitsStep,
     MayNeedRegularSteps,
@@ -56,6 +57,7 @@ class Ending:
         active: name of the slave that is, or was last, at work.
         reached: how far the run came.
         reports: slave → what it says about its run, by attribute.
+        texts: all that signals of type String have been.
     """
 
     error: BaseException | None
@@ -63,6 +65,7 @@ class Ending:
     active: str
     reached: Reached
     reports: Sequence[Mapping[str, Any]] = ()
+    texts: Sequence[str] = ()
 
 
 class Simulator:
@@ -136,7 +139,7 @@ class Simulator:
             if (error := ending.error) is not None:
                 error = portable(error, SlaveError(ending.active, f"{type(error).__name__}: {error}"))
             reports = [each.report() if isinstance(each, Reports) else {} for each in self._system.slaves]
-            return replace(ending, error=error, reports=reports)
+            return replace(ending, error=error, reports=reports, texts=TEXTS.known())
 
         def look() -> object:
             count = recorder.catch_up()
@@ -148,6 +151,7 @@ class Simulator:
         try:
             ending: Ending = in_child(attempt, look, isolation.call_limit)
             look()
+            TEXTS.learn(ending.texts)
             for slave, report in zip(self._system.slaves, ending.reports, strict=True):
                 if isinstance(slave, Reports):
                     slave.take_report(report)
@@ -178,6 +182,8 @@ class Simulator:
         """Let it run and terminate all slaves; what went wrong first, if anything."""
         try:
             error = _failure(lambda: run.go(tolerance))
+            if isinstance(error, SlaveEnded):
+                self._record_end(error)
         finally:
             active = self._schedule.activity.slave
             for index, slave in self._terminating:
@@ -187,6 +193,14 @@ class Simulator:
                     error, active = failure, index
             self._schedule.activity.slave = active
         return error
+
+    def _record_end(self, ended: SlaveEnded) -> None:
+        """What a slave has reached that ended the run within a step, if it is alone: others are elsewhere."""
+        recorded = self._recorder.time[: self._recorder.count]
+        if len(self._schedule.outputs) > 1 or ended.time is None or not recorded.size or ended.time <= recorded[-1]:
+            return
+        if _failure(lambda: self._schedule.outputs[0].read(float(recorded[-1]))) is None:
+            self._recorder.append(ended.time)
 
     def _result(self, ending: Ending) -> Simulation:
         """What the run gave."""
@@ -204,6 +218,7 @@ class Simulator:
                     Outcome.COUPLING_UNSTABLE,
                     overshot(unstable, self._fed_by(unstable.signal), finally_),
                 )
+        error = error if outcome.is_failure else None
         kept, delays = self._selection.of(recording), self._delays_with(reached.largest_step)
         return Simulation(kept, outcome, message, error, reached.steps, reached.rejected, delays)
 

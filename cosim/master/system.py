@@ -125,6 +125,10 @@ def _resolve(slaves: Sequence[Slave], source: str, target: str, linear: LinearMa
     """Look up both ends of a connection."""
     from_slave, output = _find(slaves, source, "output")
     to_slave, receiver = _find(slaves, target, "input")
+    ends = slaves[from_slave].variables[output], slaves[to_slave].variables[receiver]
+    if ends[0].text != ends[1].text:
+        kinds = ["a String" if each.text else "a number" for each in ends]
+        raise WiringError(f"types differ: {source} is {kinds[0]}, {target} {kinds[1]}; put a conversion between")
     units = slaves[from_slave].variables[output].unit, slaves[to_slave].variables[receiver].unit
     if linear is None and all(units) and units[0] != units[1]:
         raise WiringError(f"units differ: {source} is in {units[0]}, {target} in {units[1]}; put a conversion between")

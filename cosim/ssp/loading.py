@@ -113,10 +113,11 @@ def load_ssp(
     step: float | None = None,
     loops: LoopSolver | None = None,
     ssd: str = DESCRIPTION,
+    output_order: int | None = None,
 ) -> SspSystem:
     """Read an SSP file of SSP 1.0, or one of SSP 2.0 that has no more, whose components are FMUs for co-simulation.
 
-    Systems within systems are flattened.     FMUs that this package made run as in the scene they come from: trajectories are streamed with all derivatives, blocks
+    Systems within systems are flattened. FMUs that this package made run as in the scene they come from: trajectories are streamed with all derivatives, blocks
     are sampled at their own instants. Others are sampled where the file has an annotation with their sample time, or where
     they can't vary their step and their default experiment has a step size; else they are stepped. Units are converted, linear transformations and parameter sets
     applied at all levels. What the system's own input connectors feed stays at the value that a parameter set gives these, else
@@ -128,6 +129,7 @@ def load_ssp(
         step: communication step [s]; by default what the file says, else the smallest that an FMU names.
         loops: how algebraic loops are solved; `Anderson` when None.
         ssd: path within the file of the system that is meant, where it isn't the default.
+        output_order: highest derivative of outputs that FMUs are asked for, 0 for none; None for all that they give.
 
     Raises:
         SspError: the file is missing, broken, contradicts itself or its FMUs, or needs what this program doesn't do:
@@ -143,7 +145,7 @@ def load_ssp(
     network = Network(structure, fmus)
     starts = start_values(structure, fmus, network)
     names = _names(fmus)
-    slaves = [_slave(fmu, names[name], starts.values[name]) for name, fmu in fmus.items()]
+    slaves = [_slave(fmu, names[name], starts.values[name], output_order) for name, fmu in fmus.items()]
     system = connect(slaves, wires(network, fmus, names), loops=Anderson() if loops is None else loops)
     defaults = [fmu.fmu.description.defaultExperiment for fmu in fmus.values()]
     stops = [float(each.stopTime) for each in defaults if each is not None and each.stopTime]
@@ -242,7 +244,7 @@ def _mapped(column: Column, origin: Origin) -> Column:
     linear, slope = origin.linear, LinearMap(origin.linear.factor)
     unit = origin.unit if isinstance(origin.unit, str) else origin.unit.name
     first, second = (None if each is None else _along(slope, each) for each in (column.first, column.second))
-    return Column(unit, _along(linear, column.values), first, second)
+    return Column(unit, _along(linear, column.values), first, second, column.texts)
 
 
 def _along(linear: LinearMap, values: RealArray) -> RealArray:
@@ -250,13 +252,14 @@ def _along(linear: LinearMap, values: RealArray) -> RealArray:
     return linear.factor * values + linear.offset
 
 
-def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value]) -> Slave:
+def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value], output_order: int | None) -> Slave:
     """The slave that suits an FMU."""
     if breakpoints(fmu.fmu) and not parameters:
         return _trajectory(fmu, name)
     sample_time, offset = fmu.component.sampling or (None, 0.0)
+    path = fmu.fmu.path
     with _named(fmu.component):
-        return fmu_slave(fmu.fmu.path, name, parameters, sample_time=sample_time, offset=offset)
+        return fmu_slave(path, name, parameters, sample_time=sample_time, offset=offset, output_order=output_order)
 
 
 def _trajectory(fmu: ComponentFmu, name: str) -> Slave:

@@ -22,6 +22,7 @@ _TYPES = {
     "Real": ("Real", "Integer"),
     "Integer": ("Integer", "Enumeration"),
     "Boolean": ("Boolean",),
+    "String": ("String",),
     "Enumeration": ("Enumeration", "Integer"),
 }
 """Type of an input → types of outputs that may feed it."""

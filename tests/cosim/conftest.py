@@ -23,25 +23,34 @@ FOREIGN = Path(__file__).parent / "foreign-fmu"
 
 
 @pytest.fixture(scope="session")
-def foreign_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def foreign_fmu(make_decay: Callable[..., Path]) -> Path:
     """A plain FMI 2.0 co-simulation FMU that knows nothing of ours."""
-    folder = tmp_path_factory.mktemp("foreign")
-    return pack(folder / "decay.fmu", (FOREIGN / "modelDescription.xml").read_text(), compiled(folder, c_compiler()))
+    return make_decay()
+
+
+@pytest.fixture(scope="session")
+def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes the plain FMU with its description changed: make_decay(("m", "mm"))."""
+    return _maker(tmp_path_factory.mktemp("foreign"), "decay", "modelDescription.xml")
 
 
 @pytest.fixture(scope="session")
 def make_task(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Makes a PID controller of another tool's kind with one fixed step, its description changed: make_task(("m", "mm"))."""
-    folder = tmp_path_factory.mktemp("task")
-    library = compiled(folder, c_compiler(), "task")
-    description = (FOREIGN / "task.xml").read_text()
+    return _maker(tmp_path_factory.mktemp("task"), "task", "task.xml")
+
+
+def _maker(folder: Path, name: str, description_file: str) -> Callable[..., Path]:
+    """Packs FMUs of one library with changes of one description."""
+    library = compiled(folder, c_compiler(), name)
+    description = (FOREIGN / description_file).read_text()
 
     def make(*changes: tuple[str, str]) -> Path:
         text = description
         for old, new in changes:
             assert old in text
             text = text.replace(old, new)
-        return pack(folder / f"task{len(list(folder.iterdir()))}.fmu", text, library)
+        return pack(folder / f"{name}{len(list(folder.iterdir()))}.fmu", text, library)
 
     return make
 
