@@ -305,14 +305,6 @@ def test_what_fmus_print_is_no_result(make_decay: Make, tmp_path: Path) -> None:
         "--json",
     ]
     options = ["--stop-time", "1", "--step", "0.1", "--out", str(tmp_path / "out"), "--no-isolate"]
-        "--stop-time",
-        "1",
-        "--step",
-        "0.1",
-        "--out",
-        str(tmp_path / "out"),
-        *([] if isolate else ["--no-isolate"]),
-    ]
     environment = {**os.environ, "DECAY_PRINTS": "yes"}
     done = subprocess.run([*command, *options], env=environment, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["outcome"] == "completed"

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -136,7 +137,7 @@ def test_sys_exit_is_caught_without_isolation() -> None:
 
 
 HANGING = """
-import time, threading
+import sys, time, threading
 from pathlib import Path
 from flexfmu.cosim.master.isolation import Isolation
 from flexfmu.cosim.master.master import simulate
@@ -144,7 +145,7 @@ from flexfmu.cosim.master.system import connect
 from test_isolation import Ramp
 
 def hang():
-    print("hanging", flush=True)
+    print("hanging", file=sys.stderr, flush=True)
     {loop}
 
 run = simulate(connect([Ramp(hang)], []), 1.0, 0.01, isolation=Isolation(60.0))
@@ -161,11 +162,12 @@ def test_interrupted_and_killed(loop: str, number: signal.Signals) -> None:
     script = HANGING.format(loop=f"import test_isolation; {loop}")
     folder = Path(__file__).parent
     environment = {**os.environ, "PYTHONPATH": str(folder)}
-    with subprocess.Popen(
-        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, start_new_session=True, env=environment
-    ) as parent:
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", script], start_new_session=True, env=environment, **pipes) as parent:
         assert parent.stdout is not None
-        assert parent.stdout.readline() == "hanging\n"
+        assert parent.stderr is not None
+        # what slaves print isn't a result
+        assert parent.stderr.readline() == "hanging\n"
         (child,) = Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().split()
         if number is signal.SIGINT:
             os.killpg(parent.pid, number)  # as a terminal does

@@ -122,7 +122,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "type of a value": (of_second(inline(parameter_set(rate='Boolean value="true"'))), "is Boolean; 'rate' of resources/decay.fmu is Real"),
     "calculated": (of_second(inline(parameter_set(steps='Integer value="1"'))), "which the FMU calculates"),
     "unit of a value": (of_system(inline(parameter_set(second__x='Real value="1" unit="s"'))), "s can't be converted to m"),
-    "item": (of_second(inline(parameter_set(trouble='Enumeration value="maybe"'))), "trouble must be one of none, fails, discards, forgets"),
+    "item": (of_second(inline(parameter_set(trouble='Enumeration value="maybe"'))), "trouble must be one of none, fails, ends, forgets"),
     "mapping": (
         of_second(inline(parameter_set(a='Real value="1"'), mapping=f"<ssd:ParameterMapping>{MAPPED}</ssd:ParameterMapping>")),
         "parameter 'a' is 1.0, which its mapping doesn't have",
