@@ -82,10 +82,9 @@ def study_effects(
         TrajectoryError: the motion isn't feasible.
     """
     limit, names = wanted(scene, tolerance, of)
-    own = scene.effects.tolerance
-    if own is None or scene.cosimulation.tolerance == integrator_tolerance(
-        own
-    ):  # a tolerance for other effects, or for none
+    stated = scene.effects.tolerance
+    if stated is None or scene.cosimulation.tolerance == integrator_tolerance(stated):
+        # the integrator's tolerance belongs to other effects, or to none
         scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
     motion = plan(scene)
     chosen, estimator = choose_verified(scene, motion.joints, limit, names, asked(scene, of), show)
