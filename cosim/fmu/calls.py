@@ -5,7 +5,7 @@ fmpy's methods turn lists into C arrays at every call; here arrays are numpy buf
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from ctypes import CFUNCTYPE, c_char_p, c_double, c_int, c_size_t, c_void_p
 from typing import Any
 
@@ -21,7 +21,7 @@ DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3
 CO_SIMULATION = 1
 """fmi2Type."""
 
-_SIGNATURES: dict[str, tuple[Any, ...]] = {
+SIGNATURES: dict[str, tuple[Any, ...]] = {
     "fmi2Instantiate": (c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int),
     "fmi2FreeInstance": (None, c_void_p),
     "fmi2SetupExperiment": (c_int, c_void_p, c_int, c_double, c_double, c_int, c_double),
@@ -51,13 +51,13 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
 Calls = dict[str, Callable[..., Any]]
 
 
-def fmi2_calls(library: Any) -> Calls:
-    """All functions of the table, from a loaded library.
+def bound_calls(library: Any, signatures: Mapping[str, tuple[Any, ...]]) -> Calls:
+    """Functions with these signatures from a loaded library.
 
     Raises:
         AttributeError: the library lacks a function.
     """
-    return {name: CFUNCTYPE(result, *arguments)((name, library)) for name, (result, *arguments) in _SIGNATURES.items()}
+    return {name: CFUNCTYPE(result, *arguments)((name, library)) for name, (result, *arguments) in signatures.items()}
 
 
 def address(array: NDArray[Any]) -> int:

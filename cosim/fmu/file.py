@@ -7,7 +7,7 @@ import hashlib
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from fmpy.model_description import Item, SimpleType, read_model_description
 
 from flexfmu.cosim.errors import FmuFileError
 from flexfmu.cosim.fmu.annotations import choices, names
+from flexfmu.cosim.fmu.fmi3_variables import flattened, structural_sizes
 
 
 @dataclass(frozen=True)
@@ -26,12 +27,26 @@ class UnpackedFmu:
     Attributes:
         path: the FMU file.
         folder: where FMUs with that content have been unpacked; gone when the process ends.
-        description: model description as fmpy reads it.
+        description: model description as fmpy reads it; of FMI 3.0 with a variable for each element of an array.
+        sizes: structural parameters that have other values than the description says.
     """
 
     path: Path = field(compare=False)
     folder: Path
     description: Any = field(compare=False)
+    sizes: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def is_fmi3(self) -> bool:
+        """Whether it is an FMU of FMI 3.0."""
+        return str(self.description.fmiVersion).startswith("3.")
+
+    @property
+    def library(self) -> Path:
+        """Where the binary for this platform is, or should be."""
+        platform = fmpy.platform_tuple if self.is_fmi3 else fmpy.platform
+        identifier = self.description.coSimulation.modelIdentifier
+        return self.folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
 
     @property
     def is_ours(self) -> bool:
@@ -40,7 +55,7 @@ class UnpackedFmu:
 
 
 def open_fmu(path: Path) -> UnpackedFmu:
-    """Unpack an FMI 2.0 co-simulation FMU, or find it unpacked from an earlier time.
+    """Unpack an FMI 2.0 or 3.0 co-simulation FMU, or find it unpacked from an earlier time.
 
     Raises:
         FmuFileError: it is missing, broken, of another kind, or has no binary for this platform.
@@ -50,8 +65,22 @@ def open_fmu(path: Path) -> UnpackedFmu:
     except OSError as error:
         raise FmuFileError(f"can't read the FMU {path}: {error.strerror}; check the path") from error
     folder, description = _unpack(hashlib.sha256(content).hexdigest(), path)
-    _check(path, folder, description)
-    return UnpackedFmu(path, folder, description)
+    fmu = UnpackedFmu(path, folder, description)
+    _check(fmu)
+    return fmu
+
+
+def resized(fmu: UnpackedFmu, parameters: Mapping[str, Any]) -> UnpackedFmu:
+    """The FMU with arrays of the sizes that the structural parameters among these start values give them.
+
+    Raises:
+        InputError: a structural parameter has a value that doesn't suit its type or range.
+    """
+    sizes = structural_sizes(fmu.description, parameters)
+    if not sizes:
+        return fmu
+    description = attempt(fmu.path, lambda: read_model_description(str(fmu.folder), validate=False))
+    return replace(fmu, description=flattened(description, fmu.folder, sizes), sizes=tuple(sizes.items()))
 
 
 @cache
@@ -75,6 +104,9 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
         if str(description.generationTool).startswith("flexfmu "):
             _restore_names(description, names(path, folder))
             _name_choices(description, choices(path, folder))
+        if description.fmiVersion.startswith("3."):
+            _check_clocks(path, description)
+            description = flattened(description, folder, {})
         _unpacked[digest] = folder, description
     return _unpacked[digest]
 
@@ -104,17 +136,29 @@ def attempt(path: Path, action: Callable[[], Any]) -> Any:
         raise FmuFileError(f"{path} is a broken FMU: {reason}; `flexfmu validate` tells more") from error
 
 
-def _check(path: Path, folder: Path, description: Any) -> None:
-    """Version, kind and platform."""
-    if not description.fmiVersion.startswith("2."):
+def _check_clocks(path: Path, description: Any) -> None:
+    """Clocks tick at instants that the importer must keep."""
+    clocks = [variable.name for variable in description.modelVariables if variable.type == "Clock"]
+    if clocks:
+        more = f" and {len(clocks) - 3} more" if len(clocks) > 3 else ""
         raise FmuFileError(
-            f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0: export it for that"
+            f"{path} has clocks ({', '.join(clocks[:3])}{more}), which this program doesn't run; export it without them, "
+            "for co-simulation"
+        )
+
+
+def _check(fmu: UnpackedFmu) -> None:
+    """Version, kind and platform."""
+    path, description = fmu.path, fmu.description
+    if not description.fmiVersion.startswith(("2.", "3.")):
+        raise FmuFileError(
+            f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0 and 3.0: export it again"
         )
     if description.coSimulation is None:
-        raise FmuFileError(f"{path} is for model exchange only; export it for co-simulation")
-    identifier = description.coSimulation.modelIdentifier
-    library = folder / "binaries" / fmpy.platform / (identifier + fmpy.sharedLibraryExtension)
-    if not library.is_file():
-        platforms = sorted(each.name for each in (folder / "binaries").glob("*") if each.is_dir())
+        kind = "model exchange" if description.modelExchange is not None else "scheduled execution"
+        raise FmuFileError(f"{path} is for {kind} only; export it for co-simulation")
+    if not fmu.library.is_file():
+        platform = fmu.library.parent.name
+        platforms = sorted(each.name for each in (fmu.folder / "binaries").glob("*") if each.is_dir())
         found = ", ".join(platforms) or "none"
-        raise FmuFileError(f"{path} has no binary for {fmpy.platform} (it has: {found}); build it for this platform")
+        raise FmuFileError(f"{path} has no binary for {platform} (it has: {found}); build it for this platform")

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from ctypes import byref, c_void_p
-from functools import cache
+from ctypes import byref, c_double, c_int, c_void_p
+from functools import cache, partial
 from itertools import count
 from pathlib import Path
+from time import sleep
 from typing import Any
 
+from fmpy.fmi1 import _FMU
 from fmpy.fmi2 import FMU2Slave
 
-from flexfmu.cosim.errors import FmuFileError, SlaveError
+from flexfmu.cosim.errors import FmuFileError, SlaveEnded, SlaveError
 from flexfmu.cosim.fmu import calls as fmi2
+from flexfmu.cosim.fmu import fmi3_calls as fmi3
 from flexfmu.cosim.fmu.capabilities import needs, only_once_per_process
-from flexfmu.cosim.fmu.file import UnpackedFmu
+from flexfmu.cosim.fmu.file import UnpackedFmu, attempt
 from flexfmu.cosim.fmu.log import FmuLog
 from flexfmu.cosim.master.isolation import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.slave import Call
@@ -22,7 +26,14 @@ from flexfmu.cosim.slave import Call
 StatusCall = Callable[[], int]
 """An FMI call with all its arguments bound; gives an fmi2Status."""
 
-_STATUS = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
+BoundStep = tuple["partial[int]", Callable[[int, float, float], BaseException]]
+"""fmi2DoStep with its component bound, and what makes the error of a status, time and step."""
+
+POLL = 1e-4
+"""How long to wait until an FMU is asked again whether its step is done [s]."""
+
+_STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+"""Of FMI 2.0; those of FMI 3.0 are the same but for the last."""
 
 _alive: dict[Path, str] = {}
 """Folder of an FMU that can be instantiated only once per process → name of its instance."""
@@ -36,7 +47,7 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
     """Load the FMU's library with fmpy, which stays loaded, and take its functions.
 
     Raises:
-        FmuFileError: the library can't be loaded or lacks a function of FMI 2.0; or it ends the process that loads it, which
+        FmuFileError: the library can't be loaded or lacks a function of its FMI version; or it ends the process that loads it, which
             another tool's library tries in a child process first.
     """
     description = fmu.description
@@ -45,12 +56,17 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
         "modelIdentifier": description.coSimulation.modelIdentifier,
         "unzipDirectory": str(fmu.folder),
     }
+    if fmu.is_fmi3:
+        # fmpy's class for FMI 3.0 asks for the functions of all interfaces
+        arguments["libraryPath"] = str(fmu.library)
     if AVAILABLE and not fmu.is_ours:
         try:
             in_child(lambda: bool(_loaded(fmu, arguments)), lambda: None, CALL_LIMIT)
         except ChildLostError as lost:
             raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{needs(fmu)}") from lost
-    return fmi2.fmi2_calls(_loaded(fmu, arguments).dll)
+    library, signatures = _loaded(fmu, arguments).dll, fmi3.SIGNATURES if fmu.is_fmi3 else fmi2.SIGNATURES
+    calls: fmi2.Calls = attempt(fmu.path, lambda: fmi2.bound_calls(library, signatures))
+    return calls
 
 
 def _loaded(fmu: UnpackedFmu, arguments: Mapping[str, str]) -> Any:
@@ -60,7 +76,7 @@ def _loaded(fmu: UnpackedFmu, arguments: Mapping[str, str]) -> Any:
         FmuFileError: it can't be loaded, with the system's reason.
     """
     try:
-        return FMU2Slave(**arguments)
+        return (_FMU if fmu.is_fmi3 else FMU2Slave)(**arguments)
     except Exception as error:
         # fmpy puts the library's temporary place before the reason
         reason = " ".join(str(error).replace(f"{fmu.folder}/", "").split()).partition(" shared library ")[2] or str(
@@ -72,24 +88,26 @@ def _loaded(fmu: UnpackedFmu, arguments: Mapping[str, str]) -> Any:
         ) from error
 
 
-class FmuInstance:
-    """The instance of an FMU that is in use, and after it the next one.
+class Instance(ABC):
+    """The instance of an FMU that is in use, and after it the next one, of either FMI version.
 
     Attributes:
         component: place of the instance's handle; empty where there is none. A call that is bound to it reaches whichever
             instance there is when it is made.
         fmi: the FMI functions.
         log: what the FMU says, or said in its last life.
+        name: of the slave.
     """
+
+    prefix: str
 
     def __init__(self, fmu: UnpackedFmu, fmi: fmi2.Calls) -> None:
         self.component = c_void_p()
         self.fmi = fmi
         self.log = FmuLog()
-        self._name = ""
+        self.name = ""
         self._fmu = fmu
         self._guid = fmu.description.guid.encode()
-        self._resources = Path(fmu.folder, "resources").as_uri().encode()
         self._initialized = self._fatal = False
 
     def instantiate(self, name: str) -> None:
@@ -98,7 +116,7 @@ class FmuInstance:
         Raises:
             SlaveError: the FMU refuses.
         """
-        self._name, self._initialized, self._fatal = name, False, False
+        self.name, self._initialized, self._fatal = name, False, False
         if (sole := self._fmu.folder if only_once_per_process(self._fmu) else None) in _alive:
             raise SlaveError(
                 name,
@@ -106,15 +124,7 @@ class FmuInstance:
                 f"true), and {_alive[sole]} is its instance; run one after the other, or export it for several instances",
             )
         self.log.open()
-        self.component.value = self.fmi["fmi2Instantiate"](
-            f"{name} {next(_serial)}".encode(),
-            fmi2.CO_SIMULATION,
-            self._guid,
-            self._resources,
-            byref(self.log.callbacks),
-            0,
-            0,
-        )
+        self.component.value = self._created(f"{name} {next(_serial)}".encode())
         if self.component.value is None:
             self.log.close()
             error = self.error("instantiation", fmi2.ERROR)
@@ -122,24 +132,49 @@ class FmuInstance:
         if sole is not None:
             _alive[sole] = name
 
+    @abstractmethod
+    def _created(self, name: bytes) -> int | None:
+        """The handle of a new instance; None where the FMU refuses."""
+
+    @abstractmethod
     def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Set up the experiment."""
-        setup = self.fmi["fmi2SetupExperiment"]
-        given, relative = tolerance is not None, tolerance or 0.0
-        self.check("fmi2SetupExperiment", lambda: setup(self.component, given, relative, start_time, 1, stop_time))
 
+    @abstractmethod
     def initialize(self, meanwhile: Call) -> None:
         """Go through initialisation mode, and do something in it."""
-        self.check("initialisation", lambda: self.fmi["fmi2EnterInitializationMode"](self.component))
-        meanwhile()
-        self.check("initialisation", lambda: self.fmi["fmi2ExitInitializationMode"](self.component))
-        self._initialized = True
+
+    @abstractmethod
+    def step(self, time: float, step: float, no_rollback: int) -> None:
+        """Advance from ``time`` by ``step`` [s]; without rollback no earlier state is restored.
+
+        Raises:
+            SlaveError: the FMU fails or gets through only a part of the step; carries the last time that it reached.
+            SlaveEnded: it asks to end the simulation.
+        """
+
+    def bound_step(self) -> BoundStep | None:
+        """Its function with its component bound, and what makes the error of a failed step; None where `step` has more to
+        do than to call it."""
+        return None
+
+    @abstractmethod
+    def get_state(self, state: c_void_p) -> int:
+        """Save the state; the status."""
+
+    @abstractmethod
+    def set_state(self, state: c_void_p) -> int:
+        """Go back to a state; the status."""
+
+    @abstractmethod
+    def free_state(self, state: c_void_p) -> int:
+        """Free a saved state; the status."""
 
     def accepts(self, call: StatusCall) -> bool:
         """Whether the FMU goes along with a call that it may refuse.
 
         Raises:
-            SlaveError: it ends with fmi2Fatal.
+            SlaveError: it ends with a fatal error.
         """
         if (status := call()) == fmi2.FATAL:
             raise self.error("a call", status)
@@ -157,17 +192,15 @@ class FmuInstance:
     def error(self, what: str, status: int, time: float | None = None) -> SlaveError:
         """The error with the FMU's own words, or what there is without any."""
         self._fatal = self._fatal or status == fmi2.FATAL
-        name = _STATUS[status] if 0 <= status < len(_STATUS) else f"status {status}"
-        return SlaveError(
-            self._name, self.log.complaint() or f"{what} failed with {name}; the FMU gave no reason", time
-        )
+        name = f"{self.prefix}{_STATUS[status]}" if 0 <= status < len(_STATUS) else f"status {status}"
+        return SlaveError(self.name, self.log.complaint() or f"{what} failed with {name}; the FMU gave no reason", time)
 
     def free(self) -> None:
-        """Terminate and free; after fmi2Fatal nothing may be called any more, and the instance is left alone."""
+        """Terminate and free; after a fatal error nothing may be called any more, and the instance is left alone."""
         if not self._fatal:
             if self._initialized:
-                self.fmi["fmi2Terminate"](self.component)
-            self.fmi["fmi2FreeInstance"](self.component)
+                self.fmi[f"{self.prefix}Terminate"](self.component)
+            self.fmi[f"{self.prefix}FreeInstance"](self.component)
         self.component.value = None
         self.log.close()
         _alive.pop(self._fmu.folder, None)
@@ -183,6 +216,78 @@ class FmuInstance:
         return self._initialized and not self._fatal
 
 
+class FmuInstance(Instance):
+    """The instance of an FMI 2.0 FMU; see `Instance`."""
+
+    prefix = "fmi2"
+
+    def __init__(self, fmu: UnpackedFmu, fmi: fmi2.Calls) -> None:
+        super().__init__(fmu, fmi)
+        self._resources = Path(fmu.folder, "resources").as_uri().encode()
+        self._do_step: partial[int] = partial(fmi["fmi2DoStep"], self.component)
+        self._asynchronous = bool(fmu.description.coSimulation.canRunAsynchronuously)
+
+    def _created(self, name: bytes) -> int | None:
+        callbacks = byref(self.log.callbacks)
+        kind, instantiate = fmi2.CO_SIMULATION, self.fmi["fmi2Instantiate"]
+        found: int | None = instantiate(name, kind, self._guid, self._resources, callbacks, 0, 0)
+        return found
+
+    def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Set up the experiment."""
+        setup = self.fmi["fmi2SetupExperiment"]
+        given, relative = tolerance is not None, tolerance or 0.0
+        self.check("fmi2SetupExperiment", lambda: setup(self.component, given, relative, start_time, 1, stop_time))
+
+    def initialize(self, meanwhile: Call) -> None:
+        """Go through initialisation mode, and do something in it."""
+        self.check("initialisation", lambda: self.fmi["fmi2EnterInitializationMode"](self.component))
+        meanwhile()
+        self.check("initialisation", lambda: self.fmi["fmi2ExitInitializationMode"](self.component))
+        self._initialized = True
+
+    def step(self, time: float, step: float, no_rollback: int) -> None:
+        status = self._do_step(time, step, no_rollback)
+        if status == fmi2.PENDING:
+            status = self.awaited(status)
+        if status > fmi2.WARNING:
+            raise self.step_error(status, time, step)
+
+    def bound_step(self) -> BoundStep | None:
+        return None if self._asynchronous else (self._do_step, self.step_error)
+
+    def step_error(self, status: int, time: float, step: float) -> SlaveError:
+        """What a failed step has to say, with the last time that the FMU reached."""
+        reached, terminated = c_double(time), c_int(0)
+        component, fmi = self.component, self.fmi
+        error = self.error(f"the step from {time:.9g} s by {step:.9g} s", status, time)
+        if status != fmi2.DISCARD:
+            return error
+        fmi["fmi2GetRealStatus"](component, fmi2.LAST_SUCCESSFUL_TIME, byref(reached))
+        fmi["fmi2GetBooleanStatus"](component, fmi2.TERMINATED, byref(terminated))
+        if terminated.value:
+            return SlaveEnded(error.slave, self.log.complaint() or "fmi2Terminated", reached.value)
+        return SlaveError(error.slave, error.reason, reached.value)
+
+    def awaited(self, status: int) -> int:
+        """The status of fmi2DoStep when its step is done, which goes on in the FMU after fmi2Pending."""
+        pending = c_int(status)
+        while pending.value == fmi2.PENDING:
+            sleep(POLL)
+            if (asked := self.fmi["fmi2GetStatus"](self.component, fmi2.DO_STEP_STATUS, byref(pending))) > fmi2.WARNING:
+                return int(asked)
+        return int(pending.value)
+
+    def get_state(self, state: c_void_p) -> int:
+        return int(self.fmi["fmi2GetFMUstate"](self.component, byref(state)))
+
+    def set_state(self, state: c_void_p) -> int:
+        return int(self.fmi["fmi2SetFMUstate"](self.component, state))
+
+    def free_state(self, state: c_void_p) -> int:
+        return int(self.fmi["fmi2FreeFMUstate"](self.component, byref(state)))
+
+
 class Checked:
     """A call that raises what the FMU says if it fails.
 
@@ -192,7 +297,7 @@ class Checked:
 
     __slots__ = ("_instance", "_what", "call")
 
-    def __init__(self, instance: FmuInstance, what: str, call: StatusCall) -> None:
+    def __init__(self, instance: Instance, what: str, call: StatusCall) -> None:
         self.call = call
         self._instance, self._what = instance, what
 

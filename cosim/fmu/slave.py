@@ -1,11 +1,11 @@
-"""An FMI 2.0 co-simulation FMU as a slave: loaded with fmpy, called on preallocated buffers."""
+"""An FMI 2.0 or 3.0 co-simulation FMU as a slave: loaded with fmpy, called on preallocated buffers."""
 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.errors import CosimError, InputError, SlaveError
-from flexfmu.cosim.fmu import calls as fmi2
 from flexfmu.cosim.fmu.capabilities import (
     highest_input_derivative,
     highest_output_derivative,
     needs_regular_steps,
     only_once_per_process,
-    steps_asynchronously,
 )
-from flexfmu.cosim.fmu.file import UnpackedFmu, open_fmu
-from flexfmu.cosim.fmu.instance import Checked, FmuInstance, load_calls
+from flexfmu.cosim.fmu.file import UnpackedFmu, open_fmu, resized
+from flexfmu.cosim.fmu.fmi3 import Fmi3Instance
+from flexfmu.cosim.fmu.fmi3_transfers import Fmi3Transfers
+from flexfmu.cosim.fmu.fmi3_variables import by_elements
+from flexfmu.cosim.fmu.instance import BoundStep, Checked, FmuInstance, Instance, load_calls
 from flexfmu.cosim.fmu.run import FmuRun
 from flexfmu.cosim.fmu.statistics import Statistics
 from flexfmu.cosim.fmu.transfers import Transfers
@@ -93,7 +94,7 @@ class FmuSlave:
         self.name = name
         self.path = Path(path)
         self.parameters = self._given = dict(parameters or {})
-        self._fmu = open_fmu(self.path)
+        self._fmu = resized(open_fmu(self.path), self._given)
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
         self._handles = known.handles
@@ -104,11 +105,8 @@ class FmuSlave:
         highest = highest_input_derivative(self._fmu)
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
-        fmi = load_calls(self._fmu)
         self.needs_regular_steps = needs_regular_steps(self._fmu)
-        self._instance = FmuInstance(self._fmu, fmi)
-        self._transfers = Transfers(fmi, self._instance.component)
-        self._do_step: partial[int] = partial(fmi["fmi2DoStep"], self._instance.component)
+        self._instance, self._transfers = _interface(self._fmu)
         self._counters = Statistics(known.others, self._transfers)
         self._starts = self._given_starts = self._starting(self._given)
         self._presets: dict[int, float] = {}
@@ -173,8 +171,12 @@ class FmuSlave:
         """Start values of parameters and inputs for the runs to come; all others are those that the slave was made with.
 
         Raises:
-            InputError: a parameter doesn't exist or its value doesn't suit its type or range.
+            InputError: a parameter doesn't exist or its value doesn't suit its type or range, or it is a structural one.
         """
+        if resized(self._fmu, {**self._given, **changes}).sizes != self._fmu.sizes:
+            raise InputError(
+                f"{self.name}: structural parameters can't vary from run to run; make a slave for each of them"
+            )
         self._starts = {**self._given_starts, **self._starting(changes)}
         self.parameters = {**self._given, **changes}
 
@@ -183,7 +185,7 @@ class FmuSlave:
         transfers, checked = self._transfers, self._instance.checked
         return {
             each.name: _Start(each, checked(f"setting {each.name} = {each.value}", transfers.setting(each)))
-            for each in settings(_settable(self._fmu), parameters)
+            for each in settings(_settable(self._fmu), by_elements(self._fmu.description, parameters))
         }
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
@@ -245,19 +247,11 @@ class FmuSlave:
         Raises:
             SlaveError: the FMU fails or gets through only a part of the step; carries the last time that it reached.
         """
-        run = self._running()
-        status = self._do_step(time, step, run.no_rollback)
-        if status == fmi2.PENDING:
-            status = run.awaited(status)
-        if status > fmi2.WARNING:
-            raise run.step_error(status, time, step)
+        self._instance.step(time, step, self._running().no_rollback)
 
-    def bound_step(self) -> tuple[partial[int], Callable[[int, float, float], BaseException]] | None:
-        """fmi2DoStep with its component bound, and what makes the error of a failed step; None where it may return before
-        the step is done."""
-        if steps_asynchronously(self._fmu):
-            return None
-        return self._do_step, lambda status, time, step: self._running().step_error(status, time, step)
+    def bound_step(self) -> BoundStep | None:
+        """fmi2DoStep with its component bound, and what makes the error of a failed step; None where there is more to do."""
+        return self._instance.bound_step()
 
     def set(self, indices: Indices, values: RealArray) -> None:
         """Set inputs; before initialisation they are kept for it."""
@@ -382,6 +376,16 @@ class FmuSlave:
         if self._run is None:
             raise SlaveError(self.name, "not initialised; call initialize first")
         return self._run
+
+
+def _interface(fmu: UnpackedFmu) -> tuple[Instance, Transfers | Fmi3Transfers]:
+    """What reaches instances of the FMU and their variables."""
+    fmi = load_calls(fmu)
+    if fmu.is_fmi3:
+        newer = Fmi3Instance(fmu, fmi)
+        return newer, Fmi3Transfers(newer)
+    instance = FmuInstance(fmu, fmi)
+    return instance, Transfers(fmi, instance.component)
 
 
 @cache

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from flexfmu.cosim.fmu.calls import WARNING
+from flexfmu.cosim.fmu.fmi3_transfers import Fmi3Transfers
 from flexfmu.cosim.fmu.transfers import Transfers
 from flexfmu.cosim.fmu.variables import Handle
 
@@ -22,7 +23,7 @@ class Statistics:
         transfers: reach the instance.
     """
 
-    def __init__(self, variables: Mapping[str, Handle], transfers: Transfers) -> None:
+    def __init__(self, variables: Mapping[str, Handle], transfers: Transfers | Fmi3Transfers) -> None:
         counters = {n: each for n, each in variables.items() if n.startswith(PREFIX) and each.kind == "Integer"}
         self._names = [name.removeprefix(PREFIX) for name in counters]
         self._values = np.zeros(len(counters))

@@ -81,8 +81,10 @@ def _number(text: str) -> float:
 
 
 def _handle(variable: Any) -> Handle:
-    """How to reach the variable."""
-    return Handle("Integer" if variable.type == "Enumeration" else variable.type, variable.valueReference)
+    """How to reach the variable; elements of arrays know."""
+    return getattr(variable, "handle", None) or Handle(
+        "Integer" if variable.type == "Enumeration" else variable.type, variable.valueReference
+    )
 
 
 def parameter_names(description: Any) -> frozenset[str]:

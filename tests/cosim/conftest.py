@@ -35,6 +35,14 @@ def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
+def event_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plain FMI 3.0 co-simulation FMU with events, arrays and variables of all types."""
+    folder = tmp_path_factory.mktemp("events")
+    library = compiled(folder, c_compiler(), "events")
+    return pack(folder / "events.fmu", (FOREIGN / "events.xml").read_text(), library, fmpy.platform_tuple)
+
+
+@pytest.fixture(scope="session")
 def make_task(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Makes a PID controller of another tool's kind with one fixed step, its description changed: make_task(("m", "mm"))."""
     return _maker(tmp_path_factory.mktemp("task"), "task", "task.xml")

@@ -1,0 +1,215 @@
+"""FMI 3.0 FMUs as slaves: all types, arrays, events, structural parameters; what can't be run is refused in a sentence."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+
+from flexfmu.cosim.errors import FmuFileError, InputError, SlaveWarning
+from flexfmu.cosim.fmu.sampled_slave import SampledFmu, fmu_slave
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.master.step_control import StepDoubling
+from flexfmu.cosim.master.system import connect
+
+pytestmark = pytest.mark.filterwarnings("ignore::flexfmu.cosim.errors.SlaveWarning")
+"""The FMU gives no derivatives of most outputs."""
+
+INTEGERS = [f"{sign}Int{bits}" for bits in (8, 16, 32, 64) for sign in ("", "U")]
+
+
+def run(path: Path, stop: float = 1.0, step: float = 0.1, **parameters: Any) -> tuple[FmuSlave, Simulation]:
+    """The FMU alone."""
+    slave = FmuSlave(path, "guest", parameters)
+    return slave, simulate(connect([slave], []), stop=stop, step=step)
+
+
+def variant(fmu: Path, path: Path, *changes: tuple[str, str]) -> Path:
+    """The FMU with another model description."""
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            for old, new in changes if name.endswith(".xml") else ():
+                assert old.encode() in content
+                content = content.replace(old.encode(), new.encode())
+            target.writestr(name, content)
+    return path
+
+
+@pytest.mark.parametrize("early", ["true", "false"])
+def test_events_are_handled_where_they_are(event_fmu: Path, tmp_path: Path, early: str) -> None:
+    """A sawtooth that falls within a communication step, and a time event, are at their instants, whether or not the FMU
+    returns early; the FMU refuses calls in a wrong mode."""
+    path = variant(
+        event_fmu,
+        tmp_path / "early.fmu",
+        ('mightReturnEarlyFromDoStep="true"', f'mightReturnEarlyFromDoStep="{early}"'),
+    )
+    if early == "false":
+        path = variant(path, tmp_path / "plain.fmu", ('hasEventMode="true"', ""))
+    _, result = run(path, stop=2.0, step=0.1, slope=1.6)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    time = result.recording.time
+    np.testing.assert_allclose(result.recording["guest.x"].values, (1.6 * time) % 1.0, atol=1e-9)
+    np.testing.assert_array_equal(result.recording["guest.falls"].values, np.floor(1.6 * time + 1e-9))
+    np.testing.assert_array_equal(result.recording["guest.ticks"].values, np.floor(time / 0.25 + 1e-9))
+
+
+def test_every_type_goes_in_and_out(event_fmu: Path) -> None:
+    """Numbers of all types, booleans and texts are set to what they were given, and recorded; ranges are those of the type."""
+    given: dict[str, Any] = {"Float32.in": 0.1, "Float64.in": 0.1, "Boolean.in": True, "String.in": "Grüße"}
+    given |= {f"{kind}.in": np.iinfo(kind.lower()).min // 2 or 77 for kind in INTEGERS}
+    slave, result = run(event_fmu, **given)
+    last = {name: column.values[-1] for name, column in result.recording.columns.items()}
+    assert last["guest.Float32.out"] == float(np.float32(0.1))
+    for kind in ("Float64", "Boolean", *INTEGERS):
+        assert last[f"guest.{kind}.out"] == given[f"{kind}.in"], kind
+    text = result.recording["guest.String.out"]
+    assert text.texts is not None
+    assert text.texts[int(text.values[-1])] == "Grüße"
+    assert slave.remarks == ()
+    with pytest.raises(InputError, match=r"UInt8\.in must be at least 0 and at most 255, got 256"):
+        FmuSlave(event_fmu, parameters={"UInt8.in": 256})
+    with pytest.raises(InputError, match=r"n must be at least 0 and at most 4, got 5"):
+        FmuSlave(event_fmu, parameters={"n": 5})
+
+
+def test_connected_signals_of_all_types(event_fmu: Path) -> None:
+    """One FMU drives another, elements of arrays as well; discrete inputs change at events, of which the FMU takes no others,
+    and what doesn't fit into a type stops the run."""
+    kinds = ("Float32", "Float64", "Boolean", *INTEGERS)
+    wires = [(f"a.{kind}.out", f"b.{kind}.in") for kind in kinds] + [("a.ticks", "b.u[2]")]
+    values: dict[str, Any] = {f"{kind}.in": 3 for kind in kinds if kind != "Boolean"} | {"Boolean.in": True}
+    slaves = [FmuSlave(event_fmu, "a", values), FmuSlave(event_fmu, "b", {"u[1]": 5.0})]
+    result = simulate(connect(slaves, wires), stop=1.0, step=0.25)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    for kind in kinds:
+        assert result.recording[f"b.{kind}.out"].values[-1] == values[f"{kind}.in"], kind
+    assert result.recording["b.y[1]"].values[-1] == 5.0
+    assert result.recording["b.y[2]"].values[-1] == 4.0
+    slaves = [FmuSlave(event_fmu, "a", {"Int32.in": 300}), FmuSlave(event_fmu, "b")]
+    result = simulate(connect(slaves, [("a.Int32.out", "b.Int8.in")]), stop=1.0, step=0.25)
+    assert result.outcome.is_failure
+    assert "Int8.in is of type Int8 and can't be 300" in result.message
+
+
+def test_arrays_and_structural_parameters(event_fmu: Path) -> None:
+    """Arrays have the size that a structural parameter gives them, and are set as a whole or element by element."""
+    matrix, vector = np.arange(9.0).reshape(3, 3), [1.0, -1.0, 0.5]
+    slave, result = run(event_fmu, n=3, A=matrix, u=vector, offset=0.25)
+    found = [result.recording[f"guest.y[{i}]"].values[-1] for i in (1, 2, 3)]
+    np.testing.assert_allclose(found, matrix @ vector + 0.25, rtol=1e-15)
+    assert slave.feedthrough["y[2]"] == ("u[1]", "u[2]", "u[3]")
+    _, result = run(event_fmu, **{"A[1,2]": 10.0, "u[2]": 4.0})
+    assert [result.recording[f"guest.y[{i}]"].values[-1] for i in (1, 2)] == [41.0, 4.0]
+    with pytest.raises(
+        InputError, match=r"A is an array: give 4 values, row by row, or single ones such as A\[1,1\]; got 3"
+    ):
+        FmuSlave(event_fmu, parameters={"A": [1.0, 2.0, 3.0]})
+    with pytest.raises(InputError, match="structural parameters can't vary"):
+        slave.vary({"n": 4})
+
+
+def test_an_fmu_ends_fails_and_hangs_with_a_word(event_fmu: Path) -> None:
+    """terminateSimulation is a normal end; a failure has the FMU's own words, and endless events have an end."""
+    _, result = run(event_fmu, trouble="ends")
+    assert result.outcome is Outcome.ENDED_BY_SLAVE
+    assert result.recording.time[-1] == pytest.approx(0.5)
+    for trouble, words in [
+        ("fails", "tired"),
+        ("returns", "returns from fmi3DoStep"),
+        ("updates", "discrete states updated"),
+    ]:
+        _, result = run(event_fmu, trouble=trouble)
+        assert result.outcome is Outcome.STEP_FAILED
+        assert words in result.message, trouble
+        assert "0.5 s" in result.message, trouble
+
+
+def test_states_are_saved_with_their_events(event_fmu: Path) -> None:
+    """A step that is taken back meets the same events again: step control repeats all of them."""
+    slave = FmuSlave(event_fmu, "guest", {"slope": 0.7})
+    assert slave.can_save
+    slave.initialize(0.0, 2.0, None)
+    indices, before, after = np.array([0, [v.name for v in slave.variables].index("ticks")]), np.empty(2), np.empty(2)
+    slave.step(0.0, 0.2)
+    state = slave.save()
+    slave.step(0.2, 1.8)
+    slave.get(indices, before)
+    slave.restore(state)
+    slave.step(0.2, 1.8)
+    slave.get(indices, after)
+    slave.terminate()
+    np.testing.assert_array_equal(after, before)
+    np.testing.assert_allclose(after, [0.4, 8.0], atol=1e-9)
+    result = simulate(connect([slave], []), stop=1.0, step=0.1, step_control=StepDoubling(1e-6))
+    assert result.outcome is Outcome.COMPLETED, result.message
+
+
+def test_derivatives_of_outputs(event_fmu: Path) -> None:
+    """Output derivatives are those of the outputs that have any; the others are left out with a warning."""
+    with pytest.warns(SlaveWarning, match="der"):
+        _, result = run(event_fmu, slope=0.5)
+    np.testing.assert_array_equal(result.recording["guest.x"].first, 0.5)
+    assert result.recording["guest.y[1]"].first is None
+
+
+def test_sampled_and_with_resources(event_fmu: Path, tmp_path: Path) -> None:
+    """An FMI 3.0 FMU is sampled like any other where it needs one step; its resources are where it is told."""
+    path = variant(
+        event_fmu,
+        tmp_path / "fixed é.fmu",
+        ('canHandleVariableCommunicationStepSize="true"', ""),
+        ("<ModelVariables>", '<DefaultExperiment stepSize="0.25"/><ModelVariables>'),
+    )
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("resources/some text.txt", "")
+    slave = fmu_slave(path, "guest")
+    assert isinstance(slave, SampledFmu)
+    result = simulate(connect([slave], []), stop=1.0, step=0.125)
+    assert result.outcome is Outcome.COMPLETED, result.message
+    assert result.recording["guest.ticks"].values[-1] == 4.0
+    where = result.recording["guest.resources"]
+    assert where.texts is not None
+    assert Path(where.texts[int(where.values[-1])], "some text.txt").is_file()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            [
+                (
+                    '<Int32 name="ticks"',
+                    '<Clock name="beat" valueReference="50" causality="input" intervalVariability="triggered"/><Int32 name="ticks"',
+                )
+            ],
+            r"has clocks \(beat\), which this program doesn't run; export it without them",
+        ),
+        (
+            [("CoSimulation modelIdentifier", "ScheduledExecution modelIdentifier")],
+            "for scheduled execution only; export it for co-simulation",
+        ),
+        ([("CoSimulation modelIdentifier", "ModelExchange modelIdentifier")], "for model exchange only"),
+        ([('fmiVersion="3.0"', 'fmiVersion="4.0"')], "FMI 4.0|Unsupported FMI version"),
+    ],
+)
+def test_what_is_refused(event_fmu: Path, tmp_path: Path, changes: list[tuple[str, str]], message: str) -> None:
+    """An FMI 3.0 FMU that can't be run is refused in one sentence that says what to do."""
+    with pytest.raises(FmuFileError, match=message):
+        fmu_slave(variant(event_fmu, tmp_path / "other.fmu", *changes))
+
+
+def test_a_missing_platform_is_named_as_fmi3_names_it(event_fmu: Path, tmp_path: Path) -> None:
+    """Folders of binaries have other names than in FMI 2.0."""
+    path = tmp_path / "moved.fmu"
+    with zipfile.ZipFile(event_fmu) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            target.writestr(name.replace(fmpy.platform_tuple, "riscv-linux"), source.read(name))
+    with pytest.raises(FmuFileError, match=rf"no binary for {fmpy.platform_tuple} \(it has: riscv-linux\)"):
+        fmu_slave(path)
