@@ -63,17 +63,19 @@ def steps_asynchronously(fmu: UnpackedFmu) -> bool:
 
 
 def fixed_step(fmu: UnpackedFmu) -> float | None:
-    """Step size [s] of the default experiment of an FMU that can't vary its communication step; None for any other.
+    """Step size [s] of an FMU that can't vary its communication step, of its default experiment or its own fixed internal one;
+    None for any other.
 
     Raises:
         FmuFileError: the step size isn't positive.
     """
     experiment = fmu.description.defaultExperiment
-    if not needs_regular_steps(fmu) or experiment is None or not experiment.stepSize:
+    stated = (experiment.stepSize if experiment else None) or fmu.description.coSimulation.fixedInternalStepSize
+    if not needs_regular_steps(fmu) or not stated:
         return None
-    step = float(experiment.stepSize)
+    step = float(stated)
     if not 0.0 < step < inf:
         raise FmuFileError(
-            f"{fmu.path} is a broken FMU: its default experiment has stepSize = {step:g} s; it must be positive"
+            f"{fmu.path} is a broken FMU: its step size is {step:g} s; it must be positive"
         )
     return step
