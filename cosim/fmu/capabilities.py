@@ -75,7 +75,5 @@ def fixed_step(fmu: UnpackedFmu) -> float | None:
         return None
     step = float(stated)
     if not 0.0 < step < inf:
-        raise FmuFileError(
-            f"{fmu.path} is a broken FMU: its step size is {step:g} s; it must be positive"
-        )
+        raise FmuFileError(f"{fmu.path} is a broken FMU: its step size is {step:g} s; it must be positive")
     return step

@@ -44,9 +44,9 @@ class UnpackedFmu:
     @property
     def library(self) -> Path:
         """Where the binary for this platform is, or should be."""
-        platform = fmpy.platform_tuple if self.is_fmi3 else fmpy.platform
+        platform: str = fmpy.platform_tuple if self.is_fmi3 else fmpy.platform
         identifier = self.description.coSimulation.modelIdentifier
-        return self.folder / "binaries" / platform / f"{identifier}{fmpy.sharedLibraryExtension}"
+        return Path(self.folder, "binaries", platform, f"{identifier}{fmpy.sharedLibraryExtension}")
 
     @property
     def is_ours(self) -> bool:
