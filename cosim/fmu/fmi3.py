@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from ctypes import byref, c_bool, c_double, c_void_p
-from math import inf
+from math import inf, ulp
 from typing import Any
 
 from fmpy.fmi3 import fmi3LogMessageCallback
@@ -110,14 +110,12 @@ class Fmi3Instance(Instance):
             SlaveError: the FMU fails; carries the last time that it reached.
             SlaveEnded: it asks to end the simulation.
         """
-        now, end, near, idle = time, time + step, NEAR * step, 0
-        do_step, told = (
-            self.fmi["fmi3DoStep"],
-            [byref(each) for each in (self._event, self._ends, self._early, self._reached)],
-        )
+        now, end, idle = time, time + step, 0
+        near, do_step = NEAR * step + 4.0 * ulp(end), self.fmi["fmi3DoStep"]
+        told = byref(self._event), byref(self._ends), byref(self._early), byref(self._reached)
         while True:
             # up to the next time event, if one is announced and the FMU can be stepped there
-            announced = now + near < self._next_event < end - near and not self._regular
+            announced = now < self._next_event < end - near and not self._regular
             target = self._next_event if announced else end
             length = step if (now, target) == (time, end) else target - now
             if (status := do_step(self.component, now, length, bool(no_rollback), *told)) > fmi2.WARNING:
@@ -175,7 +173,7 @@ class Fmi3Instance(Instance):
         return SlaveError(self.name, f"it {what} {MOST_ROUNDS} times without getting on", time)
 
     def get_state(self, state: c_void_p) -> int:
-        """Save the state and the time of the event that comes next."""
+        """Save the state and the time of the event that comes next; the status."""
         status = int(self.fmi["fmi3GetFMUState"](self.component, byref(state)))
         self._events_after[state.value] = self._next_event
         return status
