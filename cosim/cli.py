@@ -376,7 +376,10 @@ def validate(
     ],
     json: JsonOption = False,
 ) -> None:
-    """Check any FMU 2.0: archive, description, binaries, and each claim tried for real; exit status 1 if anything is wrong."""
+    """Check any FMU 2.0: archive, description, binaries, and each claim tried for real; exit status 1 if anything is wrong.
+
+    Of an FMU 3.0 the description alone is checked.
+    """
     with one_line_errors():
         from flexfmu.cosim.commands.fmu import validate_command
 

@@ -16,6 +16,8 @@ from flexfmu.cosim.fmu.slave import FmuSlave
 from flexfmu.cosim.master.master import Outcome, Simulation, simulate
 from flexfmu.cosim.master.step_control import StepDoubling
 from flexfmu.cosim.master.system import connect
+from flexfmu.fmu_build.finding import Severity
+from flexfmu.fmu_build.validate import validate_fmu
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexfmu.cosim.errors.SlaveWarning")
 """The FMU gives no derivatives of most outputs."""
@@ -213,3 +215,14 @@ def test_a_missing_platform_is_named_as_fmi3_names_it(event_fmu: Path, tmp_path:
             target.writestr(name.replace(fmpy.platform_tuple, "riscv-linux"), source.read(name))
     with pytest.raises(FmuFileError, match=rf"no binary for {fmpy.platform_tuple} \(it has: riscv-linux\)"):
         fmu_slave(path)
+
+
+def test_the_validator_checks_the_description(event_fmu: Path, tmp_path: Path) -> None:
+    """`flexfmu validate` says of an FMI 3.0 FMU that its description is all that it checks, and finds what is wrong there."""
+    (note,) = validate_fmu(event_fmu)
+    assert "FMI 3.0" in note.message
+    assert note.severity is Severity.NOTE
+    worse = validate_fmu(
+        variant(event_fmu, tmp_path / "worse.fmu", ('<Output valueReference="9" dependencies=""/>', ""))
+    )
+    assert any("Outputs" in each.message and each.severity is Severity.ERROR for each in worse)
