@@ -269,7 +269,7 @@ def timed(action: Callable[[], Simulation], repetitions: int) -> tuple[Simulatio
     return run, min(times)
 
 
-def controlled(case: Case, order: int, tolerance: float, repetitions: int = 2) -> tuple[float, int, float]:
+def controlled(case: Case, order: int, tolerance: float, repetitions: int = 3) -> tuple[float, int, float]:
     """Error, steps and CPU time [s] with step control."""
     system, control = case.system(order), StepDoubling(tolerance)
     action = partial(simulate, system, case.stop, 1e-3, tolerance=FMU_TOLERANCE, step_control=control)
@@ -281,7 +281,7 @@ def fixed(case: Case, order: int, error: float) -> tuple[float, float]:
     """Steps and CPU time [s] of a fixed step with that error, between the nearest ones that have been tried."""
     system, count, tried = case.system(order), 32, []
     while not tried or tried[-1][1] > error:
-        run, seconds = timed(partial(simulate, system, case.stop, case.stop / count, tolerance=FMU_TOLERANCE), 2)
+        run, seconds = timed(partial(simulate, system, case.stop, case.stop / count, tolerance=FMU_TOLERANCE), 3)
         tried.append((count, case.error(run), seconds))
         count *= 2
     tried = [each for each in tried if np.isfinite(each[1])][-2:]

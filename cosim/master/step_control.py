@@ -10,7 +10,7 @@ import numpy as np
 from flexfmu.cosim.errors import InputError
 from flexfmu.cosim.slave import RealArray
 
-SAFETY = 0.8
+SAFETY = 0.9
 """The next step aims at this fraction of what the estimate allows, so that few are rejected."""
 
 SHRINK, GROW = 0.2, 4.0
