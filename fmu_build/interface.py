@@ -74,7 +74,8 @@ class Interface:
     """All variables of an FMU and the structure between them.
 
     Attributes:
-        variables: in the order of the model description: inputs, parameters, outputs, those of other types, states.
+        variables: in the order of the model description: inputs, parameters, states, outputs, those of other types. Whatever
+            is a derivative comes after its state, without which OMSimulator 3.0 fails.
         outputs: every output, with the inputs and states that it depends on.
         derivatives: the state derivatives among them, in the order of the states.
         initial_unknowns: what initialisation calculates, outputs and states, with the inputs and parameters that it depends on.
@@ -115,11 +116,31 @@ def build_interface(model: SymbolicModel) -> Interface:
         for k in range(len(model.outputs))
     )
     known = tuple(variable.index for variable in reals + integers if variable.causality in ("input", "parameter"))
-    return Interface(
-        variables=_with_derivatives(reals, states, first, first_state) + integers + integrator + aliases,
+    variables = _with_derivatives(reals, states, first, first_state)
+    interface = Interface(
+        variables=variables + integers + integrator + aliases,
         outputs=unknowns,
         derivatives=tuple(unknowns[position] for position in states.derivatives),
-        initial_unknowns=tuple(Unknown(each.index, known) for each in (*reals[first - 1 :], *aliases)),
+        initial_unknowns=tuple(Unknown(each.index, known) for each in (*aliases, *reals[first - 1 :])),
+    )
+    return _reordered(interface, (*variables[: first - 1], *aliases, *variables[first - 1 :], *integers, *integrator))
+
+
+def _reordered(interface: Interface, variables: Sequence[FmiVariable]) -> Interface:
+    """The same with its variables in another order, and all indices that follow from it."""
+    new = {variable.index: index for index, variable in enumerate(variables, start=1)}
+
+    def unknowns(each: Sequence[Unknown]) -> tuple[Unknown, ...]:
+        return tuple(Unknown(new[u.index], tuple(sorted(new[i] for i in u.dependencies))) for u in each)
+
+    return Interface(
+        variables=tuple(
+            replace(v, index=new[v.index], derivative=None if v.derivative is None else new[v.derivative])
+            for v in variables
+        ),
+        outputs=unknowns(interface.outputs),
+        derivatives=unknowns(interface.derivatives),
+        initial_unknowns=unknowns(interface.initial_unknowns),
     )
 
 

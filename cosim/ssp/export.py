@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
@@ -106,8 +107,9 @@ def describe(name: str, system: ExportedSystem) -> Structure:
     parameters = [each for slave in system.slaves for each in _parameters(slave, fmus[slave.name])]
     connectors = [each for fmu in fmus.values() for each in fmu.component.connectors]
     values = ParameterSet(f"{name} parameters", tuple(parameters), _units((each.unit for each in parameters), fmus))
+    defaults = [fmu.fmu.description.defaultExperiment for fmu in fmus.values()]
     return Structure(
-        name=name,
+        name=_identifier(name),
         components=tuple(fmu.component for fmu in fmus.values()),
         connections=tuple(Connection(_ends(source), _ends(target)) for source, target in system.connections),
         bindings=(Binding(values, source=PARAMETERS),) if parameters else (),
@@ -115,8 +117,17 @@ def describe(name: str, system: ExportedSystem) -> Structure:
         start=0.0,
         stop=system.stop_time,
         step=system.step,
+        tolerance=min(
+            (float(each.tolerance) for each in defaults if each is not None and each.tolerance), default=None
+        ),
         description=f"Scene {name}: a flexible five-bar robot with its motion and what stands between them.",
     )
+
+
+def _identifier(name: str) -> str:
+    """The name with letters, digits and underscores alone, which OMSimulator needs."""
+    found = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return f"_{found}" if found[:1].isdigit() else found
 
 
 def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> ComponentFmu:

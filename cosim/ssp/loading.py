@@ -43,6 +43,7 @@ class SspSystem:
         system: slaves and connections.
         start, stop: [s].
         step: communication step [s].
+        tolerance: relative tolerance that FMUs are told; None for their own.
         ignored: parameters in the file that fit no variable.
         names: full name of a component → name of its slave, which holds no dot.
         shown: full names of systems' connectors → the outputs that they show.
@@ -57,6 +58,7 @@ class SspSystem:
     ignored: tuple[str, ...]
     names: Mapping[str, str]
     shown: Mapping[str, Origin]
+    tolerance: float | None = None
     remarks: tuple[str, ...] = ()
 
     def simulate(
@@ -69,7 +71,7 @@ class SspSystem:
         isolate: bool | None = None,
         call_limit: float = CALL_LIMIT,
     ) -> Simulation:
-        """Run it with `flexfmu.cosim.master.master.simulate`; without a tolerance the FMUs use their own. Results have the
+        """Run it with `flexfmu.cosim.master.master.simulate`; without a tolerance the FMUs use the file's, else their own. Results have the
         file's names: ``inner.first.x`` for a component within a system, ``inner.y`` for a system's connector.
 
         Args:
@@ -85,7 +87,7 @@ class SspSystem:
             self.stop,
             self.step,
             start=self.start,
-            tolerance=tolerance,
+            tolerance=self.tolerance if tolerance is None else tolerance,
             progress=progress,
             algorithm=algorithm,
             step_control=step_control,
@@ -159,6 +161,7 @@ def load_ssp(
         starts.ignored,
         names,
         shown(structure, network),
+        structure.tolerance,
         tuple(dict.fromkeys([*_variants(archive), *remarks, *network.remarks])),
     )
 

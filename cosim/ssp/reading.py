@@ -48,6 +48,7 @@ def read_structure(archive: SspArchive) -> Structure:
         start=None if experiment is None else experiment.number("startTime"),
         stop=None if experiment is None else experiment.number("stopTime"),
         step=_step(experiment, system),
+        tolerance=_tolerance(system),
         description=root.text("description") or "",
     )
 
@@ -81,6 +82,22 @@ def _step(experiment: Node | None, system: Node) -> float | None:
                 raise node.error(f"has {attribute}='{step:g}', which must be positive [s]")
             if step is not None:
                 return step
+    return None
+
+
+def _tolerance(system: Node) -> float | None:
+    """The FMUs' relative tolerance in an annotation of OMSimulator; None where there is none.
+
+    Raises:
+        SspError: it isn't positive.
+    """
+    for element, _ in OMS_STEPS:
+        for node in system.descendants(element):
+            tolerance = node.number("relativeTolerance")
+            if tolerance is not None and tolerance <= 0.0:
+                raise node.error(f"has relativeTolerance='{tolerance:g}', which must be positive")
+            if tolerance is not None:
+                return tolerance
     return None
 
 

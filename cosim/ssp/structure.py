@@ -217,6 +217,7 @@ class Structure:
         units: units that connectors refer to.
         start, stop: default experiment [s]; None where the file doesn't say.
         step: communication step [s]; None where the file doesn't say.
+        tolerance: relative tolerance that FMUs are told; None where the file doesn't say.
         description: what it is.
     """
 
@@ -231,6 +232,7 @@ class Structure:
     step: float | None = None
     description: str = ""
     systems: tuple[System, ...] = ()
+    tolerance: float | None = None
 
 
 def levels(structure: Structure) -> Iterator[tuple[str, Structure | System]]:

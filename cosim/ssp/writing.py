@@ -10,7 +10,7 @@ from lxml import etree
 from flexfmu.cosim.fmu.variables import Value
 from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.ssp.parameter_reading import BASE_UNITS
-from flexfmu.cosim.ssp.reading import ANNOTATION, FMU, OSP_STEP
+from flexfmu.cosim.ssp.reading import ANNOTATION, FMU, OMS_STEPS, OSP_STEP
 from flexfmu.cosim.ssp.structure import (
     Binding,
     Component,
@@ -29,12 +29,16 @@ VERSION = "1.0"
 _NAMESPACES = {
     **NAMESPACES,
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
     "flexfmu": "urn:flexfmu:ssp",
 }
 """Prefixes; some importers look for them literally, and libcosim takes declarations below the root for elements."""
 
 OSP_ANNOTATION = "com.opensimulationplatform"
 """Type of the annotation with the communication step, as libcosim reads it."""
+
+OMS_ANNOTATION = "org.openmodelica"
+"""Type of the annotation with communication step and tolerance, as OMSimulator reads it."""
 
 
 def ssd_xml(structure: Structure, tool: str) -> bytes:
@@ -46,7 +50,9 @@ def ssd_xml(structure: Structure, tool: str) -> bytes:
     """
     root = etree.Element(_tag("ssd:SystemStructureDescription"), nsmap=_NAMESPACES)
     _set(root, version=VERSION, name=structure.name, description=structure.description, generationTool=tool)
-    _system(_add(root, "ssd:System", name=structure.name, description=structure.description), structure)
+    system = _add(root, "ssd:System", name=structure.name, description=structure.description)
+    _system(system, structure)
+    _master(system, structure)
     _units(root, "ssd:Units", structure.units)
     _experiment(root, structure)
     return _bytes(root)
@@ -154,6 +160,19 @@ def _units(root: Any, tag: str, units: Iterable[Unit]) -> None:
         exponents = {name: str(each.exponents[name]) for name in BASE_UNITS if name in each.exponents}
         base = _add(_add(holder, "ssc:Unit", name=each.name), "ssc:BaseUnit", **exponents)
         _set(base, factor=_unless(each.factor, 1.0), offset=_unless(each.offset, 0.0))
+
+
+def _master(system: Any, structure: Structure) -> None:
+    """OMSimulator's fixed-step master: version 3 looks for the attributes, version 2 for the element within."""
+    step, tolerance = (None if v is None else repr(v) for v in (structure.step, structure.tolerance))
+    if step is None and tolerance is None:
+        return
+    (old, old_step), (new, new_step) = OMS_STEPS
+    annotation = _add(_add(system, "ssd:Annotations"), "ssc:Annotation", type=OMS_ANNOTATION)
+    node = _add(_add(annotation, "oms:Annotations"), f"oms:{new}", name="oms_ma_default", method="oms_ma")
+    _set(node, **{new_step: step, "relativeTolerance": tolerance})
+    if step is not None:
+        _add(node, f"oms:{old}", description="oms-ma", **{old_step: step, "relativeTolerance": tolerance})
 
 
 def _experiment(root: Any, structure: Structure) -> None:

@@ -216,3 +216,13 @@ def test_impossible_default_experiment_is_refused(value: float) -> None:
     """NaN and negative times never get into a file."""
     with pytest.raises(BuildError, match="stop_time"):
         DefaultExperiment(stop_time=value)
+
+
+def test_derivatives_come_after_their_states(make_oscillators: MakeModel) -> None:
+    """OMSimulator 3.0 looks a state up among the variables before its derivative; the numbers are right all the same."""
+    interface = build_interface(make_oscillators())
+    assert [each.index for each in interface.variables] == [*range(1, len(interface.variables) + 1)]
+    tied = [each for each in interface.variables if each.derivative is not None]
+    assert tied
+    assert all(each.derivative is not None and each.derivative < each.index for each in tied)
+    assert {interface.variables[each.index - 1].causality for each in interface.outputs} == {"output"}

@@ -56,7 +56,7 @@ def test_other_importers(tool: str, motion_ssp: Path, reference: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tool", ["libcosimpy", "ecospy"])
+@pytest.mark.parametrize("tool", ["libcosimpy", "ecospy", "OMSimulator"])
 def test_controllers_in_other_importers(tool: str, staggered_ssp: Path) -> None:
     """Controllers, shaper, encoder and amplifier too: each samples a communication step after those that feed it, so that
     what passes signals on a step late is in time."""
@@ -94,7 +94,14 @@ def test_torque_driven_loops(name: str, tools: list[str], tmp_path: Path) -> Non
             assert wide / narrow == pytest.approx(2.0, rel=0.1)
 
 
-def test_libcosim_takes_the_step_from_the_file(motion_ssp: Path) -> None:
-    """The annotation with the communication step is the one that libcosim reads."""
-    own = at_the_instant("libcosimpy", motion_ssp, load_ssp(motion_ssp).step)
-    assert at_the_instant("libcosimpy", motion_ssp, 0.0) == own
+@pytest.mark.parametrize("tool", ["libcosimpy", "OMSimulator"])
+def test_others_take_the_step_from_the_file(tool: str, motion_ssp: Path) -> None:
+    """The annotations with the communication step are those that libcosim and OMSimulator read."""
+    own = at_the_instant(tool, motion_ssp, load_ssp(motion_ssp).step)
+    assert at_the_instant(tool, motion_ssp, 0.0) == own
+
+
+def test_omsimulator_agrees_with_ecos(motion_ssp: Path) -> None:
+    """Two masters that read outputs after they have set inputs, with the tolerance that the file says: the same numbers."""
+    ends = [at_the_instant(tool, motion_ssp, STEPS[0]) for tool in ("OMSimulator", "ecospy")]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-12)

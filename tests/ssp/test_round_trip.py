@@ -98,6 +98,14 @@ def test_the_same_scene_gives_the_same_bytes(motion_scene: Scene, motion_ssp: Pa
         assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
 
 
+def test_names_are_identifiers(tmp_path: Path) -> None:
+    """A shipped scene's name has a hyphen, which OMSimulator refuses."""
+    scene = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
+    structure = load_ssp(export_ssp(scene, tmp_path / "robot.ssp")).structure
+    assert structure.name == "barnard2012_6kg"
+    assert all(each.name.isidentifier() for each in structure.components)
+
+
 def test_times_come_with_the_file(motion_scene: Scene, motion_ssp: Path) -> None:
     """Stop time and communication step are the scene's; others can be asked for."""
     loaded = load_ssp(motion_ssp)
@@ -106,6 +114,7 @@ def test_times_come_with_the_file(motion_scene: Scene, motion_ssp: Path) -> None
         motion_scene.trajectory.duration,
         motion_scene.cosimulation.step,
     )
+    assert loaded.tolerance == motion_scene.cosimulation.tolerance
     other = load_ssp(motion_ssp, start=0.1, stop=0.2, step=1e-3)
     assert (other.start, other.stop, other.step) == (0.1, 0.2, 1e-3)
 

@@ -104,6 +104,7 @@ STRUCTURES = st.builds(
     st.none() | st.floats(1e-9, 1e3),
     st.just("") | NAMES,
     few(SYSTEMS, "name"),
+    st.none() | st.floats(1e-12, 1.0),
 )
 
 

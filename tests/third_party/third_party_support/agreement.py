@@ -41,7 +41,7 @@ ORDER = 1
 """Of the difference that held inputs make, in the communication step."""
 
 KINDS = ("position", "velocity", "acceleration")
-MODULES = {"libcosim": "libcosimpy", "ecos": "ecospy"}
+MODULES = {"libcosim": "libcosimpy", "ecos": "ecospy", "OMSimulator": "OMSimulator"}
 
 Table = NDArray[np.float64]
 
@@ -169,6 +169,7 @@ _CVODE = {"kind": "ModelExchange", "solver": "CVode", "relative_tolerance": EXCH
 TOOLS = (
     Tool("flexfmu", "after", partial(our_master, algorithm=Jacobi(), input_order=0)),
     Tool("ecos", "after", partial(python_master, "ecos"), "flexfmu", ROUNDING),
+    Tool("OMSimulator", "after", partial(python_master, "OMSimulator"), "flexfmu", ROUNDING),
     Tool("fmpy ME, CVODE", "after", partial(fmpy_run, **_CVODE), "flexfmu", INTEGRATION),
     Tool("libcosim", "before", partial(python_master, "libcosim")),
     Tool("fmpy CS", "before", partial(fmpy_run, kind="CoSimulation"), "libcosim", ROUNDING),
