@@ -155,6 +155,13 @@ int flex_block_begin(flex_block *block) {
   return 0;
 }
 
+/* an input with derivatives says itself what it is at the end of a step */
+static int follows_polynomials(const flex_inputs *inputs) {
+  for (int i = 0; i < inputs->count; i++)
+    if (inputs->degree[i] > 0) return 1;
+  return 0;
+}
+
 int flex_block_advance(flex_block *block, double t0, double t1) {
   flex_block_record *record = block->record;
   double slack = flex_time_slack(t1, fmin(t1 - t0, block->model->sample_time));
@@ -178,7 +185,7 @@ int flex_block_advance(flex_block *block, double t0, double t1) {
     if (complete_sample(block)) return 1;
   }
   record->time = t1;
-  record->is_open = 0;
+  record->is_open = follows_polynomials(&block->inputs);
   record->is_due = next_instant(block) <= t1 + slack;
   return 0;
 }

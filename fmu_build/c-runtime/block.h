@@ -2,9 +2,10 @@
  *
  * A sample is due while the present time is its instant. It is completed, with the inputs as they are then, when time goes
  * on. Until then its outputs come from the next states, and where they depend on inputs, they need the inputs of this
- * instant: they hold the last completed sample until an input is set here, and follow the inputs from then on. Importers
- * that set inputs before they read outputs so get this sample, as often as they ask; those that read first get the sample
- * before, never one of new states and old inputs. Outputs that depend on states alone are those of the due sample at once.
+ * instant: they hold the last completed sample until an input is set here, and follow the inputs from then on. Inputs with
+ * derivatives are known here already, from their polynomials. Importers that set inputs before they read outputs so get this
+ * sample, as often as they ask; those that read first get the sample before, never one of new states and old inputs. Outputs
+ * that depend on states alone are those of the due sample at once.
  *
  * All numeric state lies in one piece of memory without pointers, so that saving and restoring it is a copy. */
 #ifndef FLEXFMU_BLOCK_H
@@ -20,7 +21,7 @@ typedef struct {
   long long next;          /* index of the first sample that is not completed; all before it are */
   int is_moving;           /* 1 = initialisation is over */
   int is_due;              /* 1 = the present time is the instant of that sample */
-  int is_open;             /* 1 = an input has been set at the present time */
+  int is_open;             /* 1 = the inputs of the present time are known: one has been set or follows its polynomial */
   int is_taken;            /* 1 = due_y and next_x are those of that sample, for the present inputs and parameters */
 } flex_block_record;
 
