@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from fractions import Fraction
+from math import gcd, lcm
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,14 @@ from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.commands.console import print_rich, print_text, progress
-from flexfmu.cosim.commands.errors import FAILURE, show_error
+from flexfmu.cosim.commands.errors import FAILURE, show_error, show_note
 from flexfmu.cosim.commands.scene import load_resolved
 from flexfmu.cosim.loop.recording import slave_facts
 from flexfmu.cosim.master.master import Simulation
+from flexfmu.cosim.master.system import System
 from flexfmu.cosim.reports.json_text import to_json
 from flexfmu.cosim.reports.output import RESULTS, OutputFolder
+from flexfmu.cosim.slave import Sampled, Slave, feedthrough, offset
 from flexfmu.cosim.ssp.archive import DESCRIPTION
 from flexfmu.cosim.ssp.export import export_ssp
 from flexfmu.cosim.ssp.loading import SspSystem, load_ssp
@@ -29,12 +33,46 @@ def export_command(source: str, output: Path | None, platforms: list[str], as_js
     target = output or Path(f"{scene.name}.ssp")
     with progress() as show:
         export_ssp(scene, target, platforms=platforms or None, progress=show)
+    if scene.cosimulation.drive == "torque":
+        _note_late_samples(load_ssp(target).system)
     size = target.stat().st_size
     if as_json:
         print_text(to_json({"path": str(target), "bytes": size}))
     else:
         print_text(f"{target}: {size / 1000:.0f} kB, SSP 1.0; run it with: flexfmu run {target}\n")
     return 0
+
+
+def _note_late_samples(system: System) -> None:
+    """Say which samples other masters pass on a sample late: outputs that follow inputs at once, to slaves that sample
+    at the same instants. What they are is in docs/ssp.md."""
+    clocks = [_clock(slave) for slave in system.slaves]
+    late: dict[str, None] = {}
+    for each in system.connections:
+        source, ours, theirs = system.slaves[each.source], clocks[each.source], clocks[each.target]
+        follows = feedthrough(source)[source.variables[each.output].name]
+        if follows and ours is not None and theirs is not None and _meet(ours, theirs):
+            late[f"{source.name} -> {system.slaves[each.target].name}"] = None
+    if late:
+        show_note(
+            f"note: {', '.join(late)} sample at the same instants: masters that read all outputs before they set inputs "
+            "(libcosim, ecos, Maestro, fmpy) pass these signals on a sample late; give what is fed an `offset` of a "
+            "communication step (docs/ssp.md)"
+        )
+
+
+def _clock(slave: Slave) -> tuple[Fraction, Fraction] | None:
+    """Sample time and offset [s], as the decimals that they are written as; None for a slave that isn't sampled."""
+    if not isinstance(slave, Sampled):
+        return None
+    return Fraction(repr(float(slave.sample_time))), Fraction(repr(float(offset(slave))))
+
+
+def _meet(first: tuple[Fraction, Fraction], second: tuple[Fraction, Fraction]) -> bool:
+    """Whether two clocks ever sample at the same instant: their offsets differ by common parts of their sample times."""
+    (time, begin), (other_time, other_begin) = first, second
+    part = Fraction(gcd(time.numerator, other_time.numerator), lcm(time.denominator, other_time.denominator))
+    return (begin - other_begin) % part == 0
 
 
 def run_ssp_command(

@@ -9,11 +9,13 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+import tomlkit
 from ssp_support.packages import SSD, inline, of_second, parameter_set
 from typer.testing import CliRunner, Result
 
 from flexfmu.cosim.cli import app
 from flexfmu.cosim.results import Recording
+from flexfmu.model.scene_file import load_scene
 
 MakeSsp = Callable[..., Path]
 
@@ -42,6 +44,29 @@ def test_export_then_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     )
     recording = Recording.read_csv(tmp_path / "results" / "barnard2012-6kg" / "results.csv")
     assert recording["plant.end_effector.position.x"].values[-1] == pytest.approx(0.175, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_export_names_what_other_masters_pass_on_late(tmp_path: Path) -> None:
+    """Blocks of the same instants, not those that an offset keeps apart; delays put out states, which are in time."""
+    robot = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
+    pd = {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 1e-3}
+    encoder = {"kind": "encoder", "counts_per_turn": 1e6, "sample_time": 2.5e-4}
+    delay = {"kind": "delay", "signal": "position", "time": 2e-3}
+    scenes = {
+        "together": {"controller": [pd], "imperfection": [encoder]},
+        "apart": {"controller": [pd | {"offset": 1e-4}], "imperfection": [encoder]},
+        "delayed": {"controller": [pd | {"offset": 5e-4}], "imperfection": [delay | {"sample_time": 5e-4}]},
+    }
+    notes = {}
+    for name, sections in scenes.items():
+        path = tmp_path / f"{name}.toml"
+        path.write_text(tomlkit.dumps(robot.replace(sections).model_dump(exclude_none=True)))
+        exported = flexfmu("export", str(path), "-o", str(tmp_path / f"{name}.ssp"))
+        assert exported.exit_code == 0, exported.output
+        notes[name] = exported.stderr
+    assert "note: encoder -> pd sample at the same instants" in notes["together"]
+    assert notes["apart"] == notes["delayed"] == ""
 
 
 def test_files_are_known_by_their_content(make_ssp: MakeSsp, tmp_path: Path) -> None:
