@@ -29,9 +29,6 @@ FmuOf = Callable[[Scene], Path]
 EXACT = 1e-9
 """Tolerance of the FMUs in comparisons, so that the effects alone make the difference."""
 
-NEAR = 0.1
-"""Estimates from this fraction of the tolerance on are verified."""
-
 ALLOWED = 0.8
 """Largest observed error in tolerances: the richest set itself may be a tenth off."""
 
@@ -80,8 +77,7 @@ def choose_verified(
     runs, safety = _Runs(estimator, of, show, fmu_of), dict.fromkeys(of, SAFETY)
     for _ in range(ROUNDS):
         chosen = choose_effects(scene, motion, tolerance, of, estimator, safety)
-        assert chosen.effects.choice is not None  # that is what `choose_effects` gives
-        if max(chosen.effects.choice.error) <= NEAR * tolerance or runs.agree(chosen, ALLOWED * tolerance):
+        if runs.agree(chosen, ALLOWED * tolerance):
             return chosen, estimator
         exact, estimated = runs.errors(chosen, EXACT), estimator.errors(chosen.effects)
         wrong = [name for name in of if exact[name] > (1.0 - INTEGRATOR_SHARE) * tolerance]

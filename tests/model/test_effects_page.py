@@ -44,4 +44,5 @@ def test_every_key_and_word_is_named(section: type[BaseModel]) -> None:
 def test_examples_are_scenes(block: str) -> None:
     """What the page shows can be copied into a scene file."""
     changes = {f"effects.{key}": value for key, value in tomllib.loads(block)["effects"].items()}
-    assert load_scene("barnard2012-6kg").replace(changes).effects.reactions
+    effects = load_scene("barnard2012-6kg").replace(changes).effects
+    assert all(getattr(effects, key.partition(".")[2]) for key in changes)
