@@ -48,16 +48,24 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
 }
 """Function → (result, arguments); pointers as addresses."""
 
+_RARE = ("String", "Derivatives", "Status", "FMUstate")
+"""How functions end that some libraries lack, though FMI has them all."""
+
 Calls = dict[str, Callable[..., Any]]
 
 
 def bound_calls(library: Any, signatures: Mapping[str, tuple[Any, ...]]) -> Calls:
-    """Functions with these signatures from a loaded library.
+    """Functions with these signatures from a loaded library; one that few FMUs need fails when it is called where it is missing.
 
     Raises:
-        AttributeError: the library lacks a function.
+        AttributeError: the library lacks another one.
     """
-    return {name: CFUNCTYPE(result, *arguments)((name, library)) for name, (result, *arguments) in signatures.items()}
+    calls: Calls = {}
+    for name, signature in signatures.items():
+        prototype = CFUNCTYPE(*signature)
+        lacks = not hasattr(library, name) and name.endswith(_RARE)
+        calls[name] = prototype(lambda *_: ERROR) if lacks else prototype((name, library))
+    return calls
 
 
 def address(array: NDArray[Any]) -> int:

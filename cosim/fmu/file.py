@@ -131,6 +131,8 @@ def attempt(path: Path, action: Callable[[], Any]) -> Any:
         return action()
     except zipfile.BadZipFile:
         raise FmuFileError(f"{path} is no FMU: not a zip file; build it again or check the path") from None
+    except FmuFileError:
+        raise
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FmuFileError(f"{path} is a broken FMU: {reason}; `flexfmu validate` tells more") from error

@@ -12,7 +12,6 @@ from time import sleep
 from typing import Any
 
 from fmpy.fmi1 import _FMU
-from fmpy.fmi2 import FMU2Slave
 
 from flexfmu.cosim.errors import FmuFileError, SlaveEnded, SlaveError
 from flexfmu.cosim.fmu import calls as fmi2
@@ -64,7 +63,7 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
             in_child(lambda: bool(_loaded(fmu, arguments)), lambda: None, CALL_LIMIT)
         except ChildLostError as lost:
             raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{needs(fmu)}") from lost
-    library, signatures = _loaded(fmu, arguments).dll, fmi3.SIGNATURES if fmu.is_fmi3 else fmi2.SIGNATURES
+    library, signatures = _loaded(fmu, arguments), fmi3.SIGNATURES if fmu.is_fmi3 else fmi2.SIGNATURES
     calls: fmi2.Calls = attempt(fmu.path, lambda: fmi2.bound_calls(library, signatures))
     return calls
 
@@ -76,7 +75,7 @@ def _loaded(fmu: UnpackedFmu, arguments: Mapping[str, str]) -> Any:
         FmuFileError: it can't be loaded, with the system's reason.
     """
     try:
-        return (_FMU if fmu.is_fmi3 else FMU2Slave)(**arguments)
+        return _FMU(**arguments).dll
     except Exception as error:
         # fmpy puts the library's temporary place before the reason
         reason = " ".join(str(error).replace(f"{fmu.folder}/", "").split()).partition(" shared library ")[2] or str(

@@ -6,7 +6,7 @@ import os
 import shutil
 import subprocess
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.resources import as_file, files
 from math import factorial, fsum
 from pathlib import Path
@@ -49,16 +49,19 @@ def make_task(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 
 def _maker(folder: Path, name: str, description_file: str) -> Callable[..., Path]:
-    """Packs FMUs of one library with changes of one description."""
-    library = compiled(folder, c_compiler(), name)
+    """Packs FMUs of one library, or of one with other flags, with changes of one description."""
+    plain = compiled(folder, c_compiler(), name)
     description = (FOREIGN / description_file).read_text()
 
-    def make(*changes: tuple[str, str]) -> Path:
+    def make(*changes: tuple[str, str], flags: Sequence[str] = ()) -> Path:
         text = description
         for old, new in changes:
             assert old in text
             text = text.replace(old, new)
-        return pack(folder / f"{name}{len(list(folder.iterdir()))}.fmu", text, library)
+        number = len(list(folder.iterdir()))
+        (folder / f"{number}").mkdir()
+        library = compiled(folder / f"{number}", c_compiler(), name, *flags) if flags else plain
+        return pack(folder / f"{name}{number}.fmu", text, library)
 
     return make
 
@@ -71,13 +74,13 @@ def c_compiler() -> str:
     return compiler
 
 
-def compiled(folder: Path, compiler: str, name: str = "decay") -> Path:
+def compiled(folder: Path, compiler: str, name: str = "decay", *flags: str) -> Path:
     """The foreign FMU's library."""
     library = folder / f"{name}{fmpy.sharedLibraryExtension}"
     with as_file(files("flexfmu.fmu_build") / "c-runtime") as headers:
         command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{headers}"]
         subprocess.run(
-            [*command, str(FOREIGN / f"{name}.c"), "-lm", "-o", str(library)], check=True, capture_output=True
+            [*command, *flags, str(FOREIGN / f"{name}.c"), "-lm", "-o", str(library)], check=True, capture_output=True
         )
     return library
 

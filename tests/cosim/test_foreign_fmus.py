@@ -324,3 +324,14 @@ def test_fmi_1_gets_a_clear_line(tmp_path: Path) -> None:
     with pytest.raises(FmuFileError, match=r"is an FMU of FMI 1\.0; .*export it") as caught:
         FmuSlave(path)
     assert "\n" not in str(caught.value)
+
+
+def test_libraries_that_lack_functions(make_decay: Make, tmp_path: Path) -> None:
+    """An FMU without functions that nobody calls runs, as one in public does; one that can't be loaded gets the system's reason."""
+    lacking, other = make_decay(flags=["-DLACKING"]), tmp_path / "other.fmu"
+    assert alone(FmuSlave(lacking)).outcome is Outcome.COMPLETED
+    with zipfile.ZipFile(lacking) as source, zipfile.ZipFile(other, "w") as target:
+        for name in source.namelist():
+            target.writestr(name, source.read(name) if name.endswith(".xml") else "no library")
+    with pytest.raises(FmuFileError, match=r"other\.fmu can't be loaded on this machine: .*; install what is missing"):
+        FmuSlave(other)

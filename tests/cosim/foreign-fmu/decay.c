@@ -179,5 +179,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
   return fmi2OK;
 }
 
+#ifndef LACKING
 #define DECAY
 #include "absent.h"
+#endif

@@ -1,0 +1,258 @@
+"""FMUs of other tools in our master and in fmpy: same step, same start values, same inputs; how far they are apart.
+
+python foreign_fmus.py FOLDER [FOLDER ...]
+
+Every FMI 2.0 co-simulation FMU below the folders that has a binary for this platform runs once, as a Markdown table. Its Real
+inputs follow sines around their start values, held over the communication step; one of its Real parameters, if it has any, is
+1 % off its default. The communication step is that of the default experiment, else a 500th of its length (of 0.2 s where it
+has none); there are 500 of them at most. The difference is relative to each output's largest value. Outputs that two runs in fmpy don't
+repeat (a clock, say) are left out. Our master reads outputs before and after it sets inputs, fmpy before alone; a difference
+that goes away without the second reading is marked "read once".
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from itertools import count as counter
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy.model_description import read_model_description
+
+from flexfmu.cosim.commands.console import keep_stdout
+from flexfmu.cosim.errors import CosimError
+from flexfmu.cosim.fmu.slave import FmuSlave
+from flexfmu.cosim.fmu.variables import Value
+from flexfmu.cosim.master.isolation import Isolation, in_child
+from flexfmu.cosim.master.master import Outcome, simulate
+from flexfmu.cosim.master.system import connect
+from flexfmu.cosim.slave import Call, Indices, RealArray, SlaveVariable
+
+STEPS, LENGTH = 500, 0.2
+"""Communication steps at most, and length of a run where the FMU names none [s]."""
+
+CALL_LIMIT, RUN_LIMIT = 60.0, 600.0
+"""How long an FMU may stay in one call, and fmpy in one run [s]."""
+
+TOLERANCE = 1e-6
+"""Relative tolerance that the FMUs are given."""
+
+EQUAL = 1e-12
+"""Relative difference that needs no explanation."""
+
+WIDTH = 250
+"""Characters of a cell."""
+
+OFFSET = 0.1
+"""Amplitude of an input, relative to its start value or to 1."""
+
+
+class Sines:
+    """Inputs of the FMU, sines around their start values; they jump at every point, so that outputs are recorded before
+    they are set, as fmpy records them."""
+
+    name = "sines"
+
+    def __init__(self, inputs: Sequence[Any], times: RealArray, units: Sequence[str]) -> None:
+        self.starts = np.array([float(each.start or 0.0) for each in inputs])
+        self.variables = [SlaveVariable(f"u{i}", "output", unit) for i, unit in enumerate(units)]
+        self.feedthrough = {each.name: () for each in self.variables}
+        self.breakpoints = times.tolist()
+        self.length, self.time = times[-1] - times[0], times[0]
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.time = start_time
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = self.at(self.time)[indices]
+
+    def step(self, time: float, step: float) -> None:
+        self.time = time + step
+
+    def at(self, time: float) -> RealArray:
+        """(n,) values."""
+        amplitudes = OFFSET * np.maximum(abs(self.starts), 1.0)
+        return self.starts + amplitudes * np.sin(2.0 * np.pi * (time - self.breakpoints[0]) / self.length)
+
+
+class ReadOnce(FmuSlave):
+    """Its outputs are read once in a step, before its inputs are set."""
+
+    def bind_get(self, indices: Indices, values: RealArray) -> Call:
+        read, calls = super().bind_get(indices, values), counter()
+        return lambda: None if next(calls) % 2 else read()
+
+
+def found(folders: Sequence[str]) -> Iterator[Path]:
+    """FMUs below the folders, each content once."""
+    seen = set()
+    for path in sorted(each for folder in folders for each in Path(folder).rglob("*.fmu")):
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        if digest not in seen:
+            seen.add(digest)
+            yield path
+
+
+def described(path: Path) -> Any:
+    """The model description; None where it isn't an FMU for this comparison."""
+    try:
+        platforms = fmpy.supported_platforms(str(path))
+        description = read_model_description(str(path), validate=False)
+    except Exception:
+        return None
+    suits = description.fmiVersion == "2.0" and description.coSimulation and fmpy.platform in platforms
+    return description if suits else None
+
+
+def points(description: Any) -> RealArray:
+    """(N,) communication points [s]."""
+    experiment = description.defaultExperiment
+    start = float(getattr(experiment, "startTime", None) or 0.0)
+    stop = float(getattr(experiment, "stopTime", None) or start + LENGTH)
+    step = float(getattr(experiment, "stepSize", None) or (stop - start) / STEPS)
+    count = max(1, min(STEPS, round((stop - start) / step)))
+    return start + step * np.arange(count + 1)
+
+
+def changed(description: Any) -> dict[str, Value]:
+    """One parameter, 1 % off."""
+    for each in description.modelVariables:
+        if each.causality == "parameter" and each.type == "Real" and each.start and float(each.start):
+            value = 1.01 * float(each.start)
+            if (each.max is None or value <= float(each.max)) and (each.min is None or value >= float(each.min)):
+                return {each.name: value}
+    return {}
+
+
+def ours(
+    path: Path, times: RealArray, inputs: Sequence[Any], starts: dict[str, Value], kind: type[FmuSlave] = FmuSlave
+) -> tuple[RealArray, dict[str, RealArray], str]:
+    """Times and outputs in our master, and what it says."""
+    slave = kind(path, "fmu", starts, input_order=0)
+    slaves: list[Any] = [slave]
+    if inputs:
+        units = {each.name: each.unit for each in slave.variables}
+        slaves.insert(0, Sines(inputs, times, [units[each.name] for each in inputs]))
+    wires = [(f"sines.u{i}", f"fmu.{each.name}") for i, each in enumerate(inputs)]
+    system, step, isolation = connect(slaves, wires), times[1] - times[0], Isolation(CALL_LIMIT)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        run = simulate(system, times[-1], step, start=times[0], tolerance=TOLERANCE, isolation=isolation)
+    time = run.recording.time
+    before = np.flatnonzero(np.diff(time, prepend=-np.inf) > 0.0)
+    outputs = {
+        name.removeprefix("fmu."): column.values[before]
+        for name, column in run.recording.columns.items()
+        if name.startswith("fmu.") and column.texts is None
+    }
+    remarks = [] if run.outcome is Outcome.COMPLETED else [run.message.removeprefix("fmu ")]
+    said = [str(warning.message).removeprefix("fmu: ") for warning in told]
+    remarks += ["no output derivatives" if "maxOutputDerivativeOrder" in each else each for each in said]
+    return time[before], outputs, "; ".join(remarks)
+
+
+def theirs(path: Path, times: RealArray, inputs: Sequence[Any], starts: dict[str, Value], names: Sequence[str]) -> Any:
+    """Times and outputs in fmpy."""
+    signals = None
+    if inputs:
+        sines = Sines(inputs, times, [""] * len(inputs))
+        signals = np.array(
+            [(time, *sines.at(time)) for time in times],
+            dtype=[("time", float), *((each.name, float) for each in inputs)],
+        )
+    return fmpy.simulate_fmu(
+        str(path),
+        validate=False,
+        fmi_type="CoSimulation",
+        start_time=times[0],
+        stop_time=times[-1],
+        output_interval=times[1] - times[0],
+        relative_tolerance=TOLERANCE,
+        start_values=starts,
+        input=signals,
+        output=list(names),
+    )
+
+
+def apart(mine: Any, other: Any, names: Sequence[str], count: int) -> dict[str, float]:
+    """Largest difference of each output over the first instants, relative to its largest value."""
+    found = {}
+    for name in names:
+        values, reference = (np.asarray(each[name][:count], float) for each in (mine, other))
+        largest = float(abs(reference).max(initial=0.0)) or 1.0
+        found[name] = float(abs(values - reference).max(initial=0.0)) / largest
+    return found
+
+
+def one_line(error: str) -> str:
+    """A cell of the table."""
+    text = " ".join(str(error).split()).replace("|", "/")
+    return text if len(text) < WIDTH else f"{text[:WIDTH]} ..."
+
+
+def compared(path: Path, description: Any) -> str:
+    """What ours gives against fmpy."""
+    times, starts = points(description), changed(description)
+    inputs = [v for v in description.modelVariables if v.causality == "input" and v.type == "Real"]
+    names = [v.name for v in description.modelVariables if v.causality == "output" and v.type != "String"]
+    try:
+        time, mine, said = ours(path, times, inputs, starts)
+    except CosimError as error:
+        time, mine, said = np.empty(0), {}, str(error).replace(f"{path.parent}/", "")
+
+    def other() -> Any:
+        return in_child(lambda: theirs(path, times, inputs, starts, names), lambda: None, RUN_LIMIT)
+
+    try:
+        first = other()
+    except Exception as error:
+        reason = str(error).rpartition("/")[2]
+        return (
+            f"{time.size - 1} x {times[1] - times[0]:.3g} s | ours only | {said}fmpy: {reason}"
+            if time.size
+            else f"neither: {said}"
+        )
+    count = min(time.size, len(first))
+    if not count:
+        return f"fmpy only; ours: {said}"
+    worst = apart(mine, first, names, count)
+    remarks = [said] if said else []
+    if max(worst.values(), default=0.0) > EQUAL:
+        again = apart(first, other(), names, len(first))
+        if fickle := [name for name in names if again[name] > 0.0]:
+            remarks.append(f"without {', '.join(fickle)}, which fmpy doesn't repeat")
+            worst = {name: value for name, value in worst.items() if name not in fickle}
+    result = f"{max(worst.values(), default=0.0):.0e}"
+    if max(worst.values(), default=0.0) > EQUAL:
+        once = apart(ours(path, times, inputs, starts, ReadOnce)[1], first, list(worst), count)
+        result += f" (read once: {max(once.values()):.0e})"
+    if not all(np.isfinite(first[name].astype(float)).all() for name in names):
+        remarks.append("NaN in fmpy")
+    size = f"{count - 1} x {times[1] - times[0]:.3g} s, {len(inputs)} to {len(names)}"
+    return " | ".join((size, result, "; ".join(remarks)))
+
+
+def main() -> None:
+    """Run all, print the table."""
+    keep_stdout()
+    print(
+        f"fmpy {fmpy.__version__}, {fmpy.platform}\n\n| exporter | FMU | steps, inputs to outputs | apart | remarks |\n|---|---|---|---|---|",
+        flush=True,
+    )
+    chosen = [(path, each) for path in found(sys.argv[1:]) if (each := described(path)) is not None]
+    for path, description in sorted(chosen, key=lambda each: str(each[1].generationTool or "~")):
+        tool = (description.generationTool or "not stated").partition(",")[0].partition(" (")[0]
+        result = compared(path, description)
+        cells = result.split(" | ") if " | " in result else ["", "", result]
+        print("|", " | ".join(map(one_line, (tool, path.stem, *cells))), "|", flush=True)
+
+
+if __name__ == "__main__":
+    main()
