@@ -3,8 +3,8 @@
 python foreign_fmus.py FOLDER [FOLDER ...]
 
 Every FMI 2.0 co-simulation FMU below the folders that has a binary for this platform runs once, as a Markdown table. Its Real
-inputs follow sines around their start values, held over the communication step; one of its Real parameters, if it has any, is
-1 % off its default. The communication step is that of the default experiment, else a 500th of its length (of 0.2 s where it
+inputs follow sines around their start values, held over the communication step; all of its Real parameters are 1 % off their
+defaults, as far as their ranges go, or at their defaults where it doesn't run with that. The communication step is that of the default experiment, else a 500th of its length (of 0.2 s where it
 has none); there are 500 of them at most. The difference is relative to each output's largest value. Outputs that two runs in fmpy don't
 repeat (a clock, say) are left out. Our master reads outputs before and after it sets inputs, fmpy before alone; a difference
 that goes away without the second reading is marked "read once".
@@ -17,6 +17,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from itertools import count as counter
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -122,13 +123,14 @@ def points(description: Any) -> RealArray:
 
 
 def changed(description: Any) -> dict[str, Value]:
-    """One parameter, 1 % off."""
-    for each in description.modelVariables:
-        if each.causality == "parameter" and each.type == "Real" and each.start and float(each.start):
-            value = 1.01 * float(each.start)
-            if (each.max is None or value <= float(each.max)) and (each.min is None or value >= float(each.min)):
-                return {each.name: value}
-    return {}
+    """All Real parameters, 1 % off."""
+    real = [v for v in description.modelVariables if v.causality == "parameter" and v.type == "Real" and v.start]
+    values: dict[str, Value] = {}
+    for each in real:
+        value = 1.01 * float(each.start)
+        if float(each.min or -inf) <= value <= float(each.max or inf):
+            values[each.name] = value
+    return values
 
 
 def ours(
@@ -154,7 +156,9 @@ def ours(
     }
     remarks = [] if run.outcome is Outcome.COMPLETED else [run.message.removeprefix("fmu ")]
     said = [str(warning.message).removeprefix("fmu: ") for warning in told]
-    remarks += ["no output derivatives" if "maxOutputDerivativeOrder" in each else each for each in said]
+    remarks += ["no output derivatives" for each in said if "maxOutputDerivativeOrder" in each]
+    if calculated := [each for each in said if "ignores it or calculates it" in each]:
+        remarks.append(f"{len(calculated)} parameters are calculated")
     return time[before], outputs, "; ".join(remarks)
 
 
@@ -199,13 +203,17 @@ def one_line(error: str) -> str:
 
 def compared(path: Path, description: Any) -> str:
     """What ours gives against fmpy."""
-    times, starts = points(description), changed(description)
+    times = points(description)
     inputs = [v for v in description.modelVariables if v.causality == "input" and v.type == "Real"]
     names = [v.name for v in description.modelVariables if v.causality == "output" and v.type != "String"]
-    try:
-        time, mine, said = ours(path, times, inputs, starts)
-    except CosimError as error:
-        time, mine, said = np.empty(0), {}, str(error).replace(f"{path.parent}/", "")
+    time, mine, said = np.empty(0), {}, ""
+    for starts in (changed(description), {}):
+        try:
+            time, mine, said = ours(path, times, inputs, starts)
+        except CosimError as error:
+            said = str(error).replace(f"{path.parent}/", "")
+        if time.size > 1:
+            break
 
     def other() -> Any:
         return in_child(lambda: theirs(path, times, inputs, starts, names), lambda: None, RUN_LIMIT)
@@ -223,7 +231,8 @@ def compared(path: Path, description: Any) -> str:
     if not count:
         return f"fmpy only; ours: {said}"
     worst = apart(mine, first, names, count)
-    remarks = [said] if said else []
+    remarks = [f"{len(starts)} parameters changed"] if starts else []
+    remarks += [said] if said else []
     if max(worst.values(), default=0.0) > EQUAL:
         again = apart(first, other(), names, len(first))
         if fickle := [name for name in names if again[name] > 0.0]:

@@ -178,6 +178,15 @@ def run(
         str | None,
         typer.Option(metavar="NAME", help="System of an SSP file that holds several. Default: SystemStructure.ssd."),
     ] = None,
+    output_order: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=0,
+            help="Highest output derivative that FMUs of an SSP file are asked for, 0 for none. Default: what they give.",
+            show_default=False,
+        ),
+    ] = None,
     isolate: Annotated[
         bool | None,
         typer.Option(
@@ -211,11 +220,13 @@ def run(
         if scene.lower().endswith(".ssp") or is_zipfile(scene):
             from flexfmu.cosim.commands.export import run_ssp_command
 
-            raise typer.Exit(run_ssp_command(Path(scene), out, step, stop_time, json, isolate, ssd))
+            raise typer.Exit(run_ssp_command(Path(scene), out, step, stop_time, json, isolate, ssd, output_order))
         if stop_time is not None:
             raise InputError("--stop-time goes with an SSP file; a scene ends with its motion and `trajectory.dwell`")
         if ssd is not None:
             raise InputError("--ssd goes with an SSP file; a scene is one system")
+        if output_order is not None:
+            raise InputError("--output-order goes with an SSP file; in a scene each FMU has its own `output_order`")
         raise typer.Exit(run_command(scene, out, json, step, isolate, 1 if verify is None else 2 * verify))
 
 

@@ -83,12 +83,13 @@ def run_ssp_command(
     as_json: bool,
     isolate: bool | None = None,
     ssd: str | None = None,
+    output_order: int | None = None,
 ) -> int:
     """Simulate an SSP file, or the variant ``ssd`` in it, with step and stop time [s] instead of its own; write results.csv and summary.json, print how it went; the exit status.
 
     What was recorded before a failure is written too.
     """
-    loaded = load_ssp(source, stop=stop_time, step=step, ssd=ssd or DESCRIPTION)
+    loaded = load_ssp(source, stop=stop_time, step=step, ssd=ssd or DESCRIPTION, output_order=output_order)
     folder = OutputFolder(out or RESULTS / source.stem)
     folder.prepare()
     with progress() as show:

@@ -232,8 +232,8 @@ class FmuSlave:
             if start.setting.lasting and name not in preset and found is not None and not same(value, found):
                 variable = _settable(self._fmu)[name]
                 yield (
-                    f"{name} was set to {in_words(variable, value)}, but is {in_words(variable, found)} after initialisation; "
-                    f"{self.path.name} doesn't take the value, or takes it otherwise than its description says"
+                    f"{name} was set to {in_words(variable, value)}, but is {in_words(variable, found)} after initialisation: "
+                    f"{self.path.name} ignores it or calculates it"
                 )
 
     def _read_back(self, setting: Setting) -> Value | None:
