@@ -2,7 +2,7 @@
 
 python foreign_fmus.py FOLDER [FOLDER ...]
 
-Every FMI 2.0 co-simulation FMU below the folders that has a binary for this platform runs once, as a Markdown table. Its Real
+Every FMI 2.0 co-simulation FMU below the folders that has outputs and a binary for this platform runs once, as a Markdown table. Its Real
 inputs follow sines around their start values, held over the communication step; all of its Real parameters are 1 % off their
 defaults, as far as their ranges go, or at their defaults where it doesn't run with that. The communication step is that of the default experiment, else a 500th of its length (of 0.2 s where it
 has none); there are 500 of them at most. The difference is relative to each output's largest value. Outputs that two runs in fmpy don't
@@ -109,7 +109,7 @@ def described(path: Path) -> Any:
     except Exception:
         return None
     suits = description.fmiVersion == "2.0" and description.coSimulation and fmpy.platform in platforms
-    return description if suits else None
+    return description if suits and any(v.causality == "output" for v in description.modelVariables) else None
 
 
 def points(description: Any) -> RealArray:
@@ -158,7 +158,7 @@ def ours(
     said = [str(warning.message).removeprefix("fmu: ") for warning in told]
     remarks += ["no output derivatives" for each in said if "maxOutputDerivativeOrder" in each]
     if calculated := [each for each in said if "ignores it or calculates it" in each]:
-        remarks.append(f"{len(calculated)} parameters are calculated")
+        remarks.append(f"calculated: {len(calculated)}")
     return time[before], outputs, "; ".join(remarks)
 
 
@@ -231,7 +231,7 @@ def compared(path: Path, description: Any) -> str:
     if not count:
         return f"fmpy only; ours: {said}"
     worst = apart(mine, first, names, count)
-    remarks = [f"{len(starts)} parameters changed"] if starts else []
+    remarks = [f"parameters changed: {len(starts)}"] if starts else []
     remarks += [said] if said else []
     if max(worst.values(), default=0.0) > EQUAL:
         again = apart(first, other(), names, len(first))
