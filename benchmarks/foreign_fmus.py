@@ -2,12 +2,13 @@
 
 python foreign_fmus.py FOLDER [FOLDER ...]
 
-Every FMI 2.0 co-simulation FMU below the folders that has outputs and a binary for this platform runs once, as a Markdown table. Its Real
-inputs follow sines around their start values, held over the communication step; all of its Real parameters are 1 % off their
-defaults, as far as their ranges go, or at their defaults where it doesn't run with that. The communication step is that of the default experiment, else a 500th of its length (of 0.2 s where it
-has none); there are 500 of them at most. The difference is relative to each output's largest value. Outputs that two runs in fmpy don't
-repeat (a clock, say) are left out. Our master reads outputs before and after it sets inputs, fmpy before alone; a difference
-that goes away without the second reading is marked "read once".
+Every FMI 2.0 co-simulation FMU below the folders that has outputs and a binary for this platform runs once, as a Markdown table.
+Its Real inputs follow sines around their start values, held over the communication step; all of its Real parameters are 1 % off
+their defaults, as far as their ranges go, or at their defaults where it doesn't run with that. The communication step is that of
+the default experiment, else a 500th of its length (of 0.2 s where it has none); there are 500 of them at most. The difference is
+relative to each output's largest value. Outputs that two runs in fmpy don't repeat (a clock, say) are left out. Our master reads
+outputs before and after it sets inputs, fmpy before alone; for a difference there is also what remains of it when outputs are
+read once.
 """
 
 from __future__ import annotations
