@@ -118,6 +118,6 @@ def test_ssp_export(tmp_path: Path) -> None:
 def test_effects_auto(tmp_path: Path) -> None:
     """The chosen set bends the distal links, every effect has its contribution, and the FMU has the tolerance's other half."""
     output = run_example("effects_auto.py", tmp_path)
-    assert output.startswith("effects chosen for 2 %: proximal bending 1, distal bending 1")
+    assert output.startswith("effects chosen for 2 %: proximal bending 2, distal bending 1")
     assert len(re.findall(r"^  (?:in |out) \w+: .* %  +[+-]\d+$", output, re.MULTILINE)) >= 8
     assert "tolerance 0.001" in output
