@@ -385,13 +385,25 @@ def validate(
     fmu: Annotated[
         Path, typer.Argument(metavar="FILE.fmu", help="The FMU to check.", show_default=False, readable=False)
     ],
+    static: Annotated[bool, typer.Option("--static", help="Only look at the file, don't run what is in it.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit status 1 for warnings too.")] = False,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            min=1.0,
+            help="Longest time for what runs the FMU, 120 s by default; one FMI call may take a fifth of it.",
+            show_default=False,
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Check any FMU 2.0: archive, description, binaries, and each claim tried for real; exit status 1 if anything is wrong.
+    """Check any FMU 2.0: archive, description, binaries, and each claim tried for real.
 
-    Of an FMU 3.0 the description alone is checked.
+    Prints one line for each kind of finding, the worst first: severity, where and what, the remedy, the section of the
+    standard. Exit status 1 if there is an error.
     """
     with one_line_errors():
         from flexfmu.cosim.commands.fmu import validate_command
 
-        raise typer.Exit(validate_command(fmu, json))
+        raise typer.Exit(validate_command(fmu, json, time_limit, not static, strict))

@@ -1,8 +1,10 @@
-"""A result of validation."""
+"""Results of validation, put together and in order."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 
@@ -17,21 +19,108 @@ class Severity(StrEnum):
     """Something that could not be checked here."""
 
 
+SECTIONS = {
+    "instantiation": "2.1.5",
+    "simulation": "4.2.2",
+    "model description": "2.2",
+    "archive": "2.3",
+    "binary": "2.3",
+    "guid": "2.1.5",
+    "start value": "2.2.7",
+    "parameters": "2.1.7",
+    "repeatability": "2.1.6",
+    "reset": "2.1.6",
+    "instances": "2.1.5",
+    "state": "2.1.8",
+    "serialisation": "2.1.8",
+    "derivatives": "3.2.2",
+    "states": "3.2.1",
+    "interfaces": "4.1",
+    "rates": "2.2.7",
+    "dependencies of variables": "2.2.8",
+    "directional derivatives": "2.1.9",
+    "output derivatives": "4.2.1",
+    "input derivatives": "4.2.1",
+    "variable step": "4.2.2",
+    "time": "2.2.7",
+    "value reference": "2.2.7",
+    "range": "2.2.7",
+    "units": "2.2.2",
+    "nominal": "2.2.7",
+    "experiment": "2.2.5",
+    "resource location": "2.1.5",
+    "memory": "2.1.5",
+    "calls": "2.1.3",
+    "process": "2.1.5",
+    "sources": "2.2.1",
+    "dependencies": "2.3",
+}
+"""Name of the check → section of FMI 2.0.4 that it is about; what spoils more comes first."""
+
+NAMES_SHOWN = 4
+"""Names of further variables or files in a line that stands for many findings."""
+
+
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong with an FMU.
+    """Something wrong with an FMU, or the same thing with many of its variables or files.
 
     Attributes:
         check: what was looked at, for example ``binary``.
         message: where and what: one sentence with the value found.
         remedy: what would be right, or what to do.
         severity: how bad it is.
+        subject: variable or file that it is about, if there is one.
+        section: section of FMI 2.0.4; by default the one of the check.
+        others: messages of further findings of the same kind.
     """
 
     check: str
     message: str
     remedy: str = ""
     severity: Severity = Severity.ERROR
+    subject: str = ""
+    section: str = ""
+    others: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.section:
+            object.__setattr__(self, "section", SECTIONS.get(self.check, ""))
 
     def __str__(self) -> str:
-        return f"{self.severity}: {self.check}: {self.message}" + (f"; {self.remedy}" if self.remedy else "")
+        more = f" (and {len(self.others)} more: {_some(self.others)})" if self.others else ""
+        section = f" [FMI 2.0.4, {self.section}]" if self.section else ""
+        return f"{self.severity}: {self.check}: {self.message}{more}" + (
+            f"; {self.remedy}{section}" if self.remedy else section
+        )
+
+
+def ranked(findings: Iterable[Finding]) -> list[Finding]:
+    """One finding for all that say the same of different variables or files; errors first, then by what they spoil."""
+    groups: dict[object, list[Finding]] = {}
+    for finding in dict.fromkeys(findings):
+        groups.setdefault(_kind(finding), []).append(finding)
+    together = [
+        replace(first, others=first.others + tuple(other.message for other in rest)) for first, *rest in groups.values()
+    ]
+    severities, checks = list(Severity), list(SECTIONS)
+    return sorted(
+        together,
+        key=lambda finding: (
+            severities.index(finding.severity),
+            checks.index(finding.check) if finding.check in checks else len(checks),
+        ),
+    )
+
+
+def _kind(finding: Finding) -> object:
+    """What findings have in common that differ by their subject, quoted words and numbers alone."""
+    message = finding.message.replace(finding.subject, "#") if finding.subject else finding.message
+    message = re.sub(r'"[^"]*"|[-+]?\d+(\.\d*)?([eE][-+]?\d+)?', "#", message)
+    return finding.check, finding.severity, finding.remedy, finding.section, message
+
+
+def _some(messages: tuple[str, ...]) -> str:
+    """The beginnings of some messages: the words by which they differ stand there."""
+    names = [message.split(" ", 1)[0] if '"' not in message else message.split('"')[1] for message in messages]
+    return ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")

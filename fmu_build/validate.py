@@ -1,4 +1,4 @@
-"""Is this FMU sound? Static checks of description and binaries, then a short life of it in another process."""
+"""Is this FMU sound? Static checks of archive, description and binaries, then a short life of it in another process."""
 
 from __future__ import annotations
 
@@ -6,73 +6,87 @@ import io
 import zipfile
 import zlib
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from time import monotonic
 from typing import Any
 
 import fmpy
 
 from flexfmu.fmu_build.errors import ArchiveError
-from flexfmu.fmu_build.finding import Finding, Severity
+from flexfmu.fmu_build.finding import Finding, Severity, ranked
 
-TIMEOUT = 300.0
+TIME_LIMIT = 120.0
 """Longest time for what runs the FMU [s]; the paper's scene needs a few seconds."""
 
 
-_FMI3 = Finding(
-    "model description",
-    "an FMU of FMI 3.0: its description is checked by fmpy, what it does is not",
-    "run it, and compare with the tool that it comes from",
-    Severity.NOTE,
-)
+def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -> list[Finding]:
+    """Check any FMU 2.0, for co-simulation, model exchange or both; an empty list says that nothing was found.
 
-
-def validate_fmu(path: Path, timeout: float = TIMEOUT) -> list[Finding]:
-    """Check any FMU 2.0, for co-simulation, model exchange or both; an empty list says that nothing was found. Of an FMU 3.0
-    the description alone is checked.
-
-    Static: archive, `fmpy.validation.validate_fmu`, GUID, start values, the binaries' names, exports and dependencies.
+    Static: archive, `fmpy.validation.validate_fmu`, what it leaves out, the binaries' names, exports and dependencies.
     Dynamic, in processes of their own so that a crash is a finding too, and each claim of the description tried for real:
-    the catalogue in `flexfmu.fmu_build.checks.catalogue`.
+    the catalogue in `flexfmu.fmu_build.checks.catalogue`. The processes end with this one, however it ends.
 
     Args:
         path: the FMU.
-        timeout: longest time for the dynamic checks of one interface [s].
+        time_limit: longest time for the dynamic checks [s]; one FMI call may take a fifth of it.
+        run: whether the FMU may run; otherwise the checks are static.
+
+    Returns:
+        Findings, those of the same kind together, the worst first.
 
     Raises:
         ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
     """
-    from flexfmu.fmu_build.checks.archive import check_archive
+    from flexfmu.fmu_build.checks.archive import check_archive, check_entries
     from flexfmu.fmu_build.checks.binaries import check_binaries, library_name
-    from flexfmu.fmu_build.checks.description import check_description, interfaces, read_description
+    from flexfmu.fmu_build.checks.description import check_description, fmi_version, interfaces, read_description
 
-    files = _read(path)
+    begin = monotonic()
+    entries, files = _read(path)
+    version = fmi_version(files["modelDescription.xml"])
+    if version != "2.0":
+        message = f"fmiVersion is {version or 'missing'}: only FMUs of version 2.0 are checked"
+        return [Finding("model description", message, "export the model as FMI 2.0", section="2.2.1")]
     description, findings = read_description(path)
-    if description is None:
-        return findings
-    if str(description.fmiVersion).startswith("3."):
-        return [*findings, _FMI3]
-    findings += [*check_description(description), *check_archive(files)]
-    if not interfaces(description) or description.fmiVersion != "2.0":
-        return findings
-    findings += check_binaries(description, files)
-    if library_name(description, fmpy.platform) in files:
-        findings += _check_dynamically(path, description, timeout)
-    return findings
+    findings += [*check_description(files["modelDescription.xml"]), *check_entries(entries), *check_archive(files)]
+    if description is not None and interfaces(description):
+        findings += check_binaries(description, files)
+        if run and library_name(description, fmpy.platform) in files:
+            findings += _check_dynamically(description, files, max(time_limit - (monotonic() - begin), 1.0))
+    return ranked(findings)
 
 
-def _check_dynamically(path: Path, description: Any, timeout: float) -> list[Finding]:
+def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) -> list[Finding]:
     from flexfmu.fmu_build.checks.catalogue import CHECKS
     from flexfmu.fmu_build.checks.fmu import Kind
     from flexfmu.fmu_build.checks.parent import check_in_child
 
     elements = {Kind.COSIMULATION: description.coSimulation, Kind.EXCHANGE: description.modelExchange}
-    found: dict[str, list[Finding]] = {}
-    for kind, element in elements.items():
-        if element is not None:
-            found[kind.value] = check_in_child(path, kind, tuple(CHECKS), timeout)
-            if element.needsExecutionTool and any(finding.check == "instantiation" for finding in found[kind.value]):
-                found[kind.value] = [_no_tool(kind.value)]
+    offered = {kind: element for kind, element in elements.items() if element is not None}
+    jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS]
+    together = not any(element.canBeInstantiatedOnlyOncePerProcess for element in offered.values())
+    with TemporaryDirectory(prefix="flexfmu-validate-", ignore_cleanup_errors=True) as home:
+        folder = Path(home) / "fmu"
+        _unpack(files, folder)
+        reported = check_in_child(folder, jobs, together, limit)
+    found = {}
+    for kind, element in offered.items():
+        found[kind.value] = reported[kind.name]
+        if element.needsExecutionTool and any(finding.check == "instantiation" for finding in found[kind.value]):
+            found[kind.value] = [_no_tool(kind.value)]
     return _merged(found)
+
+
+def _unpack(files: dict[str, bytes], folder: Path) -> None:
+    """Write the files that an FMU may need to run."""
+    (folder / "resources").mkdir(parents=True)
+    for name, content in files.items():
+        path = PurePosixPath(name.replace("\\", "/"))
+        if not path.is_absolute() and ".." not in path.parts and path.parts[0] != "sources":
+            target = folder / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(content)
 
 
 def _no_tool(interface: str) -> Finding:
@@ -83,16 +97,17 @@ def _no_tool(interface: str) -> Finding:
 def _merged(found: dict[str, list[Finding]]) -> list[Finding]:
     """Findings of all interfaces: what both show once, the rest with the interface's name."""
     common = set.intersection(*(set(findings) for findings in found.values()))
-    named = (
-        finding if finding in common or len(found) == 1 else replace(finding, message=f"{name}: {finding.message}")
+    return [
+        finding
+        if finding in common or len(found) == 1 or finding.check == "interfaces"
+        else replace(finding, message=f"{name}: {finding.message}")
         for name, findings in found.items()
         for finding in findings
-    )
-    return list(dict.fromkeys(named))
+    ]
 
 
-def _read(path: Path) -> dict[str, bytes]:
-    """Content of the archive, path inside → bytes; every entry is read, so its checksum is checked."""
+def _read(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes]]:
+    """Directory and content of the archive, path inside → bytes; every entry is read, so its checksum is checked."""
     try:
         content = path.read_bytes()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
@@ -103,9 +118,12 @@ def _read(path: Path) -> dict[str, bytes]:
         raise ArchiveError(f"cannot read the FMU {path}: {error.strerror}; check its permissions") from error
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            files = {entry.filename: archive.read(entry) for entry in archive.infolist() if not entry.is_dir()}
+            entries = archive.infolist()
+            files = {entry.filename: archive.read(entry) for entry in entries if not entry.is_dir()}
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError) as error:
         raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
     if "modelDescription.xml" not in files:
-        raise ArchiveError(f"{path} is a zip archive but no FMU: modelDescription.xml is missing")
-    return files
+        nested = next((name for name in files if name.endswith("/modelDescription.xml")), None)
+        where = f": it is at {nested}, pack the content of that folder" if nested else ""
+        raise ArchiveError(f"{path} is a zip archive but no FMU: modelDescription.xml is missing{where}")
+    return entries, files

@@ -76,25 +76,28 @@ def _choice(scene: Scene) -> dict[str, Any]:
     return {"effect_choice": choice} if choice else {}
 
 
-def validate_command(fmu: Path, as_json: bool) -> int:
-    """Check an FMU and print the findings, one a line; the exit status: mere notes leave it at 0.
+def validate_command(fmu: Path, as_json: bool, time_limit: float | None, run: bool, strict: bool) -> int:
+    """Check an FMU and print the findings, one a line; the exit status: 1 if there is an error, or a warning where strict.
 
     Raises:
         FmuFileError: there is no FMU at this path.
     """
     from flexfmu.fmu_build.finding import Severity
-    from flexfmu.fmu_build.validate import validate_fmu
+    from flexfmu.fmu_build.validate import TIME_LIMIT, validate_fmu
 
+    limit = time_limit or TIME_LIMIT
     try:
         with progress() as show:
-            show(f"checking {fmu.name}", None)
-            findings = validate_fmu(fmu)
+            show(f"checking {fmu.name}, at most {limit:g} s", None)
+            findings = validate_fmu(fmu, limit, run)
     except ArchiveError as error:
         raise FmuFileError(str(error)) from error
     if as_json:
-        print_text(to_json({"fmu": str(fmu), "findings": [asdict(finding) for finding in findings]}))
+        found = [asdict(finding) for finding in findings]
+        print_text(to_json({"fmu": str(fmu), "time_limit": limit, "findings": found}))
     elif findings:
         print_text("".join(f"{finding}\n" for finding in findings))
     else:
         print_text(f"{fmu}: no findings\n")
-    return FAILURE if any(finding.severity is not Severity.NOTE for finding in findings) else 0
+    fatal = {Severity.ERROR, Severity.WARNING} if strict else {Severity.ERROR}
+    return FAILURE if any(finding.severity in fatal for finding in findings) else 0

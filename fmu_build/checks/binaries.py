@@ -30,6 +30,16 @@ SUFFIXES = {
 }
 """Platform folder of FMI 2.0 or 3.0 → ending of its library's name."""
 
+_MAGIC = {
+    ".so": (b"\x7fELF",),
+    ".dll": (b"MZ",),
+    ".dylib": (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe", b"\xca\xfe\xba\xbe"),
+}
+"""What libraries begin with."""
+
+_MACHINES = {"linux64": 62, "x86_64-linux": 62, "aarch64-linux": 183}
+"""e_machine of ELF files by folder."""
+
 SYSTEM_LIBRARIES = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s)\.so\.\d+|ld-linux.*)")
 """What every Linux with glibc has, a minimal container too."""
 
@@ -75,8 +85,17 @@ def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> 
     for identifier, functions in required.items():
         name = f"binaries/{folder}/{identifier}{SUFFIXES[folder]}"
         if name not in files:
-            others = ", ".join(sorted(file for file in files if file.startswith(f"binaries/{folder}/")))
-            yield Finding("binary", f"{name} is missing, {folder}/ has {others}", "name it like the modelIdentifier")
+            there = sorted(file for file in files if file.startswith(f"binaries/{folder}/"))
+            # Windows doesn't mind upper and lower case
+            same = folder.startswith("win") and name.lower() in map(str.lower, there)
+            yield Finding(
+                "binary",
+                f"{name} is missing, {folder}/ has {', '.join(there)}",
+                "name it like the modelIdentifier",
+                Severity.WARNING if same else Severity.ERROR,
+            )
+        elif not files[name].startswith(_MAGIC[SUFFIXES[folder]]):
+            yield Finding("binary", f"{name} is no library for {folder}", "compile it for this platform")
         elif folder.endswith(("linux64", "-linux")):
             yield from _check_elf(name, files, functions)
 
@@ -99,6 +118,11 @@ def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str])
     except NotElfError as error:
         yield Finding("binary", f"{name}: {error}", "compile it for this platform")
         return
+    machine = int.from_bytes(files[name][18:20], "little")
+    if machine != _MACHINES.get(PurePosixPath(name).parts[1], machine):
+        yield Finding(
+            "binary", f"{name} is for another processor (ELF machine {machine})", "compile it for this platform"
+        )
     if missing := sorted(functions - facts.exports):
         yield Finding("binary", f"{name} does not export {_few(missing)}", "implement and export them all")
     if foreign := sorted(symbol for symbol in facts.exports if not symbol.startswith("fmi2")):

@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
-from flexfmu.fmu_build.checks.derivatives import directional_derivatives_are_right, output_derivatives_are_right
-from flexfmu.fmu_build.checks.exchange import derivatives_depend_on_state_alone, interfaces_agree
+from flexfmu.fmu_build.checks.calls import refuses_illegal_calls
+from flexfmu.fmu_build.checks.dependencies import declared_dependencies_hold, initial_dependencies_hold
+from flexfmu.fmu_build.checks.derivatives import (
+    directional_derivatives_are_right,
+    output_derivatives_are_right,
+    states_follow_their_derivatives,
+)
+from flexfmu.fmu_build.checks.exchange import (
+    derivatives_depend_on_state_alone,
+    interfaces_agree,
+    states_are_the_variables,
+)
 from flexfmu.fmu_build.checks.life import (
     Check,
     accepts_odd_uris,
@@ -14,27 +24,40 @@ from flexfmu.fmu_build.checks.life import (
 )
 from flexfmu.fmu_build.checks.replay import (
     repeats_after_reset,
+    repeats_itself,
     replays_saved_states,
     replays_serialized_state,
     two_instances_are_independent,
 )
-from flexfmu.fmu_build.checks.steps import interpolates_inputs, splits_steps
+from flexfmu.fmu_build.checks.steps import (
+    halving_the_step_changes_little,
+    interpolates_inputs,
+)
+from flexfmu.fmu_build.checks.values import parameters_are_kept, starts_are_kept
 
 CHECKS: dict[str, Check] = {
     "instantiation": instantiates,
     "guid": refuses_wrong_guid,
-    "resource location": accepts_odd_uris,
     "simulation": outputs_are_finite,
+    "repeatability": repeats_itself,
+    "resource location": accepts_odd_uris,
     "memory": gives_memory_back,
+    "start value": starts_are_kept,
+    "parameters": parameters_are_kept,
     "reset": repeats_after_reset,
     "state": replays_saved_states,
     "serialisation": replays_serialized_state,
     "instances": two_instances_are_independent,
-    "variable step": splits_steps,
+    "rates": states_follow_their_derivatives,
+    "variable step": halving_the_step_changes_little,
     "input derivatives": interpolates_inputs,
     "output derivatives": output_derivatives_are_right,
     "directional derivatives": directional_derivatives_are_right,
     "derivatives": derivatives_depend_on_state_alone,
+    "states": states_are_the_variables,
+    "dependencies of variables": declared_dependencies_hold,
+    "initial dependencies": initial_dependencies_hold,
     "interfaces": interfaces_agree,
+    "calls": refuses_illegal_calls,
 }
 """Name of the finding → check; one that the FMU cannot take part in finds nothing. Without the first, none makes sense."""

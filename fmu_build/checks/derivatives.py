@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
-from flexfmu.fmu_build.checks.fmu import FmuUnderTest, Kind, size_of
+from flexfmu.fmu_build.checks.fmu import FmuUnderTest, Kind, moved, size_of
+from flexfmu.fmu_build.checks.steps import KICK, kicked_states
 from flexfmu.fmu_build.finding import Finding
 
 Vector = NDArray[np.float64]
 
-DIFFERENCE = 1e-5
-"""Step of the difference quotients relative to a variable's size: rounding and truncation are about equal."""
+DIFFERENCES = (1e-5, 1e-4)
+"""Steps of the difference quotients relative to a variable's size: rounding and truncation are about equal."""
 
 DIRECTIONAL_TOLERANCE = 1e-4
 """What directional derivatives may be off, relative to the largest; difference quotients are good to 1e-6 or so."""
@@ -25,23 +29,30 @@ NEGLIGIBLE = 1e-5
 MOST_POINTS = 60
 """Communication points at which output derivatives are compared."""
 
-PARTS = 64
-"""Parts of a communication step between these points, so that fast vibrations are resolved."""
+PARTS = (1, 8, 64, 512, 4096)
+"""Parts of a communication step between these points: as many as fast vibrations need to be resolved."""
 
-RESOLVED = 0.2
-"""How much a slope may change from one step to the next where the step is short enough to judge derivatives by it."""
+RESOLVED = 0.1
+"""How much a difference quotient over two steps may differ from the one over one, where the step is short enough to judge
+derivatives by it."""
 
-ROUNDING = 1e-7
-"""Uncertainty of outputs relative to the largest."""
+OUTPUT_TOLERANCE = 5e-3
+"""What output derivatives may be off, beside what the difference quotients are."""
+
+ROUNDING, SMALL = 1e-6, 1e-9
+"""Uncertainty of values relative to the largest, and to the variable's size: what a solver's tolerance may leave."""
+
+LEAST_POINTS = 8
+"""Points that have to be resolved to say anything."""
 
 FAILING_SHARE = 0.25
 """Share of the points that have to fail: at events differences are wrong, not derivatives."""
 
 
-def directional_derivatives_are_right(fmu: FmuUnderTest) -> Finding | None:
-    """fmi2GetDirectionalDerivative against central differences, input by input and state by state."""
+def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """fmi2GetDirectionalDerivative against central differences of two sizes, input by input and state by state."""
     if not fmu.element.providesDirectionalDerivative:
-        return None
+        return
     with fmu.instance("directional") as instance:
         if fmu.kind is Kind.COSIMULATION:
             instance.enter_initialization()
@@ -49,11 +60,16 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Finding | None:
             instance.initialize()
             instance.advance(0, 1)
         unknowns, knowns = _unknowns(fmu), [*fmu.inputs, *_states(fmu)]
-        if not unknowns or not knowns:
-            return None
+        if not unknowns or not knowns or instance.finished:
+            return
         matrix = np.column_stack([instance.directional(unknowns, [known], np.ones(1)) for known in knowns])
-        differences = np.column_stack([_difference(fmu, instance, unknowns, known) for known in knowns])
-    return _compare(unknowns, knowns, matrix, differences)
+        fine, coarse = (
+            np.column_stack([_difference(fmu, instance, unknowns, known, step) for known in knowns])
+            for step in DIFFERENCES
+        )
+    # an output that is the state itself: some tools leave its derivative out, and no tool needs it
+    same = [[unknown.valueReference == known.valueReference for known in knowns] for unknown in unknowns]
+    yield from _compare(unknowns, knowns, np.where(same, fine, matrix), fine, coarse)
 
 
 def _unknowns(fmu: FmuUnderTest) -> list[Any]:
@@ -70,11 +86,11 @@ def _states(fmu: FmuUnderTest) -> list[Any]:
     return [unknown.variable.derivative for unknown in fmu.description.derivatives or ()]
 
 
-def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known: Any) -> Vector:
+def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known: Any, share: float) -> Vector:
     """Central difference quotient of all unknowns."""
     states = _states(fmu)
     value = instance.get([known])
-    step = DIFFERENCE * max(size_of(known), abs(float(value[0])))
+    step = share * max(size_of(known), abs(float(value[0])))
     ends = []
     for sign in (1.0, -1.0):
         _set(instance, states, known, value + sign * step)
@@ -93,67 +109,155 @@ def _set(instance: Any, states: Sequence[Any], known: Any, value: Vector) -> Non
     instance.set_continuous_states(x)
 
 
-def _compare(unknowns: Sequence[Any], knowns: Sequence[Any], matrix: Vector, differences: Vector) -> Finding | None:
-    """A finding about the worst entry, each measured by the largest of its row in units of the known's size."""
+def _compare(
+    unknowns: Sequence[Any], knowns: Sequence[Any], matrix: Vector, differences: Vector, coarse: Vector
+) -> Iterator[Finding]:
+    """A finding about the worst entry, each measured by the largest of its row in units of the known's size.
+
+    Where differences of two sizes disagree they can't tell: at kinks, and where an inner iteration leaves its tolerance.
+    """
     sizes = np.array([size_of(known) for known in knowns])
-    apart = np.abs(matrix - differences) * sizes
+    apart, unsure = np.abs(matrix - differences) * sizes, np.abs(coarse - differences) * sizes
     floor = NEGLIGIBLE * np.array([[size_of(unknown)] for unknown in unknowns])
     scale = np.maximum((np.abs(differences) * sizes).max(axis=1, keepdims=True), floor)
-    apart = np.where(np.isfinite(apart), apart / scale, np.inf)
+    apart = np.where(np.isfinite(apart), np.maximum(apart - 2.0 * unsure, 0.0) / scale, np.inf)
     row, column = map(int, np.unravel_index(int(np.argmax(apart)), apart.shape))
-    if apart[row, column] <= DIRECTIONAL_TOLERANCE:
-        return None
-    return Finding(
-        "directional derivatives",
-        f"d {unknowns[row].name} / d {knowns[column].name} is {matrix[row, column]:.6g}, differences give "
-        f"{differences[row, column]:.6g}",
-        "correct fmi2GetDirectionalDerivative, or don't claim providesDirectionalDerivative",
-    )
+    if apart[row, column] > DIRECTIONAL_TOLERANCE:
+        yield Finding(
+            "directional derivatives",
+            f"d {unknowns[row].name} / d {knowns[column].name} is {matrix[row, column]:.6g}, differences give "
+            f"{differences[row, column]:.6g}",
+            "correct fmi2GetDirectionalDerivative, or don't claim providesDirectionalDerivative",
+        )
 
 
-def output_derivatives_are_right(fmu: FmuUnderTest) -> Finding | None:
-    """Each order of an output's derivative against the slopes of the order below, before and after a point."""
+def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Each order of an output's derivative against differences of the order below."""
     most = int(fmu.element.maxOutputDerivativeOrder or 0) if fmu.kind is Kind.COSIMULATION else 0
-    points = MOST_POINTS if fmu.has_variable_step else min(fmu.steps, MOST_POINTS)
-    if not most or not fmu.smooth_outputs or points < 3:
-        return None
-    parts = PARTS if fmu.has_variable_step else 1
-    with fmu.instance("derivatives") as instance:
-        instance.initialize()
-        instance.set(fmu.inputs, fmu.input_values(0))
-        jets = np.array(
-            [_jet(fmu, instance, n / parts, parts, most) for n in range(points)]
-        )  # points, orders from 0, outputs
-    step = fmu.step / parts
-    slopes = np.diff(jets[:, :-1], axis=0) / step
-    before, after, given = slopes[:-1], slopes[1:], jets[1:-1, 1:]
-    size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
-    noise = (ROUNDING * np.abs(jets[:, :-1]).max(axis=0) + 1e-12 * size) / step
-    bend, off = np.abs(after - before), np.abs(given - 0.5 * (before + after))
-    resolved = bend <= RESOLVED * np.maximum(np.abs(before), np.abs(after)) + noise
-    failing = resolved & ~(off <= bend + 0.05 * np.abs(before) + noise)
-    share = failing.sum(axis=0) / np.maximum(resolved.sum(axis=0), 1)
-    order, output = map(int, np.unravel_index(int(np.argmax(share)), share.shape))
-    if share[order, output] <= FAILING_SHARE:
-        return None
-    where = int(np.argmax(np.where(failing, off, -1.0)[:, order, output]))
-    return Finding(
-        "output derivatives",
-        f"derivative {order + 1} of {fmu.smooth_outputs[output].name} is {given[where, order, output]:.4g} at "
-        f"{fmu.start + (where + 2) * step:.6g} s, differences give {before[where, order, output]:.4g} before and "
-        f"{after[where, order, output]:.4g} after",
-        "correct fmi2GetRealOutputDerivatives, or claim a lower maxOutputDerivativeOrder",
-    )
-
-
-def _jet(fmu: FmuUnderTest, instance: Any, n: float, parts: int, most: int) -> Vector:
-    """Outputs after step ``n`` and their derivatives, shape (orders + 1, outputs); inputs stay, so nothing jumps."""
-    instance.step(n, parts)
+    if not most or not fmu.smooth_outputs:
+        return
     references = [variable.valueReference for variable in fmu.smooth_outputs]
-    orders = ([order] * len(references) for order in range(1, most + 1))
-    return np.array(
-        [
-            instance.get(fmu.smooth_outputs),
-            *(instance.library.getRealOutputDerivatives(references, order) for order in orders),
-        ]
-    )
+
+    def jet(instance: Any) -> list[Any]:
+        orders = ([order] * len(references) for order in range(1, most + 1))
+        given = [instance.library.getRealOutputDerivatives(references, order) for order in orders]
+        return [instance.get(fmu.smooth_outputs), *given]
+
+    found = _contradiction(fmu, jet, np.array([size_of(variable) for variable in fmu.smooth_outputs]))
+    if found is not None:
+        name = fmu.smooth_outputs[found.column].name
+        yield Finding(
+            "output derivatives",
+            f"derivative {found.order} of {name} is {found.given:.5g} at {found.time:.6g} s, differences give {found.differences:.5g}",
+            "correct fmi2GetRealOutputDerivatives, or claim a lower maxOutputDerivativeOrder"
+            if np.isfinite(found.given)
+            else "return fmi2Error where there is none, or claim a lower maxOutputDerivativeOrder",
+        )
+
+
+def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """In co-simulation a variable goes as the one that is declared as its derivative says, all through the step."""
+    pairs = [(v.derivative, v) for v in fmu.description.modelVariables if v.derivative is not None and v.type == "Real"]
+    if fmu.kind is not Kind.COSIMULATION or not pairs:
+        return
+    with suppress(FMICallException):  # where the FMU refuses to tell derivatives there is nothing to compare
+        found = _contradiction(
+            fmu,
+            lambda instance: [instance.get([pair[which] for pair in pairs]) for which in (0, 1)],
+            np.array([size_of(state) for state, _ in pairs]),
+        )
+        if found is not None and np.isfinite(found.given):
+            state, rate = pairs[found.column]
+            yield Finding(
+                "rates",
+                f"{state.name} changes by {found.differences:.5g} a second at {found.time:.6g} s, its derivative {rate.name} is "
+                f"{found.given:.5g}",
+                "integrate over the whole step, or correct the derivative",
+            )
+
+
+@dataclass(frozen=True)
+class _Contradiction:
+    """A derivative that isn't what differences of the order below say."""
+
+    order: int
+    column: int
+    time: float
+    given: float
+    differences: float
+
+
+def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Vector) -> _Contradiction | None:
+    """The first derivative that is contradicted by differences, over steps of two sizes: of one size they may alias.
+
+    The step is refined until differences resolve what happens; what no step resolves is not judged.
+
+    Args:
+        fmu: the FMU, for co-simulation.
+        jet: values and their derivatives of an instance, orders from 0, each of shape (columns,).
+        size: order of magnitude of each column.
+    """
+    suspect: NDArray[np.bool_] | None = None
+    for parts in PARTS if fmu.has_variable_step else PARTS[:1]:
+        step = fmu.step / parts
+        jets = _jets(fmu, jet, parts)
+        if len(jets) < LEAST_POINTS + 4:
+            return None
+        if not np.isfinite(jets).all():
+            point, order, column = map(int, np.argwhere(~np.isfinite(jets))[0])
+            return _Contradiction(order, column, fmu.start + (point + 1) * step, jets[point, order, column], np.nan)
+        given, differences, clear, failing = _comparison(jets, step, size)
+        enough = (clear.sum(axis=0) >= LEAST_POINTS) & (clear.mean(axis=0) >= 0.5)
+        share = np.where(enough, failing.sum(axis=0) / np.maximum(clear.sum(axis=0), 1), 0.0)
+        failed = share > FAILING_SHARE
+        if (
+            not fmu.has_variable_step
+        ):  # differences can't be refined: a vibration that they alias is faster than they tell
+            failed &= np.abs(given).max(axis=0) <= 3.0 * np.abs(differences).max(axis=0)
+            suspect = failed
+        if suspect is not None and (failed & suspect).any():
+            order, column = map(int, np.argwhere(failed & suspect)[0])
+            off = np.where(failing, np.abs(given - differences), -1.0)[:, order, column]
+            n = int(np.argmax(off))
+            values = given[n, order, column], differences[n, order, column]
+            return _Contradiction(order + 1, column, fmu.start + (n + 3) * step, *values)
+        suspect = failed
+    return None
+
+
+def _comparison(jets: Vector, step: float, size: Vector) -> tuple[Vector, Vector, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Derivatives given, central differences of fourth order, where these resolve them, and where they contradict.
+
+    All of shape (points - 4, orders, columns).
+    """
+    lower, given = jets[:, :-1], jets[2:-2, 1:]
+    near = (lower[3:-1] - lower[1:-3]) / (2.0 * step)
+    wide = (lower[4:] - lower[:-4]) / (4.0 * step)
+    differences = (4.0 * near - wide) / 3.0
+    noise = (ROUNDING * np.abs(lower).max(axis=0) + SMALL * size) / step
+    scale = np.maximum(np.abs(differences), np.abs(differences).max(axis=0) * 1e-2)
+    unsure = np.abs(near - wide)
+    moves = (np.diff(lower, axis=0) != 0.0).mean(
+        axis=0
+    ) > 0.9  # an FMU with a larger step of its own stands still at times
+    clear = moves & (unsure <= RESOLVED * scale) & (noise <= RESOLVED * scale)
+    # a method of first order follows the derivative of the step's beginning, or of its end
+    lag = 0.5 * np.abs(jets[3:-1, 1:] - jets[1:-3, 1:])
+    failing = clear & ~(np.abs(given - differences) <= unsure + lag + OUTPUT_TOLERANCE * scale + noise)
+    return given, differences, clear, failing
+
+
+def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> Vector:
+    """Values and their derivatives after steps of a size, shape (points, orders + 1, columns).
+
+    Inputs stay as they are, so that nothing jumps.
+    """
+    jets = []
+    with fmu.instance("derivatives") as instance:
+        instance.initialize(kicked_states(fmu))
+        instance.set(fmu.inputs, np.array([moved(variable, KICK) for variable in fmu.inputs]))
+        for n in range(MOST_POINTS if fmu.has_variable_step else min(fmu.steps, MOST_POINTS)):
+            if not instance.step(n / parts, parts):
+                break
+            jets.append(jet(instance))
+    return np.array(jets)

@@ -2,42 +2,69 @@
 
 from __future__ import annotations
 
+import keyword
 import math
+import re
+from collections import Counter
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 from fmpy.model_description import read_model_description
 from fmpy.validation import validate_fmu as validate_by_fmpy
 
+from flexfmu.fmu_build.checks.unit_check import check_units
 from flexfmu.fmu_build.finding import Finding, Severity
 
 _NUMBERS = {"Real", "Integer", "Enumeration"}
+_SETTABLE = {"input", "parameter"}
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_ENCODING = re.compile(rb"""<\?xml[^>]*encoding\s*=\s*["']([^"']+)""")
+
+
+def fmi_version(content: bytes) -> str:
+    """The attribute fmiVersion of a modelDescription.xml, empty where there is none."""
+    match = re.search(rb"""<fmiModelDescription[^>]*?\sfmiVersion\s*=\s*["']([^"']*)""", content, re.DOTALL)
+    return match.group(1).decode(errors="replace") if match else ""
 
 
 def read_description(path: Path) -> tuple[Any | None, list[Finding]]:
     """The description as fmpy reads it, None where it cannot; and what fmpy's rules find."""
-    findings = [_broken(problem) for problem in validate_by_fmpy(str(path))]
+    findings = [_broken(problem) for problem in validate_by_fmpy(str(path)) if "contains a backslash" not in problem]
     try:
         return read_model_description(str(path), validate=False), findings
     except Exception as error:  # whatever fmpy and lxml make of a broken description
         return None, findings or [_broken(str(error))]
 
 
-def check_description(description: Any) -> Iterator[Finding]:
+def check_description(content: bytes) -> Iterator[Finding]:
     """Findings that fmpy's rules leave out.
 
     Args:
-        description: model description as fmpy reads it.
+        content: modelDescription.xml.
     """
-    if description.fmiVersion != "2.0" or not interfaces(description):
-        yield _broken(
-            f"this is no FMI 2.0 FMU for co-simulation or model exchange (fmiVersion {description.fmiVersion})"
-        )
-    if not description.guid:
-        yield Finding("guid", "the attribute guid is empty", "it ties description and binary together: generate one")
-    for variable in description.modelVariables:
-        yield from _check_numbers(variable)
+    encoding = _ENCODING.match(content)
+    if encoding and encoding[1].lower() not in (b"utf-8", b"utf8", b"us-ascii"):
+        message = f"modelDescription.xml is encoded as {encoding[1].decode(errors='replace')}"
+        yield Finding("model description", message, "use UTF-8", Severity.WARNING)
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, LookupError, ValueError):  # fmpy's rules have told
+        return
+    yield from _check_root(root)
+    yield from _check_experiment(root)
+    try:
+        yield from check_units(root)
+    except ValueError as error:  # the schema wants numbers
+        yield Finding("units", " ".join(str(error).split()), "give numbers")
+    variables = root.findall("ModelVariables/ScalarVariable")
+    for variable in variables:
+        yield from _check_numbers(variable, root)
+    yield from _check_references(variables)
+    yield from _check_structure(root, variables)
 
 
 def interfaces(description: Any) -> list[Any]:
@@ -45,22 +72,177 @@ def interfaces(description: Any) -> list[Any]:
     return [element for element in (description.coSimulation, description.modelExchange) if element is not None]
 
 
-def _check_numbers(variable: Any) -> Iterator[Finding]:
-    """Range, start and nominal of a variable against each other."""
-    if variable.type not in _NUMBERS:
-        return
-    low, high = _number(variable.min, -math.inf), _number(variable.max, math.inf)
-    start = _number(variable.start, None)
-    if low > high:
-        yield Finding("range", f"{variable.name} has min {low:g} above max {high:g}", "exchange them")
-    if start is not None and not math.isfinite(start):
-        yield Finding("start value", f"{variable.name} starts at {start}", "give a finite start value")
-    elif start is not None and not low <= start <= high:
+def _check_root(root: Element) -> Iterator[Finding]:
+    """Identity, interfaces and names that must not be there twice."""
+    if not root.get("guid"):
         yield Finding(
-            "start value", f"{variable.name} starts at {start}, outside {low} to {high}", "correct start, min or max"
+            "guid",
+            "the attribute guid is empty",
+            "it ties description and binary together: generate one",
+            section="2.2.1",
         )
-    if _number(variable.nominal, 1.0) == 0.0:
-        yield Finding("nominal", f"{variable.name} has nominal 0", "give its order of magnitude", Severity.WARNING)
+    elements = [element for kind in ("CoSimulation", "ModelExchange") for element in root.findall(kind)]
+    if not elements:
+        yield _broken("there is neither a CoSimulation nor a ModelExchange element")
+    for element in elements:
+        identifier = element.get("modelIdentifier", "")
+        if not _IDENTIFIER.fullmatch(identifier) or keyword.iskeyword(identifier):
+            message = f'the modelIdentifier "{identifier}" is no name of the language C'
+            yield Finding("model description", message, "use letters, digits and _", section="2.2.1")
+        if element.get("canSerializeFMUstate") == "true" and element.get("canGetAndSetFMUstate") != "true":
+            message = f"{element.tag} has canSerializeFMUstate without canGetAndSetFMUstate"
+            yield Finding("model description", message, "claim both, or none", Severity.WARNING, section="2.2.1")
+    for path in (
+        "UnitDefinitions/Unit",
+        "TypeDefinitions/SimpleType",
+        "LogCategories/Category",
+        "VendorAnnotations/Tool",
+    ):
+        for name, count in Counter(element.get("name", "") for element in root.iterfind(path)).items():
+            if count > 1:
+                yield _broken(f'{path} "{name}" is there {count} times', Severity.WARNING)
+    date = root.get("generationDateAndTime")
+    if date is not None:
+        try:
+            datetime.fromisoformat(date)
+        except ValueError:
+            yield _broken(f'generationDateAndTime "{date}" is no date like 2026-01-31T12:00:00Z', Severity.WARNING)
+
+
+def _check_experiment(root: Element) -> Iterator[Finding]:
+    """Whether the default experiment can be run."""
+    experiment = root.find("DefaultExperiment")
+    if experiment is None:
+        return
+    numbers = {name: _number(experiment.get(name), None) for name in ("startTime", "stopTime", "stepSize", "tolerance")}
+    start, stop = numbers["startTime"] or 0.0, numbers["stopTime"]
+    for name, value in numbers.items():
+        if value is not None and not math.isfinite(value):
+            yield _experiment(f"{name} is {value}")
+    if stop is not None and not stop > start:
+        yield _experiment(f"stopTime {stop:g} s is not after startTime {start:g} s")
+    for name in ("stepSize", "tolerance"):
+        if numbers[name] is not None and not numbers[name] > 0.0:
+            yield _experiment(f"{name} is {numbers[name]:g}, not above 0")
+    if (
+        stop is not None
+        and numbers["stepSize"] is not None
+        and numbers["stepSize"] > (stop - start) * (1.0 + 1e-9) > 0.0
+    ):
+        yield _experiment(
+            f"stepSize {numbers['stepSize']:g} s is longer than the whole experiment of {stop - start:g} s"
+        )
+
+
+def _experiment(message: str) -> Finding:
+    return Finding("experiment", message, "correct DefaultExperiment: tools run it as it is")
+
+
+def _check_numbers(variable: Element, root: Element) -> Iterator[Finding]:
+    """Range, start and nominal of a variable against each other, its type's among them."""
+    name, kind = variable.get("name", ""), next((child for child in variable if child.tag != "Annotations"), None)
+    if variable.get("causality") in ("input", "independent") and variable.get("initial") is not None:
+        message = f"{name} has initial although it is an {variable.get('causality')}"
+        yield Finding("start value", message, "leave initial out", subject=name)
+    if kind is None:
+        return
+    declared = _declared_type(kind, root)
+    if kind.get("declaredType") and declared is None:
+        message = f'{name} has the type "{kind.get("declaredType")}", which is not defined as {kind.tag}'
+        yield Finding("model description", message, "define it in TypeDefinitions", subject=name, section="2.2.3")
+    if kind.tag not in _NUMBERS:
+        return
+    text = {
+        key: kind.get(key, declared.get(key) if declared is not None else None) for key in ("min", "max", "nominal")
+    }
+    low, high = _number(text["min"], -math.inf), _number(text["max"], math.inf)
+    start = _number(kind.get("start"), None)
+    if low > high:
+        yield Finding("range", f"{name} has min {low:g} above max {high:g}", "exchange them", subject=name)
+    if start is not None and not math.isfinite(start):
+        yield Finding("start value", f"{name} starts at {start}", "give a finite start value", subject=name)
+    elif start is not None and not low <= start <= high:
+        message = f"{name} starts at {start}, outside {low} to {high}"
+        yield Finding("start value", message, "correct start, min or max", subject=name)
+    items = [int(item.get("value", "0")) for item in declared.iterfind("Item")] if declared is not None else []
+    if kind.tag == "Enumeration" and start is not None and items and start not in items:
+        message = f"{name} starts at {start:g}, its type has {', '.join(map(str, items))}"
+        yield Finding("start value", message, "start with one of the items", subject=name)
+    if len(set(items)) < len(items):
+        message = f"the type of {name} has items with the same value"
+        yield Finding("model description", message, "give each its own", subject=name, section="2.2.3")
+    if not _number(text["nominal"], 1.0) > 0.0:
+        message = f"{name} has nominal {text['nominal']}"
+        yield Finding("nominal", message, "give its order of magnitude, above 0", Severity.WARNING, name)
+
+
+def _declared_type(kind: Element, root: Element) -> Element | None:
+    """The definition of a variable's type, if it is one of its kind."""
+    name = kind.get("declaredType")
+    types = (each for each in root.iterfind("TypeDefinitions/SimpleType") if name and each.get("name") == name)
+    return next((child for each in types for child in each if child.tag == kind.tag), None)
+
+
+def _check_references(variables: list[Element]) -> Iterator[Finding]:
+    """Variables of one base type that share a value reference are aliases: one value, one unit, set in one way."""
+    aliases: dict[tuple[str, str], list[tuple[Element, Element]]] = {}
+    for variable in variables:
+        for kind in variable:
+            base = "Integer" if kind.tag == "Enumeration" else kind.tag
+            if base != "Annotations":
+                aliases.setdefault((base, variable.get("valueReference", "")), []).append((variable, kind))
+    for (_, reference), group in aliases.items():
+        if len(group) < 2:
+            continue
+        names = " and ".join(variable.get("name", "") for variable, _ in group[:3])
+        settable = [variable for variable, _ in group if variable.get("causality") in _SETTABLE]
+        constant = [variable for variable, _ in group if variable.get("variability") == "constant"]
+        problem = ""
+        if len(settable) > 1:
+            names = " and ".join(variable.get("name", "") for variable in settable[:3])
+            problem = "can be set independently"
+        elif constant and len(constant) < len(group):
+            problem = "are constant and not constant"
+        elif len({kind.get("unit") for _, kind in group if kind.get("unit")}) > 1:
+            problem = "have different units"
+        if problem:
+            message = f"{names} share the value reference {reference} but {problem}"
+            yield Finding("value reference", message, "give each its own, or make them aliases", subject=names)
+
+
+def _check_structure(root: Element, variables: list[Element]) -> Iterator[Finding]:
+    """Indices of the model structure and of derivatives."""
+    for part in ("Outputs", "Derivatives", "InitialUnknowns"):
+        unknowns = root.findall(f"ModelStructure/{part}/Unknown")
+        for index, count in Counter(unknown.get("index", "") for unknown in unknowns).items():
+            if count > 1:
+                yield _structure(f"{part} lists the index {index} {count} times", "list it once")
+        for unknown in unknowns:
+            for index in [unknown.get("index", ""), *(unknown.get("dependencies") or "").split()]:
+                if not index.isdigit() or not 1 <= int(index) <= len(variables):
+                    yield _structure(f"{part} refers to variable {index} of {len(variables)}", "count from 1")
+    states: dict[str, str] = {}
+    for number, variable in enumerate(variables, 1):
+        index = next((kind.get("derivative") for kind in variable if kind.tag == "Real"), None)
+        if index is None:
+            continue
+        name = variable.get("name", "")
+        state = variables[int(index) - 1] if index.isdigit() and 1 <= int(index) <= len(variables) else None
+        if state is None or int(index) == number or state.find("Real") is None:
+            message = f"{name} is the derivative of variable {index}, which is no other Real"
+            yield _structure(message, "give the index of the state, from 1", name)
+        elif state.get("variability", "continuous") != "continuous":
+            yield _structure(
+                f"{name} is the derivative of {state.get('name')}, which is not continuous", "correct it", name
+            )
+        elif index in states:
+            yield _structure(f"{name} and {states[index]} are derivatives of the same state", "keep one", name)
+        else:
+            states[index] = name
+
+
+def _structure(message: str, remedy: str, subject: str = "") -> Finding:
+    return Finding("model description", message, remedy, subject=subject, section="2.2.8")
 
 
 def _number(text: str | None, default: Any) -> Any:
@@ -72,5 +254,5 @@ def _number(text: str | None, default: Any) -> Any:
         return default
 
 
-def _broken(problem: str) -> Finding:
-    return Finding("model description", " ".join(problem.split()), "correct modelDescription.xml")
+def _broken(problem: str, severity: Severity = Severity.ERROR) -> Finding:
+    return Finding("model description", " ".join(problem.split()), "correct modelDescription.xml", severity)

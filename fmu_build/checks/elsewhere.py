@@ -1,6 +1,6 @@
-"""Continue from a serialised state in a process of its own.
+"""Run an FMU in a process of its own, from the start or from a serialised state.
 
-python -m flexfmu.fmu_build.checks.elsewhere FOLDER KIND STEPS STATE RESULT
+python -m flexfmu.fmu_build.checks.elsewhere FOLDER KIND PACE STATE RESULT
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from flexfmu.fmu_build.checks.replay import continue_from
 
 
 def main() -> None:
-    """Write what the FMU gives from the state on."""
-    folder, kind, steps, state, result = sys.argv[1:]
-    description = read_model_description(folder, validate=False)
-    fmu = FmuUnderTest(description, Path(folder), Kind[kind], int(steps))
+    """Write what the FMU gives."""
+    folder, kind, pace, state, result = sys.argv[1:]
+    fmu = FmuUnderTest(read_model_description(folder, validate=False), Path(folder), Kind[kind], float(pace))
     np.save(result, continue_from(fmu, Path(state).read_bytes()))
 
 

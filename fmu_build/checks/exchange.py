@@ -2,80 +2,225 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import redirect_stdout, suppress
+from dataclasses import replace
 from typing import Any
 
 import fmpy
 import numpy as np
+from fmpy.fmi1 import FMICallException
+from numpy.typing import NDArray
 
-from flexfmu.fmu_build.checks.fmu import FmuUnderTest, Kind, size_of
+from flexfmu.fmu_build.checks.fmu import FmuUnderTest, Kind, moved, size_of, start_of
 from flexfmu.fmu_build.finding import Finding, Severity
 
-AGREEMENT = 0.01
-"""What co-simulation and model exchange may differ, relative to an output's largest value: any solver does better."""
+Rows = NDArray[np.float64]
 
-INTEGRATION_TOLERANCE = 1e-6
+AGREEMENT = 0.02
+"""What co-simulation and model exchange may differ, relative to how far an output moves: most solvers do better."""
+
+INTEGRATION_TOLERANCE = 1e-8
 POINTS = 100
 """Communication steps over which the two interfaces are compared."""
 
+LONGEST = 5.0
+"""Longest time for one integration [s]."""
 
-def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Finding | None:
+KICK = 0.05
+"""Change of starts and inputs, relative to their size, that sets the model in motion."""
+
+LEAST_MOTION = 1e-4
+"""Motion of an output, relative to its size, below which solvers' tolerances are seen."""
+
+EULER = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+"""Parts of a communication step with which an FMU may integrate by Euler's method."""
+
+EXPLAINED = 0.2
+"""Part of the difference that may be left where Euler's method explains it."""
+
+STAYS = 0.7
+"""Part of the difference that is left with smaller communication steps where it is no matter of the solver's steps."""
+
+_TINY = 1e-9
+
+
+def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
     """The right-hand side is a function: back at the same states it has the same value, to the last bit."""
     if fmu.kind is not Kind.EXCHANGE:
-        return None
+        return
     with fmu.instance("pure") as instance:
         instance.initialize()
-        if not instance.states:
-            return None
+        if not instance.states or instance.finished:
+            return
         x = instance.continuous_states()
         first = instance.derivatives()
         instance.set_continuous_states(x * (1.0 + 1e-3) + 1e-6)
         instance.derivatives()
         instance.set_continuous_states(x)
         second = instance.derivatives()
-    if np.array_equal(first, second, equal_nan=True):
-        return None
-    return Finding(
-        "derivatives",
-        f"the states' derivatives differ by {np.nanmax(np.abs(first - second)):.3g} after a look at other states",
-        "they must depend on time, states and inputs alone",
-    )
+    if not np.array_equal(first, second, equal_nan=True):
+        yield Finding(
+            "derivatives",
+            f"the states' derivatives differ by {np.nanmax(np.abs(first - second)):.3g} after a look at other states",
+            "they must depend on time, states and inputs alone",
+        )
 
 
-def interfaces_agree(fmu: FmuUnderTest) -> Finding | None:
-    """Integrated by CVODE, model exchange gives what co-simulation gives, but for what CVODE's absolute tolerance leaves."""
+def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """States, their derivatives and nominals are those of the variables that ModelStructure lists, in its order."""
+    if fmu.kind is not Kind.EXCHANGE or not fmu.states:
+        return
+    rates = [unknown.variable for unknown in fmu.description.derivatives]
+    with fmu.instance("states") as instance:
+        instance.initialize()
+        if instance.finished:
+            return
+        x = instance.continuous_states()
+        kicked = x + KICK * np.array([size_of(variable) for variable in fmu.states]) * (1.0 + 0.1 * np.arange(x.size))
+        instance.set_continuous_states(kicked)
+        pairs = (
+            ("fmi2GetContinuousStates", "what fmi2SetContinuousStates has set", instance.continuous_states(), kicked),
+            (
+                "fmi2GetContinuousStates",
+                "fmi2GetReal of the state",
+                instance.continuous_states(),
+                instance.get(fmu.states),
+            ),
+            ("fmi2GetDerivatives", "fmi2GetReal of the derivative", instance.derivatives(), instance.get(rates)),
+        )
+        nominals = instance.nominals()
+    for function, other, values, expected in pairs:
+        apart = np.abs(values - expected) > _TINY * np.maximum(np.abs(values), np.abs(expected))
+        if apart.any():
+            n = int(np.argmax(apart))
+            message = f"{function} gives {values[n]:.9g} for {fmu.states[n].name}, {other} {expected[n]:.9g}"
+            yield Finding("states", message, "keep to the order of ModelStructure/Derivatives")
+            return
+    if not (nominals > 0.0).all():
+        n = int(np.argmin(nominals > 0.0))
+        message = f"fmi2GetNominalsOfContinuousStates gives {nominals[n]:g} for {fmu.states[n].name}"
+        yield Finding("states", message, "a nominal is above 0")
+
+
+def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Set in motion by other starts and inputs, co-simulation goes where CVODE takes model exchange.
+
+    What differs as it does with Euler's method is left to the FMU's choice of a solver.
+    """
     if fmu.kind is not Kind.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
-        return None
-    exchange, slave = (_simulate(fmu, kind) for kind in ("ModelExchange", "CoSimulation"))
-    apart = {}
-    for variable in fmu.smooth_outputs:
-        name = variable.name
-        values = np.interp(slave["time"], exchange["time"], exchange[name])
-        scale = max(float(np.abs(slave[name]).max()), INTEGRATION_TOLERANCE / AGREEMENT * size_of(variable))
-        apart[name] = float(np.median(np.abs(values - slave[name]))) / scale
-    worst = max(apart, key=lambda name: apart[name])
-    if apart[worst] <= AGREEMENT:
-        return None
-    return Finding(
-        "interfaces",
-        f"{worst} differs by {apart[worst]:.1%} of its largest value between model exchange and co-simulation",
-        "both have to solve the same equations",
-        Severity.WARNING,
-    )
+        return
+    for starts, inputs in _kicks(fmu):
+        try:
+            exchange = _integrated(fmu, starts, inputs)
+            slaves = [_stepped(fmu, starts, inputs, parts) for parts in _parts(fmu)]
+        except Exception:  # fmpy's and CVODE's: the model can't be run from here
+            continue
+        rows = min(map(len, (exchange, *slaves)))
+        if rows < 3:
+            continue
+        exchange, whole, split = (each[:rows] for each in (exchange, slaves[0], slaves[-1]))
+        apart, finer = _apart(fmu, exchange, whole), _apart(fmu, exchange, split)
+        # what gets less with the step is the solver's
+        apart = np.where((finer > AGREEMENT) & (finer > STAYS * apart), apart, 0.0)
+        worst = int(np.argmax(apart))
+        if apart[worst] > AGREEMENT and not _is_euler(fmu, starts, inputs, whole, exchange):
+            yield Finding(
+                "interfaces",
+                f"{fmu.smooth_outputs[worst].name} differs by {apart[worst]:.1%} of its motion between model exchange, "
+                f"integrated by CVODE, and co-simulation",
+                "both have to solve the same equations over the whole step",
+                Severity.ERROR if apart[worst] > 10 * AGREEMENT else Severity.WARNING,
+            )
+            return
 
 
-def _simulate(fmu: FmuUnderTest, kind: str) -> Any:
-    """fmpy's recording of a short experiment with constant inputs."""
+def _parts(fmu: FmuUnderTest) -> tuple[int, ...]:
+    """Into how many parts communication steps are split, where co-simulation allows that."""
+    return (1, 4) if fmu.description.coSimulation.canHandleVariableCommunicationStepSize else (1,)
+
+
+def _kicks(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], Rows]]:
+    """Other starts of the states with inputs at their starts, then other inputs; then all as it is."""
+    states = {v: moved(v, KICK) for v in fmu.states if v in fmu.settable("output", "local")}
+    still = np.array([start_of(variable) for variable in fmu.inputs])
+    if states:
+        yield states, still
+    if fmu.inputs:
+        yield {}, np.array([moved(variable, KICK) for variable in fmu.inputs])
+    yield {}, still
+
+
+def _apart(fmu: FmuUnderTest, first: Rows, second: Rows) -> Rows:
+    """Median difference of each output relative to how far it moves, shape (outputs,)."""
+    motion = np.maximum(np.ptp(first, axis=0), np.ptp(second, axis=0))
+    size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
+    enough = motion > LEAST_MOTION * np.maximum(size, np.abs(first).max(axis=0))
+    return np.where(enough, np.median(np.abs(first - second), axis=0) / np.where(enough, motion, 1.0), 0.0)
+
+
+def _integrated(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows) -> Rows:
+    """Outputs after each step by fmpy's CVODE with constant inputs."""
     steps = min(fmu.steps, POINTS)
+    stop = fmu.start + steps * fmu.step
+    signals = np.zeros(2, dtype=[("time", "f8"), *((variable.name, "f8") for variable in fmu.inputs)])
+    signals["time"] = (fmu.start, stop)
+    for variable, value in zip(fmu.inputs, inputs, strict=True):
+        signals[variable.name] = value
+    with redirect_stdout(None):  # fmpy tells of inputs that it isn't given
+        result = _simulate(fmu, starts, signals, stop)
+    return np.column_stack([result[variable.name] for variable in fmu.smooth_outputs])[1:]
+
+
+def _simulate(fmu: FmuUnderTest, starts: dict[Any, float], signals: Any, stop: float) -> Any:
     return fmpy.simulate_fmu(
         str(fmu.folder),
-        fmi_type=kind,
+        fmi_type="ModelExchange",
         validate=False,
         model_description=fmu.description,
         start_time=fmu.start,
-        stop_time=fmu.start + steps * fmu.step,
+        stop_time=stop,
         output_interval=fmu.step,
-        step_size=fmu.step,
         solver="CVode",
         relative_tolerance=INTEGRATION_TOLERANCE,
+        record_events=False,
+        start_values={variable.name: value for variable, value in starts.items()},
+        input=signals if fmu.inputs else None,
         output=[variable.name for variable in fmu.smooth_outputs],
+        timeout=LONGEST,
     )
+
+
+def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, parts: int) -> Rows:
+    """Outputs of co-simulation after each step with constant inputs."""
+    slave = replace(fmu, kind=Kind.COSIMULATION, _library=None)
+    rows = []
+    with slave.instance("stepped") as instance:
+        instance.initialize(starts | dict(zip(fmu.inputs, inputs, strict=True)))
+        for n in range(min(fmu.steps, POINTS)):
+            if not all(instance.step(n + part / parts, parts) for part in range(parts)):
+                break
+            rows.append(instance.get(fmu.smooth_outputs))
+    return np.array(rows)
+
+
+def _is_euler(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, slave: Rows, exact: Rows) -> bool:
+    """Whether Euler's method with some step gives what co-simulation gives."""
+    steps = [fmu.step / parts for parts in EULER]
+    steps += [step for step in (1e-2, 1e-3, 1e-4) if fmu.step / 100 <= step < fmu.step]
+    for step in steps:
+        parts = round(fmu.step / step)
+        rows = []
+        with suppress(FMICallException), fmu.instance("euler") as instance:
+            instance.initialize(starts | dict(zip(fmu.inputs, inputs, strict=True)))
+            for n in range(len(slave) * parts):
+                instance.set_continuous_states(instance.continuous_states() + step * instance.derivatives())
+                instance.library.setTime(fmu.start + (n + 1) * step)
+                if (n + 1) % parts == 0:
+                    rows.append(instance.get(fmu.smooth_outputs))
+        if len(rows) < len(slave):
+            continue
+        euler, truth = (_apart(fmu, np.array(each), slave).max() for each in (rows, exact))
+        if euler < EXPLAINED * truth:
+            return True
+    return False

@@ -8,101 +8,153 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
+from typing import Any
 
-from flexfmu.fmu_build.checks.fmu import Kind
 from flexfmu.fmu_build.finding import Finding, Severity
+
+CALL_SHARE = 0.2
+"""Part of the time limit that one FMI call may take."""
 
 _INSTANTIATION = "instantiation"
 
 
-def check_in_child(path: Path, kind: Kind, names: Sequence[str], timeout: float) -> list[Finding]:
-    """Findings of the checks, also of those that end or block their process.
+@dataclass
+class _Outcome:
+    """What a child process has reported."""
+
+    begun: str = ""
+    found: list[tuple[str, Finding]] = field(default_factory=list)
+    pace: float = 0.0
+    problem: Finding | None = None
+
+
+def check_in_child(folder: Path, jobs: Sequence[str], together: bool, limit: float) -> dict[str, list[Finding]]:
+    """Findings of the checks by interface, also of those that end or block their process.
 
     Args:
-        path: the FMU.
-        kind: interface under test.
-        names: checks, in their order.
-        timeout: longest time for all of them [s].
+        folder: the extracted FMU.
+        jobs: ``KIND:CHECK``, in their order.
+        together: whether one process may run several checks.
+        limit: longest time for all of them [s].
     """
-    end = monotonic() + timeout
-    findings: list[Finding] = []
-    remaining = list(names)
+    end = monotonic() + limit
+    findings: dict[str, list[Finding]] = {job.split(":")[0]: [] for job in jobs}
+    remaining, pace = list(jobs), 0.0
     while remaining:
-        begun, found, problem = _run(path, kind, remaining, end - monotonic())
-        findings += found
-        if problem is None:
+        if monotonic() > end:
+            _add(findings, remaining[0].split(":")[0], _not_checked(remaining, limit))
             break
-        findings.append(replace(problem, check=begun))
-        remaining = remaining[remaining.index(begun) + 1 :]
-        if monotonic() > end and remaining:
-            findings.append(_not_checked(remaining, timeout))
-            break
-        if begun == _INSTANTIATION:
-            break
+        outcome = _run(folder, remaining if together else remaining[:1], pace, end - monotonic(), CALL_SHARE * limit)
+        pace = outcome.pace or pace
+        for kind, finding in outcome.found:
+            _add(findings, kind, finding)
+        kind = outcome.begun.split(":")[0]
+        if outcome.problem is not None:
+            _add(findings, kind, outcome.problem)
+        done = remaining.index(outcome.begun) + 1
+        remaining = remaining[done:]
+        if any(
+            finding.check == _INSTANTIATION for finding in findings[kind]
+        ):  # without an instance nothing else makes sense
+            remaining = [job for job in remaining if not job.startswith(kind)]
     return findings
 
 
-def _run(path: Path, kind: Kind, names: list[str], timeout: float) -> tuple[str, list[Finding], Finding | None]:
+def _add(findings: dict[str, list[Finding]], kind: str, finding: Finding) -> None:
+    """Keep a finding; without an instance nothing else counts."""
+    if not any(known.check == _INSTANTIATION for known in findings[kind]):
+        findings[kind].append(finding)
+
+
+def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit: float) -> _Outcome:
     """Run a child: the check it got to, what it found, and how it ended if not as it should."""
-    with TemporaryDirectory(prefix="flexfmu-validate-") as home:
+    with TemporaryDirectory(prefix="flexfmu-validate-", dir=folder.parent) as home:
         report = Path(home) / "report"
         module = "flexfmu.fmu_build.checks.child"
-        command = [sys.executable, "-m", module, str(path.absolute()), str(report), kind.name, *names]
-        problem = _end_of(command, Path(home), timeout)
-        lines = [json.loads(line) for line in _lines(report)]
-    begun = next((line["begin"] for line in reversed(lines) if "begin" in line), names[0])
-    found = [_finding(line) for line in lines if "check" in line]
-    if problem is None and not any("end" in line for line in lines):
-        problem = Finding("", "the FMU ended the process that ran it", "an FMU must not call exit")
-    if any(finding.check == _INSTANTIATION for finding in found):
-        return begun, [finding for finding in found if finding.check == _INSTANTIATION], None
-    return begun, found, problem
+        numbers = [repr(call_limit), repr(pace)]
+        command = [sys.executable, "-m", module, str(os.getpid()), str(folder), str(report), *numbers, *jobs]
+        status, last = _end_of(command, Path(home), timeout)
+        outcome, lines = _Outcome(begun=jobs[0]), list(_lines(report))
+    for line in lines:
+        outcome.begun = line.get("begin", outcome.begun)
+        outcome.pace = line.get("pace", outcome.pace)
+        if "finding" in line:
+            outcome.found.append((outcome.begun.split(":")[0], _finding(line["finding"])))
+    if not any("end" in line for line in lines):
+        hang = next((line["hang"] for line in lines if "hang" in line), None)
+        outcome.problem = _problem(outcome.begun.split(":")[1], status, last, hang, timeout, call_limit)
+    elif status:
+        outcome.problem = _problem("memory", status, last, None, timeout, call_limit)
+    return outcome
 
 
-def _end_of(command: list[str], folder: Path, timeout: float) -> Finding | None:
-    """What is wrong with the way in which the process ends; all that it started ends with it."""
-    errors = folder / "stderr"
-    with errors.open("wb") as stderr:
+def _problem(check: str, status: int | None, last: str, hang: str | None, timeout: float, call_limit: float) -> Finding:
+    """What is wrong with the way in which the process ended."""
+    severity = Severity.WARNING if check == "calls" else Severity.ERROR
+    if hang is not None:
+        message = f"{hang} did not return within {call_limit:.3g} s"
+        return Finding(check, message, "every FMI call has to return; --time-limit gives more time", severity)
+    if status is None:
+        message = f"not finished when the time limit was over, {timeout:.3g} s after its process had begun"
+        return Finding(check, message, "--time-limit gives more", Severity.NOTE)
+    if status == 0:
+        return Finding(check, "the FMU ended the process that ran it", "an FMU must not call exit", severity)
+    how = f"signal {-status}" if status < 0 else f"exit status {status}"
+    message = f"the process that ran the FMU ended with {how}: {last}"
+    return Finding(check, message, "an FMU must never end its process", severity)
+
+
+def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | None, str]:
+    """Exit status of the process, None if it takes too long, and its last line; all that it started ends with it."""
+    (folder / "work").mkdir()
+    with (folder / "stdout").open("w+b") as stdout, (folder / "stderr").open("w+b") as stderr:
         process = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=stderr, cwd=folder, start_new_session=os.name == "posix"
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=stdout,
+            stderr=stderr,
+            cwd=folder / "work",
+            start_new_session=os.name == "posix",
         )
         try:
-            status = process.wait(max(timeout, 1.0))
+            status: int | None = process.wait(max(timeout, 1.0))
         except subprocess.TimeoutExpired:
+            status = None
+        finally:
             _kill(process)
-            return Finding("", f"the FMU did not finish within {timeout:.0f} s", "every FMI call has to return")
-    if status == 0:
-        return None
-    how = f"signal {-status}" if status < 0 else f"exit status {status}"
-    last = (errors.read_text(errors="replace").strip().splitlines() or ["no message"])[-1]
-    return Finding("", f"the process that ran the FMU ended with {how}: {last}", "an FMU must never end its process")
+        stderr.seek(0)
+        last = (stderr.read().decode(errors="replace").strip().splitlines() or ["no message"])[-1]
+    return status, last
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End the process and its group."""
     if os.name == "posix":
-        os.killpg(process.pid, signal.SIGKILL)
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
     else:
         process.kill()
     process.wait()
 
 
-def _lines(report: Path) -> Iterator[str]:
+def _lines(report: Path) -> Iterator[dict[str, Any]]:
     """Complete lines of the report; a crash may have cut the last one."""
     if report.exists():
-        yield from (
-            line for line in report.read_text(encoding="utf-8").splitlines(keepends=True) if line.endswith("\n")
-        )
+        for line in report.read_text(encoding="utf-8").splitlines(keepends=True):
+            if line.endswith("\n"):
+                yield json.loads(line)
 
 
-def _finding(line: dict[str, str]) -> Finding:
-    return Finding(**(line | {"severity": Severity(line["severity"])}))  # type: ignore[arg-type]
+def _finding(line: dict[str, Any]) -> Finding:
+    return Finding(**(line | {"severity": Severity(line["severity"]), "others": tuple(line["others"])}))
 
 
-def _not_checked(names: list[str], timeout: float) -> Finding:
-    return Finding(
-        "simulation", f"{', '.join(names)} not checked: {timeout:.0f} s are over", "give more time", Severity.NOTE
-    )
+def _not_checked(jobs: list[str], limit: float) -> Finding:
+    names = ", ".join(dict.fromkeys(job.split(":")[1] for job in jobs))
+    message = f"{names} not checked: the time limit of {limit:.3g} s is over"
+    return Finding("simulation", message, "--time-limit gives more", Severity.NOTE)

@@ -1,64 +1,148 @@
-"""Whether a reset, a saved state and a neighbour leave everything as it was, to the last bit."""
+"""Whether a reset, a saved state, a neighbour and a second try leave everything as it was, to the last bit."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.fmu_build.checks.fmu import FmuUnderTest
-from flexfmu.fmu_build.finding import Finding
+from flexfmu.fmu_build.checks.fmu import FmuUnderTest, Kind, moved
+from flexfmu.fmu_build.finding import Finding, Severity
+
+Rows = NDArray[np.float64]
 
 FRACTIONS = (0.0, 0.25, 0.75)
-"""Parts of the default experiment at which states are saved."""
+"""Parts of the run at which states are saved."""
 
 OTHER_PROCESS_TIMEOUT = 60.0
 """Longest wait for a process that replays a state [s]."""
 
+KICK = 0.02
+"""Change of parameters relative to their size."""
 
-def repeats_after_reset(fmu: FmuUnderTest) -> Finding | None:
-    """fmi2Reset brings back the state after instantiation, all of it."""
+NEGLIGIBLE = 1e-9
+"""Differences, relative to an output's largest value, that are but a warning."""
+
+
+def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """A second instance does what the first did; outputs that differ from process to process are left out from then on."""
+    with fmu.instance("first") as instance:
+        first = instance.run()
+    with fmu.instance("second") as instance:
+        second = instance.run()
+    differing = _differing(fmu, first, second)
+    if not differing:
+        return
+    elsewhere = _elsewhere(fmu, "run")
+    random = [variable for variable in differing if variable in _differing(fmu, first, elsewhere)]
+    if random and set(random) == set(differing):
+        names = ", ".join(variable.name for variable in random)
+        message = f"{names}: different at each run, not looked at any further"
+        yield Finding("repeatability", message, "the same inputs should give the same outputs", Severity.WARNING)
+        fmu.outputs = [variable for variable in fmu.outputs if variable not in random]
+    else:
+        yield from _compare(
+            fmu,
+            "repeatability",
+            first,
+            second,
+            "in a second instance after the first is freed",
+            "keep all data in the instance, none in static variables; initialise all of it",
+        )
+
+
+def _differing(fmu: FmuUnderTest, first: Rows, second: Rows) -> list[object]:
+    """Outputs that are not the same in two recordings."""
+    rows = min(len(first), len(second))
+    offset = first.shape[1] - len(fmu.outputs)
+    same = [np.array_equal(a, b, equal_nan=True) for a, b in zip(first[:rows].T, second[:rows].T, strict=True)]
+    return [variable for n, variable in enumerate(fmu.outputs) if not same[offset + n]]
+
+
+def repeats_after_reset(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """fmi2Reset brings back the state after instantiation, all of it, parameters and inputs too."""
+    remedy = "fmi2Reset has to restore everything, starts included"
     with fmu.instance("reset") as instance:
         first = instance.run()
         instance.reset()
-        second = instance.run()
-    return _compare("reset", first, second, "after fmi2Reset", "fmi2Reset has to restore everything, starts included")
+        again = instance.run()
+        findings = list(_compare(fmu, "reset", first, again, "after fmi2Reset", remedy))
+        if not findings:
+            instance.reset()
+            _run_changed(fmu, instance)
+            instance.reset()
+            again = instance.run()
+            findings = list(
+                _compare(fmu, "reset", first, again, "after other parameters and inputs and fmi2Reset", remedy)
+            )
+    yield from findings
 
 
-def replays_saved_states(fmu: FmuUnderTest) -> Finding | None:
-    """States contain everything that the future depends on, in whatever order they are used."""
+def _run_changed(fmu: FmuUnderTest, instance: object) -> Rows:
+    """A run with other parameters and inputs; it ends where the FMU can't go on with them."""
+    try:
+        instance.initialize({variable: moved(variable, KICK) for variable in changeable(fmu)})  # type: ignore[attr-defined]
+        return np.asarray(instance.advance(0, fmu.steps, size=-3.0))  # type: ignore[attr-defined]
+    except Exception:  # fmpy's own kinds of errors: these values may be impossible
+        return np.zeros((0, 1))
+
+
+def changeable(fmu: FmuUnderTest) -> list[object]:
+    """Real parameters that have another value than their start within their bounds."""
+    from flexfmu.fmu_build.checks.fmu import start_of
+
+    parameters = [variable for variable in fmu.settable("parameter") if variable.type == "Real"]
+    return [variable for variable in parameters if moved(variable, KICK) != start_of(variable)]
+
+
+def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """States contain everything that the future depends on, in whatever order they are used; saving changes nothing."""
     if not fmu.can_save:
-        return None
+        return
+    with fmu.instance("undisturbed") as instance:
+        undisturbed = instance.run()
     marks = [round(fraction * fmu.steps) for fraction in FRACTIONS]
     with fmu.instance("save") as instance:
         instance.initialize()
-        states = []
+        states, parts = [], []
         for mark, end in zip(marks, [*marks[1:], fmu.steps], strict=True):
             states.append(instance.save())
-            instance.advance(mark, end)
-        futures: dict[int, NDArray[np.float64]] = {}
+            parts.append(instance.advance(mark, end))
+        saving = list(
+            _compare(
+                fmu,
+                "state",
+                undisturbed,
+                np.vstack(parts),
+                "where fmi2GetFMUstate was called on the way",
+                "saving a state must not change it",
+            )
+        )
+        yield from saving
+        futures: dict[int, Rows] = {}
+        found: list[Finding] = []
         for turn in (0, 1):
             for mark, state in list(zip(marks, states, strict=True))[:: 1 - 2 * turn]:
+                if found:
+                    break
                 instance.restore(state)
                 rows = instance.advance(mark, fmu.steps)
-                finding = _compare(
-                    "state", futures.setdefault(mark, rows), rows, "after fmi2SetFMUstate", _STATE_REMEDY
-                )
-                if finding is not None:
-                    return finding
+                expected = futures.setdefault(mark, rows if saving else undisturbed[mark:])
+                found += _compare(fmu, "state", expected, rows, "after fmi2SetFMUstate", _STATE_REMEDY)
+        yield from found
         for state in states:
             instance.discard(state)
-    return None
 
 
-def replays_serialized_state(fmu: FmuUnderTest) -> Finding | None:
+def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
     """A serialised state works in another instance and in another process."""
     if not fmu.can_serialize:
-        return None
+        return
     half = fmu.steps // 2
     with fmu.instance("writer") as writer:
         writer.initialize()
@@ -69,28 +153,29 @@ def replays_serialized_state(fmu: FmuUnderTest) -> Finding | None:
         reader.initialize()
         reader.restore_serialized(data)
         again = reader.advance(half, fmu.steps)
-    what = "with a serialised state in another instance"
-    finding = _compare("serialisation", rows, again, what, _STATE_REMEDY)
-    if finding is not None:
-        return finding
-    return _compare(
-        "serialisation",
-        rows,
-        _replay_elsewhere(fmu, data),
-        "with a serialised state in another process",
-        "serialised states must hold values, no addresses",
-    )
+    when = "with a serialised state in another instance"
+    findings = list(_compare(fmu, "serialisation", rows, again, when, _STATE_REMEDY))
+    yield from findings
+    slave, model = fmu.description.coSimulation, fmu.description.modelExchange
+    both = slave is not None and model is not None and slave.modelIdentifier == model.modelIdentifier
+    if findings or (both and fmu.kind is Kind.EXCHANGE):  # the same code has been tried with co-simulation
+        return
+    when = "with a serialised state in another process"
+    remedy = "serialised states must hold values, no addresses"
+    yield from _compare(fmu, "serialisation", rows, _elsewhere(fmu, "continue", data), when, remedy)
 
 
-def continue_from(fmu: FmuUnderTest, data: bytes) -> NDArray[np.float64]:
-    """The second half of the default experiment from a serialised state."""
+def continue_from(fmu: FmuUnderTest, data: bytes) -> Rows:
+    """The second half of the run from a serialised state; without one, all of it."""
     with fmu.instance("other process") as instance:
+        if not data:
+            return np.asarray(instance.run())
         instance.initialize()
         instance.restore_serialized(data)
         return np.asarray(instance.advance(fmu.steps // 2, fmu.steps))
 
 
-def _replay_elsewhere(fmu: FmuUnderTest, data: bytes) -> NDArray[np.float64]:
+def _elsewhere(fmu: FmuUnderTest, what: str, data: bytes = b"") -> Rows:
     """`continue_from` in a new process.
 
     Raises:
@@ -100,41 +185,64 @@ def _replay_elsewhere(fmu: FmuUnderTest, data: bytes) -> NDArray[np.float64]:
         state, result = Path(home) / "state", Path(home) / "rows.npy"
         state.write_bytes(data)
         module = "flexfmu.fmu_build.checks.elsewhere"
-        command = [sys.executable, "-m", module, str(fmu.folder), fmu.kind.name, str(fmu.maximum_steps)]
+        command = [sys.executable, "-m", module, str(fmu.folder), fmu.kind.name, repr(fmu.pace)]
         outcome = subprocess.run(
             [*command, str(state), str(result)], capture_output=True, timeout=OTHER_PROCESS_TIMEOUT, check=False
         )
         if outcome.returncode != 0 or not result.exists():
             last = (outcome.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
-            raise RuntimeError(f"a serialised state in another process ends it with {outcome.returncode}: {last}")
-        rows: NDArray[np.float64] = np.load(result)
+            raise RuntimeError(f"another process that has to {what} ends with {outcome.returncode}: {last}")
+        rows: Rows = np.load(result)
         return rows
 
 
-def two_instances_are_independent(fmu: FmuUnderTest) -> Finding | None:
-    """Two instances that take turns do what one alone does."""
-    if not fmu.can_have_two:
-        return None
+def two_instances_are_independent(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Two instances with different parameters and inputs that take turns do what each does alone."""
+    if fmu.is_single:
+        return
     with fmu.instance("alone") as instance:
         alone = instance.run()
+    with fmu.instance("changed") as instance:
+        changed = _run_changed(fmu, instance)
+    values = {variable: moved(variable, KICK) for variable in changeable(fmu)} if len(changed) else {}
+    size = -3.0 if len(changed) else 1.0
     with fmu.instance("one") as one, fmu.instance("two") as two:
         one.initialize()
-        two.initialize()
-        turns = [(one.advance(n, n + 1), two.advance(n, n + 1)) for n in range(fmu.steps)]
-    together = (np.vstack([turn[which] for turn in turns]) for which in (0, 1))
+        two.initialize(values)
+        steps = min(len(alone), len(changed) or len(alone))
+        turns = [(one.advance(n, n + 1), two.advance(n, n + 1, size)) for n in range(steps)]
     remedy = "keep all data in the instance, none in static variables"
-    findings = (_compare("instances", alone, rows, "with two instances at once", remedy) for rows in together)
-    return next((finding for finding in findings if finding), None)
+    for which, expected in enumerate((alone, changed if len(changed) else alone)):
+        rows = np.vstack([turn[which] for turn in turns]) if turns else expected[:0]
+        findings = list(
+            _compare(fmu, "instances", expected[: len(rows)], rows, "with two instances that take turns", remedy)
+        )
+        if findings:
+            yield from findings
+            return
 
 
 _STATE_REMEDY = "the state must hold everything that the future depends on: internal variables, inputs, time"
 
 
-def _compare(
-    check: str, first: NDArray[np.float64], second: NDArray[np.float64], when: str, remedy: str
-) -> Finding | None:
+def _compare(fmu: FmuUnderTest, check: str, first: Rows, second: Rows, when: str, remedy: str) -> Iterator[Finding]:
     """A finding if two recordings differ at all: the arithmetic is the same, so the results must be."""
-    if np.array_equal(first, second, equal_nan=True):
-        return None
-    difference = np.nanmax(np.abs(first - second))
-    return Finding(check, f"outputs differ by up to {difference:.3g} {when}; they should be identical", remedy)
+    if len(first) != len(second):
+        ends = " and ".join(f"{fmu.start + len(rows) * fmu.step:.6g} s" for rows in (first, second))
+        # hardly any tool resets an FMU that has ended the simulation by itself
+        severity = Severity.WARNING if check == "reset" else Severity.ERROR
+        yield Finding(check, f"the run ends at different times {when}: {ends}", remedy, severity)
+        return
+    offset = first.shape[1] - len(fmu.outputs)
+    if first.shape != second.shape or offset < 0 or np.array_equal(first, second, equal_nan=True):
+        return
+    difference = np.abs(first - second)
+    difference = np.where(
+        np.isnan(difference) & (np.isnan(first) != np.isnan(second)), np.inf, np.nan_to_num(difference)
+    )
+    scale = np.maximum(np.nan_to_num(np.abs(first)).max(axis=0), 1e-300)
+    column = int(np.argmax(difference.max(axis=0) / scale))
+    name = fmu.outputs[column - offset].name if column >= offset else f"derivative {column + 1}"
+    worst = difference[:, column].max()
+    severity = Severity.ERROR if worst > NEGLIGIBLE * scale[column] else Severity.WARNING
+    yield Finding(check, f"{name} differs by up to {worst:.3g} {when}; it should be identical", remedy, severity)
