@@ -72,7 +72,7 @@ class Finding:
         severity: how bad it is.
         subject: variable or file that it is about, if there is one.
         section: section of FMI 2.0.4; by default the one of the check.
-        others: messages of further findings of the same kind.
+        others: subjects of further findings of the same kind, or names of checks that end in the same way.
     """
 
     check: str
@@ -88,11 +88,11 @@ class Finding:
             object.__setattr__(self, "section", SECTIONS.get(self.check, ""))
 
     def __str__(self) -> str:
-        more = f" (and {len(self.others)} more: {_some(self.others)})" if self.others else ""
+        names = ", ".join(self.others[:NAMES_SHOWN]) + (", ..." if len(self.others) > NAMES_SHOWN else "")
+        more = f" (and {len(self.others)} more: {names})" if self.others else ""
+        remedy = f"; {self.remedy}" if self.remedy else ""
         section = f" [FMI 2.0.4, {self.section}]" if self.section else ""
-        return f"{self.severity}: {self.check}: {self.message}{more}" + (
-            f"; {self.remedy}{section}" if self.remedy else section
-        )
+        return f"{self.severity}: {self.check}: {self.message}{more}{remedy}{section}"
 
 
 def ranked(findings: Iterable[Finding]) -> list[Finding]:
@@ -100,27 +100,31 @@ def ranked(findings: Iterable[Finding]) -> list[Finding]:
     groups: dict[object, list[Finding]] = {}
     for finding in dict.fromkeys(findings):
         groups.setdefault(_kind(finding), []).append(finding)
-    together = [
-        replace(first, others=first.others + tuple(other.message for other in rest)) for first, *rest in groups.values()
-    ]
-    severities, checks = list(Severity), list(SECTIONS)
-    return sorted(
-        together,
+    alike = [_joined(group, [each.subject or each.message for each in group[1:]]) for group in groups.values()]
+    checks, severities = list(SECTIONS), list(Severity)
+    alike.sort(
         key=lambda finding: (
             severities.index(finding.severity),
             checks.index(finding.check) if finding.check in checks else len(checks),
-        ),
+        )
     )
+    # one cause may end several checks
+    causes: dict[object, list[Finding]] = {}
+    for finding in alike:
+        causes.setdefault((finding.severity, finding.message), []).append(finding)
+    return [_joined(group, [each.check for each in group[1:]]) for group in causes.values()]
+
+
+def _joined(group: list[Finding], others: list[str]) -> Finding:
+    """The first finding, with the names of the others."""
+    return replace(group[0], others=group[0].others + tuple(others))
+
+
+_DIFFERING = re.compile(r"""'[^']*'|"[^"]*"|\b(True|False|nan|inf)\b|[-+]?\d+(\.\d*)?([eE][-+]?\d+)?""")
+"""Values in a message: quoted texts, words for values, numbers."""
 
 
 def _kind(finding: Finding) -> object:
-    """What findings have in common that differ by their subject, quoted words and numbers alone."""
+    """What findings have in common that differ by their subject and by values alone."""
     message = finding.message.replace(finding.subject, "#") if finding.subject else finding.message
-    message = re.sub(r'"[^"]*"|[-+]?\d+(\.\d*)?([eE][-+]?\d+)?', "#", message)
-    return finding.check, finding.severity, finding.remedy, finding.section, message
-
-
-def _some(messages: tuple[str, ...]) -> str:
-    """The beginnings of some messages: the words by which they differ stand there."""
-    names = [message.split(" ", 1)[0] if '"' not in message else message.split('"')[1] for message in messages]
-    return ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
+    return finding.check, finding.severity, finding.remedy, finding.section, _DIFFERING.sub("#", message)

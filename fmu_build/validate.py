@@ -8,7 +8,6 @@ import zlib
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from time import monotonic
 from typing import Any
 
 import fmpy
@@ -42,7 +41,6 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     from flexfmu.fmu_build.checks.binaries import check_binaries, library_name
     from flexfmu.fmu_build.checks.description import check_description, fmi_version, interfaces, read_description
 
-    begin = monotonic()
     entries, files = _read(path)
     version = fmi_version(files["modelDescription.xml"])
     if version != "2.0":
@@ -53,23 +51,23 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     if description is not None and interfaces(description):
         findings += check_binaries(description, files)
         if run and library_name(description, fmpy.platform) in files:
-            findings += _check_dynamically(description, files, max(time_limit - (monotonic() - begin), 1.0))
+            findings += _check_dynamically(description, files, time_limit)
     return ranked(findings)
 
 
 def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) -> list[Finding]:
-    from flexfmu.fmu_build.checks.catalogue import CHECKS
+    from flexfmu.fmu_build.checks.catalogue import CHECKS, SEVERAL
     from flexfmu.fmu_build.checks.fmu import Kind
     from flexfmu.fmu_build.checks.parent import check_in_child
 
     elements = {Kind.COSIMULATION: description.coSimulation, Kind.EXCHANGE: description.modelExchange}
     offered = {kind: element for kind, element in elements.items() if element is not None}
-    jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS]
-    together = not any(element.canBeInstantiatedOnlyOncePerProcess for element in offered.values())
+    single = any(element.canBeInstantiatedOnlyOncePerProcess for element in offered.values())
+    jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS if not single or check not in SEVERAL]
     with TemporaryDirectory(prefix="flexfmu-validate-", ignore_cleanup_errors=True) as home:
         folder = Path(home) / "fmu"
         _unpack(files, folder)
-        reported = check_in_child(folder, jobs, together, limit)
+        reported = check_in_child(folder, jobs, not single, limit)
     found = {}
     for kind, element in offered.items():
         found[kind.value] = reported[kind.name]

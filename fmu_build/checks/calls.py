@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from ctypes import c_double, c_uint
 from typing import Any
@@ -73,6 +74,7 @@ def _accepted(
         with fmu.instance("illegal") as instance:
             if initialized:
                 instance.initialize()
+            print(f"in {name} {when}", file=sys.stderr, flush=True)  # the last words, where the FMU crashes
             try:
                 call(instance)
                 accepted.append(name)

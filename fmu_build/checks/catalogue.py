@@ -61,3 +61,17 @@ CHECKS: dict[str, Check] = {
     "calls": refuses_illegal_calls,
 }
 """Name of the finding → check; one that the FMU cannot take part in finds nothing. Without the first, none makes sense."""
+
+SEVERAL = {
+    "repeatability",
+    "resource location",
+    "state",
+    "serialisation",
+    "instances",
+    "rates",
+    "variable step",
+    "input derivatives",
+    "output derivatives",
+    "interfaces",
+}
+"""Checks that compare instances, and have nothing to say of an FMU that a process may have once."""

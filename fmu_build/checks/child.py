@@ -38,10 +38,11 @@ def main() -> None:
         threading.Thread(target=_watch, args=watched, daemon=True).start()
         description = read_model_description(folder, validate=False)
         fmus = {kind.name: FmuUnderTest(description, Path(folder), kind, float(pace)) for kind in Kind}
+        before = surroundings()
         for job in jobs:
             kind, name = job.split(":")
             _say(file, begin=job)
-            for finding in _findings(name, CHECKS[name], fmus[kind]):
+            for finding in _findings(name, CHECKS[name], fmus[kind], before):
                 _say(file, finding=asdict(finding))
             _say(file, pace=fmus[kind].pace)
         _say(file, end=True)
@@ -68,23 +69,22 @@ def _watch(file: TextIO, limit: float, home: Path, parent: int) -> None:
             os._exit(1)
 
 
-def _findings(name: str, check: Check, fmu: FmuUnderTest) -> Iterator[Finding]:
+def _findings(name: str, check: Check, fmu: FmuUnderTest, before: dict[str, Any]) -> Iterator[Finding]:
     """What a check finds, failed FMI calls and what it did to the process included."""
-    before = surroundings()
-    printed = _printed()
+    printed, folder = _printed(), Path.cwd()
     try:
         yield from check(fmu)
     except OnlyOnceError:
         return
     except Exception as error:  # any failed FMI call is a finding, not the end of the validation
-        logged = f" ({fmu.messages[-1]})" if fmu.messages else ""
+        logged = f" ({'; '.join(dict.fromkeys(fmu.messages[-2:]))})" if fmu.messages else ""
         severity = Severity.WARNING if name == "calls" else Severity.ERROR
         yield Finding(name, " ".join(f"{error}{logged}".split()), severity=severity)
     finally:
         fmu.messages.clear()
         yield from disturbances(before, surroundings())
         yield from _new_output(printed)
-        os.chdir(before["working directory"])
+        os.chdir(folder)
         yield from _new_files()
 
 
@@ -99,7 +99,7 @@ def _new_output(before: int) -> Iterator[Finding]:
     now = _printed()
     if now > before:
         text = os.pread(1, min(now - before, 200), before).decode(errors="replace").strip().splitlines()
-        message = f'the FMU prints to standard output: "{text[0] if text else ""}"'
+        message = "the FMU prints to standard output" + (f": {text[0]!r}" if text else "")
         yield Finding(
             "process", message, "log through the callback: the importing tool's output is its own", Severity.WARNING
         )

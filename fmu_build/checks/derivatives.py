@@ -39,11 +39,14 @@ derivatives by it."""
 OUTPUT_TOLERANCE = 5e-3
 """What output derivatives may be off, beside what the difference quotients are."""
 
-ROUNDING, SMALL = 1e-6, 1e-9
-"""Uncertainty of values relative to the largest, and to the variable's size: what a solver's tolerance may leave."""
+SMALL = 1e-9
+"""Uncertainty of values relative to the variable's size: what a solver's absolute tolerance may leave."""
 
 LEAST_POINTS = 8
 """Points that have to be resolved to say anything."""
+
+STAYS = 0.5
+"""Part of a contradiction that is left with smaller steps where it is no matter of the solver's steps."""
 
 FAILING_SHARE = 0.25
 """Share of the points that have to fail: at events differences are wrong, not derivatives."""
@@ -197,7 +200,7 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Vec
         jet: values and their derivatives of an instance, orders from 0, each of shape (columns,).
         size: order of magnitude of each column.
     """
-    suspect: NDArray[np.bool_] | None = None
+    suspect = np.zeros(0)  # by how much derivatives are off at the coarser step
     for parts in PARTS if fmu.has_variable_step else PARTS[:1]:
         step = fmu.step / parts
         jets = _jets(fmu, jet, parts)
@@ -206,26 +209,29 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Vec
         if not np.isfinite(jets).all():
             point, order, column = map(int, np.argwhere(~np.isfinite(jets))[0])
             return _Contradiction(order, column, fmu.start + (point + 1) * step, jets[point, order, column], np.nan)
-        given, differences, clear, failing = _comparison(jets, step, size)
+        given, differences, clear, failing = _comparison(jets, step, fmu.accuracy, size, fmu.has_variable_step)
         enough = (clear.sum(axis=0) >= LEAST_POINTS) & (clear.mean(axis=0) >= 0.5)
         share = np.where(enough, failing.sum(axis=0) / np.maximum(clear.sum(axis=0), 1), 0.0)
-        failed = share > FAILING_SHARE
+        off = np.abs(given - differences) / np.abs(differences).max(axis=0).clip(1e-300)
+        by = np.where(share > FAILING_SHARE, np.nanmean(np.where(failing, off, 0.0), axis=0), 0.0)
         if (
             not fmu.has_variable_step
         ):  # differences can't be refined: a vibration that they alias is faster than they tell
-            failed &= np.abs(given).max(axis=0) <= 3.0 * np.abs(differences).max(axis=0)
-            suspect = failed
-        if suspect is not None and (failed & suspect).any():
-            order, column = map(int, np.argwhere(failed & suspect)[0])
-            off = np.where(failing, np.abs(given - differences), -1.0)[:, order, column]
-            n = int(np.argmax(off))
+            by = np.where(np.abs(given).max(axis=0) <= 3.0 * np.abs(differences).max(axis=0), by, 0.0)
+            suspect = by
+        # what gets less with the step is the solver's
+        if suspect.size and ((by > 0.0) & (suspect > 0.0) & (by >= STAYS * suspect)).any():
+            order, column = map(int, np.argwhere((by > 0.0) & (suspect > 0.0) & (by >= STAYS * suspect))[0])
+            n = int(np.argmax(np.where(failing, off, -1.0)[:, order, column]))
             values = given[n, order, column], differences[n, order, column]
             return _Contradiction(order + 1, column, fmu.start + (n + 3) * step, *values)
-        suspect = failed
+        suspect = by
     return None
 
 
-def _comparison(jets: Vector, step: float, size: Vector) -> tuple[Vector, Vector, NDArray[np.bool_], NDArray[np.bool_]]:
+def _comparison(
+    jets: Vector, step: float, accuracy: float, size: Vector, refinable: bool
+) -> tuple[Vector, Vector, NDArray[np.bool_], NDArray[np.bool_]]:
     """Derivatives given, central differences of fourth order, where these resolve them, and where they contradict.
 
     All of shape (points - 4, orders, columns).
@@ -234,15 +240,15 @@ def _comparison(jets: Vector, step: float, size: Vector) -> tuple[Vector, Vector
     near = (lower[3:-1] - lower[1:-3]) / (2.0 * step)
     wide = (lower[4:] - lower[:-4]) / (4.0 * step)
     differences = (4.0 * near - wide) / 3.0
-    noise = (ROUNDING * np.abs(lower).max(axis=0) + SMALL * size) / step
+    noise = (accuracy * np.abs(lower).max(axis=0) + SMALL * size) / step
     scale = np.maximum(np.abs(differences), np.abs(differences).max(axis=0) * 1e-2)
     unsure = np.abs(near - wide)
     moves = (np.diff(lower, axis=0) != 0.0).mean(
         axis=0
     ) > 0.9  # an FMU with a larger step of its own stands still at times
     clear = moves & (unsure <= RESOLVED * scale) & (noise <= RESOLVED * scale)
-    # a method of first order follows the derivative of the step's beginning, or of its end
-    lag = 0.5 * np.abs(jets[3:-1, 1:] - jets[1:-3, 1:])
+    # a method of first order follows the derivative of the step's beginning, or of its end; smaller steps tell that apart
+    lag = 0.0 if refinable else 0.5 * np.abs(jets[3:-1, 1:] - jets[1:-3, 1:])
     failing = clear & ~(np.abs(given - differences) <= unsure + lag + OUTPUT_TOLERANCE * scale + noise)
     return given, differences, clear, failing
 

@@ -221,7 +221,8 @@ def _check_structure(root: Element, variables: list[Element]) -> Iterator[Findin
             for index in [unknown.get("index", ""), *(unknown.get("dependencies") or "").split()]:
                 if not index.isdigit() or not 1 <= int(index) <= len(variables):
                     yield _structure(f"{part} refers to variable {index} of {len(variables)}", "count from 1")
-    states: dict[str, str] = {}
+    states: dict[str, Element] = {}
+    listed = {unknown.get("index") for unknown in root.iterfind("ModelStructure/Derivatives/Unknown")}
     for number, variable in enumerate(variables, 1):
         index = next((kind.get("derivative") for kind in variable if kind.tag == "Real"), None)
         if index is None:
@@ -235,10 +236,11 @@ def _check_structure(root: Element, variables: list[Element]) -> Iterator[Findin
             yield _structure(
                 f"{name} is the derivative of {state.get('name')}, which is not continuous", "correct it", name
             )
-        elif index in states:
-            yield _structure(f"{name} and {states[index]} are derivatives of the same state", "keep one", name)
-        else:
-            states[index] = name
+        elif index in states and str(number) in listed:
+            other = states[index].get("name")
+            yield _structure(f"{name} and {other} are derivatives of the same state", "list one of them", name)
+        elif str(number) in listed:
+            states[index] = variable
 
 
 def _structure(message: str, remedy: str, subject: str = "") -> Finding:
@@ -255,4 +257,6 @@ def _number(text: str | None, default: Any) -> Any:
 
 
 def _broken(problem: str, severity: Severity = Severity.ERROR) -> Finding:
-    return Finding("model description", " ".join(problem.split()), "correct modelDescription.xml", severity)
+    quoted = re.search(r'"([^"]+)"', problem)
+    subject = quoted[1] if quoted else ""
+    return Finding("model description", " ".join(problem.split()), "correct modelDescription.xml", severity, subject)

@@ -17,8 +17,11 @@ from flexfmu.fmu_build.finding import Finding, Severity
 
 Rows = NDArray[np.float64]
 
-AGREEMENT = 0.02
+AGREEMENT = 0.01
 """What co-simulation and model exchange may differ, relative to how far an output moves: most solvers do better."""
+
+POOR = 0.03
+"""The same for a solver that gets better with smaller steps."""
 
 INTEGRATION_TOLERANCE = 1e-8
 POINTS = 100
@@ -121,8 +124,12 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
             continue
         exchange, whole, split = (each[:rows] for each in (exchange, slaves[0], slaves[-1]))
         apart, finer = _apart(fmu, exchange, whole), _apart(fmu, exchange, split)
-        # what gets less with the step is the solver's
-        apart = np.where((finer > AGREEMENT) & (finer > STAYS * apart), apart, 0.0)
+        # what gets less with the step is the solver's, who may be poor but not that poor
+        apart = np.where((finer > AGREEMENT) & (finer > STAYS * apart) | (apart > POOR), apart, 0.0)
+        if apart.max() > AGREEMENT:  # what a tighter tolerance changes is CVODE's
+            tighter = _integrated(fmu, starts, inputs, 0.01 * INTEGRATION_TOLERANCE)
+            unsure = _apart(fmu, exchange, tighter[:rows]) if len(tighter) >= rows else apart
+            apart = np.where(apart > 3.0 * unsure, apart, 0.0)
         worst = int(np.argmax(apart))
         if apart[worst] > AGREEMENT and not _is_euler(fmu, starts, inputs, whole, exchange):
             yield Finding(
@@ -130,7 +137,7 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
                 f"{fmu.smooth_outputs[worst].name} differs by {apart[worst]:.1%} of its motion between model exchange, "
                 f"integrated by CVODE, and co-simulation",
                 "both have to solve the same equations over the whole step",
-                Severity.ERROR if apart[worst] > 10 * AGREEMENT else Severity.WARNING,
+                Severity.ERROR if apart[worst] > 20 * AGREEMENT else Severity.WARNING,
             )
             return
 
@@ -159,7 +166,9 @@ def _apart(fmu: FmuUnderTest, first: Rows, second: Rows) -> Rows:
     return np.where(enough, np.median(np.abs(first - second), axis=0) / np.where(enough, motion, 1.0), 0.0)
 
 
-def _integrated(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows) -> Rows:
+def _integrated(
+    fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, tolerance: float = INTEGRATION_TOLERANCE
+) -> Rows:
     """Outputs after each step by fmpy's CVODE with constant inputs."""
     steps = min(fmu.steps, POINTS)
     stop = fmu.start + steps * fmu.step
@@ -168,11 +177,11 @@ def _integrated(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows) -> Ro
     for variable, value in zip(fmu.inputs, inputs, strict=True):
         signals[variable.name] = value
     with redirect_stdout(None):  # fmpy tells of inputs that it isn't given
-        result = _simulate(fmu, starts, signals, stop)
+        result = _simulate(fmu, starts, signals, stop, tolerance)
     return np.column_stack([result[variable.name] for variable in fmu.smooth_outputs])[1:]
 
 
-def _simulate(fmu: FmuUnderTest, starts: dict[Any, float], signals: Any, stop: float) -> Any:
+def _simulate(fmu: FmuUnderTest, starts: dict[Any, float], signals: Any, stop: float, tolerance: float) -> Any:
     return fmpy.simulate_fmu(
         str(fmu.folder),
         fmi_type="ModelExchange",
@@ -182,7 +191,7 @@ def _simulate(fmu: FmuUnderTest, starts: dict[Any, float], signals: Any, stop: f
         stop_time=stop,
         output_interval=fmu.step,
         solver="CVode",
-        relative_tolerance=INTEGRATION_TOLERANCE,
+        relative_tolerance=tolerance,
         record_events=False,
         start_values={variable.name: value for variable, value in starts.items()},
         input=signals if fmu.inputs else None,

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from fmpy import fmi2
+from fmpy.logging import addLoggerProxy
 from numpy.typing import NDArray
 
 from flexfmu.fmu_build.checks.instance import (
@@ -35,6 +36,9 @@ SECONDS_A_RUN = 1.0
 
 EXCITATION = 1e-3
 """Amplitude of what is added to the inputs' start values, relative to their size: small enough for any model."""
+
+SOLVER_TOLERANCE = 1e-6
+"""Relative tolerance that a solver is thought to have, unless the default experiment has a larger one."""
 
 GUARD = bytes(range(0xA0, 0xC0))
 """What lies before and behind each block of memory that an FMU gets, to see whether it writes there."""
@@ -77,6 +81,8 @@ class FmuUnderTest:
     misuse: list[str] = field(default_factory=list)
     _instances: int = 0
     _library: Any = None
+    _kept_callbacks: Any = None
+    _functions: Any = None
 
     def __post_init__(self) -> None:
         experiment = self.description.defaultExperiment
@@ -89,6 +95,7 @@ class FmuUnderTest:
         self.all_steps = max(1, round((stop - self.start) / self.step))
         self.stop = max(stop, self.start + self.all_steps * self.step)
         self.tolerance = _time(experiment, "tolerance")
+        self.accuracy = max(self.tolerance or 0.0, SOLVER_TOLERANCE)
         self.outputs = self._variables("output", types=_NUMBERS) or self._variables("local")[:_MOST_LOCALS]
         self.inputs = self._variables("input", variability="continuous")
 
@@ -223,6 +230,12 @@ class FmuUnderTest:
         ]
 
     def _callbacks(self) -> Any:
+        """The callbacks of all instances: they have to live as long as these."""
+        if self._kept_callbacks is None:
+            self._kept_callbacks = self._new_callbacks()
+        return self._kept_callbacks
+
+    def _new_callbacks(self) -> Any:
         def log(_environment: int, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
             self.messages.append((message or b"").decode(errors="replace"))
 
@@ -243,6 +256,9 @@ class FmuUnderTest:
         callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
         callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(allocate)
         callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+        with suppress(Exception):  # puts arguments into messages, where fmpy has it for this platform
+            self._functions = callbacks.logger, callbacks.allocateMemory, callbacks.freeMemory
+            addLoggerProxy(byref(callbacks))
         return callbacks
 
 

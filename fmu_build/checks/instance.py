@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from ctypes import POINTER, c_double, cast
 from time import monotonic, sleep
@@ -81,10 +81,11 @@ class Instance(ABC):
         """Everything up to the first step, with the default experiment; ``values`` are set first of all, by variable."""
 
     @abstractmethod
-    def advance(self, first: int, last: int, size: float = 1.0) -> Vector:
+    def advance(self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None) -> Vector:
         """Go through the steps ``first`` to ``last`` with small changes of the inputs; what comes out, one row a step.
 
-        It ends earlier where the FMU ends the simulation. ``size`` multiplies the changes.
+        It ends earlier where the FMU ends the simulation. ``size`` multiplies the changes; ``between`` is called in each step
+        after the inputs are set.
         """
 
     def run(self) -> Vector:
@@ -178,11 +179,13 @@ class CosimulationInstance(Instance):
         self.enter_initialization(values)
         self.library.exitInitializationMode()
 
-    def advance(self, first: int, last: int, size: float = 1.0) -> Vector:
+    def advance(self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None) -> Vector:
         fmu = self.fmu
         rows = []
         for n in range(first, last):
             self.set(fmu.inputs, fmu.input_values(n, size))
+            if between is not None:
+                between()
             if not self.step(n, 1):
                 break
             rows.append(self.get(fmu.outputs))
@@ -218,14 +221,12 @@ class CosimulationInstance(Instance):
 
     def _await(self) -> None:
         """Wait for the end of a step that goes on elsewhere."""
-        while True:
-            with suppress(FMICallException):
-                status = self.library.getStatus(fmi2.fmi2DoStepStatus)
-                if status > 1 and status != _PENDING:
-                    raise RuntimeError(f"a pending fmi2DoStep ends with status {status}")
-                if status != _PENDING:
-                    return
+        if not self.fmu.element.canRunAsynchronuously:
+            raise RuntimeError("fmi2DoStep returns fmi2Pending, canRunAsynchronuously is not claimed")
+        while (status := self.library.getStatus(fmi2.fmi2DoStepStatus)) == _PENDING:
             sleep(1e-3)
+        if status > 1:
+            raise RuntimeError(f"a pending fmi2DoStep ends with status {status}")
 
 
 class ExchangeInstance(Instance):
@@ -237,7 +238,7 @@ class ExchangeInstance(Instance):
         self.states = len(self.fmu.description.derivatives or ())
         self._handle_events()
 
-    def advance(self, first: int, last: int, size: float = 1.0) -> Vector:
+    def advance(self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None) -> Vector:
         fmu = self.fmu
         rows: list[Vector] = []
         for n in range(first, last):
@@ -249,6 +250,8 @@ class ExchangeInstance(Instance):
             if self.states:
                 x = self.continuous_states()
                 self.set_continuous_states(x + _WANDER * np.maximum(np.abs(x), 1e-3) * np.sin(n + np.arange(x.size)))
+            if between is not None:
+                between()
             rows.append(np.hstack([self.derivatives(), self.get(fmu.outputs)]))
             event, self.finished = self.library.completedIntegratorStep()
             if not self.finished and (event or time >= self.next_event):

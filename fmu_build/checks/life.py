@@ -66,7 +66,7 @@ def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
         for uri, remedy, severity in tries:
             problem = _starts_with(fmu, uri)
             if problem is not None:
-                shown = uri.replace(str(fmu.folder), "/FOLDER")
+                shown = uri.replace(str(fmu.folder), "/FOLDER").replace(quote(home), "/with%20space")
                 message = f"with {shown} the FMU fails: {problem}"
                 yield Finding("resource location", message, remedy or "take the resources from there", severity)
 
@@ -244,16 +244,18 @@ def _environment(libc: Any) -> dict[bytes, bytes]:
 
 
 def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Finding]:
-    """Findings about what an FMU has changed in its process."""
-    for what, old in before.items():
+    """Findings about what an FMU has changed in its process; what is told is taken out of ``before``."""
+    for what, old in list(before.items()):
         new = after[what]
+        if new != old:
+            del before[what]
         if what == "open files" and new > old:
-            yield _disturbance(f"leaves {new - old} files open", "close them")
+            yield _disturbance("leaves files open", "close them")
         elif what == "environment" and new != old:
             names = sorted(name.decode(errors="replace") for name in {*old, *new} if old.get(name) != new.get(name))
             yield _disturbance(f"changes the environment: {', '.join(names)}", "leave it alone")
         elif what != "open files" and new != old:
-            change = "" if what == "signal handlers" else f" from {old} to {new}"
+            change = "" if what == "signal handlers" else f" to {new}"
             yield _disturbance(f"changes the {what}{change}", "restore it before each FMI call returns")
 
 

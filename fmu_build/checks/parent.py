@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,6 +21,9 @@ from flexfmu.fmu_build.finding import Finding, Severity
 CALL_SHARE = 0.2
 """Part of the time limit that one FMI call may take."""
 
+MOST_HANGS = 2
+"""Calls that don't return after which nothing more is tried with an interface."""
+
 _INSTANTIATION = "instantiation"
 
 
@@ -31,6 +35,7 @@ class _Outcome:
     found: list[tuple[str, Finding]] = field(default_factory=list)
     pace: float = 0.0
     problem: Finding | None = None
+    hangs: bool = False
 
 
 def check_in_child(folder: Path, jobs: Sequence[str], together: bool, limit: float) -> dict[str, list[Finding]]:
@@ -44,10 +49,14 @@ def check_in_child(folder: Path, jobs: Sequence[str], together: bool, limit: flo
     """
     end = monotonic() + limit
     findings: dict[str, list[Finding]] = {job.split(":")[0]: [] for job in jobs}
-    remaining, pace = list(jobs), 0.0
+    remaining, pace, hangs = list(jobs), 0.0, Counter[str]()
     while remaining:
         if monotonic() > end:
-            _add(findings, remaining[0].split(":")[0], _not_checked(remaining, limit))
+            _add(
+                findings,
+                remaining[0].split(":")[0],
+                _not_checked(remaining, f"the time limit of {limit:.3g} s is over"),
+            )
             break
         outcome = _run(folder, remaining if together else remaining[:1], pace, end - monotonic(), CALL_SHARE * limit)
         pace = outcome.pace or pace
@@ -56,12 +65,16 @@ def check_in_child(folder: Path, jobs: Sequence[str], together: bool, limit: flo
         kind = outcome.begun.split(":")[0]
         if outcome.problem is not None:
             _add(findings, kind, outcome.problem)
+            hangs[kind] += outcome.hangs
         done = remaining.index(outcome.begun) + 1
         remaining = remaining[done:]
         if any(
             finding.check == _INSTANTIATION for finding in findings[kind]
         ):  # without an instance nothing else makes sense
             remaining = [job for job in remaining if not job.startswith(kind)]
+        if hangs[kind] == MOST_HANGS and (rest := [job for job in remaining if job.startswith(kind)]):
+            _add(findings, kind, _not_checked(rest, f"{MOST_HANGS} calls did not return"))
+            remaining = [job for job in remaining if job not in rest]
     return findings
 
 
@@ -80,6 +93,8 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
         command = [sys.executable, "-m", module, str(os.getpid()), str(folder), str(report), *numbers, *jobs]
         status, last = _end_of(command, Path(home), timeout)
         outcome, lines = _Outcome(begun=jobs[0]), list(_lines(report))
+    if not lines and status:
+        raise RuntimeError(f"the process that checks FMUs ends with status {status} before it begins: {last}")
     for line in lines:
         outcome.begun = line.get("begin", outcome.begun)
         outcome.pace = line.get("pace", outcome.pace)
@@ -87,6 +102,7 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
             outcome.found.append((outcome.begun.split(":")[0], _finding(line["finding"])))
     if not any("end" in line for line in lines):
         hang = next((line["hang"] for line in lines if "hang" in line), None)
+        outcome.hangs = hang is not None
         outcome.problem = _problem(outcome.begun.split(":")[1], status, last, hang, timeout, call_limit)
     elif status:
         outcome.problem = _problem("memory", status, last, None, timeout, call_limit)
@@ -154,7 +170,7 @@ def _finding(line: dict[str, Any]) -> Finding:
     return Finding(**(line | {"severity": Severity(line["severity"]), "others": tuple(line["others"])}))
 
 
-def _not_checked(jobs: list[str], limit: float) -> Finding:
+def _not_checked(jobs: list[str], why: str) -> Finding:
     names = ", ".join(dict.fromkeys(job.split(":")[1] for job in jobs))
-    message = f"{names} not checked: the time limit of {limit:.3g} s is over"
+    message = f"{names} not checked: {why}"
     return Finding("simulation", message, "--time-limit gives more", Severity.NOTE)

@@ -32,8 +32,10 @@ STAIRS = 16
 KICK = 0.02
 """Change of inputs and starts relative to their size: what sets the model in motion."""
 
+RISE = 0.01
+"""Height of a ramp relative to the input's size."""
+
 MOST_INPUTS = 8
-_SIGNIFICANT = 1e-9
 _MOTION = 1e-4
 
 
@@ -83,19 +85,14 @@ def interpolates_inputs(fmu: FmuUnderTest) -> Iterator[Finding]:
     outputs = fmu.smooth_outputs or [variable for variable in fmu.outputs if variable.type == "Real"]
     if not claims or not outputs or (not fmu.smooth_outputs and fmu.steps < STAIRS):
         return
+    parts = STAIRS * (1 + bool(fmu.smooth_outputs))
     for variable in fmu.inputs[:MOST_INPUTS]:
-        fine, exact, ramp, held = (
-            _ramp(fmu, variable, outputs, how, stairs)
-            for how, stairs in (
-                ("stairs", STAIRS * (1 + bool(fmu.smooth_outputs))),
-                ("stairs", STAIRS),
-                ("derivative", 1),
-                ("held", 1),
-            )
-        )
-        missed, ignored, unsure = np.abs(ramp - fine), np.abs(held - fine), np.abs(exact - fine)
-        # outputs that the number of stairs changes can't be judged by them
-        clear = (unsure < 0.2 * ignored) & (ignored > _SIGNIFICANT * np.abs(fine).max(initial=0.0))
+        fine, exact = (_ramp(fmu, variable, outputs, "stairs", stairs) for stairs in (parts, STAIRS))
+        split, held = (_ramp(fmu, variable, outputs, "held", stairs) for stairs in (parts, 1))
+        missed = np.abs(_ramp(fmu, variable, outputs, "derivative", 1) - fine)
+        ignored, unsure = np.abs(held - fine), np.maximum(np.abs(exact - fine), np.abs(split - held))
+        # outputs that the number of stairs or of steps changes can't be judged by them
+        clear = (unsure < 0.2 * ignored) & (ignored > fmu.accuracy * np.abs(fine).max(initial=0.0))
         failing = clear & (missed > 0.5 * ignored)
         if clear.any() and failing.sum() > 0.5 * clear.sum():
             n = int(np.argmax(np.where(failing, ignored, 0.0)))
@@ -117,7 +114,7 @@ def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], how: str, parts:
     """
     span, within = (1, 0.5) if fmu.smooth_outputs else (STAIRS, 0.0)
     start = start_of(variable)
-    rise = moved(variable, 1e-3) - start
+    rise = moved(variable, RISE) - start
     with fmu.instance(how) as instance:
         instance.initialize()
         for part in range(parts):

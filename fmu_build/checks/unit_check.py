@@ -52,6 +52,9 @@ _PLAIN: dict[str, tuple[float, Exponents]] = {
 
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9}
 _FACTOR = re.compile(r"(?P<symbol>1|[A-Za-z]+)\^?(?P<power>-?\d+)?")
+_QUOTIENT = re.compile(r"(?P<above>[^/()]+)(/\((?P<product>[^/()]+)\)|(?P<factors>(/[^/().*]+)*))")
+"""a.b, a/b, a/b/c and a/(b.c); what a/b.c means isn't clear."""
+
 _CLOSE = 1e-3
 
 
@@ -66,12 +69,13 @@ class Meaning:
 def meaning(name: str) -> Meaning | None:
     """What a unit's name says; None where that isn't certain."""
     factor, exponents = 1.0, dict.fromkeys(BASE, 0)
-    above, *below = name.split("/")
-    for sign, product in ((1, above), *((-1, part) for part in below)):
-        for part in re.split(
-            r"[.*]", product.strip().removeprefix("(").removesuffix(")") if below else product.strip()
-        ):
-            match = _FACTOR.fullmatch(part.strip())
+    form = _QUOTIENT.fullmatch(name.replace(" ", ""))
+    if form is None:
+        return None
+    below = [form["product"]] if form["product"] else form["factors"].split("/")[1:]
+    for sign, product in ((1, form["above"]), *((-1, part) for part in below)):
+        for part in re.split(r"[.*]", product):
+            match = _FACTOR.fullmatch(part)
             known = _symbol(match["symbol"]) if match else None
             if match is None or known is None:
                 return None

@@ -1,149 +1,294 @@
 /* A mass on a spring that an input pulls: a sound FMU 2.0 for both interfaces, written apart from the package's runtime.
-   Each macro BREAK_... spoils it in one respect, so that validation has something to find. */
+   The name in resources/mutant.txt spoils it in one respect, so that validation has something to find. */
+#define _DEFAULT_SOURCE
 #include "fmi2Functions.h"
 
+#include <fenv.h>
+#include <math.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #define GUID "{spring}"
-#define STIFFNESS 40.0
-#define DAMPING 0.5
 #define LARGEST_STEP 1e-3
+#define BUFFER 64
 
-enum { PULL, POSITION, VELOCITY, POSITION_RATE, VELOCITY_RATE, FORCE, VARIABLES };
+#define MUTANTS(X)                                                                                                        \
+  X(sound) X(version) X(types) X(exit_at_start) X(no_instance) X(any_guid) X(uri_slashes) X(uri_percent) X(nan) X(nan_late)         \
+  X(output_jumps) X(never_freed) X(malloc_leak) X(overrun) X(reset_nothing) X(reset_parameter) X(reset_velocity) X(state_half)      \
+  X(saving_disturbs) X(state_leaks_input) X(addresses) X(shared_state) X(shared_parameter) X(static_count) X(own_step)              \
+  X(part_of_step) X(loses_time) X(first_step) X(held_inputs) X(negative_derivatives) X(nan_derivatives) X(some_derivatives)         \
+  X(directional) X(directional_input) X(history) X(rate) X(state_order) X(nominals) X(cs_other) X(cs_pull) X(undeclared_input)      \
+  X(undeclared_state) X(not_linear) X(undeclared_initial) X(start) X(start_string) X(parameter_ignored) X(parameter_clamped)        \
+  X(any_reference) X(any_order) X(array_end) X(crash) X(crash_late) X(hang) X(prints) X(directory) X(environment) X(rounding)       \
+  X(handler) X(leaves_file) X(open_file) X(time_stands) X(not_boolean) X(out_of_range) X(terminate_fails) X(second_fails)           \
+  X(discards) X(uninitialised) X(ends_early) X(once) X(pending)
+
+#define ENUM(name) M_##name,
+#define TEXT(name) #name,
+enum { MUTANTS(ENUM) COUNT };
+static const char *const names[] = {MUTANTS(TEXT)};
+
+enum { PULL, POSITION, VELOCITY, POSITION_RATE, VELOCITY_RATE, FORCE, STIFFNESS, DAMPING, FREQUENCY, TIME, VARIABLES };
+enum { STARTED = 1, INITIALIZING = 2, RUNNING = 4, ENDED = 8 };
 
 typedef struct {
-  double time, x[2], u, u_rate;
+  double time, x[2], u, u_rate, stiffness, damping;
+  int material, locked, steps, modes;
+  char label[BUFFER];
 } State;
 
 typedef struct {
   State now;
   fmi2CallbackFunctions callbacks;
   char *scratch;
+  int mutant, is_slave, discarded;
 } Spring;
 
-#ifdef BREAK_INSTANCES
 static State shared;
-#define NOW(s) ((void)(s), &shared)
-#else
-#define NOW(s) (&(s)->now)
-#endif
+static double shared_stiffness = 40.0;
+static int instances, calls, last_mutant;
 
-static void rates(const double *x, double u, double *dx) {
+static State *now(Spring *s) { return s->mutant == M_shared_state ? &shared : &s->now; }
+static int is(const Spring *s, int mutant) { return s->mutant == mutant; }
+
+static double stiffness(Spring *s) { return is(s, M_shared_parameter) ? shared_stiffness : now(s)->stiffness; }
+
+static void rates(Spring *s, const double *x, double u, double *dx) {
+  double k = stiffness(s);
   dx[0] = x[1];
-  dx[1] = STIFFNESS * (u - x[0]) - DAMPING * x[1];
+  dx[1] = k * (u - x[0]) - now(s)->damping * x[1];
+  if (is(s, M_rate) && !s->is_slave) dx[1] *= 1.3;
+  if (is(s, M_cs_other) && s->is_slave) dx[1] *= 1.05;
+  if (is(s, M_cs_pull) && s->is_slave) dx[1] += 0.3 * k * u;
+  if (is(s, M_parameter_ignored)) dx[1] = 40.0 * (u - x[0]) - 0.5 * x[1];
 }
 
 /* one step of the classical Runge-Kutta method */
-static void runge_kutta(State *s, double h) {
+static void runge_kutta(Spring *spring, double h) {
+  State *s = now(spring);
   double k[4][2], y[2];
   static const double at[4] = {0.0, 0.5, 0.5, 1.0};
   for (int stage = 0; stage < 4; stage++) {
     for (int i = 0; i < 2; i++) y[i] = s->x[i] + (stage ? at[stage] * h * k[stage - 1][i] : 0.0);
-    rates(y, s->u + at[stage] * h * s->u_rate, k[stage]);
+    rates(spring, y, s->u + at[stage] * h * s->u_rate, k[stage]);
   }
   for (int i = 0; i < 2; i++) s->x[i] += h / 6.0 * (k[0][i] + 2.0 * k[1][i] + 2.0 * k[2][i] + k[3][i]);
   s->u += h * s->u_rate;
 }
 
-static void start(State *s) {
-  State fresh = {0.0, {0.1, 0.0}, 0.0, 0.0};
+static void start(Spring *spring) {
+  State *s = now(spring), fresh = {0.0, {0.1, 0.0}, 0.0, 0.0, 40.0, 0.5, 1, 0, 0, STARTED, "spring"};
+  if (is(spring, M_uninitialised)) fresh.x[1] = s->x[1] * 0.0 + 1e-3 * (calls++ % 7);
   *s = fresh;
+  if (is(spring, M_start)) s->x[0] = 0.11;
+  if (is(spring, M_start_string)) strcpy(s->label, "string");
+  shared_stiffness = 40.0;
+}
+
+static int mutant_in(const char *uri) {
+  char path[4096], name[BUFFER] = "sound";
+  size_t n = 0;
+  uri += strncmp(uri, "file:", 5) ? 0 : 5;
+  if (!strncmp(uri, "//localhost/", 12)) uri += 11;
+  else if (!strncmp(uri, "//", 2)) uri += 2;
+  for (; *uri && n < sizeof path - 16; uri++) {
+    unsigned code;
+    if (*uri == '%' && sscanf(uri + 1, "%2x", &code) == 1) path[n++] = (char)code, uri += 2;
+    else path[n++] = *uri;
+  }
+  strcpy(path + n, "/mutant.txt");
+  FILE *file = fopen(path, "r");
+  if (file) {
+    if (fscanf(file, "%63s", name) != 1) strcpy(name, "sound");
+    fclose(file);
+  }
+  for (int i = 0; i < COUNT; i++)
+    if (!strcmp(names[i], name)) return i;
+  return M_sound;
+}
+
+static void on_signal(int number) { (void)number; }
+
+static void disturb(Spring *s) {
+  if (is(s, M_prints)) printf("one step\n");
+  if (is(s, M_directory) && chdir("/")) abort();
+  if (is(s, M_environment)) setenv("LC_ALL", "C", 1);
+  if (is(s, M_rounding)) fesetround(FE_UPWARD);
+  if (is(s, M_handler)) signal(SIGFPE, on_signal);
+  if (is(s, M_open_file) && !fopen("/dev/null", "r")) abort();
+  if (is(s, M_leaves_file)) {
+    FILE *file = fopen("log.txt", "w");
+    if (file) fclose(file);
+  }
 }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String uri,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging) {
-  (void)name, (void)type, (void)visible, (void)logging;
-#ifdef BREAK_EXIT
-  exit(0);
-#endif
-#ifndef BREAK_GUID
-  if (strcmp(guid, GUID)) return NULL;
-#endif
-#ifdef BREAK_URI_SLASHES
-  if (strncmp(uri, "file:///", 8)) return NULL;
-#endif
-#ifdef BREAK_URI_PERCENT
-  FILE *folder = fopen(uri + 7, "r");
-  if (!strncmp(uri, "file:///", 8) && !folder) return NULL;
-  if (folder) fclose(folder);
-#endif
-  (void)guid, (void)uri;
+  (void)name, (void)visible, (void)logging;
+  int mutant = last_mutant = mutant_in(uri);
+  if (mutant == M_exit_at_start) exit(0);
+  if (mutant == M_no_instance) return NULL;
+  if (mutant != M_any_guid && strcmp(guid, GUID)) return NULL;
+  if (mutant == M_uri_slashes && strncmp(uri, "file:///", 8)) return NULL;
+  if (mutant == M_uri_percent && strchr(uri, '%')) return NULL;
+  if (mutant == M_second_fails && instances) return NULL;
+  if (mutant == M_once && calls++) return NULL;
   Spring *s = callbacks->allocateMemory(1, sizeof *s);
   if (!s) return NULL;
+  instances++;
   s->callbacks = *callbacks;
   s->scratch = callbacks->allocateMemory(1, 16);
-  start(NOW(s));
+  s->mutant = mutant;
+  s->is_slave = type == fmi2CoSimulation;
+  start(s);
   return s;
 }
 
 void fmi2FreeInstance(fmi2Component c) {
   Spring *s = c;
   if (!s) return;
-#ifndef BREAK_MEMORY
-  s->callbacks.freeMemory(s->scratch);
-#endif
+  instances--;
+  if (is(s, M_malloc_leak) && !malloc(1000)) abort();
+  if (!is(s, M_never_freed)) s->callbacks.freeMemory(s->scratch);
   s->callbacks.freeMemory(s);
 }
 
+static fmi2Status refuse(Spring *s, const char *what) {
+  s->callbacks.logger(s->callbacks.componentEnvironment, "spring", fmi2Error, "logStatusError", what);
+  return fmi2Error;
+}
+
+/* whether a call is legal in the modes given */
+static int legal(Spring *s, int modes) { return is(s, M_any_order) || (now(s)->modes & modes); }
+
 fmi2Status fmi2Reset(fmi2Component c) {
-#ifndef BREAK_RESET
-  start(NOW((Spring *)c));
-#endif
-  (void)c;
+  Spring *s = c;
+  State old = *now(s);
+  if (is(s, M_reset_nothing)) {
+    now(s)->modes = STARTED;
+    return fmi2OK;
+  }
+  start(s);
+  if (is(s, M_reset_parameter)) now(s)->stiffness = old.stiffness;
+  if (is(s, M_reset_velocity)) now(s)->x[1] = old.x[1];
   return fmi2OK;
 }
 
-static double value_of(const State *s, unsigned which) {
+static double value_of(Spring *spring, unsigned which) {
+  State *s = now(spring);
   double dx[2];
-  rates(s->x, s->u, dx);
+  rates(spring, s->x, s->u, dx);
   switch (which) {
     case PULL: return s->u;
-    case POSITION: return s->x[0];
+    case POSITION:
+      if (is(spring, M_static_count)) return s->x[0] + 1e-6 * calls++;
+      if (is(spring, M_undeclared_input)) return s->x[0] + 0.1 * s->u;
+      if (is(spring, M_output_jumps) && s->time > 0.5) return INFINITY;
+      if (is(spring, M_out_of_range)) return s->x[0] * 500.0;
+      return s->x[0];
     case VELOCITY: return s->x[1];
     case POSITION_RATE: return dx[0];
-    case VELOCITY_RATE: return dx[1];
-#ifdef BREAK_NAN
-    case FORCE: return 0.0 / (s->time - s->time);
-#endif
-    default: return STIFFNESS * (s->u - s->x[0]);
+    case VELOCITY_RATE: return is(spring, M_not_linear) ? dx[1] + s->x[0] * s->x[0] : dx[1];
+    case STIFFNESS: return is(spring, M_parameter_clamped) ? 40.0 : s->stiffness;
+    case DAMPING: return s->damping;
+    case FREQUENCY: return sqrt(s->stiffness) + (is(spring, M_undeclared_initial) ? s->damping : 0.0);
+    case TIME: return is(spring, M_time_stands) ? 0.0 : s->time;
+    default:
+      if (is(spring, M_nan)) return NAN;
+      if (is(spring, M_nan_late) && s->time > 0.6) return NAN;
+      if (is(spring, M_undeclared_state)) return s->stiffness * (s->u - s->x[0]) + 0.3 * s->x[1];
+      return s->stiffness * (s->u - s->x[0]);
   }
 }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real value[]) {
+  Spring *s = c;
   for (size_t i = 0; i < n; i++) {
-    if (r[i] >= VARIABLES) return fmi2Error;
-    value[i] = value_of(NOW((Spring *)c), r[i]);
+    if (r[i] >= VARIABLES && !is(s, M_any_reference)) return refuse(s, "no such variable");
+    value[i] = r[i] < VARIABLES ? value_of(s, r[i]) : 0.0;
   }
+  if (is(s, M_array_end) && n) value[n] = 0.0;
   return fmi2OK;
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real value[]) {
-  State *s = NOW((Spring *)c);
+  Spring *spring = c;
+  State *s = now(spring);
   for (size_t i = 0; i < n; i++) {
-    if (r[i] > VELOCITY) return fmi2Error;
+    if (r[i] >= VARIABLES && is(spring, M_any_reference)) continue;
     if (r[i] == PULL) s->u = value[i], s->u_rate = 0.0;
-    else s->x[r[i] - POSITION] = value[i];
+    else if (r[i] == POSITION || r[i] == VELOCITY) s->x[r[i] - POSITION] = value[i];
+    else if ((r[i] == STIFFNESS || r[i] == DAMPING) && legal(spring, STARTED | INITIALIZING)) {
+      if (r[i] == DAMPING) s->damping = value[i];
+      else s->stiffness = shared_stiffness = value[i];
+    } else return refuse(spring, "this can't be set now");
+  }
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Integer value[]) {
+  for (size_t i = 0; i < n; i++) {
+    if (r[i] > 0 && !is(c, M_any_reference)) return refuse(c, "no such variable");
+    value[i] = now(c)->material;
+  }
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer value[]) {
+  for (size_t i = 0; i < n; i++) {
+    if (r[i] > 0 || !legal(c, STARTED | INITIALIZING)) return refuse(c, "this can't be set now");
+    now(c)->material = value[i];
+  }
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Boolean value[]) {
+  for (size_t i = 0; i < n; i++) {
+    if (r[i] > 1 && !is(c, M_any_reference)) return refuse(c, "no such variable");
+    value[i] = r[i] == 1 ? (now(c)->x[0] > 0.0) * (is(c, M_not_boolean) ? 7 : 1) : now(c)->locked;
+  }
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Boolean value[]) {
+  for (size_t i = 0; i < n; i++) {
+    if (r[i] > 0 || !legal(c, STARTED | INITIALIZING)) return refuse(c, "this can't be set now");
+    now(c)->locked = value[i];
+  }
+  return fmi2OK;
+}
+
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2String value[]) {
+  for (size_t i = 0; i < n; i++) {
+    if (r[i] > 0) return refuse(c, "no such variable");
+    value[i] = now(c)->label;
+  }
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2String value[]) {
+  for (size_t i = 0; i < n; i++) {
+    if (r[i] > 0 || !legal(c, STARTED | INITIALIZING) || strlen(value[i]) >= BUFFER) return refuse(c, "this can't be set");
+    strcpy(now(c)->label, value[i]);
   }
   return fmi2OK;
 }
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
   if (!*state) *state = malloc(sizeof(State));
-  memcpy(*state, NOW((Spring *)c), sizeof(State));
+  memcpy(*state, now(c), sizeof(State));
+  if (is(c, M_saving_disturbs)) now(c)->u_rate = 0.1;
   return fmi2OK;
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
-  State *s = NOW((Spring *)c);
-#ifdef BREAK_STATE
-  double kept = s->x[1];
-#endif
+  State *s = now(c), old = *s;
   memcpy(s, state, sizeof *s);
-#ifdef BREAK_STATE
-  s->x[1] = kept;
-#endif
+  if (is(c, M_state_half)) s->x[1] = old.x[1];
+  if (is(c, M_state_leaks_input)) s->damping = old.damping * (1.0 + 1e-6);
   return fmi2OK;
 }
 
@@ -161,107 +306,90 @@ fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
-  (void)c;
-#ifdef BREAK_SERIALISATION
-  /* an address means nothing in another process, but a copy of it lives on here */
-  State *copy = malloc(sizeof *copy);
-  memcpy(copy, state, sizeof *copy);
-  memset(bytes, 0, size);
-  memcpy(bytes, &copy, sizeof copy);
-#else
-  memcpy(bytes, state, size);
-#endif
+  if (is(c, M_addresses)) { /* an address means nothing in another process, but a copy of it lives on here */
+    State *copy = malloc(sizeof *copy);
+    memcpy(copy, state, sizeof *copy);
+    memset(bytes, 0, size);
+    memcpy(bytes, &copy, sizeof copy);
+  } else memcpy(bytes, state, size);
   return fmi2OK;
 }
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
-  (void)c;
-  if (!*state) *state = malloc(sizeof(State));
-#ifdef BREAK_SERIALISATION
   State *copy;
+  if (!*state) *state = malloc(sizeof(State));
   memcpy(&copy, bytes, sizeof copy);
-  memcpy(*state, copy, sizeof *copy);
-  (void)size;
-#else
-  memcpy(*state, bytes, size);
-#endif
+  if (is(c, M_addresses)) memcpy(*state, copy, sizeof *copy);
+  else memcpy(*state, bytes, size);
   return fmi2OK;
-}
-
-/* change of a variable that a change of u and x makes */
-static double change_of(unsigned which, double u, const double *x) {
-  double dx[2];
-  rates(x, u, dx);
-  switch (which) {
-    case POSITION: return x[0];
-    case VELOCITY: return x[1];
-    case POSITION_RATE: return dx[0];
-    case VELOCITY_RATE: return dx[1];
-    default: return STIFFNESS * (u - x[0]);
-  }
 }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[], size_t n,
                                         const fmi2ValueReference known[], size_t m, const fmi2Real dknown[],
                                         fmi2Real dunknown[]) {
-  double u = 0.0, x[2] = {0.0, 0.0};
-  (void)c;
+  Spring *s = c;
+  double u = 0.0, x[2] = {0.0, 0.0}, dx[2], k = now(s)->stiffness;
   for (size_t i = 0; i < m; i++) {
-    if (known[i] > VELOCITY) return fmi2Error;
-    if (known[i] == PULL) u += dknown[i];
+    if (known[i] > VELOCITY) return refuse(c, "no known");
+    if (known[i] == PULL) u += dknown[i] * (is(s, M_directional_input) ? -1.0 : 1.0);
     else x[known[i] - POSITION] += dknown[i];
   }
-  for (size_t i = 0; i < n; i++) dunknown[i] = change_of(unknown[i], u, x);
-#ifdef BREAK_DIRECTIONAL
-  for (size_t i = 0; i < n; i++) dunknown[i] *= 1.01;
-#endif
+  rates(s, x, u, dx);
+  for (size_t i = 0; i < n; i++) {
+    double change[] = {u, x[0], x[1], dx[0], dx[1], k * (u - x[0])};
+    if (unknown[i] > FORCE) return refuse(c, "no unknown");
+    dunknown[i] = change[unknown[i]] * (is(s, M_directional) ? 1.01 : 1.0);
+  }
   return fmi2OK;
 }
 
 /* co-simulation */
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean no_set_state) {
-  State *s = NOW((Spring *)c);
+  Spring *spring = c;
+  State *s = now(spring);
   (void)no_set_state;
-#ifdef BREAK_STEP
-  h = 0.01;
-#endif
-#ifdef BREAK_CRASH
-  if (time > 0.5) abort();
-#endif
-#ifdef BREAK_HANG
-  while (time > 0.5) time += 1e-9 * (h > 0.0);
-#endif
-#ifdef BREAK_INPUT_DERIVATIVES
-  s->u_rate = 0.0;
-#endif
-#ifdef BREAK_INTERFACES
-  s->x[0] *= 1.02;
-#endif
-  int parts = 1 + (int)(h / LARGEST_STEP);
-  for (int part = 0; part < parts; part++) runge_kutta(s, h / parts);
-  s->time = time + h;
-  return fmi2OK;
+  if (!legal(spring, RUNNING) || (h <= 0.0 && !is(spring, M_any_order))) return refuse(spring, "no step now");
+  disturb(spring);
+  double wanted = h;
+  if (is(spring, M_own_step)) h = 0.01;
+  if (is(spring, M_part_of_step)) h *= 0.97;
+  if (is(spring, M_loses_time)) h -= 1e-3;
+  if (is(spring, M_first_step) && s->steps == 0) h = 0.0;
+  if (is(spring, M_crash) || (is(spring, M_crash_late) && time > 0.5)) abort();
+  while (is(spring, M_hang) && time > 0.1) time += 1e-9 * (h > 0.0);
+  if (is(spring, M_held_inputs)) s->u_rate = 0.0;
+  if (is(spring, M_discards) && time > 0.3) return fmi2Discard;
+  if (is(spring, M_ends_early) && time > 0.3) {
+    spring->discarded = 1;
+    return fmi2Discard;
+  }
+  if (is(spring, M_overrun)) spring->scratch[16 + s->steps % 4] = 1;
+  int parts = 1 + (int)(fmax(h, 0.0) / LARGEST_STEP);
+  for (int part = 0; part < parts && h > 0.0; part++) runge_kutta(spring, h / parts);
+  s->steps++;
+  s->time = time + wanted;
+  return is(spring, M_pending) ? fmi2Pending : fmi2OK;
 }
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer order[],
                                        const fmi2Real value[]) {
   for (size_t i = 0; i < n; i++) {
-    if (r[i] != PULL || order[i] != 1) return fmi2Error;
-    NOW((Spring *)c)->u_rate = value[i];
+    if (r[i] != PULL || order[i] != 1) return refuse(c, "no such derivative");
+    now(c)->u_rate = value[i];
   }
   return fmi2OK;
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference r[], size_t n,
                                         const fmi2Integer order[], fmi2Real value[]) {
-  State *s = NOW((Spring *)c);
+  State *s = now(c);
   for (size_t i = 0; i < n; i++) {
-    if (order[i] != 1) return fmi2Error;
-    value[i] = r[i] == POSITION ? s->x[1] : STIFFNESS * (s->u_rate - s->x[1]);
-#ifdef BREAK_OUTPUT_DERIVATIVES
-    value[i] = -value[i];
-#endif
+    if (order[i] != 1) return refuse(c, "no such derivative");
+    value[i] = r[i] == POSITION ? s->x[1] : s->stiffness * (s->u_rate - s->x[1]);
+    if (is(c, M_negative_derivatives)) value[i] = -value[i];
+    if (is(c, M_nan_derivatives)) value[i] = NAN;
+    if (is(c, M_some_derivatives) && r[i] != POSITION) value[i] *= 1.04;
   }
   return fmi2OK;
 }
@@ -269,97 +397,96 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 /* model exchange */
 
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
-  NOW((Spring *)c)->time = time;
+  now(c)->time = time;
   return fmi2OK;
 }
 
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) {
-  memcpy(NOW((Spring *)c)->x, x, n * sizeof *x);
+  memcpy(now(c)->x, x, n * sizeof *x);
   return fmi2OK;
 }
 
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) {
-  memcpy(x, NOW((Spring *)c)->x, n * sizeof *x);
+  for (size_t i = 0; i < n; i++) x[i] = now(c)->x[is(c, M_state_order) ? 1 - i : i];
   return fmi2OK;
 }
 
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) {
-  State *s = NOW((Spring *)c);
+  Spring *s = c;
   (void)n;
-  rates(s->x, s->u, dx);
-#ifdef BREAK_DERIVATIVES
-  dx[1] += s->u_rate;
-  s->u_rate += 1.0;
-#endif
+  rates(s, now(s)->x, now(s)->u, dx);
+  if (is(s, M_not_linear)) dx[1] += now(s)->x[0] * now(s)->x[0];
+  if (is(s, M_history)) dx[1] += 1e-9 * now(s)->steps++;
   return fmi2OK;
 }
 
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n) {
-  (void)c;
-  for (size_t i = 0; i < n; i++) x[i] = 1.0;
+  for (size_t i = 0; i < n; i++) x[i] = is(c, M_nominals) ? 0.0 : 1.0;
   return fmi2OK;
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
-  (void)c;
+  if (!legal(c, RUNNING)) return refuse(c, "no events now");
   memset(info, 0, sizeof *info);
   return fmi2OK;
 }
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state, fmi2Boolean *event, fmi2Boolean *end) {
-  (void)c, (void)no_set_state;
+  (void)no_set_state;
+  disturb(c);
   *event = *end = fmi2False;
   return fmi2OK;
 }
 
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) {
+  for (size_t i = 0; i < n; i++) z[i] = now(c)->x[0];
+  return fmi2OK;
+}
+
+/* modes */
+
+static fmi2Status go(Spring *s, int from, int to) {
+  if (!legal(s, from)) return refuse(s, "not in this mode");
+  now(s)->modes = to;
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real from,
+                               fmi2Boolean ends, fmi2Real to) {
+  (void)has_tolerance, (void)tolerance, (void)ends, (void)to;
+  if (!legal(c, STARTED)) return refuse(c, "not in this mode");
+  now(c)->time = from;
+  return fmi2OK;
+}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return go(c, STARTED, INITIALIZING); }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return go(c, INITIALIZING, RUNNING); }
+fmi2Status fmi2EnterEventMode(fmi2Component c) { return go(c, RUNNING, RUNNING); }
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return go(c, RUNNING, RUNNING); }
+fmi2Status fmi2Terminate(fmi2Component c) { return is(c, M_terminate_fails) ? fmi2Error : go(c, RUNNING, ENDED); }
+
 /* what has nothing to do here */
 
-#ifdef BREAK_VERSION
-const char *fmi2GetVersion(void) { return "1.0"; }
-#else
-const char *fmi2GetVersion(void) { return fmi2Version; }
-#endif
-const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+const char *fmi2GetVersion(void) { return last_mutant == M_version ? "1.0" : fmi2Version; }
+const char *fmi2GetTypesPlatform(void) { return last_mutant == M_types ? "other" : fmi2TypesPlatform; }
 
 #define NOTHING(name, arguments, status) \
   fmi2Status name arguments { return status; }
-#define GET(name, type) \
-  NOTHING(fmi2Get##name, (fmi2Component c, const fmi2ValueReference r[], size_t n, type v[]), \
-          ((void)c, (void)r, (void)v, n ? fmi2Error : fmi2OK))
-#define SET(name, type) \
-  NOTHING(fmi2Set##name, (fmi2Component c, const fmi2ValueReference r[], size_t n, const type v[]), \
-          ((void)c, (void)r, (void)v, n ? fmi2Error : fmi2OK))
-#define MODE(name) NOTHING(fmi2##name, (fmi2Component c), ((void)c, fmi2OK))
 #define STATUS(name, type) \
   NOTHING(fmi2Get##name, (fmi2Component c, const fmi2StatusKind k, type *v), ((void)c, (void)k, (void)v, fmi2Discard))
 
-GET(Integer, fmi2Integer)
-GET(Boolean, fmi2Boolean)
-GET(String, fmi2String)
-SET(Integer, fmi2Integer)
-SET(Boolean, fmi2Boolean)
-SET(String, fmi2String)
-MODE(EnterInitializationMode)
-MODE(ExitInitializationMode)
-MODE(Terminate)
-MODE(EnterEventMode)
-MODE(EnterContinuousTimeMode)
-#ifndef BREAK_EXPORTS
-MODE(CancelStep)
-#endif
+NOTHING(fmi2CancelStep, (fmi2Component c), ((void)c, fmi2OK))
 STATUS(Status, fmi2Status)
 STATUS(RealStatus, fmi2Real)
 STATUS(IntegerStatus, fmi2Integer)
-STATUS(BooleanStatus, fmi2Boolean)
 STATUS(StringStatus, fmi2String)
-NOTHING(fmi2SetDebugLogging, (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[]),
-        ((void)c, (void)on, (void)n, (void)names, fmi2OK))
-NOTHING(fmi2SetupExperiment,
-        (fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real from, fmi2Boolean ends, fmi2Real to),
-        ((void)has_tolerance, (void)tolerance, (void)ends, (void)to, NOW((Spring *)c)->time = from, fmi2OK))
-NOTHING(fmi2GetEventIndicators, (fmi2Component c, fmi2Real z[], size_t n), ((void)c, (void)z, (void)n, fmi2OK))
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+  *value = kind == fmi2Terminated && ((Spring *)c)->discarded;
+  return fmi2OK;
+}
+NOTHING(fmi2SetDebugLogging, (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]),
+        ((void)c, (void)on, (void)n, (void)categories, fmi2OK))
 
-#ifdef BREAK_VISIBILITY
+#ifdef VISIBLE
 void helper_of_mine(void);
 void helper_of_mine(void) {}
 #endif

@@ -1,0 +1,385 @@
+"""A sound FMU, and mutants of it: each is spoilt in one respect, in its archive, its description or its behaviour."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import subprocess
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.toolchain import find_compiler
+
+SOURCES = Path(__file__).parent / "spring-fmu"
+DESCRIPTION = "modelDescription.xml"
+LIBRARY = "binaries/linux64/spring.so"
+
+Files = dict[str, bytes]
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-fPIC", "-shared")
+
+
+def compile_spring(folder: Path, *flags: str) -> bytes:
+    """The library, with further compiler flags."""
+    library = folder / "spring.so"
+    headers = str(files("flexfmu.fmu_build") / "c-runtime")
+    compiler = find_compiler(native_platform()).command
+    source = [f"-I{headers}", str(SOURCES / "spring.c"), "-o", str(library), "-lm"]
+    subprocess.run([*compiler, *STRICT, *source, *flags], check=True)
+    return library.read_bytes()
+
+
+def spring_files(library: bytes) -> Files:
+    """Files of the sound FMU."""
+    return {
+        DESCRIPTION: (SOURCES / DESCRIPTION).read_bytes(),
+        LIBRARY: library,
+        "sources/spring.c": (SOURCES / "spring.c").read_bytes(),
+    }
+
+
+def zipped(content: Files) -> bytes:
+    """An archive."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """An FMU spoilt in one respect.
+
+    Attributes:
+        name: what is spoilt.
+        part: ``archive``, ``description`` or ``behaviour``.
+        make: the archive, from the files of the sound FMU.
+        runs: whether the FMU has to run to show it.
+    """
+
+    name: str
+    part: str
+    make: Callable[[Files], bytes]
+    runs: bool = False
+
+
+def behaves(name: str) -> Mutant:
+    """A mutant by the name that the library reads in its resources."""
+
+    def make(sound: Files) -> bytes:
+        description = sound[DESCRIPTION]
+        if name != "addresses":  # saves a process
+            description = description.replace(b' canSerializeFMUstate="true"', b"")
+        return zipped(sound | {DESCRIPTION: description, "resources/mutant.txt": name.encode()})
+
+    return Mutant(name, "behaviour", make, runs=True)
+
+
+def described(name: str, *changes: tuple[str, str], runs: bool = False) -> Mutant:
+    """A mutant by changes of the model description, each old text to be there."""
+
+    def make(sound: Files) -> bytes:
+        text = sound[DESCRIPTION].decode()
+        for old, new in changes:
+            assert old in text, f"{old} is not in the description of the sound FMU"
+            text = text.replace(old, new)
+        return zipped(sound | {DESCRIPTION: text.encode()})
+
+    return Mutant(name, "description", make, runs)
+
+
+def packed(name: str, change: Callable[[Files], object]) -> Mutant:
+    """A mutant by a change of the files."""
+
+    def make(sound: Files) -> bytes:
+        content = dict(sound)
+        change(content)
+        return zipped(content)
+
+    return Mutant(name, "archive", make)
+
+
+def rezipped(name: str, write: Callable[[zipfile.ZipFile, Files], None]) -> Mutant:
+    """A mutant by the way in which it is zipped."""
+
+    def make(sound: Files) -> bytes:
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            write(archive, sound)
+        return stream.getvalue()
+
+    return Mutant(name, "archive", make)
+
+
+def _all(archive: zipfile.ZipFile, content: Files) -> None:
+    for name, data in content.items():
+        archive.writestr(name, data)
+
+
+def _twice(archive: zipfile.ZipFile, content: Files) -> None:
+    _all(archive, content)
+    archive.writestr(zipfile.ZipInfo("resources/data.txt"), b"1")
+    archive.fp.write(b"")  # type: ignore[union-attr]
+    archive.filelist.append(archive.filelist[-1])
+
+
+def _link(archive: zipfile.ZipFile, content: Files) -> None:
+    _all(archive, content)
+    entry = zipfile.ZipInfo("resources/link.txt")
+    entry.external_attr = 0o120777 << 16
+    archive.writestr(entry, b"/etc/passwd")
+
+
+def _lzma(archive: zipfile.ZipFile, content: Files) -> None:
+    for name, data in content.items():
+        archive.writestr(name, data, zipfile.ZIP_LZMA)
+
+
+def _entry(name: str) -> Callable[[zipfile.ZipFile, Files], None]:
+    def write(archive: zipfile.ZipFile, content: Files) -> None:
+        _all(archive, content)
+        entry = zipfile.ZipInfo("x")
+        entry.filename = entry.orig_filename = name
+        archive.writestr(entry, b"x")
+
+    return write
+
+
+def _damaged(sound: Files) -> bytes:
+    content = bytearray(zipped(sound))
+    at = content.find(b"sources/spring.c") + 2000
+    content[at : at + 20] = bytes(20)
+    return bytes(content)
+
+
+def _other_processor(content: Files) -> None:
+    library = bytearray(content[LIBRARY])
+    library[18:20] = struct.pack("<H", 183)
+    content[LIBRARY] = bytes(library)
+
+
+BEHAVIOUR = [
+    behaves(name)
+    for name in [
+        "version",
+        "types",
+        "exit_at_start",
+        "no_instance",
+        "any_guid",
+        "uri_slashes",
+        "uri_percent",
+        "nan",
+        "nan_late",
+        "output_jumps",
+        "never_freed",
+        "malloc_leak",
+        "overrun",
+        "reset_nothing",
+        "reset_parameter",
+        "reset_velocity",
+        "state_half",
+        "saving_disturbs",
+        "state_leaks_input",
+        "addresses",
+        "shared_state",
+        "shared_parameter",
+        "static_count",
+        "own_step",
+        "part_of_step",
+        "loses_time",
+        "first_step",
+        "held_inputs",
+        "negative_derivatives",
+        "nan_derivatives",
+        "some_derivatives",
+        "directional",
+        "directional_input",
+        "history",
+        "rate",
+        "state_order",
+        "nominals",
+        "cs_other",
+        "cs_pull",
+        "undeclared_input",
+        "undeclared_state",
+        "not_linear",
+        "undeclared_initial",
+        "start",
+        "start_string",
+        "parameter_ignored",
+        "parameter_clamped",
+        "any_reference",
+        "any_order",
+        "array_end",
+        "crash",
+        "crash_late",
+        "hang",
+        "prints",
+        "directory",
+        "environment",
+        "rounding",
+        "handler",
+        "leaves_file",
+        "open_file",
+        "time_stands",
+        "not_boolean",
+        "out_of_range",
+        "terminate_fails",
+        "second_fails",
+        "discards",
+        "uninitialised",
+        "pending",
+    ]
+]
+
+OUTPUT = '<Unknown index="6" dependencies="1 2"/>\n'
+
+DESCRIPTIONS = [
+    described("guid empty", ('guid="{spring}"', 'guid=""')),
+    described("guid of another build", ("{spring}", "{other}"), runs=True),
+    described("min above max", ('min="-1" max="1"', 'min="1" max="-1"')),
+    described("start beyond max", ('max="1" start="0"', 'max="1" start="2"')),
+    described("start is NaN", ('start="40"', 'start="NaN"')),
+    described("start is text", ('start="40"', 'start="soft"')),
+    described("start missing", (' max="10" start="0.1"', ' max="10"')),
+    described("start of a calculated", ('<Real unit="rad/s"/>', '<Real unit="rad/s" start="6"/>')),
+    described(
+        "start of the time",
+        ('variability="continuous">\n      <Real/>', 'variability="continuous">\n      <Real start="0"/>'),
+    ),
+    described("initial of an input", ('name="pull" ', 'name="pull" initial="exact" ')),
+    described("nominal 0", ('min="0" start="0.5"', 'min="0" nominal="0" start="0.5"')),
+    described(
+        "parameter varies",
+        (
+            'name="damping" valueReference="7" causality="parameter" variability="fixed"',
+            'name="damping" valueReference="7" causality="parameter" variability="continuous"',
+        ),
+    ),
+    described(
+        "Boolean varies continuously",
+        (
+            'name="stretched" valueReference="1" causality="output" variability="discrete"',
+            'name="stretched" valueReference="1" causality="output" variability="continuous"',
+        ),
+    ),
+    described("name twice", ('name="velocity"', 'name="position"')),
+    described("name with a line feed", ('name="velocity"', 'name="velo&#10;city"')),
+    described(
+        "value reference of two parameters", ('name="damping" valueReference="7"', 'name="damping" valueReference="6"')
+    ),
+    described("value reference of two units", ('name="force" valueReference="5"', 'name="force" valueReference="1"')),
+    described(
+        "value references exchanged",
+        ('name="position" valueReference="1"', 'name="position" valueReference="2"'),
+        ('name="velocity" valueReference="2"', 'name="velocity" valueReference="1"'),
+        runs=True,
+    ),
+    described("unit's exponent", ('<BaseUnit kg="1" s="-2"/>', '<BaseUnit kg="1" m="1" s="-2"/>')),
+    described("unit's factor", ('<BaseUnit m="1" s="-1"/>', '<BaseUnit m="1" s="-1" factor="3.6"/>')),
+    described("display unit's factor", ('name="mm" factor="1000"', 'name="mm" factor="0.001"')),
+    described("unit missing", ('<Unit name="N">\n      <BaseUnit kg="1" m="1" s="-2"/>\n    </Unit>', "")),
+    described(
+        "unit twice",
+        (
+            '<Unit name="rad/s">',
+            '<Unit name="N">\n      <BaseUnit kg="1" m="1" s="-2"/>\n    </Unit>\n    <Unit name="rad/s">',
+        ),
+    ),
+    described("type missing", ('declaredType="Material"', 'declaredType="Metal"')),
+    described(
+        "enumeration starts with no item", ('declaredType="Material" start="1"', 'declaredType="Material" start="3"')
+    ),
+    described("items of one value", ('name="rubber" value="2"', 'name="rubber" value="1"')),
+    described("output not listed", (OUTPUT, "")),
+    described("output listed twice", (OUTPUT, OUTPUT + OUTPUT)),
+    described(
+        "unknown out of range", ('<Unknown index="14"/>\n    </Outputs>', '<Unknown index="40"/>\n    </Outputs>')
+    ),
+    described("dependency out of range", ('dependencies="1 2"/>\n', 'dependencies="1 20"/>\n')),
+    described("dependenciesKind too short", ('"fixed fixed fixed"', '"fixed fixed"')),
+    described("initial unknown missing", ('<Unknown index="9" dependencies="7"/>', "")),
+    described("derivative of itself", ('derivative="2"', 'derivative="4"')),
+    described("derivatives of one state", ('derivative="3"', 'derivative="2"')),
+    described(
+        "derivatives exchanged",
+        ('derivative="2"', 'derivative="X"'),
+        ('derivative="3"', 'derivative="2"'),
+        ('derivative="X"', 'derivative="3"'),
+        runs=True,
+    ),
+    described("dependency not declared", (OUTPUT, '<Unknown index="6" dependencies="1"/>\n'), runs=True),
+    described("experiment ends before it begins", ('stopTime="1"', 'stopTime="-1"')),
+    described("step of 0", ('stepSize="0.02"', 'stepSize="0"')),
+    described("step longer than the experiment", ('stepSize="0.02"', 'stepSize="20"')),
+    described(
+        "identifier is no C name", ('CoSimulation modelIdentifier="spring"', 'CoSimulation modelIdentifier="my-spring"')
+    ),
+    described("no interface", ("<ModelExchange", "<!--"), ("</CoSimulation>", "-->")),
+    described(
+        "serialises what it can't save",
+        ('maxOutputDerivativeOrder="1" canGetAndSetFMUstate="true"', 'maxOutputDerivativeOrder="1"'),
+    ),
+    described("second output derivatives", ('maxOutputDerivativeOrder="1"', 'maxOutputDerivativeOrder="2"'), runs=True),
+    described("unknown element", ("<Outputs>", "<Outptus>"), ("</Outputs>", "</Outptus>")),
+    described("attribute missing", ('valueReference="8" ', "")),
+    described("not well-formed", ("</ModelStructure>", "")),
+    described("another version", ('fmiVersion="2.0"', 'fmiVersion="2.1"')),
+    described("no date", ("2026-11-22T12:00:00Z", "yesterday")),
+]
+
+ARCHIVE = [
+    packed("no binary", lambda content: content.pop(LIBRARY)),
+    packed(
+        "binary of another name", lambda content: content.update({"binaries/linux64/other.so": content.pop(LIBRARY)})
+    ),
+    packed("binary is text", lambda content: content.update({LIBRARY: b"#!/bin/sh\n"})),
+    packed("binary is cut off", lambda content: content.update({LIBRARY: content[LIBRARY][:4000]})),
+    packed("binary for another processor", _other_processor),
+    packed(
+        "function missing",
+        lambda content: content.update({LIBRARY: content[LIBRARY].replace(b"fmi2CancelStep\0", b"fmi2CancelStop\0")}),
+    ),
+    packed("DLL of another name", lambda content: content.update({"binaries/win64/other.dll": b"MZ"})),
+    packed("DLL is text", lambda content: content.update({"binaries/win64/spring.dll": b"text"})),
+    packed("folder of no platform", lambda content: content.update({"binaries/linux/spring.so": content[LIBRARY]})),
+    packed("source missing", lambda content: content.pop("sources/spring.c")),
+    packed("source empty", lambda content: content.update({"sources/spring.c": b""})),
+    packed("documentation without a start", lambda content: content.update({"documentation/other.html": b"x"})),
+    packed("picture is text", lambda content: content.update({"model.png": b"x"})),
+    packed("folder in capitals", lambda content: content.update({"Resources/data.txt": b"1"})),
+    packed("file where no tool looks", lambda content: content.update({"data.txt": b"1"})),
+    packed(
+        "description in a folder", lambda content: content.update({f"spring/{DESCRIPTION}": content.pop(DESCRIPTION)})
+    ),
+    rezipped("path with a backslash", _entry("resources\\data.txt")),
+    rezipped("path out of the folder", _entry("../data.txt")),
+    rezipped("absolute path", _entry("/tmp/data.txt")),
+    rezipped("file twice", _twice),
+    rezipped("symbolic link", _link),
+    rezipped("packed by LZMA", _lzma),
+    Mutant("damaged", "archive", _damaged),
+    Mutant("cut off", "archive", lambda sound: zipped(sound)[:-400]),
+    Mutant("no archive", "archive", lambda sound: sound[LIBRARY]),
+]
+
+MUTANTS = [*ARCHIVE, *DESCRIPTIONS, *BEHAVIOUR]
+
+
+def sound_variants(library: bytes) -> dict[str, bytes]:
+    """FMUs that are sound: as it is, one that ends the simulation by itself, one that a process may have once."""
+    sound = spring_files(library)
+    once = re.sub(
+        rb"(<(CoSimulation|ModelExchange)) ", rb'\1 canBeInstantiatedOnlyOncePerProcess="true" ', sound[DESCRIPTION]
+    )
+    return {
+        "sound": zipped(sound),
+        "ends the simulation": zipped(sound | {"resources/mutant.txt": b"ends_early"}),
+        "once a process": zipped(sound | {DESCRIPTION: once, "resources/mutant.txt": b"once"}),
+    }
