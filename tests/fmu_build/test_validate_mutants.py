@@ -1,0 +1,253 @@
+"""Validation finds nothing in a sound FMU, written apart from this package, and what is spoilt in its mutants."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from fmpy.validation import validate_fmu as validate_by_fmpy
+from typer.testing import CliRunner
+
+sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
+
+from mutants import (
+    BEHAVIOUR,
+    DESCRIPTION,
+    LIBRARY,
+    MUTANTS,
+    Files,
+    Mutant,
+    compile_spring,
+    sound_variants,
+    spring_files,
+    zipped,
+)
+
+from flexfmu.cosim.cli import app
+from flexfmu.fmu_build.archive import pack
+from flexfmu.fmu_build.errors import ArchiveError
+from flexfmu.fmu_build.finding import Finding, Severity
+from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.model.scene_file import load_scene
+
+pytestmark = pytest.mark.skipif(native_platform().name != "linux64", reason="compiles and reads ELF")
+
+NAMED = [
+    "nan_late",
+    "part_of_step",
+    "rate",
+    "start",
+    "shared_parameter",
+    "saving_disturbs",
+    "undeclared_input",
+    "environment",
+]
+"""Some that a user meets."""
+
+UNKNOWABLE = {"parameter_ignored"}
+"""Mutants that are sound FMUs of another model: a parameter may have no influence."""
+
+Found = Callable[..., list[Finding]]
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The compiled library."""
+    return compile_spring(tmp_path_factory.mktemp("spring"))
+
+
+@pytest.fixture
+def found(library: bytes, tmp_path: Path) -> Found:
+    """Function that validates an archive, or a mutant; a file that is no FMU is a finding too."""
+
+    def validate(what: Mutant | bytes, time_limit: float = 60.0, run: bool = True) -> list[Finding]:
+        path = tmp_path / "spring.fmu"
+        path.write_bytes(what if isinstance(what, bytes) else what.make(spring_files(library)))
+        try:
+            return validate_fmu(path, time_limit, run if isinstance(what, bytes) else what.runs)
+        except ArchiveError as error:
+            return [Finding("archive", str(error))]
+
+    return validate
+
+
+def mutant(name: str) -> Mutant:
+    """A mutant by its name."""
+    return next(each for each in MUTANTS if each.name == name)
+
+
+@pytest.mark.parametrize(
+    "variant", ["sound", "ends the simulation", pytest.param("once a process", marks=pytest.mark.slow)]
+)
+def test_sound_fmu_has_no_findings(found: Found, library: bytes, variant: str) -> None:
+    """Whatever is found in mutants is due to what was spoilt; fmi2Terminated and one instance a process are no faults."""
+    assert found(sound_variants(library)[variant]) == []
+
+
+def test_mutants_that_need_not_run_are_found(found: Found) -> None:
+    """Archive and description: all of them, without running anything."""
+    still = [each for each in MUTANTS if not each.runs]
+    assert len(still) >= 60
+    assert [each.name for each in still if not found(each)] == []
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_spoilt_behaviour_is_found(found: Found, name: str) -> None:
+    """What costs users most, each by the check for it."""
+    assert any(each.severity is not Severity.NOTE for each in found(mutant(name)))
+
+
+@pytest.mark.slow
+def test_mutants_that_run_are_found(found: Found) -> None:
+    """All but those that no run can tell from a sound FMU."""
+    running = [each for each in MUTANTS if each.runs and each.name not in {*NAMED, "hang"}]
+    assert len(MUTANTS) >= 130
+    assert {each.name for each in running if not found(each)} == UNKNOWABLE
+
+
+@pytest.mark.parametrize(
+    ("name", "check", "words"),
+    [
+        ("function missing", "binary", "does not export fmi2CancelStep"),
+        ("binary for another processor", "binary", "another processor"),
+        ("start beyond max", "start value", "starts at 2.0, outside -1.0 to 1.0"),
+        ("value reference of two parameters", "value reference", "stiffness and damping share the value reference 6"),
+        ("unit's exponent", "units", "N/m is defined with m=1"),
+        ("dependency out of range", "model description", "refers to variable 20 of 14"),
+        ("folder in capitals", "archive", "Resources/data.txt is where no tool looks; call it resources"),
+    ],
+)
+def test_findings_say_what_and_where(found: Found, name: str, check: str, words: str) -> None:
+    """Name, value and remedy in one line, with the section of the standard."""
+    lines = [str(each) for each in found(mutant(name)) if each.check == check]
+    assert any(words in line and "[FMI 2.0.4, 2." in line for line in lines)
+    assert all("\n" not in line for line in lines)
+
+
+def test_findings_of_one_kind_are_one_line(found: Found, library: bytes) -> None:
+    """Sixty missing sources are one finding that names some; what breaks more comes first."""
+    sources = "".join(f'<File name="part{n}.c"/>' for n in range(60))
+    content = spring_files(library)
+    content[DESCRIPTION] = content[DESCRIPTION].replace(b'<File name="spring.c"/>', sources.encode(), 1)
+    content["data.txt"] = b""
+    content[DESCRIPTION] = content[DESCRIPTION].replace(b'stepSize="0.02"', b'stepSize="0"')
+    listed = found(zipped(content), run=False)
+    assert [each.check for each in listed] == ["experiment", "sources", "archive"]
+    assert len(listed[1].others) == 59
+    assert "sources/part0.c is listed but missing (and 59 more: sources/part1.c, " in str(listed[1])
+
+
+def test_one_cause_is_one_line(found: Found) -> None:
+    """A crash in every run is one finding that names the checks that it ended."""
+    crashes = [each for each in found(mutant("crash")) if "ended with signal 6" in each.message]
+    assert {"reset", "state", "instances"} <= set(crashes[0].others)
+    assert crashes[0].check == "simulation"
+    assert len(crashes) <= 3
+
+
+def test_endless_call_is_told_within_the_time_limit(found: Found) -> None:
+    """A call that never returns is named, the rest isn't waited for, and the message says how long was waited."""
+    begin = time.monotonic()
+    lines = [str(each) for each in found(mutant("hang"), time_limit=5.0)]
+    assert time.monotonic() - begin < 5.0 + 5.0  # a last process may just have begun
+    assert any("fmi2DoStep did not return within 1 s" in line for line in lines)
+    assert any(line.startswith("note: ") and "not checked" in line for line in lines)
+
+
+def processes(group_of: str) -> list[str]:
+    """Command lines of the running processes that name something."""
+    lines = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            lines.append(path.read_bytes().replace(b"\0", b" ").decode(errors="replace"))
+        except OSError:
+            continue  # it has just ended
+    return [line for line in lines if group_of in line and "checks.child" in line]
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_killed_validation_leaves_no_process_behind(library: bytes, tmp_path: Path, how: signal.Signals) -> None:
+    """However the validation ends, the process that hangs in the FMU ends with it."""
+    path = tmp_path / "spring.fmu"
+    path.write_bytes(mutant("hang").make(spring_files(library)))
+    home = tmp_path / "temporary"
+    home.mkdir()
+    program = f"from pathlib import Path; from flexfmu.fmu_build.validate import validate_fmu; validate_fmu(Path({str(path)!r}))"
+    with subprocess.Popen(
+        [sys.executable, "-c", program], env=os.environ | {"TMPDIR": str(home)}, stderr=subprocess.DEVNULL
+    ) as parent:
+        wait_for(lambda: bool(processes(str(home))))
+        time.sleep(0.5)
+        parent.send_signal(how)
+        parent.wait(10.0)
+    wait_for(lambda: not processes(str(home)))
+
+
+def wait_for(condition: Callable[[], bool], longest: float = 20.0) -> None:
+    """Wait until something holds."""
+    end = time.monotonic() + longest
+    while not condition():
+        assert time.monotonic() < end, "it takes too long"
+        time.sleep(0.05)
+
+
+def test_exit_status_tells_severity(library: bytes, tmp_path: Path) -> None:
+    """1 for errors, 0 for warnings unless --strict; --json has the same with section, remedy and the time limit."""
+    runner, path = CliRunner(), tmp_path / "spring.fmu"
+
+    def status(name: str, *options: str) -> int:
+        path.write_bytes(mutant(name).make(spring_files(library)))
+        return runner.invoke(app, ["validate", str(path), "--static", *options]).exit_code
+
+    assert status("picture is text") == 0
+    assert status("picture is text", "--strict") == 1
+    assert status("step of 0") == 1
+    data = json.loads(runner.invoke(app, ["validate", str(path), "--static", "--json"]).stdout)
+    assert data["time_limit"] == 120.0
+    assert [finding["section"] for finding in data["findings"]] == ["2.2.5"]
+    assert data["findings"][0]["remedy"].startswith("correct DefaultExperiment")
+
+
+def test_other_versions_get_one_line(found: Found) -> None:
+    """An FMU of another version isn't judged by the rules of this one."""
+    findings = found(mutant("another version"))
+    assert [each.message for each in findings] == ["fmiVersion is 2.1: only FMUs of version 2.0 are checked"]
+
+
+def test_unusual_dependencies_are_found(found: Found, tmp_path: Path) -> None:
+    """A library that needs others, looks for them where it was built, or shows its insides, loads there alone."""
+    library = compile_spring(tmp_path, "-DVISIBLE", "-Wl,--no-as-needed", "-lstdc++", "-Wl,-rpath,/opt/mine")
+    text = "\n".join(map(str, found(pack(spring_files(library)), run=False)))
+    assert f"dependencies: {LIBRARY} needs libstdc++.so.6" in text
+    assert "looks for libraries in /opt/mine" in text
+    assert "exports helper_of_mine besides the FMI functions" in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("drive", "step"), [("motion", 2e-3), ("motion", 5e-3), ("torque", 1e-3)])
+def test_robots_with_coarse_steps_have_no_findings(tmp_path: Path, drive: str, step: float) -> None:
+    """Differences over a step that skips vibrations say nothing about derivatives."""
+    scene = load_scene("barnard2012-6kg")
+    cosimulation = scene.cosimulation.model_copy(update={"drive": drive, "step": step})
+    path = tmp_path / "plant.fmu"
+    build_scene(scene.model_copy(update={"cosimulation": cosimulation}), output=path)
+    assert validate_fmu(path) == []
+
+
+def test_mutants_are_mutants(library: bytes, tmp_path: Path) -> None:
+    """Each name stands for one mutant, the library knows those that behave, and fmpy finds nothing in the sound FMU."""
+    names = [each.name for each in MUTANTS]
+    assert len(set(names)) == len(names)
+    assert all(f"{each.name}\0".encode() in library for each in BEHAVIOUR)
+    sound: Files = spring_files(library)
+    (tmp_path / "spring.fmu").write_bytes(zipped(sound))
+    assert validate_by_fmpy(str(tmp_path / "spring.fmu")) == []
