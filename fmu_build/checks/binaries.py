@@ -94,10 +94,10 @@ def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> 
                 "name it like the modelIdentifier",
                 Severity.WARNING if same else Severity.ERROR,
             )
-        elif not files[name].startswith(_MAGIC[SUFFIXES[folder]]):
-            yield Finding("binary", f"{name} is no library for {folder}", "compile it for this platform")
         elif folder.endswith(("linux64", "-linux")):
             yield from _check_elf(name, files, functions)
+        elif not files[name].startswith(_MAGIC[SUFFIXES[folder]]):
+            yield Finding("binary", f"{name} is no library for {folder}", "compile it for this platform")
 
 
 def _required_functions(description: Any) -> dict[str, frozenset[str]]:

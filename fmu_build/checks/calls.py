@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from ctypes import c_double, c_uint
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from fmpy.fmi1 import FMICallException
 
 from flexfmu.fmu_build.checks.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.checks.instance import announce
 from flexfmu.fmu_build.finding import Finding, Severity
 
 NO_VARIABLE = 0x7FFFFFF1
@@ -74,7 +74,7 @@ def _accepted(
         with fmu.instance("illegal") as instance:
             if initialized:
                 instance.initialize()
-            print(f"in {name} {when}", file=sys.stderr, flush=True)  # the last words, where the FMU crashes
+            announce(f"{name} {when}")
             try:
                 call(instance)
                 accepted.append(name)

@@ -22,7 +22,7 @@ from fmpy.model_description import read_model_description
 
 from flexfmu.fmu_build.checks.catalogue import CHECKS
 from flexfmu.fmu_build.checks.fmu import FmuUnderTest, Kind, OnlyOnceError
-from flexfmu.fmu_build.checks.instance import Watch
+from flexfmu.fmu_build.checks.instance import Watch, announce
 from flexfmu.fmu_build.checks.life import Check, disturbances, surroundings
 from flexfmu.fmu_build.finding import Finding, Severity
 
@@ -41,6 +41,7 @@ def main() -> None:
         before = surroundings()
         for job in jobs:
             kind, name = job.split(":")
+            announce("")
             _say(file, begin=job)
             for finding in _findings(name, CHECKS[name], fmus[kind], before):
                 _say(file, finding=asdict(finding))

@@ -42,6 +42,9 @@ OUTPUT_TOLERANCE = 5e-3
 SMALL = 1e-9
 """Uncertainty of values relative to the variable's size: what a solver's absolute tolerance may leave."""
 
+BEGIN = 10
+"""Communication steps that are made before."""
+
 LEAST_POINTS = 8
 """Points that have to be resolved to say anything."""
 
@@ -208,7 +211,13 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Vec
             return None
         if not np.isfinite(jets).all():
             point, order, column = map(int, np.argwhere(~np.isfinite(jets))[0])
-            return _Contradiction(order, column, fmu.start + (point + 1) * step, jets[point, order, column], np.nan)
+            return _Contradiction(
+                order,
+                column,
+                fmu.start + _begin(fmu) * fmu.step + (point + 1) * step,
+                jets[point, order, column],
+                np.nan,
+            )
         given, differences, clear, failing = _comparison(jets, step, fmu.accuracy, size, fmu.has_variable_step)
         enough = (clear.sum(axis=0) >= LEAST_POINTS) & (clear.mean(axis=0) >= 0.5)
         share = np.where(enough, failing.sum(axis=0) / np.maximum(clear.sum(axis=0), 1), 0.0)
@@ -224,7 +233,7 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Vec
             order, column = map(int, np.argwhere((by > 0.0) & (suspect > 0.0) & (by >= STAYS * suspect))[0])
             n = int(np.argmax(np.where(failing, off, -1.0)[:, order, column]))
             values = given[n, order, column], differences[n, order, column]
-            return _Contradiction(order + 1, column, fmu.start + (n + 3) * step, *values)
+            return _Contradiction(order + 1, column, fmu.start + _begin(fmu) * fmu.step + (n + 3) * step, *values)
         suspect = by
     return None
 
@@ -253,17 +262,25 @@ def _comparison(
     return given, differences, clear, failing
 
 
+def _begin(fmu: FmuUnderTest) -> int:
+    """Communication steps before the first point: from rest, derivatives are in proportion to the time since then."""
+    return min(BEGIN, fmu.steps // 4)
+
+
 def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> Vector:
     """Values and their derivatives after steps of a size, shape (points, orders + 1, columns).
 
     Inputs stay as they are, so that nothing jumps.
     """
-    jets = []
+    jets: list[list[Any]] = []
+    begin = _begin(fmu)
     with fmu.instance("derivatives") as instance:
         instance.initialize(kicked_states(fmu))
         instance.set(fmu.inputs, np.array([moved(variable, KICK) for variable in fmu.inputs]))
-        for n in range(MOST_POINTS if fmu.has_variable_step else min(fmu.steps, MOST_POINTS)):
-            if not instance.step(n / parts, parts):
+        if not all(instance.step(n) for n in range(begin)):
+            return np.array(jets)
+        for n in range(MOST_POINTS if fmu.has_variable_step else min(fmu.steps - begin, MOST_POINTS)):
+            if not instance.step(begin + n / parts, parts):
                 break
             jets.append(jet(instance))
     return np.array(jets)

@@ -224,23 +224,23 @@ def _check_structure(root: Element, variables: list[Element]) -> Iterator[Findin
     states: dict[str, Element] = {}
     listed = {unknown.get("index") for unknown in root.iterfind("ModelStructure/Derivatives/Unknown")}
     for number, variable in enumerate(variables, 1):
-        index = next((kind.get("derivative") for kind in variable if kind.tag == "Real"), None)
-        if index is None:
+        of = next((kind.get("derivative") for kind in variable if kind.tag == "Real"), None)
+        if of is None:
             continue
         name = variable.get("name", "")
-        state = variables[int(index) - 1] if index.isdigit() and 1 <= int(index) <= len(variables) else None
-        if state is None or int(index) == number or state.find("Real") is None:
-            message = f"{name} is the derivative of variable {index}, which is no other Real"
+        state = variables[int(of) - 1] if of.isdigit() and 1 <= int(of) <= len(variables) else None
+        if state is None or int(of) == number or state.find("Real") is None:
+            message = f"{name} is the derivative of variable {of}, which is no other Real"
             yield _structure(message, "give the index of the state, from 1", name)
         elif state.get("variability", "continuous") != "continuous":
             yield _structure(
                 f"{name} is the derivative of {state.get('name')}, which is not continuous", "correct it", name
             )
-        elif index in states and str(number) in listed:
-            other = states[index].get("name")
+        elif of in states and str(number) in listed:
+            other = states[of].get("name", "")
             yield _structure(f"{name} and {other} are derivatives of the same state", "list one of them", name)
         elif str(number) in listed:
-            states[index] = variable
+            states[of] = variable
 
 
 def _structure(message: str, remedy: str, subject: str = "") -> Finding:

@@ -6,6 +6,7 @@ import ctypes
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from copy import copy
 from ctypes import byref
 from dataclasses import dataclass, field
 from enum import Enum
@@ -183,10 +184,7 @@ class FmuUnderTest:
             raise OnlyOnceError
         self._instances += 1
         is_slave = self.kind is Kind.COSIMULATION
-        library = (FMU2SlaveLibrary if is_slave else FMU2ModelLibrary).__new__(
-            FMU2SlaveLibrary if is_slave else FMU2ModelLibrary
-        )
-        library.__dict__.update(self.library().__dict__)
+        library: Any = copy(self.library())
         library.callbacks = self._callbacks()
         library.component = library.fmi2Instantiate(
             name.encode(),

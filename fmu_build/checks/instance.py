@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -33,6 +34,15 @@ _ACCESS = {
     "String": "String",
 }
 """Type of a variable → ending of the functions that get and set it."""
+
+
+TRY = "flexfmu tries:"
+"""Beginning of a line on standard error that says what is tried, should the FMU crash."""
+
+
+def announce(what: str) -> None:
+    """Say what is tried next."""
+    print(f"{TRY}{what}", file=sys.stderr, flush=True)
 
 
 class Watch:

@@ -18,6 +18,7 @@ from urllib.parse import quote
 import numpy as np
 
 from flexfmu.fmu_build.checks.fmu import FmuUnderTest, OnlyOnceError, attribute, is_guarded
+from flexfmu.fmu_build.checks.instance import announce
 from flexfmu.fmu_build.finding import Finding, Severity
 
 Check = Callable[[FmuUnderTest], Iterator[Finding]]
@@ -64,9 +65,10 @@ def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
             (f"file://localhost{path}", "localhost is this machine (RFC 8089)", Severity.WARNING),
         )
         for uri, remedy, severity in tries:
+            shown = uri.replace(str(fmu.folder), "/FOLDER").replace(quote(home), "/with%20space")
+            announce(shown)
             problem = _starts_with(fmu, uri)
             if problem is not None:
-                shown = uri.replace(str(fmu.folder), "/FOLDER").replace(quote(home), "/with%20space")
                 message = f"with {shown} the FMU fails: {problem}"
                 yield Finding("resource location", message, remedy or "take the resources from there", severity)
 

@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import Any
 
+from flexfmu.fmu_build.checks.instance import TRY
 from flexfmu.fmu_build.finding import Finding, Severity
 
 CALL_SHARE = 0.2
@@ -144,8 +145,10 @@ def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | Non
         finally:
             _kill(process)
         stderr.seek(0)
-        last = (stderr.read().decode(errors="replace").strip().splitlines() or ["no message"])[-1]
-    return status, last
+        lines = stderr.read().decode(errors="replace").strip().splitlines()
+    last = next((line for line in reversed(lines) if not line.startswith(TRY)), "no message")
+    tried = next((line.removeprefix(TRY) for line in reversed(lines) if line.startswith(TRY)), "")
+    return status, f"{last} ({tried})" if tried else last
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
