@@ -18,9 +18,8 @@ from pathlib import Path
 import pytest
 from fmpy.validation import validate_fmu as validate_by_fmpy
 
-TESTS = Path(__file__).parents[1] / "tests"
-sys.path.insert(0, str(TESTS / "fmu_build"))
-sys.path.insert(0, str(TESTS / "third_party"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "fmu_build"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "third_party"))
 
 from mutants import DESCRIPTION, MUTANTS, Mutant, compile_spring, sound_variants, spring_files
 from test_checkers import fmutool, vdmcheck

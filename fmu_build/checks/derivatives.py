@@ -36,8 +36,8 @@ RESOLVED = 0.1
 """How much a difference quotient over two steps may differ from the one over one, where the step is short enough to judge
 derivatives by it."""
 
-OUTPUT_TOLERANCE = 5e-3
-"""What output derivatives may be off, beside what the difference quotients are."""
+OUTPUT_TOLERANCE = 0.02
+"""Factor by which derivatives may be off."""
 
 SMALL = 1e-9
 """Uncertainty of values relative to the variable's size: what a solver's absolute tolerance may leave."""
@@ -50,9 +50,6 @@ LEAST_POINTS = 8
 
 STAYS = 0.5
 """Part of a contradiction that is left with smaller steps where it is no matter of the solver's steps."""
-
-FAILING_SHARE = 0.25
-"""Share of the points that have to fail: at events differences are wrong, not derivatives."""
 
 
 def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -218,48 +215,64 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Vec
                 jets[point, order, column],
                 np.nan,
             )
-        given, differences, clear, failing = _comparison(jets, step, fmu.accuracy, size, fmu.has_variable_step)
-        enough = (clear.sum(axis=0) >= LEAST_POINTS) & (clear.mean(axis=0) >= 0.5)
-        share = np.where(enough, failing.sum(axis=0) / np.maximum(clear.sum(axis=0), 1), 0.0)
-        off = np.abs(given - differences) / np.abs(differences).max(axis=0).clip(1e-300)
-        by = np.where(share > FAILING_SHARE, np.nanmean(np.where(failing, off, 0.0), axis=0), 0.0)
-        if (
-            not fmu.has_variable_step
-        ):  # differences can't be refined: a vibration that they alias is faster than they tell
-            by = np.where(np.abs(given).max(axis=0) <= 3.0 * np.abs(differences).max(axis=0), by, 0.0)
+        given, differences, clear = _comparison(jets, step, fmu.accuracy, size)
+        lag = 0.0
+        if not fmu.has_variable_step:
+            # a method of first order follows the derivative of the step's beginning; smaller steps would tell that apart
+            lag = 0.5 * np.abs(given[2:] - given[:-2]).max(axis=0) / np.abs(differences).max(axis=0).clip(1e-300)
+            # a vibration that differences alias is faster than they tell
+            clear = clear & (np.abs(given).max(axis=0) <= 3.0 * np.abs(differences).max(axis=0))
+        by = _discrepancy(given, differences, clear, lag)
+        if not fmu.has_variable_step:
             suspect = by
         # what gets less with the step is the solver's
-        if suspect.size and ((by > 0.0) & (suspect > 0.0) & (by >= STAYS * suspect)).any():
-            order, column = map(int, np.argwhere((by > 0.0) & (suspect > 0.0) & (by >= STAYS * suspect))[0])
-            n = int(np.argmax(np.where(failing, off, -1.0)[:, order, column]))
-            values = given[n, order, column], differences[n, order, column]
-            return _Contradiction(order + 1, column, fmu.start + _begin(fmu) * fmu.step + (n + 3) * step, *values)
+        if suspect.size and (stays := (by > 0.0) & (suspect > 0.0) & (by >= STAYS * suspect)).any():
+            order, column = map(int, np.argwhere(stays)[0])
+            n = int(np.argmax(np.where(clear, np.abs(differences), -1.0)[:, order, column]))
+            time = fmu.start + _begin(fmu) * fmu.step + (n + 3) * step
+            return _Contradiction(order + 1, column, time, given[n, order, column], differences[n, order, column])
         suspect = by
     return None
 
 
-def _comparison(
-    jets: Vector, step: float, accuracy: float, size: Vector, refinable: bool
-) -> tuple[Vector, Vector, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Derivatives given, central differences of fourth order, where these resolve them, and where they contradict.
-
-    All of shape (points - 4, orders, columns).
-    """
+def _comparison(jets: Vector, step: float, accuracy: float, size: Vector) -> tuple[Vector, Vector, NDArray[np.bool_]]:
+    """Derivatives given, central differences of fourth order, and where these resolve them; shape (points - 4, orders, columns)."""
     lower, given = jets[:, :-1], jets[2:-2, 1:]
     near = (lower[3:-1] - lower[1:-3]) / (2.0 * step)
     wide = (lower[4:] - lower[:-4]) / (4.0 * step)
     differences = (4.0 * near - wide) / 3.0
     noise = (accuracy * np.abs(lower).max(axis=0) + SMALL * size) / step
     scale = np.maximum(np.abs(differences), np.abs(differences).max(axis=0) * 1e-2)
-    unsure = np.abs(near - wide)
     moves = (np.diff(lower, axis=0) != 0.0).mean(
         axis=0
     ) > 0.9  # an FMU with a larger step of its own stands still at times
-    clear = moves & (unsure <= RESOLVED * scale) & (noise <= RESOLVED * scale)
-    # a method of first order follows the derivative of the step's beginning, or of its end; smaller steps tell that apart
-    lag = 0.0 if refinable else 0.5 * np.abs(jets[3:-1, 1:] - jets[1:-3, 1:])
-    failing = clear & ~(np.abs(given - differences) <= unsure + lag + OUTPUT_TOLERANCE * scale + noise)
-    return given, differences, clear, failing
+    return given, differences, moves & (np.abs(near - wide) <= RESOLVED * scale) & (noise <= RESOLVED * scale)
+
+
+def _discrepancy(given: Vector, differences: Vector, clear: NDArray[np.bool_], slack: Any) -> Vector:
+    """How far derivatives are off by a factor or on average, relative to the differences; 0 where no more than by chance.
+
+    A solver's tolerance makes the higher derivatives of vibrations noisy, which leaves factor and average alone.
+
+    Args:
+        given: shape (points, orders, columns).
+        differences: the same.
+        clear: points to look at, the same shape.
+        slack: what they may be off beside `OUTPUT_TOLERANCE`, shape (orders, columns) or a number.
+    """
+    count = clear.sum(axis=0)
+    enough = (count >= LEAST_POINTS) & (clear.mean(axis=0) >= 0.5)
+    given, differences = (np.where(clear, each, 0.0) for each in (given, differences))
+    power = (differences**2).sum(axis=0).clip(1e-300)
+    largest = np.abs(differences).max(axis=0).clip(1e-150)
+    factor = (given * differences).sum(axis=0) / power
+    chance = 3.0 / np.sqrt(count.clip(1))
+    rest = np.sqrt(((given - factor * differences) ** 2).sum(axis=0) / power)
+    mean = (given - differences).sum(axis=0) / count.clip(1) / largest
+    spread = np.sqrt(((given - differences) ** 2).sum(axis=0) / count.clip(1)) / largest
+    wrong = np.where(np.abs(factor - 1.0) > OUTPUT_TOLERANCE + slack + chance * rest, np.abs(factor - 1.0), 0.0)
+    shifted = np.where(np.abs(mean) > 2.0 * OUTPUT_TOLERANCE + slack + chance * spread, np.abs(mean), 0.0)
+    return np.where(enough, np.maximum(wrong, shifted), 0.0)
 
 
 def _begin(fmu: FmuUnderTest) -> int:

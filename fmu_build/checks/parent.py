@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any
 
 from flexfmu.fmu_build.checks.instance import TRY
@@ -24,6 +24,9 @@ CALL_SHARE = 0.2
 
 MOST_HANGS = 2
 """Calls that don't return after which nothing more is tried with an interface."""
+
+LOOK = 0.02
+"""How often the end of a process is looked for [s]."""
 
 _INSTANTIATION = "instantiation"
 
@@ -139,9 +142,7 @@ def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | Non
             start_new_session=os.name == "posix",
         )
         try:
-            status: int | None = process.wait(max(timeout, 1.0))
-        except subprocess.TimeoutExpired:
-            status = None
+            status = _wait(process, max(timeout, 1.0))
         finally:
             _kill(process)
         stderr.seek(0)
@@ -149,6 +150,20 @@ def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | Non
     last = next((line for line in reversed(lines) if not line.startswith(TRY)), "no message")
     tried = next((line.removeprefix(TRY) for line in reversed(lines) if line.startswith(TRY)), "")
     return status, f"{last} ({tried})" if tried else last
+
+
+def _wait(process: subprocess.Popen[bytes], timeout: float) -> int | None:
+    """Exit status, None if it takes too long; the process stays a zombie, so that its number isn't given to another one."""
+    if os.name != "posix":
+        with suppress(subprocess.TimeoutExpired):
+            return process.wait(timeout)
+        return None
+    end = monotonic() + timeout
+    while (ended := os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is None:
+        if monotonic() > end:
+            return None
+        sleep(LOOK)
+    return ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
