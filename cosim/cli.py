@@ -400,8 +400,8 @@ def validate(
 ) -> None:
     """Check any FMU 2.0: archive, description, binaries, and each claim tried for real.
 
-    Prints one line for each kind of finding, the worst first: severity, where and what, the remedy, the section of the
-    standard. Exit status 1 if there is an error.
+    Of an FMU 3.0 the description alone is checked. Prints one line for each kind of finding, the worst first: severity, where
+    and what, the remedy, the section of the standard. Exit status 1 if there is an error.
     """
     with one_line_errors():
         from flexfmu.cosim.commands.fmu import validate_command
