@@ -71,7 +71,7 @@ class Finding:
         remedy: what would be right, or what to do.
         severity: how bad it is.
         subject: variable or file that it is about, if there is one.
-        section: section of FMI 2.0.4; by default the one of the check.
+        section: section of FMI 2.0.4, or of another standard by its name; by default the one of the check.
         others: subjects of further findings of the same kind, or names of checks that end in the same way.
     """
 
@@ -91,7 +91,8 @@ class Finding:
         names = ", ".join(self.others[:NAMES_SHOWN]) + (", ..." if len(self.others) > NAMES_SHOWN else "")
         more = f" (and {len(self.others)} more: {names})" if self.others else ""
         remedy = f"; {self.remedy}" if self.remedy else ""
-        section = f" [FMI 2.0.4, {self.section}]" if self.section else ""
+        standard = "" if self.section.startswith("FMI") else "FMI 2.0.4, "
+        section = f" [{standard}{self.section}]" if self.section else ""
         return f"{self.severity}: {self.check}: {self.message}{more}{remedy}{section}"
 
 

@@ -24,7 +24,7 @@ _FMI3 = Finding(
     "an FMU of FMI 3.0: its description is checked by fmpy, what it does is not",
     "run it, and compare with the tool that it comes from",
     Severity.NOTE,
-    section="2.4 of FMI 3.0",
+    section="FMI 3.0, 2.4",
 )
 
 
@@ -54,7 +54,8 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     entries, files = _read(path)
     version = fmi_version(files["modelDescription.xml"])
     if version.startswith("3."):
-        return ranked([*read_description(path)[1], _FMI3])
+        broken = [replace(finding, section=_FMI3.section) for finding in read_description(path)[1]]
+        return ranked([*broken, _FMI3])
     if version != "2.0":
         message = f"fmiVersion is {version or 'missing'}: FMUs of version 2.0 are checked, of 3.0 the description"
         return [Finding("model description", message, "export the model as FMI 2.0", section="2.2.1")]
