@@ -131,24 +131,34 @@ def tear(graph: Graph, outputs: Collection[Variable]) -> tuple[Variable, ...]:
     return tuple(torn)
 
 
-def visiting_order(graph: Graph, owner: Mapping[Variable, int]) -> tuple[int, ...]:
+def visiting_order(graph: Graph, owner: Mapping[Variable, int], inputs: Collection[Variable] = ()) -> tuple[int, ...]:
     """Owners of variables in an order in which everything is up to date when it is needed; neighbours are one visit.
 
     Nobody is visited just to be given inputs: an owner has its turn when it has something for others, and once more in the
-    end if inputs were late. The graph must have no loop (see `contracted`).
+    end if inputs were late. The graph must have no loop (see `contracted`). On a visit the ``inputs`` are set before outputs
+    are read, so one that its owner's own output feeds waits for the next visit.
     """
     sorter: TopologicalSorter[Variable] = TopologicalSorter(graph)
     sorter.prepare()
     order: list[int] = []
     done: set[Variable] = set()
+    read: set[Variable] = set()  # on the current visit
     ready = list(sorter.get_ready())
+
+    def reached() -> list[Variable]:
+        """What else the current visit brings."""
+        own = [node for node in ready if order and owner[node] == order[-1]]
+        return [node for node in own if node not in inputs or read.isdisjoint(graph.get(node, ()))]
+
     while ready:
-        if not order or all(owner[node] != order[-1] for node in ready):
+        if not reached():
             waiting = sorted({owner[node] for node in ready})
             order.append(next((each for each in waiting if _has_news(graph, owner, each, done)), waiting[0]))
-        visited = [node for node in ready if owner[node] == order[-1]]
+            read.clear()
+        visited = reached()
         sorter.done(*visited)
         done.update(visited)
+        read.update(visited)
         ready = [node for node in ready if node not in visited] + list(sorter.get_ready())
     return tuple(order)
 

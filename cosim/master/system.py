@@ -176,7 +176,8 @@ def _exchange_order(
     found = [_loop(slaves, connections, restricted(graph, ring), solver) for ring in rings if solver is not None]
     owner = {node: node[0] for node in {*graph, *chain.from_iterable(graph.values())}}
     owner |= {node: len(slaves) + i for i, ring in enumerate(rings) for node in ring}
-    order = visiting_order(contracted(graph, rings), owner)
+    inputs = {target_of(slaves, each) for each in connections}
+    order = visiting_order(contracted(graph, rings), owner, inputs)
     visits = [found[i - len(slaves)] if i >= len(slaves) else i for i in order]
     return (*visits, *_late_visits(slaves, connections, order))
 
@@ -207,7 +208,8 @@ def _loop(
             remedy = "let it save and restore its state, or sample in two phases (output, update)"
             raise WiringError(f"{slaves[i].name} can't be repeated to solve the algebraic loop {name}; {remedy}")
     torn = tear(graph, {source_of(slaves, each) for each in connections})
-    order = visiting_order(restricted(graph, graph.keys(), torn), {node: node[0] for node in graph})
+    inputs = {target_of(slaves, each) for each in connections}
+    order = visiting_order(restricted(graph, graph.keys(), torn), {node: node[0] for node in graph}, inputs)
     index = [{variable.name: k for k, variable in enumerate(slave.variables)} for slave in slaves]
     return AlgebraicLoop(name, order, tuple((slave, index[slave][variable]) for slave, variable in torn), solver)
 
