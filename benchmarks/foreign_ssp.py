@@ -1,9 +1,9 @@
 """SSP files of other tools in our master, and beside the tools that can run them here, as a Markdown table.
 
-    python benchmarks/foreign_ssp.py FILE.ssp FOLDER/SystemStructure.ssd ...
+    python benchmarks/foreign_ssp.py [--refine N] FILE.ssp FOLDER/SystemStructure.ssd ...
 
 A description that is given unpacked is packed with the files that it names. The first 100 communication steps are run, of 1 ms
-where the file names none. *Runs* is a run as `flexfmu run` makes it. For the other columns our master is told to hold inputs and
+where the file names none, or the same time in N times as many steps. *Runs* is a run as `flexfmu run` makes it. For the other columns our master is told to hold inputs and
 to couple all slaves side by side, as those tools do; the figure is the largest difference of any real output at a quarter, half,
 three quarters and the end of the run, relative to that output's largest value. The column *itself* is what a relative tolerance
 that is 1 % smaller makes of it in our own master: no tool can agree better. It needs what the tests need:
@@ -12,6 +12,7 @@ that is 1 % smaller makes of it in our own master: no tool can agree better. It 
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import subprocess
@@ -55,20 +56,22 @@ class Package:
         path: the file.
         ssd: path of the description within it.
         name, origin: how the table calls it, and where it is from.
+        refine: how many communication steps stand for one.
     """
 
     path: Path
     ssd: str
     name: str
     origin: str
+    refine: int = 1
 
 
-def packed(path: Path, folder: Path, number: int) -> Package:
+def packed(path: Path, folder: Path, number: int, refine: int = 1) -> Package:
     """The file, or a description packed with what its sources name."""
     owner = next((part.replace("+", "/") for part in path.parts if "+" in part), "")
     name = "/".join(path.parts[-2:])
     if path.suffix == ".ssp":
-        return Package(path, DESCRIPTION, name, owner)
+        return Package(path, DESCRIPTION, name, owner, refine)
     sources = re.findall(r'source\s*=\s*"([^":?]+)"', path.read_text(encoding="utf-8", errors="replace"))
     files = [each for each in ((path.parent / source).resolve() for source in sources) if each.is_file()]
     root = Path(os.path.commonpath([path.parent.resolve(), *(each.parent for each in files)]))
@@ -79,7 +82,7 @@ def packed(path: Path, folder: Path, number: int) -> Package:
         archive.write(path, ssd)
         for each in dict.fromkeys(files):
             archive.write(each, each.relative_to(root).as_posix())
-    return Package(target, ssd, name, owner)
+    return Package(target, ssd, name, owner, refine)
 
 
 def loaded(package: Package, **options: int) -> SspSystem:
@@ -94,7 +97,7 @@ def loaded(package: Package, **options: int) -> SspSystem:
                 raise
             times[missing] = {"step": STEP, "stop": STOP}[missing]
         else:
-            times = {"step": found.step, "stop": found.start + COUNT * found.step}
+            times = {"step": found.step / package.refine, "stop": found.start + COUNT * found.step}
             return load_ssp(package.path, ssd=package.ssd, **times, **options)
 
 
@@ -115,7 +118,7 @@ def compared(package: Package) -> list[str]:
     signals = [each for each in signals if ".".join(each) in recording.columns]
     ours = [recording[".".join(each)].values for each in signals]
     scale = np.array([max(abs(values).max(), 1e-9) for values in ours])
-    quarters = [system.step * COUNT * k / 4 for k in range(1, 5)]
+    quarters = [(system.stop - system.start) * k / 4 for k in range(1, 5)]
 
     # what an instant ends at: after a jump there, where a tool reads outputs that have got their new inputs
     def at_quarters(results: Recording) -> np.ndarray:
@@ -171,11 +174,16 @@ def shortened(text: str, package: Package) -> str:
 
 def main() -> None:
     """Run and print."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--refine", type=int, default=1, metavar="N")
+    parser.add_argument("files", nargs="+", type=Path)
+    chosen = parser.parse_args()
     print("| File | From | Runs | itself | " + " | ".join(TOOLS) + " |")
     print("|---|---|---|---|" + "---|" * len(TOOLS))
     with tempfile.TemporaryDirectory() as folder:
-        for number, path in enumerate(map(Path, sys.argv[1:])):
-            print("| " + " | ".join(row(packed(path.absolute(), Path(folder), number))) + " |", flush=True)
+        for number, path in enumerate(chosen.files):
+            package = packed(path.absolute(), Path(folder), number, chosen.refine)
+            print("| " + " | ".join(row(package)) + " |", flush=True)
 
 
 if __name__ == "__main__":
