@@ -11,6 +11,7 @@ import io
 import sys
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -64,18 +65,21 @@ def one_by_one(tool: Callable[[Path], object]) -> Callable[[dict[str, Path]], se
 
 def by_vdmcheck(mutants: dict[str, Path]) -> set[str]:
     """The same for VDMCheck2, which looks at descriptions; a file without one is found."""
-    found, descriptions = set(), {}
+    found: set[str] = set()
+    named: dict[bytes, list[str]] = {}
     for name, path in mutants.items():
-        target = path.with_suffix(".xml")
         try:
             with zipfile.ZipFile(path) as archive:
-                target.write_bytes(archive.read(DESCRIPTION))
-            descriptions[str(target)] = name
-        except (zipfile.BadZipFile, KeyError, OSError):
+                named.setdefault(archive.read(DESCRIPTION), []).append(name)
+        except (zipfile.BadZipFile, KeyError, OSError, zlib.error):
             found.add(name)
     folder = next(iter(mutants.values())).parent
-    lines = vdmcheck("rules", [Path(path) for path in descriptions], folder)
-    return found | {descriptions[line.split("\t")[0]] for line in lines}
+    paths = {str(folder / f"{number}.xml"): content for number, content in enumerate(named)}
+    for path, content in paths.items():
+        Path(path).write_bytes(content)
+    for line in vdmcheck("rules", [Path(path) for path in paths], folder):
+        found.update(named[paths[line.split("\t")[0]]])
+    return found
 
 
 TOOLS: dict[str, Callable[[dict[str, Path]], set[str]]] = {
