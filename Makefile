@@ -2,6 +2,7 @@
 # make test   set everything up, build the wheel and run every test against it
 # make fuzz   100 000 drawn sequences of FMI calls of each kind of FMU, under the sanitizers
 # make bench  how fast everything is, against its targets and against the figures of the last release
+# make check  formatting, linting, types and the fast tests, from the source tree: a quick look before a commit
 # make lint   formatting, linting, types
 
 PYTHON ?= python3
@@ -11,7 +12,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test fuzz bench lint format clean
+.PHONY: demo test check fuzz bench lint format clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/bin/python
@@ -26,6 +27,10 @@ test: $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps build/wheel/*.whl
 	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGUMENTS)
 
+check: lint $(VENV)/.test
+	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
+	$(BIN)/python -m pytest -n 2 -q -m "not slow" $(PYTEST_ARGUMENTS)
+
 fuzz: $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
 	FLEXFMU_FUZZ=100000 $(BIN)/python -m pytest -n 2 --durations=0 tests/fmu_boundary/test_fuzzing.py
@@ -37,9 +42,9 @@ bench: $(VENV)/.test
 lint: $(VENV)/.lint
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	mkdir -p build/typing/flexfmu
-	for package in model fmu_build trajectories cosim; do ln -sfn ../../../$$package build/typing/flexfmu/$$package; done
-	for package in model fmu_build trajectories cosim; do $(BIN)/mypy build/typing/flexfmu/$$package || exit 1; done
+	rm -rf build/typing && mkdir -p build/typing/flexfmu
+	for part in src/flexfmu/*.py model fmu_build trajectories cosim; do ln -s ../../../$$part build/typing/flexfmu; done
+	$(BIN)/mypy build/typing/flexfmu
 
 format: $(VENV)/.lint
 	$(BIN)/ruff format .

@@ -28,15 +28,14 @@ from pathlib import Path
 from effect_grid import GRID, Case, drawn, fmu_of
 from effect_search import FAMILIES, all_sets, set_size, smallest
 
-from flexfmu.cosim.effects.check import effectivity
-from flexfmu.cosim.effects.choice import MEASURED
-from flexfmu.cosim.effects.verified import EXACT, choose_verified, observe
-from flexfmu.cosim.planning import plan
-from flexfmu.model.choice_section import INTEGRATOR_SHARE, MeasureName, integrator_tolerance
-from flexfmu.model.scene import Scene
+from flexfmu.cosim.choices.effects.choice import EXACT, MEASURED, choose_verified, observe
+from flexfmu.cosim.choices.effects.study import effectivity
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.model.choice_text import percent, set_text
+from flexfmu.model.scene.choice import INTEGRATOR_SHARE, MeasureName, integrator_tolerance
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.choose import SAFETY, one_more
 from flexfmu.model.selection.measures import scales
-from flexfmu.model.selection.words import percent, set_text
 
 EFFECTIVITIES, SHARE = (1.0, 10.0), 0.9
 """Where the effectivity should lie, and in how many of the scenes."""

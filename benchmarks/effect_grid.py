@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.model.scene.schema import Scene
 
 PAPER = load_scene("barnard2012-6kg")
 

@@ -6,9 +6,9 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.selection.effect_sets import RICHEST, with_set
 from flexfmu.model.selection.estimator import Estimator
-from flexfmu.model.selection.richest import RICHEST, with_set
 
 FAMILIES = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")
 

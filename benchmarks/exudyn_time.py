@@ -13,14 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.master.selection import Selection
-from flexfmu.cosim.references import SHAPES
-from flexfmu.cosim.workprec.exudyn_peer import simulate_exudyn
-from flexfmu.cosim.workprec.subject import SAMPLING, Array, Subject, completed, subject_of
-from flexfmu.cosim.workprec.trial import fastest
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.timing import fastest
+from flexfmu.cosim.studies.references import SHAPES
+from flexfmu.cosim.studies.workprec.exudyn_peer import simulate_exudyn
+from flexfmu.cosim.studies.workprec.trial import SAMPLING, Subject, completed, subject_of
+from flexfmu.model.scene.schema import Scene
 
 SCENES = ("barnard2012-6kg", "barnard2012-0.1kg")
 DAMPINGS = {"none": {"kind": "none"}, "0.2 ms x stiffness": {"kind": "stiffness", "time": 2e-4}}
@@ -85,7 +86,7 @@ def exudyn(scene: Scene) -> Reached:
     """Its longest step that is good enough, or the shortest of `STEPS`."""
     subject = subject_of(scene)
 
-    def run(step: float) -> tuple[Array, float]:
+    def run(step: float) -> tuple[RealArray, float]:
         found = simulate_exudyn(scene, subject.motion, subject.instants, step, ELEMENTS)
         return found.position, found.time
 
@@ -98,7 +99,7 @@ def exudyn(scene: Scene) -> Reached:
     return Reached(f"{1e3 * step:.3g} ms", min(time, run(step)[1]), error)
 
 
-def relative(subject: Subject, position: Array, exact: Array) -> float:
+def relative(subject: Subject, position: RealArray, exact: RealArray) -> float:
     """Largest distance of two paths (N, 2) relative to what elasticity does."""
     rigid = subject.motion.task.evaluate(subject.instants, 0)[0]
     distance, scale = (np.linalg.norm(each - exact, axis=1).max() for each in (position, rigid))

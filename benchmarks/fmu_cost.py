@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from paper_scene import SCENES
 
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.integrators import INTEGRATOR
@@ -31,7 +31,7 @@ from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import generate_sources
 from flexfmu.fmu_build.toolchain import find_compiler
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.schema import Scene
 
 CASES = (
     ("automatic", 1e-3),

@@ -8,12 +8,13 @@ their defaults, as far as their ranges go, or at their defaults where it doesn't
 the default experiment, else a 500th of its length (of 0.2 s where it has none); there are 500 of them at most. The difference is
 relative to each output's largest value. Outputs that two runs in fmpy don't repeat (a clock, say) are left out. Our master reads
 outputs before and after it sets inputs, fmpy before alone; for a difference there is also what remains of it when outputs are
-read once.
+read once. Lines that say the same are one.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -26,14 +27,15 @@ import fmpy
 import numpy as np
 from fmpy.model_description import read_model_description
 
-from flexfmu.cosim.commands.console import keep_stdout
-from flexfmu.cosim.errors import CosimError
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.fmu.variables import Value
-from flexfmu.cosim.master.isolation import Isolation, in_child
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.slave import Call, Indices, RealArray, SlaveVariable
+from flexfmu.cosim.cli.console import keep_stdout
+from flexfmu.cosim.engine.child_process import in_child
+from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.fmu.variables import Value
+from flexfmu.cosim.engine.master.isolation import Isolation
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
 
 STEPS, LENGTH = 500, 0.2
 """Communication steps at most, and length of a run where the FMU names none [s]."""
@@ -113,6 +115,16 @@ def described(path: Path) -> Any:
     return description if suits and any(v.causality == "output" for v in description.modelVariables) else None
 
 
+def exporter(description: Any) -> str:
+    """Tool that has made the FMU, without the number of its build."""
+    tool = re.split(r",| \(|-dev|\.\d{8}", description.generationTool or "not stated")[0]
+    return (
+        re.sub(r" (Compiler OMCompiler|Compiler OpenModelica|Version)| v(?=\d)|(?<=Hopsan)", " ", tool)
+        .replace("  ", " ")
+        .strip()
+    )
+
+
 def points(description: Any) -> RealArray:
     """(N,) communication points [s]."""
     experiment = description.defaultExperiment
@@ -136,8 +148,8 @@ def changed(description: Any) -> dict[str, Value]:
 
 def ours(
     path: Path, times: RealArray, inputs: Sequence[Any], starts: dict[str, Value], kind: type[FmuSlave] = FmuSlave
-) -> tuple[RealArray, dict[str, RealArray], str]:
-    """Times and outputs in our master, and what it says."""
+) -> tuple[RealArray, dict[str, RealArray], list[str], bool]:
+    """Times and outputs in our master, what it says, and whether the run ended as it should."""
     slave = kind(path, "fmu", starts, input_order=0)
     slaves: list[Any] = [slave]
     if inputs:
@@ -160,7 +172,7 @@ def ours(
     remarks += ["no output derivatives" for each in said if "maxOutputDerivativeOrder" in each]
     if calculated := [each for each in said if "ignores it or calculates it" in each]:
         remarks.append(f"calculated: {len(calculated)}")
-    return time[before], outputs, "; ".join(remarks)
+    return time[before], outputs, remarks, not run.outcome.is_failure
 
 
 def theirs(path: Path, times: RealArray, inputs: Sequence[Any], starts: dict[str, Value], names: Sequence[str]) -> Any:
@@ -207,13 +219,13 @@ def compared(path: Path, description: Any) -> str:
     times = points(description)
     inputs = [v for v in description.modelVariables if v.causality == "input" and v.type == "Real"]
     names = [v.name for v in description.modelVariables if v.causality == "output" and v.type != "String"]
-    time, mine, said = np.empty(0), {}, ""
+    time, mine, said = np.empty(0), {}, [""]
     for starts in (changed(description), {}):
         try:
-            time, mine, said = ours(path, times, inputs, starts)
+            time, mine, said, ends_well = ours(path, times, inputs, starts)
         except CosimError as error:
-            said = str(error).replace(f"{path.parent}/", "")
-        if time.size > 1:
+            said, ends_well = [str(error).replace(f"{path.parent}/", "")], False
+        if ends_well:
             break
 
     def other() -> Any:
@@ -222,18 +234,16 @@ def compared(path: Path, description: Any) -> str:
     try:
         first = other()
     except Exception as error:
-        reason = str(error).rpartition("/")[2]
-        return (
-            f"{time.size - 1} x {times[1] - times[0]:.3g} s | ours only | {said}fmpy: {reason}"
-            if time.size
-            else f"neither: {said}"
-        )
+        if not time.size:
+            return f"neither: {said[0]}"
+        remarks = [*said, f"fmpy: {str(error).rpartition('/')[2]}"]
+        return " | ".join((f"{time.size - 1} x {times[1] - times[0]:.3g} s", "ours only", "; ".join(remarks)))
     count = min(time.size, len(first))
     if not count:
-        return f"fmpy only; ours: {said}"
+        return f"fmpy only; ours: {said[0]}"
     worst = apart(mine, first, names, count)
     remarks = [f"parameters changed: {len(starts)}"] if starts else []
-    remarks += [said] if said else []
+    remarks += said
     if max(worst.values(), default=0.0) > EQUAL:
         again = apart(first, other(), names, len(first))
         if fickle := [name for name in names if again[name] > 0.0]:
@@ -257,11 +267,14 @@ def main() -> None:
         flush=True,
     )
     chosen = [(path, each) for path in found(sys.argv[1:]) if (each := described(path)) is not None]
-    for path, description in sorted(chosen, key=lambda each: str(each[1].generationTool or "~")):
-        tool = (description.generationTool or "not stated").partition(",")[0].partition(" (")[0]
+    lines = set()
+    for path, description in sorted(chosen, key=lambda each: exporter(each[1])):
         result = compared(path, description)
         cells = result.split(" | ") if " | " in result else ["", "", result]
-        print("|", " | ".join(map(one_line, (tool, path.stem, *cells))), "|", flush=True)
+        line = f"| {' | '.join(map(one_line, (exporter(description), path.stem, *cells)))} |"
+        if line not in lines:
+            print(line, flush=True)
+        lines.add(line)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """SSP files of other tools in our master, and beside the tools that can run them here, as a Markdown table.
 
-    python benchmarks/foreign_ssp.py [--refine N] FILE.ssp FOLDER/SystemStructure.ssd ...
+    python benchmarks/foreign_ssp.py [--refine N] [--read-again] [--add-times] FILE.ssp FOLDER/SystemStructure.ssd ...
 
 A description that is given unpacked is packed with the files that it names. The first 100 communication steps are run, of 1 ms
 where the file names none, or the same time in N times as many steps. *Runs* is a run as `flexfmu run` makes it. For the other columns our master is told to hold inputs and
@@ -8,6 +8,9 @@ to couple all slaves side by side, as those tools do; the figure is the largest 
 three quarters and the end of the run, relative to that output's largest value. The column *itself* is what a relative tolerance
 that is 1 % smaller makes of it in our own master: no tool can agree better. It needs what the tests need:
 `pip install --group test`; OMSimulator, libcosim and ecos are left out where they can't be imported.
+
+With `--read-again` our master reads all outputs of an FMU once more whenever it has set inputs, with `--add-times` it adds up times as
+OMSimulator does. By the standard that changes nothing, or the last bit.
 """
 
 from __future__ import annotations
@@ -29,13 +32,15 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "ssp"))
 
 from ssp_support.importers import signals_in
 
-from flexfmu.cosim.errors import CosimError
-from flexfmu.cosim.master.algorithms import Jacobi
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.results import Recording
-from flexfmu.cosim.ssp.archive import DESCRIPTION
-from flexfmu.cosim.ssp.loading import SspSystem, load_ssp
-from flexfmu.cosim.ssp.structure import levels
+from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.algorithms import Jacobi
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.slave import Call, Indices, RealArray
+from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
+from flexfmu.cosim.exchange.ssp.loading import SspSystem, load_ssp
+from flexfmu.cosim.exchange.ssp.structure import levels
 
 TOOLS = {"OMSimulator": "OMSimulator", "libcosim": "libcosimpy", "ecos": "ecospy"}
 COUNT = 100
@@ -46,6 +51,43 @@ STEP, STOP = 1e-3, 1.0
 
 TOLERANCE = 1e-4
 """What OMSimulator tells FMUs where a file names none."""
+
+
+def read_again() -> None:
+    """Let FMUs be read after each setting of inputs."""
+    bind_set = FmuSlave.bind_set
+
+    def bind(slave: FmuSlave, indices: Indices, values: RealArray) -> Call:
+        outputs = [i for i, each in enumerate(slave.variables) if each.causality == "output" and not each.text]
+        write = bind_set(slave, indices, values)
+        read = slave.bind_get(np.array(outputs, dtype=np.intp), np.empty(len(outputs)))
+
+        def both() -> None:
+            write()
+            read()
+
+        return both
+
+    FmuSlave.bind_set = bind
+
+
+def add_times() -> None:
+    """Let FMUs be stepped at times that are added up."""
+    initialize, step = FmuSlave.initialize, FmuSlave.step
+    reached: dict[str, float] = {}
+
+    def begin(slave: FmuSlave, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        reached[slave.name] = start_time
+        initialize(slave, start_time, stop_time, tolerance)
+
+    def advance(slave: FmuSlave, time: float, length: float) -> None:
+        at = reached[slave.name]
+        length = float(f"{length:.12g}")  # without the rounding of the difference of two times
+        step(slave, at, length)
+        reached[slave.name] = at + length
+
+    FmuSlave.initialize, FmuSlave.step = begin, advance
+    FmuSlave.bound_step = lambda slave: None
 
 
 @dataclass(frozen=True)
@@ -177,7 +219,13 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--refine", type=int, default=1, metavar="N")
     parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("--read-again", action="store_true")
+    parser.add_argument("--add-times", action="store_true")
     chosen = parser.parse_args()
+    if chosen.read_again:
+        read_again()
+    if chosen.add_times:
+        add_times()
     print("| File | From | Runs | itself | " + " | ".join(TOOLS) + " |")
     print("|---|---|---|---|" + "---|" * len(TOOLS))
     with tempfile.TemporaryDirectory() as folder:

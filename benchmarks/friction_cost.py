@@ -12,8 +12,8 @@ import fmpy
 import numpy as np
 from fmpy.fmi2 import FMU2Slave
 
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
 
 INTERVAL, COUNT = 1e-3, 3000
 STIFFNESS, DAMPING = 500.0, 20.0

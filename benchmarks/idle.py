@@ -5,8 +5,8 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.slave import Call, Indices, RealArray
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.slave import Call, Indices, RealArray
 from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.platforms import native_platform

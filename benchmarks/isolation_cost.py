@@ -9,9 +9,9 @@ import resource
 
 import numpy as np
 
-from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.master.selection import EVERYTHING, Selection
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.engine.results import EVERYTHING, Selection
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 
 SCENE = load_scene("barnard2012-6kg").replace(
     {

@@ -6,17 +6,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import process_time
 
-from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.master.outcome import Outcome
-from flexfmu.cosim.master.selection import EVERYTHING, Selection
-from flexfmu.cosim.master.simulator import Simulator
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.slave import Slave
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
-from flexfmu.cosim.workprec.subject import completed
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.master.simulator import Simulator
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.results import EVERYTHING, Selection
+from flexfmu.cosim.engine.slave import Slave
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.studies.workprec.trial import completed
+from flexfmu.model.scene.schema import Scene
 
 SCENE = load_scene("barnard2012-6kg")
 SCENES = {12: SCENE, 6: SCENE.replace({"effects.proximal_bending": 2, "effects.distal_axial": 1})}

@@ -1,6 +1,6 @@
 """The model of shapes against finite elements and Exudyn: the paper's scenes, at rest and in motion.
 
-All numbers are relative differences; `flexfmu.cosim.references` says of what. Exudyn's beams have no shear, and it isn't
+All numbers are relative differences; `flexfmu.cosim.studies.references` says of what. Exudyn's beams have no shear, and it isn't
 needed for the rest: pip install flexfmu[peers]. Takes about six minutes, large deflections alone two.
 
     python benchmarks/references.py [--json] [--large-deflections]
@@ -15,11 +15,13 @@ from dataclasses import asdict
 from importlib.util import find_spec
 from itertools import groupby
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.measuring.small_deflections import largest_deflection, path_errors
-from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.references import (
-    Array,
+from flexfmu import load_scene
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.metrics.small_deflections import largest_deflection, path_errors
+from flexfmu.cosim.studies.references import (
     Beam,
     Motion,
     compare_at_rest,
@@ -28,11 +30,9 @@ from flexfmu.cosim.references import (
     sample_instants,
     shapes_motion,
 )
-from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 SCENES = ("barnard2012-6kg", "barnard2012-0.1kg")
 BEAMS: tuple[Beam, ...] = ("euler-bernoulli", "timoshenko")
@@ -121,19 +121,19 @@ def large_deflections() -> Iterator[Row]:
         yield row
 
 
-def coarser(scene: Scene, motion: MotionPlan, instants: Array) -> Iterator[tuple[str, Motion]]:
+def coarser(scene: Scene, motion: MotionPlan, instants: RealArray) -> Iterator[tuple[str, Motion]]:
     """With fewer elements, and by Exudyn with finer and finer meshes."""
     for elements in FEWER_ELEMENTS:
         yield f"{elements} elements", run_elements(scene, motion, instants, elements)
     if HAS_EXUDYN:
-        from flexfmu.cosim.workprec.exudyn_peer import simulate_exudyn
+        from flexfmu.cosim.studies.workprec.exudyn_peer import simulate_exudyn
 
         for elements, step in EXUDYN_MESHES:
             run = simulate_exudyn(scene, motion, instants, step, elements)
             yield f"Exudyn, {elements} elements, {1e3 * step:g} ms, {run.time:.1f} s of CPU", run
 
 
-def run_elements(scene: Scene, motion: MotionPlan, instants: Array, elements: int) -> Motion:
+def run_elements(scene: Scene, motion: MotionPlan, instants: RealArray, elements: int) -> Motion:
     """Our own finite elements."""
     return simulate(finite_element_robot(scene, elements), motion.joints, instants, STEP)
 

@@ -23,12 +23,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.shaping.design import alternatives, design_modes
-from flexfmu.cosim.shaping.study import Candidate, candidates, payload_errors, simulate
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.choices.shapers.design import alternatives, design_modes
+from flexfmu.cosim.choices.shapers.study import Candidate, candidates, payload_errors, simulate
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.model.scene.schema import Scene
 
 BANDWIDTH = 80.0
 """Of the controlled joints [rad/s], critically damped."""

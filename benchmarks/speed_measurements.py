@@ -16,19 +16,19 @@ import numpy as np
 from idle import IdlePlant, idle_fmu
 from paper_scene import SCENE, SCENES, Timed, best_times, run_with, timed, whole_run
 
-from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.selection import Selection
-from flexfmu.cosim.measuring.signals import segments
-from flexfmu.cosim.references import SHAPES
-from flexfmu.cosim.scene_run import Run
-from flexfmu.cosim.variants import run_variants
-from flexfmu.cosim.workprec.peers import comparable
-from flexfmu.cosim.workprec.solver_trials import scipy_run, system_of
-from flexfmu.cosim.workprec.subject import completed, subject_of
-from flexfmu.cosim.workprec.trial import fastest
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.experiment.timing import fastest
+from flexfmu.cosim.experiment.variants import run_variants
+from flexfmu.cosim.metrics.signals import segments
+from flexfmu.cosim.studies.references import SHAPES
+from flexfmu.cosim.studies.workprec.solver_trials import scipy_run, system_of
+from flexfmu.cosim.studies.workprec.tool_trials import comparable
+from flexfmu.cosim.studies.workprec.trial import completed, subject_of
 from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.fmu_build.toolchain import find_compiler
 
 STEP = 1e-3

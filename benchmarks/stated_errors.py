@@ -20,10 +20,10 @@ from itertools import product
 from time import process_time
 from typing import Any
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.metrics import Measurement, measure_run
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.metrics.metrics import Measurement, measure_run
+from flexfmu.model.scene.schema import Scene
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 STEPS = (2e-4, 1e-3, 5e-3, 2e-2)

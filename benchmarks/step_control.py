@@ -6,7 +6,7 @@ robots' references exchange two derivatives in steps of 50 µs (2e-7 from an imp
 Errors are those of all signals that are passed on by a slave with states, relative to the largest magnitude of each. A
 fixed step of the same error is interpolated between runs with fixed steps; times are CPU times.
 
-    python benchmarks/step_control.py [--quick]
+    python benchmarks/step_control.py [--quick] [--check]
 """
 
 from __future__ import annotations
@@ -20,19 +20,22 @@ from time import process_time
 
 import numpy as np
 
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.outcome import Simulation
-from flexfmu.cosim.master.step_control import StepDoubling
-from flexfmu.cosim.master.system import System, connect
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.outcome import Simulation
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import System, connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.scene_build import build_scene
 
 FMU_TOLERANCE = 1e-9
 REFERENCE_STEP = 5e-5
+RATIOS, COST = (0.1, 3.0), 4.0
+"""Limits of error / tolerance, and of CPU time over that of fixed steps with the same error."""
+
 HIGHEST = 3
 """Input derivatives that the slaves in Python take."""
 
@@ -310,17 +313,22 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="leave out the tightest tolerances")
-    quick = parser.parse_args().quick
+    parser.add_argument("--check", action="store_true", help=f"end with status 1 beyond {RATIOS} or a cost of {COST:g}")
+    options = parser.parse_args()
+    met = True
     print("| system | derivatives | tolerance | error / tolerance | steps | fixed steps | CPU time / fixed |")
     print("| :-- | --: | --: | --: | --: | --: | --: |")
     for name, order, tolerances in TRIALS:
-        for tolerance in tolerances[:2] if quick else tolerances:
+        for tolerance in tolerances[:2] if options.quick else tolerances:
             r = row(CASES[name], order, tolerance)
+            met = met and RATIOS[0] < r.error / r.tolerance < RATIOS[1] and r.cost < COST
             print(
                 f"| {r.case} | {r.order} | {r.tolerance:g} | {r.error / r.tolerance:.2f} | {r.steps} | {r.fixed_steps:.0f} | "
                 f"{r.cost:.1f} |",
                 flush=True,
             )
+    if options.check and not met:
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

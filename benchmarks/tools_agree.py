@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "third_party"))
 
 from third_party_support.agreement import STOP, TOOLS, SharedRun, Table, Tool, apart, exact, shared_run
 
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
 
 SCENE = "barnard2012-6kg"
 STEPS = (1e-3, 5e-4, 2.5e-4)

@@ -26,7 +26,7 @@ from mutants import DESCRIPTION, MUTANTS, Mutant, compile_spring, sound_variants
 from test_checkers import fmutool, vdmcheck
 
 from flexfmu.fmu_build.errors import ArchiveError
-from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.fmu_build.validation.validate import validate_fmu
 
 PARTS = ("archive", "description", "behaviour")
 

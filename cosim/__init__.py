@@ -1,1 +1,1 @@
-"""Co-simulation: slaves, master, results, metrics, reports and the command line."""
+"""Co-simulation: from a scene or a system of FMUs to runs, metrics, reports and choices, and the command line."""

@@ -5,12 +5,11 @@ A gain of w² and damping of 2 w make every joint's error a critically damped os
     python controller_computed_torque.py
 """
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.controllers.computed_torque import computed_torque
-from flexfmu.cosim.loop.loop import PayloadError
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.model.rigid_dynamics import inverse_dynamics
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene, measure_run
+from flexfmu.cosim.control.controllers.computed_torque import computed_torque
+from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.loop import PayloadError
+from flexfmu.model.numeric import inverse_dynamics
 
 scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
 w = 80.0

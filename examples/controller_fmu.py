@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.controllers.pd import pd
+from flexfmu import load_scene
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.experiment.closed_loop import run_loop
 from flexfmu.fmu_build.block_build import build_block_fmu
-from flexfmu.model.scene_file import load_scene
 
 scene = load_scene("barnard2012-6kg").replace(
     {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "cosimulation.step": 1e-3, "trajectory.dwell": 0.0}

@@ -8,12 +8,12 @@ Measured are the motor angles alone; what the links do is estimated.
 import control
 import numpy as np
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.controllers.from_control import from_control
-from flexfmu.cosim.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
-from flexfmu.model.assembly import motor_angles
+from flexfmu import load_scene
+from flexfmu.cosim.control.controllers.from_control import from_control
+from flexfmu.cosim.control.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
+from flexfmu.cosim.experiment.closed_loop import run_loop
 from flexfmu.model.linear import linearize, operating_point
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import motor_angles
 
 ANGLES, TORQUES = ("joint1.position", "joint2.position"), ("joint1.torque", "joint2.torque")
 UNITS = dict.fromkeys(ANGLES, "rad") | dict.fromkeys(TORQUES, "N.m")

@@ -3,12 +3,11 @@
 python controller_pd.py
 """
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.controllers.computed_torque import inverse_dynamics_feedforward
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.model.rigid_dynamics import inverse_dynamics
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene, measure_run
+from flexfmu.cosim.control.controllers.computed_torque import inverse_dynamics_feedforward
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.model.numeric import inverse_dynamics
 
 # flexible links alone are next to massless for the motors at high frequency: real ones have an inertia of their own
 scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})

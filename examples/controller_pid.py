@@ -3,13 +3,12 @@
 python controller_pid.py
 """
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.controllers.anti_windup import BackCalculation, Clamping, Unprotected
-from flexfmu.cosim.controllers.limits import symmetric
-from flexfmu.cosim.controllers.pid import pid
-from flexfmu.cosim.loop.sections import holding_torques
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene, measure_run
+from flexfmu.cosim.control.controllers.anti_windup import BackCalculation, Clamping, Unprotected
+from flexfmu.cosim.control.controllers.limits import symmetric
+from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.parameters import holding_torques
 
 scene = load_scene("barnard2012-6kg").replace(
     {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.5}

@@ -7,12 +7,9 @@ The same from a shell, with report.html and all: flexfmu run controller_scene.to
 
 from pathlib import Path
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.measuring.metric_table import display
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.model.scene_file import load_scene
+import flexfmu
 
-scene = load_scene(Path(__file__).with_name("controller_scene.toml"))
+scene = flexfmu.load_scene(Path(__file__).with_name("controller_scene.toml"))
 variants = {
     "complete": scene,
     "without the shaper": scene.replace({"shaper": []}),
@@ -22,5 +19,5 @@ variants = {
 
 METRICS = ("peak_torque_1", "peak_tracking_error_1", "rms_acceleration_error", "residual_vibration_amplitude")
 for label, variant in variants.items():
-    found = measure_run(run_scene(variant))
-    print(f"{label:24}", *(f"{display(name, found[name].value, 4):>14}" for name in METRICS))
+    found = flexfmu.measure_run(flexfmu.run(variant))
+    print(f"{label:24}", *(f"{flexfmu.display(name, found[name].value, 4):>14}" for name in METRICS))

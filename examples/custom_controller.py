@@ -7,11 +7,10 @@ This one ties the joints to their references by springs and dampers.
 
 import numpy as np
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.cosim.slave import SlaveVariable
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene, measure_run
+from flexfmu.cosim.engine.slave import SlaveVariable
+from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.prepared_scene import run_scene
 
 KINDS = {"reference.position": "rad", "reference.velocity": "rad/s", "position": "rad", "velocity": "rad/s"}
 

@@ -5,10 +5,9 @@ python custom_transfer_function.py
 
 import control
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.controllers.from_control import control_block
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene, measure_run
+from flexfmu.cosim.control.controllers.from_control import control_block
+from flexfmu.cosim.experiment.closed_loop import run_loop
 
 scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
 

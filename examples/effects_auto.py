@@ -5,13 +5,11 @@ python effects_auto.py
 
 from pathlib import Path
 
-from flexfmu.cosim.effects.study import study_effects
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.model.scene_file import load_scene
-from flexfmu.model.selection.words import choice_sentence, percent
+import flexfmu
+from flexfmu.cosim.choices.effects.study import study_effects
+from flexfmu.model.choice_text import choice_sentence, percent
 
-scene = load_scene(Path(__file__).with_name("effects_auto.toml"))
+scene = flexfmu.load_scene(Path(__file__).with_name("effects_auto.toml"))
 
 study = study_effects(scene)
 print(choice_sentence(study.scene))
@@ -21,9 +19,9 @@ for row in study.rows:
     name = f"{effect.effect}: {effect.change}"
     print(f"  {'in ' if effect.chosen else 'out'} {name:<70} {percent(max(effect.contribution)):>10} {operations:+6d}")
 
-# the chosen scene is a scene like any other; run_scene(scene) would choose by itself
-run = run_scene(study.scene)
-measured = measure_run(run)
+# the chosen scene is a scene like any other; flexfmu.run(scene) would choose by itself
+run = flexfmu.run(study.scene)
+measured = flexfmu.measure_run(run)
 print(f"FMU with {study.cost.states} elastic coordinates, tolerance {run.tolerance:g}:")
 for metric in study.choice.of:
     print(f"  {metric} {measured[metric].value:.4g}")

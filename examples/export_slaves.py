@@ -5,8 +5,8 @@ python export_slaves.py
 
 from pathlib import Path
 
-from flexfmu.cosim.slave_export import export_slaves
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.exchange.slave_export import export_slaves
 
 pd = {"kind": "pd", "proportional": 10e3, "derivative": 100.0, "sample_time": 1e-3}
 scene = load_scene("barnard2012-6kg").replace(

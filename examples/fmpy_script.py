@@ -9,12 +9,10 @@ a motion sampled at 1 kHz, linear in between: all that a tool can send that know
 import numpy as np
 from fmpy import simulate_fmu
 
-from flexfmu.cosim.planning import plan
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene
+import flexfmu
 
-scene = load_scene("barnard2012-6kg")
-fmu = build_scene(scene).path
+scene = flexfmu.load_scene("barnard2012-6kg")
+fmu = flexfmu.build(scene)
 OUTPUTS = ["joint1.torque", "joint2.torque", "end_effector.position.y"]
 
 still = simulate_fmu(str(fmu), output=OUTPUTS, stop_time=0.1, output_interval=1e-3)
@@ -22,7 +20,7 @@ print(f"standing still: {still['joint1.torque'][0]:.4f} N.m, after 0.1 s {still[
 
 # the planned joint motion as the table of inputs that fmpy wants
 time = np.arange(0.0, scene.trajectory.duration + scene.trajectory.dwell, 1e-3)
-motion = plan(scene).joints.evaluate(time, order=2)  # (derivative, instant, joint)
+motion = flexfmu.plan(scene).joints.evaluate(time, order=2)  # (derivative, instant, joint)
 KINDS = ("position", "velocity", "acceleration")
 names = [f"joint{joint}.reference.{kind}" for joint in (1, 2) for kind in KINDS]
 table = np.zeros(time.size, dtype=[("time", float), *((name, float) for name in names)])

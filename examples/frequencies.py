@@ -3,14 +3,12 @@
 python frequencies.py
 """
 
-from flexfmu.cosim.modes_table import modes_along_path
-from flexfmu.cosim.planning import plan
+import flexfmu
 from flexfmu.model.modes import natural_frequencies
-from flexfmu.model.scene_file import load_scene
 
-scene = load_scene("barnard2012-0.1kg")
+scene = flexfmu.load_scene("barnard2012-0.1kg")
 
-poses = modes_along_path(plan(scene), count=5)
+poses = flexfmu.modes(scene, poses=5)
 print("part of the path   first three frequencies [Hz]")
 for pose in poses:
     print(f"{pose.s:16.0%}   " + "  ".join(f"{frequency:7.1f}" for frequency in pose.frequencies[:3]))

@@ -3,9 +3,8 @@
 python imperfection_actuator.py
 """
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene, measure_run
+from flexfmu.cosim.experiment.prepared_scene import run_scene
 
 CONTROLLER = {"kind": "computed-torque", "proportional": 3600.0, "derivative": 120.0, "sample_time": 1e-3}
 scene = load_scene("barnard2012-6kg").replace(

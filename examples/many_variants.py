@@ -5,10 +5,10 @@ python many_variants.py
 
 from itertools import product
 
-from flexfmu.cosim.master.selection import Selection
-from flexfmu.cosim.scene_run import Run
-from flexfmu.cosim.variants import run_variants
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.experiment.variants import run_variants
 
 PAYLOADS = (0.0, 2.0, 4.0, 6.0, 8.0)
 DURATIONS = (0.25, 0.3, 0.43)

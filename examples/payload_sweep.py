@@ -3,18 +3,15 @@
 python payload_sweep.py
 """
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene
+import flexfmu
 
-scene = load_scene("barnard2012-6kg")
-fmu = build_scene(scene).path
+scene = flexfmu.load_scene("barnard2012-6kg")
+fmu = flexfmu.build(scene)
 
 print("payload   peak torque   peak deviation   residual vibration")
 for mass in (0.0, 1.0, 2.0, 4.0, 6.0, 8.0):
-    run = run_scene(scene.replace({"payload.mass": mass}), fmu_path=fmu, communication_step=1e-3)
-    metrics = {name: measurement.value or 0.0 for name, measurement in measure_run(run).items()}
+    run = flexfmu.run(scene.replace({"payload.mass": mass}), fmu=fmu, communication_step=1e-3)
+    metrics = {name: measurement.value or 0.0 for name, measurement in flexfmu.measure_run(run).items()}
     print(
         f"{mass:4.1f} kg {metrics['peak_torque_1']:9.2f} N.m {1e3 * metrics['peak_position_error']:12.4f} mm"
         f" {1e6 * metrics['residual_vibration_amplitude']:14.2f} µm"

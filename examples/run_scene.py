@@ -3,22 +3,19 @@
 python run_scene.py
 """
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.measuring.metric_table import display
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.model.scene_file import load_scene
+import flexfmu
 
 # a shipped scene (or the path of your own file), with a gentler profile and less payload
-scene = load_scene("barnard2012-6kg").replace(
+scene = flexfmu.load_scene("barnard2012-6kg").replace(
     {"name": "gentle", "payload.mass": 3.0, "trajectory.profile": {"kind": "trapezoidal", "ramp": 0.25}}
 )
 
 # plans the motion, builds the FMU or takes it from the cache, co-simulates motion and dwell
-run = run_scene(scene)
+run = flexfmu.run(scene)
 print(f"{run.outcome.value} in {run.timing.simulate:.2f} s, {run.health.statistics['steps']} integrator steps")
 
-for name, measurement in measure_run(run).items():
-    print(f"{name:30} {display(name, measurement.value)}")
+for name, measurement in flexfmu.measure_run(run).items():
+    print(f"{name:30} {flexfmu.display(name, measurement.value)}")
 
 # every signal has values and a unit; an instant at which something jumps appears twice, before and after
 acceleration, at_start = run.recording["der(link11.bending[1],2)"], run.recording.time == 0.0

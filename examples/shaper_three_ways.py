@@ -6,13 +6,12 @@ sampled shaper is what runs in a real controller.
     python shaper_three_ways.py
 """
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.loop.loop import Shaper
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.shaping.plan import deviation
+from flexfmu import load_scene, measure_run
+from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.loop import Shaper
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.shaping import deviation
 from flexfmu.model.modes import damped_modes
-from flexfmu.model.scene_file import load_scene
 from flexfmu.trajectories.shapers import Oscillator, zero_vibration
 
 scene = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.35})

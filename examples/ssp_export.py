@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from fmpy.ssp.ssd import read_ssd
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.ssp.export import export_ssp
-from flexfmu.cosim.ssp.loading import load_ssp
-from flexfmu.model.scene_file import load_scene
+from flexfmu import load_scene
+from flexfmu.cosim.exchange.ssp.export import export_ssp
+from flexfmu.cosim.exchange.ssp.loading import load_ssp
+from flexfmu.cosim.experiment.prepared_scene import run_scene
 
 scene = load_scene("barnard2012-6kg").replace(
     {

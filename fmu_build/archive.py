@@ -33,7 +33,7 @@ def pack(files: Mapping[str, bytes]) -> bytes:
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write ``content`` beside ``path``, then rename, so that nobody ever reads half a file.
+    """Write ``content`` beside ``path``, then rename, so that no process reads half a file.
 
     Raises:
         ArchiveError: the folder is missing and cannot be made, read-only or full, or ``path`` is a folder.

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.build import BuiltFmu, Progress, build_from_sources
 from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.icon import ICON_SIZE, png
+from flexfmu.fmu_build.naming import named_block
+from flexfmu.fmu_build.picture import block_picture
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.naming import Naming
@@ -50,7 +53,6 @@ def build_block_fmu(
         BuildError: in one line what is wrong and what to do: a block that contradicts its contract, no compiler, a
             compiler's error, or a file that cannot be written.
     """
-
     from flexfmu.fmu_build.block_codegen import check_block
 
     def make_sources() -> Sources:
@@ -79,9 +81,6 @@ def generate_block_sources(
     from flexfmu.fmu_build.block_codegen import generate_block, generate_block_description
     from flexfmu.fmu_build.block_description import block_description, block_documentation, with_starts
     from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
-    from flexfmu.fmu_build.icon import ICON_SIZE, png
-    from flexfmu.fmu_build.naming import named_block
-    from flexfmu.fmu_build.picture import block_picture
     from flexfmu.fmu_build.sources import assemble_sources
 
     progress("generating C")

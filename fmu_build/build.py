@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # CasADi takes a quarter of a second to import, and a cached 
     from flexfmu.model.symbolic import SymbolicModel
 
 Progress = Callable[[str], None]
-"""Is told what happens next, a few words each."""
+"""Receives a few words on each stage of a build as it begins."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def build_fmu(
         enumerations: whether the choices ``initial`` and ``integrator`` are FMI enumerations, which not every importer takes
             (Maestro 3.1.1 refuses them), instead of Integers.
         cache: False builds anew and replaces what is in the cache.
-        progress: is told what happens next.
+        progress: receives each stage as it begins.
 
     Raises:
         BuildError: in one line what is wrong and what to do: a model that contradicts its contract, an unknown platform,

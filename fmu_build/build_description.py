@@ -11,7 +11,7 @@ BUILD_DESCRIPTION = "sources/buildDescription.xml"
 """Where it is in the FMU."""
 
 OPTIONS = ("-O2", *COMMON_FLAGS)
-"""What a compiler of GCC's or Clang's kind is told for the same numbers as the binaries give; others need C99 alone."""
+"""Options of a compiler of GCC's or Clang's kind for the same numbers as the binaries give; others need C99 alone."""
 
 
 def build_description(model_identifier: str, source_files: Iterable[str]) -> str:

@@ -9,9 +9,8 @@ from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.documentation_files import documentation_files
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import ICON_SIZE
-from flexfmu.fmu_build.integrators import INTEGRATOR
+from flexfmu.fmu_build.integrators import INTEGRATOR, LEAST_TOLERANCE
 from flexfmu.fmu_build.picture import Picture, block_picture, mechanism_picture
-from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from flexfmu.fmu_build.choices import Choice
 
+LEAST_TOLERANCE = 1e-12
+"""Smaller tolerances count as this one, see ``c-runtime/plant_backend.c``."""
+
 FIXED_STEP = "integrator.step"
 """Name of the parameter that fixes the step size [s]; 0 lets the error choose it."""
 

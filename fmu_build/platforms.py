@@ -19,7 +19,7 @@ class Platform:
         suffix: file name ending of a shared library.
         zig_target: target triple for ``zig cc``; the Linux one asks for an old C library, so that the FMU runs anywhere.
         compile_flags: position independence, where the target knows it.
-        link_flags: drop what nobody calls and all symbols that nobody needs.
+        link_flags: drop functions without callers and all unneeded symbols.
         zig_link_flags: what zig's linker needs besides, to leave out times and folders.
     """
 

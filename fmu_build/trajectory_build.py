@@ -7,7 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.build import BuiltFmu, Progress, build_from_sources
+from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
+from flexfmu.fmu_build.icon import png
+from flexfmu.fmu_build.naming import named_variables
+from flexfmu.fmu_build.templating import render
+from flexfmu.fmu_build.trajectory_table import tabulate
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.naming import Naming
@@ -81,18 +86,13 @@ def generate_trajectory_sources(
         ModelError: no table reproduces the trajectory, or the axes don't suit it.
     """
     from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
-    from flexfmu.fmu_build.errors import ModelError
-    from flexfmu.fmu_build.icon import png
-    from flexfmu.fmu_build.naming import named_variables
     from flexfmu.fmu_build.sources import assemble_sources
-    from flexfmu.fmu_build.templating import render
     from flexfmu.fmu_build.trajectory_description import (
         TableMotion,
         motion_picture,
         trajectory_description,
         trajectory_documentation,
     )
-    from flexfmu.fmu_build.trajectory_table import tabulate
 
     progress("placing knots")
     table = tabulate(trajectory)

@@ -1,1 +1,1 @@
-"""Elastodynamic model of the flexible five-bar robot: scene, effects, equations of motion, statics and modes."""
+"""What the robot is: effects, kinematics, equations of motion, statics and modes, as symbolic models."""

@@ -1,22 +1,25 @@
-"""Mode shapes of uniform beams over the normalised length xi in [0, 1].
+"""Mode shapes of uniform beams over the normalised length xi in [0, 1], and their integrals, the constants of the model.
 
 The assumed modes stand as in eqs. (1) and (2) of Barnard, Briot and Caro (ESDA 2012), not normalised; the static and
 fixed-interface shapes are those of Craig and Bampton (AIAA Journal 6, 1968), where a link's tip is the interface. Bending
 shapes are evaluated without the cancellation of cosh against sinh, so that a high mode is as accurate as the first (Blevins,
-Formulas for Natural Frequency and Mode Shape, 1979, table 8-1).
+Formulas for Natural Frequency and Mode Shape, 1979, table 8-1). Integrals are Gauss-Legendre quadratures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-Array = NDArray[np.float64]
-Evaluate = Callable[[Array], Array]
+from flexfmu.trajectories.jets import RealArray
+
+Evaluate = Callable[[RealArray], RealArray]
+Basis = Literal["assumed-modes", "craig-bampton"]
+"""Which shapes the modes of elastic links have, see `flexfmu.model.elastic_family`."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class Shape:
         strain: drotation/dxi for bending, dphi/dxi for axial shapes.
         tip: phi(1).
         wave_number: dimensionless wave number; tells how fine a quadrature has to be.
-        text: what the shape's coordinate is, for documentation.
+        text: which shape it is, for documentation.
     """
 
     value: Evaluate
@@ -39,11 +42,26 @@ class Shape:
     strain: Evaluate
     tip: float
     wave_number: float
-    text: str = "the paper's shape"
+    text: str
 
 
-STATIC = "the static shape, tip displacement"
-FIXED_INTERFACE = "shape with the link's tip held"
+STATIC = "Craig and Bampton's static shape under a force at the tip, as the tip's displacement"
+_ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+
+
+def ordinal(mode: int) -> str:
+    """``first``, ``second``, ...; numbers from 11 on."""
+    return _ORDINALS[mode - 1] if mode <= len(_ORDINALS) else f"{mode}th"
+
+
+def fixed_interface(mode: int) -> str:
+    """What a mode with the tip held is."""
+    return f"Craig and Bampton's {ordinal(mode)} mode with the tip held"
+
+
+def pinned_pinned(mode: int) -> str:
+    """What a mode of a beam between two pins is."""
+    return f"{ordinal(mode)} mode of a beam pinned at both ends"
 
 
 def clamped_free_root(mode: int) -> float:
@@ -71,7 +89,8 @@ def clamped_free_bending(mode: int) -> Shape:
     scaled = 2.0 * (decay + np.cos(beta) + np.sin(beta)) / (1.0 + decay**2 + 2.0 * decay * np.cos(beta))
     sigma = 1.0 - decay * scaled
     value, slope, curvature = _clamped(beta, scaled, sigma, divisor=sigma)
-    return Shape(value, slope, slope, curvature, float(value(np.array([1.0]))[0]), beta)
+    text = f"the paper's {ordinal(mode)} assumed mode, eq. (1)"
+    return Shape(value, slope, slope, curvature, float(value(np.array([1.0]))[0]), beta, text)
 
 
 def clamped_pinned_bending(mode: int) -> Shape:
@@ -83,7 +102,7 @@ def clamped_pinned_bending(mode: int) -> Shape:
     scaled = 2.0 * decay * (2.0 * decay * np.cos(beta) / (1.0 + decay**2) - 1.0)
     scaled /= 1.0 - decay**2 - 2.0 * decay * np.sin(beta)
     value, slope, curvature = _clamped(beta, scaled, 1.0 - decay * scaled, divisor=1.0)
-    return Shape(value, slope, slope, curvature, 0.0, beta, FIXED_INTERFACE)
+    return Shape(value, slope, slope, curvature, 0.0, beta, fixed_interface(mode))
 
 
 def _clamped(beta: float, scaled: float, sigma: float, divisor: float) -> tuple[Evaluate, Evaluate, Evaluate]:
@@ -93,25 +112,25 @@ def _clamped(beta: float, scaled: float, sigma: float, divisor: float) -> tuple[
     (1 - sigma) exp(beta).
     """
 
-    def hyperbolic(x: Array) -> Array:
+    def hyperbolic(x: RealArray) -> RealArray:
         """cosh - sigma sinh."""
         growing = 0.5 * scaled * (np.exp(x - beta) - np.exp(-x - beta))
         return np.asarray(np.exp(-x) + growing)
 
-    def hyperbolic_slope(x: Array) -> Array:
+    def hyperbolic_slope(x: RealArray) -> RealArray:
         """sinh - sigma cosh."""
         growing = 0.5 * scaled * (np.exp(x - beta) + np.exp(-x - beta))
         return np.asarray(growing - np.exp(-x))
 
-    def value(xi: Array) -> Array:
+    def value(xi: RealArray) -> RealArray:
         x = beta * xi
         return np.asarray((hyperbolic(x) - np.cos(x) + sigma * np.sin(x)) / divisor)
 
-    def slope(xi: Array) -> Array:
+    def slope(xi: RealArray) -> RealArray:
         x = beta * xi
         return np.asarray(beta * (hyperbolic_slope(x) + np.sin(x) + sigma * np.cos(x)) / divisor)
 
-    def curvature(xi: Array) -> Array:
+    def curvature(xi: RealArray) -> RealArray:
         x = beta * xi
         return np.asarray(beta**2 * (hyperbolic(x) + np.cos(x) - sigma * np.sin(x)) / divisor)
 
@@ -121,7 +140,7 @@ def _clamped(beta: float, scaled: float, sigma: float, divisor: float) -> tuple[
 def tip_force_bending() -> Shape:
     """Static shape of a cantilever under a force at its tip, (3 xi² - xi³)/2; its coordinate is the tip's displacement."""
 
-    def slope(xi: Array) -> Array:
+    def slope(xi: RealArray) -> RealArray:
         return np.asarray(3.0 * xi - 1.5 * xi**2)
 
     return Shape(lambda xi: 1.5 * xi**2 - 0.5 * xi**3, slope, slope, lambda xi: 3.0 - 3.0 * xi, 1.0, 3.0, STATIC)
@@ -131,20 +150,23 @@ def pinned_pinned_bending(mode: int) -> Shape:
     """Pinned-pinned bending shape k: sin(k pi xi); the tip doesn't move."""
     k = mode * np.pi
 
-    def slope(xi: Array) -> Array:
+    def slope(xi: RealArray) -> RealArray:
         return np.asarray(k * np.cos(k * xi))
 
-    return Shape(lambda xi: np.sin(k * xi), slope, slope, lambda xi: -(k**2) * np.sin(k * xi), 0.0, k)
+    return Shape(
+        lambda xi: np.sin(k * xi), slope, slope, lambda xi: -(k**2) * np.sin(k * xi), 0.0, k, pinned_pinned(mode)
+    )
 
 
 def fixed_free_axial(mode: int) -> Shape:
     """Fixed-free axial shape k, eq. (2): sin((2k - 1) pi/2 xi)."""
-    return _sine_axial((mode - 0.5) * np.pi, 1.0 if mode % 2 else -1.0)
+    text = f"the paper's {ordinal(mode)} assumed mode, eq. (2)"
+    return _sine_axial((mode - 0.5) * np.pi, 1.0 if mode % 2 else -1.0, text)
 
 
 def fixed_fixed_axial(mode: int) -> Shape:
     """Fixed-fixed axial shape k: sin(k pi xi); the tip doesn't move."""
-    return _sine_axial(mode * np.pi, 0.0, FIXED_INTERFACE)
+    return _sine_axial(mode * np.pi, 0.0, fixed_interface(mode))
 
 
 def tip_force_axial() -> Shape:
@@ -152,10 +174,67 @@ def tip_force_axial() -> Shape:
     return _axial(lambda xi: 1.0 * xi, np.ones_like, 1.0, 1.0, STATIC)
 
 
-def _sine_axial(k: float, tip: float, text: str = Shape.text) -> Shape:
+def _sine_axial(k: float, tip: float, text: str) -> Shape:
     return _axial(lambda xi: np.sin(k * xi), lambda xi: k * np.cos(k * xi), tip, k, text)
 
 
 def _axial(value: Evaluate, strain: Evaluate, tip: float, wave_number: float, text: str) -> Shape:
     """An axial shape, whose sections don't turn."""
     return Shape(value, strain, np.zeros_like, strain, tip, wave_number, text)
+
+
+INTEGRAL_ROUNDING = 1e-12
+"""Integrals below this fraction of their factors' norms are rounding of an exact zero (orthogonality)."""
+
+
+@dataclass(frozen=True)
+class ShapeIntegrals:
+    """Integrals over xi in [0, 1] of a set of K shapes.
+
+    Attributes:
+        mean: ∫ phi_k, shape (K,).
+        first_moment: ∫ xi phi_k, shape (K,).
+        gram: ∫ phi_j phi_k, shape (K, K), exact zeros where the shapes are orthogonal.
+        strain_gram: ∫ of the products of the strain derivatives, shape (K, K); meaningful within one family.
+    """
+
+    mean: RealArray
+    first_moment: RealArray
+    gram: RealArray
+    strain_gram: RealArray
+
+
+def integrate_shapes(shapes: Sequence[Shape]) -> ShapeIntegrals:
+    """Integrals by Gauss-Legendre quadrature, fine enough for the highest mode to be exact to rounding."""
+    xi, weights = _quadrature(shapes)
+    values = np.array([shape.value(xi) for shape in shapes]).reshape(len(shapes), len(xi))
+    return ShapeIntegrals(
+        values @ weights,
+        values @ (weights * xi),
+        gram(shapes, lambda shape: shape.value),
+        gram(shapes, lambda shape: shape.strain),
+    )
+
+
+def gram(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate], weight: Evaluate = np.ones_like) -> RealArray:
+    """∫ weight(xi) f_j f_k of a field f of the shapes, shape (K, K), exact zeros where they are orthogonal."""
+    xi, weights = _quadrature(shapes)
+    values = np.array([field(shape)(xi) for shape in shapes]).reshape(len(shapes), len(xi))
+    products = (values * weights * weight(xi)) @ values.T
+    norms = np.sqrt(np.diag(products))
+    return np.where(np.abs(products) > INTEGRAL_ROUNDING * np.outer(norms, norms), products, 0.0)
+
+
+def mean(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate]) -> RealArray:
+    """∫ f_k of a field f of the shapes, shape (K,), exact zeros where it averages out."""
+    xi, weights = _quadrature(shapes)
+    values = np.array([field(shape)(xi) for shape in shapes]).reshape(len(shapes), len(xi))
+    means = values @ weights
+    return np.where(np.abs(means) > INTEGRAL_ROUNDING * np.sqrt(values**2 @ weights), means, 0.0)
+
+
+def _quadrature(shapes: Sequence[Shape]) -> tuple[RealArray, RealArray]:
+    """Gauss-Legendre nodes and weights on [0, 1]."""
+    count = 40 + int(max((shape.wave_number for shape in shapes), default=0.0))
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 * (nodes + 1.0), 0.5 * weights

@@ -1,7 +1,7 @@
 """A discrete-time block: a controller, shaper or imperfection as equations, from which both its Python slave and its FMU
 are made, so that they give the same numbers.
 
-At its sample instants t_k = offset + k * sample_time a block reads its inputs u, puts out y and moves on::
+At its sample instants t_k = offset + k * sample_time a block reads its inputs u, outputs y and updates its states x::
 
     y_k = output(x_k, u_k, p)        x_{k+1} = update(x_k, u_k, p)
 

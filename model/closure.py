@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import casadi
 
 from flexfmu.model.dynamics import RedundantState
-from flexfmu.model.robot import LEGS, Direction, Robot
-from flexfmu.model.tips import TipMap
+from flexfmu.model.robot import LEGS, Direction, Robot, TipMap
 
 
 @dataclass(frozen=True)
@@ -66,11 +65,13 @@ class Closure:
         self._tips, self._motion, self._side = TipMap(robot), motion, side
         self._robot, self._lengths = robot, lengths
         proximal, distal = lengths
+        # proximal links: angle, direction, displacements of the tips, elbows
         self.q_a = motion.q_a + self._twist(motion.q_e)
         self._bases = [robot.links[f"link{leg}1"].base for leg in LEGS]
         self.e_a = [casadi.vertcat(casadi.cos(self.q_a[i]), casadi.sin(self.q_a[i])) for i in range(2)]
         self.reach = [proximal + self._tip(i, 1, "axial") for i in range(2)]
         self.sag = [self._tip(i, 1, "bending") for i in range(2)]
+        # distal links: flexible lengths, whose circles meet in the end effector
         self.length = [distal + self._tip(i, 2, "axial") for i in range(2)]
         self.elbows = [
             b + e * r + _normal(e) * s for b, e, r, s in zip(self._bases, self.e_a, self.reach, self.sag, strict=True)
@@ -118,7 +119,9 @@ class Closure:
         ]
 
     def _move(self) -> None:
+        """Velocities: turning rates, elbows, end effector."""
         m = self._motion
+        # turning rates of the proximal links, rates of the links' tips
         w_a = m.v_a + self._twist(m.v_e)
         self.w_a = [w_a[i] for i in range(2)]
         reach = [self._tip_rate(i, 1, "axial") for i in range(2)]
@@ -128,25 +131,31 @@ class Closure:
         self._along = [reach[i] - self.w_a[i] * self.sag[i] for i in range(2)]
         self._across = [sag[i] + self.w_a[i] * self.reach[i] for i in range(2)]
         self.elbow_velocity = [self._along[i] * self.e_a[i] + self._across[i] * _normal(self.e_a[i]) for i in range(2)]
+        # along each distal link, the end effector moves as the elbow does, and as the link becomes longer
         self.velocity = self._solve(
             [casadi.dot(self.e_p[i], self.elbow_velocity[i]) + self.length_rate[i] for i in range(2)]
         )
+        # across it, the difference of both turns the link
         self.w_p = [
             casadi.dot(_normal(self.e_p[i]), self.velocity - self.elbow_velocity[i]) / self.length[i] for i in range(2)
         ]
         self._reach_rate, self._sag_rate = reach, sag
 
     def _accelerate(self) -> None:
+        """Accelerations, term by term the time derivatives of `_move`."""
         m, w, wp = self._motion, self.w_a, self.w_p
+        # angular accelerations of the proximal links, second derivatives of the tips
         self.wd_a = m.a_a + self._twist(m.a_e)
         reach = [self._tip_acceleration(i, 1, "axial") for i in range(2)]
         sag = [self._tip_acceleration(i, 1, "bending") for i in range(2)]
         length = [self._tip_acceleration(i, 2, "axial") for i in range(2)]
+        # components of the elbow acceleration along and across the proximal link
         along = [reach[i] - self.wd_a[i] * self.sag[i] - w[i] * (self._sag_rate[i] + self._across[i]) for i in range(2)]
         across = [
             sag[i] + self.wd_a[i] * self.reach[i] + w[i] * (self._reach_rate[i] + self._along[i]) for i in range(2)
         ]
         self.elbow_acceleration = [along[i] * self.e_a[i] + across[i] * _normal(self.e_a[i]) for i in range(2)]
+        # end effector along the distal links, with the centripetal part; across them, their angular accelerations
         self.acceleration = self._solve(
             [
                 casadi.dot(self.e_p[i], self.elbow_acceleration[i]) + length[i] - self.length[i] * wp[i] ** 2
@@ -183,12 +192,15 @@ class Closure:
 
         This is the transposed velocity map; virtual power is preserved.
         """
+        # redundant forces by coordinate: turning of the links, elbows, end effector, elastic
         turning_a, turning_p = force[0:2], force[2:4]
         required, at_tip, elastic = [force[4:6], force[6:8]], force[8:10], force[10:]
+        # moments on the distal links act as pairs of forces at their ends; the rest at the end effector is axial
         levers = [turning_p[i] * _normal(self.e_p[i]) / self.length[i] for i in range(2)]
         axial = self._solve_transposed(at_tip + levers[0] + levers[1])
         pulls = [axial[i] * self.e_p[i] - levers[i] for i in range(2)]
         elbows = [required[i] + pulls[i] for i in range(2)]
+        # elbow forces act on the proximal links, and all of them on the elastic coordinates through the tips
         joints = []
         for i in range(2):
             along = casadi.dot(self.e_a[i], elbows[i])
@@ -197,6 +209,7 @@ class Closure:
             if elastic.numel():
                 for link, direction, component in ((1, "axial", along), (1, "bending", across), (2, "axial", axial[i])):
                     elastic += self._tips.gain(f"link{i + 1}{link}", direction, self._motion.q_e) * component  # type: ignore[arg-type]
+        # a twist of the transmission turns the link without the motor
         motors = casadi.vertcat(*joints)
         if elastic.numel():
             elastic += self._tips.twist @ motors

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator
 
 import casadi
 import numpy as np
 
 from flexfmu.model.algebra import form, symmetric
-from flexfmu.model.effects import Effect
+from flexfmu.model.effects import Effect, EffectContext
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Family, Robot
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.scene import effects as keys
+from flexfmu.model.symbolic import EffectNote, Variable
 
 
 class StructuralDamping(Effect):
@@ -27,6 +29,19 @@ class StructuralDamping(Effect):
 
 class ModalDamping(StructuralDamping):
     """Modal damping C_ii = 2 ratio sqrt(K_ii M_ii) of every mode of every link."""
+
+    note = EffectNote(
+        title="modal damping",
+        sentence="Modal damping C_ii = 2 ratio sqrt(K_ii M_ii) of every mode of every link.",
+        formula="R = ½ ∑ 2ζ √(K_kk M_kk) q̇_k²",
+        contributes=("dissipation R",),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        damping = context.scene.effects.damping
+        if isinstance(damping, keys.ModalDamping) and damping.ratio:
+            yield cls(context.registry, damping.ratio)
 
     def __init__(self, registry: ParameterRegistry, ratio: float) -> None:
         self._registry = registry
@@ -49,12 +64,17 @@ class ModalDamping(StructuralDamping):
             total += 0.5 * self._registry.derived(f"{family.group}_{family.direction}_c_{k}", c) * v[k] ** 2
         return total
 
-    def formula(self) -> str:
-        return "R = ½ ∑ 2ζ √(K_kk M_kk) q̇_k²"
-
 
 class ProportionalDamping(StructuralDamping):
     """Damping C = rate * M + time * K on the elastic coordinates, with the links' own modal masses (Rayleigh)."""
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        damping = context.scene.effects.damping
+        rate = damping.rate if isinstance(damping, keys.MassDamping | keys.RayleighDamping) else 0.0
+        time = damping.time if isinstance(damping, keys.StiffnessDamping | keys.RayleighDamping) else 0.0
+        if rate or time:
+            yield cls(context.registry, rate, time)
 
     def __init__(self, registry: ParameterRegistry, rate: float, time: float) -> None:
         """A factor of zero leaves its term out."""
@@ -64,6 +84,13 @@ class ProportionalDamping(StructuralDamping):
         if time:
             text = "Stiffness-proportional damping time"
             self._time = registry.parameter(_factor("damping.time", "s", text, time, 1e3))
+        terms = [(kind, symbol) for kind, symbol, there in (("mass", "αM", rate), ("stiffness", "βK", time)) if there]
+        self.note = EffectNote(
+            title=" and ".join(kind for kind, _ in terms) + " proportional damping",
+            sentence="Damping C = rate * M + time * K on the elastic coordinates, with the links' own modal masses (Rayleigh).",
+            formula=f"R = ½ q̇ᵀ ({' + '.join(symbol for _, symbol in terms)}) q̇",
+            contributes=("dissipation R",),
+        )
 
     def _power(self, family: Family, v: casadi.SX) -> casadi.SX:
         damping = casadi.SX(*family.stiffness.shape)
@@ -78,14 +105,6 @@ class ProportionalDamping(StructuralDamping):
             np.array(casadi.DM(damping.sparsity(), 1.0).full()),
         )
         return 0.5 * form(derived, v, v)
-
-    def title(self) -> str:
-        kinds = [("mass", self._has_rate), ("stiffness", self._has_time)]
-        return " and ".join(kind for kind, there in kinds if there) + " proportional damping"
-
-    def formula(self) -> str:
-        terms = [("αM", self._has_rate), ("βK", self._has_time)]
-        return f"R = ½ q̇ᵀ ({' + '.join(term for term, there in terms if there)}) q̇"
 
 
 def _factor(name: str, unit: str, text: str, start: float, maximum: float) -> Variable:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import casadi
 
-from flexfmu.model.effects import Effect, Stiction
+from flexfmu.model.effects import Effect, EffectContext, Stiction
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Robot
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.scene import effects as keys
+from flexfmu.model.symbolic import EffectNote, Variable
 
 LARGEST = 1e9
 """Upper limit of a drive parameter in its SI unit."""
@@ -27,6 +28,19 @@ def _parameter(
 class MotorInertia(Effect):
     """Inertia of each motor, referred to its joint."""
 
+    note = EffectNote(
+        title="motor inertia",
+        sentence="Inertia of each motor, referred to its joint.",
+        formula="T = ½ J (q̇₁² + q̇₂²)",
+        contributes=("kinetic energy T",),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        inertia = context.scene.effects.motor_inertia
+        if inertia:
+            yield cls(context.registry, inertia)
+
     def __init__(self, registry: ParameterRegistry, inertia: float) -> None:
         self._inertia = _parameter(
             registry, "motor_inertia", "kg.m2", "Inertia of each motor, referred to its joint", inertia
@@ -35,12 +49,22 @@ class MotorInertia(Effect):
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
         return 0.5 * self._inertia * sum(rate**2 for rate in robot.motor_rates)
 
-    def formula(self) -> str:
-        return "T = ½ J (q̇₁² + q̇₂²)"
-
 
 class ViscousFriction(Effect):
     """Viscous friction torque at each motor."""
+
+    note = EffectNote(
+        title="viscous friction",
+        sentence="Viscous friction torque at each motor.",
+        formula="R = ½ d (q̇₁² + q̇₂²)",
+        contributes=("dissipation R",),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        coefficient = context.scene.effects.joint_friction.viscous
+        if coefficient:
+            yield cls(context.registry, coefficient)
 
     def __init__(self, registry: ParameterRegistry, coefficient: float) -> None:
         self._coefficient = _parameter(
@@ -50,15 +74,25 @@ class ViscousFriction(Effect):
     def dissipation(self, robot: Robot) -> casadi.SX:
         return 0.5 * self._coefficient * sum(rate**2 for rate in robot.motor_rates)
 
-    def formula(self) -> str:
-        return "R = ½ d (q̇₁² + q̇₂²)"
-
 
 class CoulombFriction(Effect):
     """Dry friction at each motor, smoothed to the torque coulomb * w / sqrt(w² + velocity²).
 
     Its dissipation function is coulomb * sqrt(w² + velocity²), which is analytic and never overflows.
     """
+
+    note = EffectNote(
+        title="coulomb friction",
+        sentence="Dry friction at each motor, smoothed to the torque coulomb * w / sqrt(w² + velocity²).",
+        formula="R = c ∑ √(w² + q̇_i²)",
+        contributes=("dissipation R",),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        friction = context.scene.effects.joint_friction
+        if isinstance(friction, keys.SmoothFriction) and friction.coulomb:
+            yield cls(context.registry, friction.coulomb, friction.velocity)
 
     def __init__(self, registry: ParameterRegistry, torque: float, velocity: float) -> None:
         self._torque = _parameter(registry, "joint_friction.coulomb", "N.m", "Coulomb friction of each motor", torque)
@@ -69,9 +103,6 @@ class CoulombFriction(Effect):
     def dissipation(self, robot: Robot) -> casadi.SX:
         return self._torque * sum(casadi.sqrt(rate**2 + self._velocity**2) for rate in robot.motor_rates)
 
-    def formula(self) -> str:
-        return "R = c ∑ √(w² + q̇_i²)"
-
 
 class StickingFriction(Effect):
     """Dry friction that holds each motor up to its breakaway torque, and opposes its slip with less at higher rates.
@@ -80,6 +111,12 @@ class StickingFriction(Effect):
     Hélouvry, Dupont and Canudas de Wit, Automatica 30 (1994), eq. (5)), or coulomb alone without a Stribeck velocity. A
     breakaway torque below the Coulomb friction counts as equal to it.
     """
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        friction = context.scene.effects.joint_friction
+        if isinstance(friction, keys.Stiction) and friction.holding:
+            yield cls(context.registry, friction.coulomb, friction.holding, friction.stribeck_velocity)
 
     def __init__(
         self, registry: ParameterRegistry, coulomb: float, breakaway: float, stribeck_velocity: float | None
@@ -100,6 +137,13 @@ class StickingFriction(Effect):
             1e-9,
         )
         self._directions = [registry.switch(f"joint{leg}_slip_direction") for leg in (1, 2)]
+        falling = "" if self._velocity is None else " + (b - c) ∫ exp(-(v/w)²) dv"
+        self.note = EffectNote(
+            title="sticking friction",
+            sentence="Dry friction that holds each motor up to its breakaway torque, and opposes its slip with less at higher rates.",
+            formula=f"R = ∑ c |q̇_i|{falling}; q̈_i = 0 up to |τ_i| = b",
+            contributes=("dissipation R", "sticking of the motors"),
+        )
 
     def _torque(self, direction: casadi.SX, rate: casadi.SX) -> casadi.SX:
         excess = self._breakaway - self._coulomb
@@ -121,10 +165,6 @@ class StickingFriction(Effect):
             Stiction(partial(self._torque, direction), self._breakaway, direction) for direction in self._directions
         ]
 
-    def formula(self) -> str:
-        falling = "" if self._velocity is None else " + (b - c) ∫ exp(-(v/w)²) dv"
-        return f"R = ∑ c |q̇_i|{falling}; q̈_i = 0 up to |τ_i| = b"
-
 
 def _slip(direction: casadi.SX, rate: casadi.SX) -> casadi.SX:
     """The direction of slip: as it was chosen, or the rate's own sign."""
@@ -133,6 +173,19 @@ def _slip(direction: casadi.SX, rate: casadi.SX) -> casadi.SX:
 
 class ElasticTransmission(Effect):
     """Spring and damper between each motor and its proximal link."""
+
+    note = EffectNote(
+        title="elastic transmission",
+        sentence="Spring and damper between each motor and its proximal link.",
+        formula="V = ½ k ∑ ϑ_i², R = ½ d ∑ ϑ̇_i², where ϑ is link angle minus motor angle",
+        contributes=("twist of the joints", "potential energy V", "dissipation R"),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        transmission = context.scene.effects.transmission
+        if transmission is not None:
+            yield cls(context.registry, transmission.stiffness, transmission.damping)
 
     def __init__(self, registry: ParameterRegistry, stiffness: float, damping: float) -> None:
         self._stiffness = _parameter(
@@ -144,14 +197,11 @@ class ElasticTransmission(Effect):
             else casadi.SX(0)
         )
 
-    def twists_joints(self) -> bool:
-        return True
+    def joint_stiffness(self) -> casadi.SX:
+        return self._stiffness
 
     def potential_energy(self, robot: Robot, first_moment: casadi.SX) -> casadi.SX:
         return 0.5 * self._stiffness * casadi.dot(robot.twist, robot.twist)
 
     def dissipation(self, robot: Robot) -> casadi.SX:
         return 0.5 * self._damping * casadi.dot(robot.twist_rate, robot.twist_rate)
-
-    def formula(self) -> str:
-        return "V = ½ k ∑ ϑ_i², R = ½ d ∑ ϑ̇_i², where ϑ is link angle minus motor angle"

@@ -63,6 +63,7 @@ class RedundantDynamics:
 
 def derive_dynamics(robot: Robot, effects: Sequence[Effect], registry: ParameterRegistry) -> RedundantDynamics:
     """Lagrange's equations for the sum of all effects; the effects register the derived values that they need."""
+    # configuration, rates and accelerations in the order of `RedundantState`
     links = [robot.links[name] for name in ANGLE_ORDER]
     points = [robot.links[name].base for name, group, _ in LINK_ORDER if group == "distal"]
     point_rates = [robot.links[name].base_velocity for name, group, _ in LINK_ORDER if group == "distal"]
@@ -70,11 +71,13 @@ def derive_dynamics(robot: Robot, effects: Sequence[Effect], registry: Parameter
     v = casadi.vertcat(*(link.turning_rate for link in links), *point_rates, robot.velocity, robot.v_e)
     a = casadi.SX.sym("a", v.numel())
 
+    # the effects' energies; weight acts on the first moment of all masses
     kinetic = sum((effect.kinetic_energy(robot) for effect in effects), casadi.SX(0))
     moment = sum((effect.first_moment(robot) for effect in effects), casadi.SX(2, 1))
     potential = sum((effect.potential_energy(robot, moment) for effect in effects), casadi.SX(0))
     dissipation = sum((effect.dissipation(robot) for effect in effects), casadi.SX(0))
 
+    # d/dt dT/dv - dT/dq + dV/dq + dR/dv
     momentum = casadi.gradient(kinetic, v)
     tangent = _configuration_rate(x, v)
     inertia = casadi.jtimes(momentum, casadi.vertcat(x, v), casadi.vertcat(tangent, a))

@@ -1,20 +1,22 @@
 """What an effect may contribute to the model: coordinates, energies, dissipation and outputs.
 
-Each effect knows nothing of the others; the sum of all effects is the model. An effect that a scene leaves out isn't
-constructed, so it leaves no state, no term and no line in the generated C.
+The sum of all effects is the model. An effect that a scene leaves out isn't constructed, so it leaves no state, no term and no
+line in the generated C. A new effect is a subclass of `Effect` in a file of its own and one line in `EFFECTS` of
+`flexfmu.model.five_bar`.
 """
 
 from __future__ import annotations
 
-import re
-from abc import ABC
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi
 import numpy as np
 
-from flexfmu.model.robot import Family, Robot
+from flexfmu.model.parameters import LinkProperties, ParameterRegistry
+from flexfmu.model.robot import Family, LinkGroup, Robot
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import EffectNote
 
 
@@ -50,20 +52,51 @@ class Output:
     gain: casadi.SX
 
 
-class Effect(ABC):  # noqa: B024 - every hook has a neutral default
-    """What an effect may contribute; each hook's default is nothing."""
+@dataclass(frozen=True)
+class EffectContext:
+    """What effects are made from.
+
+    Attributes:
+        scene: the scene, whose keys say which effects it asks for.
+        registry: where an effect registers its parameters and the values that follow from them.
+        links: mass, sizes and stiffness of the link groups, in symbols.
+    """
+
+    scene: Scene
+    registry: ParameterRegistry
+    links: Mapping[LinkGroup, LinkProperties]
+
+
+class Effect(ABC):
+    """What an effect may contribute; each hook's default is nothing.
+
+    Attributes:
+        note: title, sentence and formula for the documentation, and what the effect contributes: of the class, or of an
+            instance where they depend on what the scene asks for.
+    """
+
+    note: EffectNote
+
+    @classmethod
+    @abstractmethod
+    def from_scene(cls, context: EffectContext) -> Iterable[Effect]:
+        """The effects of this class that a scene asks for; none where it leaves them out."""
 
     def families(self) -> tuple[Family, ...]:
         """Elastic families that the effect adds to the links."""
         return ()
 
-    def twists_joints(self) -> bool:
-        """Whether the effect makes the joints' transmissions elastic."""
-        return False
+    def joint_stiffness(self) -> casadi.SX | None:
+        """Stiffness of each transmission [N m/rad] if the effect makes them elastic; None if it doesn't."""
+        return None
 
     def shortening(self, family: Family) -> casadi.SX | None:
         """Matrix S (K, K) [1/m] if the family's links become shorter by q' S q / 2; None if they don't."""
         return None
+
+    def end_effector_mass(self) -> casadi.SX:
+        """Mass that moves with the end effector [kg]; it scales the error norm."""
+        return casadi.SX(0)
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
         """T [J]."""
@@ -86,38 +119,5 @@ class Effect(ABC):  # noqa: B024 - every hook has a neutral default
         return ()
 
     def outputs(self, robot: Robot) -> Sequence[Output]:
-        """Scalars worth watching."""
+        """Outputs that follow from the effect's coordinates."""
         return ()
-
-    def title(self) -> str:
-        """What the documentation calls the effect, for example ``point payload``."""
-        return re.sub(r"(?<!^)(?=[A-Z])", " ", type(self).__name__).lower()
-
-    def sentence(self) -> str:
-        """One sentence for the documentation."""
-        return (self.__doc__ or "").split("\n")[0]
-
-    def formula(self) -> str:
-        """Its energy or dissipation as a person writes it, in Unicode; empty where one sentence says all."""
-        return ""
-
-    def note(self) -> EffectNote:
-        """All that the documentation says of the effect."""
-        given = (
-            what for hook, what in _CONTRIBUTIONS.items() if getattr(type(self), hook) is not getattr(Effect, hook)
-        )
-        return EffectNote(self.title(), self.sentence(), self.formula(), tuple(given))
-
-
-_CONTRIBUTIONS = {
-    "families": "elastic coordinates",
-    "twists_joints": "twist of the joints",
-    "shortening": "shortening of links",
-    "kinetic_energy": "kinetic energy T",
-    "first_moment": "weight",
-    "potential_energy": "potential energy V",
-    "dissipation": "dissipation R",
-    "stiction": "sticking of the motors",
-    "outputs": "outputs",
-}
-"""Hook of an effect → what it contributes if it has one of its own."""

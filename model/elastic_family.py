@@ -1,24 +1,92 @@
-"""Elasticity of the links: modes with their strain energy, and what can be measured of them."""
+"""Elasticity of the links: modes with their strain energy, and what can be measured of them.
+
+A scene chooses between two bases. Proximal links are clamped to the motors, distal links are pinned at both ends. With
+`assumed-modes` the shapes are the paper's. With `craig-bampton` the first shape of a family whose tip moves is the static one
+under a force at the tip, and the others are vibrations with the tip held: the static shape alone carries the whole compliance to
+the other links, so few coordinates are enough (Craig and Bampton, AIAA Journal 6, 1968). A hinge passes no moment, so that no
+static shape belongs to one; a pinned-pinned link's tip doesn't move across, so that both bases are the same there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import casadi
 import numpy as np
 
 from flexfmu.model.algebra import column, form, symmetric
-from flexfmu.model.beams import Array, Evaluate, Shape
-from flexfmu.model.effects import Effect, Output
-from flexfmu.model.link_properties import LinkProperties
-from flexfmu.model.parameters import ParameterRegistry
-from flexfmu.model.robot import Direction, Family, LinkGroup, Robot
-from flexfmu.model.rotary_inertia import ThickBeam
-from flexfmu.model.shape_integrals import gram, integrate_shapes
+from flexfmu.model.beams import (
+    Basis,
+    Evaluate,
+    Shape,
+    clamped_free_bending,
+    clamped_pinned_bending,
+    fixed_fixed_axial,
+    fixed_free_axial,
+    gram,
+    integrate_shapes,
+    pinned_pinned_bending,
+    tip_force_axial,
+    tip_force_bending,
+)
+from flexfmu.model.effects import Effect, EffectContext, Output
+from flexfmu.model.parameters import LinkProperties, ParameterRegistry
+from flexfmu.model.robot import FAMILIES, Direction, Family, LinkGroup, Robot
+from flexfmu.model.rotary_inertia import ThickBeam, slenderness, thick_beams
+from flexfmu.model.symbolic import EffectNote
+from flexfmu.model.timoshenko import timoshenko_shapes
+from flexfmu.trajectories.jets import RealArray
+
+Shapes = Callable[[int], tuple[Shape, ...]]
+"""Number of modes → their shapes."""
+
+
+def family_shapes(basis: Basis, group: LinkGroup, direction: Direction, modes: int) -> tuple[Shape, ...]:
+    """The first `modes` shapes of a family."""
+    return _SHAPES[basis, direction, group](modes)
+
+
+def _vibrations(shape: Callable[[int], Shape]) -> Shapes:
+    return lambda modes: tuple(shape(k) for k in range(1, modes + 1))
+
+
+def _static_and(static: Callable[[], Shape], held: Callable[[int], Shape]) -> Shapes:
+    return lambda modes: (static(), *_vibrations(held)(modes - 1)) if modes else ()
+
+
+_ASSUMED_AXIAL, _STATIC_AXIAL = _vibrations(fixed_free_axial), _static_and(tip_force_axial, fixed_fixed_axial)
+_SHAPES: dict[tuple[Basis, Direction, LinkGroup], Shapes] = {
+    ("assumed-modes", "bending", "proximal"): _vibrations(clamped_free_bending),
+    ("assumed-modes", "bending", "distal"): _vibrations(pinned_pinned_bending),
+    ("assumed-modes", "axial", "proximal"): _ASSUMED_AXIAL,
+    ("assumed-modes", "axial", "distal"): _ASSUMED_AXIAL,
+    ("craig-bampton", "bending", "proximal"): _static_and(tip_force_bending, clamped_pinned_bending),
+    ("craig-bampton", "bending", "distal"): _vibrations(pinned_pinned_bending),
+    ("craig-bampton", "axial", "proximal"): _STATIC_AXIAL,
+    ("craig-bampton", "axial", "distal"): _STATIC_AXIAL,
+}
 
 
 class ElasticFamily(Effect):
     """Elasticity of one link group in one direction: strain energy of eqs. (10) to (13)."""
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        chosen, thick = context.scene.effects, thick_beams(context)
+        for group, direction in FAMILIES:
+            key = f"{group}_{direction}"
+            modes: int = getattr(chosen, key)
+            if not modes:
+                continue
+            # shapes of the beam theory; shear matters in bending alone
+            beam = thick.get(group) if direction == "bending" else None
+            shapes = (
+                timoshenko_shapes(chosen.basis, group, modes, slenderness(context.scene.mechanism, group))
+                if beam is not None
+                else family_shapes(chosen.basis, group, direction, modes)
+            )
+            static = key in chosen.quasi_static
+            yield cls(context.registry, context.links[group], group, direction, shapes, beam, static)
 
     def __init__(
         self,
@@ -43,17 +111,18 @@ class ElasticFamily(Effect):
             stiffness.append((thick.shear_rigidity, gram(shapes, _shear)))
             mass.append((properties.mass * thick.gyration, gram(shapes, lambda shape: shape.rotation)))
 
-        def matrix(name: str, terms: Sequence[tuple[casadi.SX, Array]]) -> casadi.SX:
+        def matrix(name: str, terms: Sequence[tuple[casadi.SX, RealArray]]) -> casadi.SX:
             def entry(i: int, j: int) -> casadi.SX:
                 value = sum((factor * products[i, j] for factor, products in terms), casadi.SX(0))
                 return registry.derived(f"{group}_{direction}_{name}_{i}_{j}", value)
 
             return symmetric(len(shapes), entry, np.add.reduce([np.abs(products) for _, products in terms]))
 
-        self._registry, self._properties, self._is_thick = registry, properties, thick is not None
+        self._registry, self._properties = registry, properties
         springs = matrix("k", stiffness)
         compliance = _inverse(registry, f"{group}_{direction}_compliance", springs) if quasi_static else None
         self._family = Family(group, direction, shapes, springs, matrix("m", mass), compliance)
+        self.note = _note(self._family, is_thick=thick is not None)
 
     def families(self) -> tuple[Family, ...]:
         return (self._family,)
@@ -87,19 +156,17 @@ class ElasticFamily(Effect):
         for link, q in mine:
             yield Output(f"{link}.root_strain", "1", f"bending strain on the outer side of the root of {link}", q, gain)
 
-    def title(self) -> str:
-        return f"{self._family.group} {'bending' if self._family.direction == 'bending' else 'elongation'}"
 
-    def formula(self) -> str:
-        if self._family.direction == "axial":
-            return "V = ½ qᵀ K q = ½ ∑ ∫ EA u′² dx"
-        energy = "EI ψ′² + kGA (w′ − ψ)²" if self._is_thick else "EI w″²"
-        return f"V = ½ qᵀ K q = ½ ∑ ∫ {energy} dx"
-
-    def sentence(self) -> str:
-        family = self._family
-        how = "that deflect statically under the present loads" if family.quasi_static else "with their vibrations"
-        return f"Elasticity of the {family.group} links, {family.direction}: {len(family.shapes)} mode(s) {how}."
+def _note(family: Family, is_thick: bool) -> EffectNote:
+    bends = family.direction == "bending"
+    how = "that deflect statically under the present loads" if family.quasi_static else "with their vibrations"
+    energy = "EA u′²" if not bends else "EI ψ′² + kGA (w′ − ψ)²" if is_thick else "EI w″²"
+    return EffectNote(
+        title=f"{family.group} {'bending' if bends else 'elongation'}",
+        sentence=f"Elasticity of the {family.group} links, {family.direction}: {len(family.shapes)} mode(s) {how}.",
+        formula=f"V = ½ qᵀ K q = ½ ∑ ∫ {energy} dx",
+        contributes=("elastic coordinates", "potential energy V", "outputs"),
+    )
 
 
 def _inverse(registry: ParameterRegistry, prefix: str, stiffness: casadi.SX) -> casadi.SX:

@@ -11,8 +11,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from flexfmu.model.chosen_effects import FAMILIES
-from flexfmu.model.scene import MAXIMUM_MODES, Effects, Scene
+from flexfmu.model.robot import FAMILIES
+from flexfmu.model.scene.effects import MAXIMUM_MODES, Effects
+from flexfmu.model.scene.schema import Scene
 
 Changes = dict[str, Any]
 

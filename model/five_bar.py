@@ -1,25 +1,91 @@
-"""The five-bar of a scene as a sum of effects, assembled once: what plants, statics and modes have in common."""
+"""The five-bar of a scene as a sum of effects, assembled once: what plants, statics and modes have in common.
+
+Elastic families that deflect statically have no states and no inertia of their own, but the deflection under the present loads.
+The loads on such a family are those that the motion of all others puts on it while it is undeformed; they hold the family's
+springs in equilibrium, q = -K^-1 f. The result moves the end effector (and what is measured of the links), not the other
+coordinates: this is the static correction of the mode acceleration method. What it leaves out falls with the square of the
+motion's frequency over the family's own.
+
+Sources: Craig and Kurdila, Fundamentals of Structural Dynamics (2006), section 11.4; Dickens, Nakagawa and Wittbrodt, A critique
+of mode acceleration and modal truncation augmentation methods for modal response analysis, Computers & Structures 62 (1997).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import casadi
 
-from flexfmu.model.chosen_effects import chosen_effects
 from flexfmu.model.closure import Closure, IndependentMotion, ProjectedForces
+from flexfmu.model.damping import ModalDamping, ProportionalDamping
+from flexfmu.model.drive_effects import (
+    CoulombFriction,
+    ElasticTransmission,
+    MotorInertia,
+    StickingFriction,
+    ViscousFriction,
+)
 from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
-from flexfmu.model.effects import Output, Stiction
-from flexfmu.model.errors import SceneError
-from flexfmu.model.link_properties import LinkProperties, link_properties
-from flexfmu.model.parameters import ParameterRegistry
-from flexfmu.model.quasi_static import Partition, static_deflections
+from flexfmu.model.effects import Effect, EffectContext, Output, Stiction
+from flexfmu.model.elastic_family import ElasticFamily
+from flexfmu.model.foreshortening import Foreshortening
+from flexfmu.model.link_inertia import LinkInertia
+from flexfmu.model.loads import Gravity, PayloadInertia, PointPayload
+from flexfmu.model.parameters import LinkProperties, ParameterRegistry, link_properties, mechanism_parameters
 from flexfmu.model.robot import LinkGroup, Robot, make_robot
-from flexfmu.model.scene import Mechanism, Scene
-from flexfmu.model.symbolic import EffectNote, Variable
+from flexfmu.model.rotary_inertia import RotaryInertia
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import EffectNote
 
-POSITIVE = 1e-9
-"""Smallest admissible value of a length, density or modulus in its SI unit."""
+EFFECTS: tuple[type[Effect], ...] = (
+    LinkInertia,
+    RotaryInertia,
+    ElasticFamily,
+    Foreshortening,
+    PointPayload,
+    PayloadInertia,
+    Gravity,
+    ModalDamping,
+    ProportionalDamping,
+    MotorInertia,
+    ViscousFriction,
+    CoulombFriction,
+    StickingFriction,
+    ElasticTransmission,
+)
+"""All effects, in the order in which their parameters stand in an FMU."""
+
+
+@dataclass(frozen=True)
+class Partition:
+    """Indices within q_e (n,) of the coordinates that are states and of those that deflect statically."""
+
+    states: tuple[int, ...]
+    statics: tuple[int, ...]
+
+    @staticmethod
+    def of(robot: Robot) -> Partition:
+        flags = [part.family.quasi_static for _, part in robot.elastic for _ in part.family.shapes]
+        flags += [False] * robot.twist.numel()
+        indices = range(len(flags))
+        return Partition(tuple(i for i in indices if not flags[i]), tuple(i for i in indices if flags[i]))
+
+    def states_of(self, values: casadi.SX) -> casadi.SX:
+        """The part (n_states, 1) of values (n, 1) that belongs to states."""
+        return values[list(self.states)] if self.statics else values
+
+    def fill(self, states: casadi.SX, statics: casadi.SX | None = None) -> casadi.SX:
+        """Values (n, 1) from those of the states and of the others, zero if not given."""
+        if not self.statics:
+            return states
+        values = casadi.SX(len(self.states) + len(self.statics), 1)
+        if self.states:
+            values[list(self.states)] = states
+        if statics is not None:
+            values[list(self.statics)] = statics
+        return values
 
 
 @dataclass(frozen=True)
@@ -29,6 +95,7 @@ class FiveBar:
     Attributes:
         robot: symbols of the redundant coordinates.
         registry: parameters and derived values.
+        links: mass, sizes and stiffness of the link groups.
         dynamics: equations of motion in redundant coordinates.
         motion: symbols of the independent motion, whose elastic coordinates are the states.
         partition: which elastic coordinates are states, and which deflect statically.
@@ -37,13 +104,16 @@ class FiveBar:
         forces: the same, projected: motor torques, forces on the states (zero in a free motion), joint reactions.
         elastic: all elastic coordinates (n, 1), static deflections under these forces included.
         position: end effector (2, 1) [m] with these elastic coordinates.
-        outputs: watched scalars of the effects.
+        end_effector_mass: mass that moves with the end effector, of all effects [kg].
+        joint_stiffness: stiffness of each transmission [N m/rad]; None where they are rigid.
+        outputs: outputs of the effects.
         stiction: dry friction that can hold motor 1 and motor 2; empty where there is none.
         notes: what the documentation says of each effect.
     """
 
     robot: Robot
     registry: ParameterRegistry
+    links: Mapping[LinkGroup, LinkProperties]
     dynamics: RedundantDynamics
     motion: IndependentMotion
     partition: Partition
@@ -52,6 +122,8 @@ class FiveBar:
     forces: ProjectedForces
     elastic: casadi.SX
     position: casadi.SX
+    end_effector_mass: casadi.SX
+    joint_stiffness: casadi.SX | None
     outputs: tuple[Output, ...]
     stiction: tuple[Stiction, ...]
     notes: tuple[EffectNote, ...]
@@ -71,16 +143,20 @@ def assemble(scene: Scene) -> FiveBar:
     if scene.effects.select is not None:
         raise SceneError(
             f"scene {scene.name} leaves the choice of effects open (`effects.select`): resolve it first, with "
-            f"`flexfmu.cosim.effects.choice.resolved(scene)`"
+            f"`flexfmu.cosim.choices.effects.choice.resolved(scene)`"
         )
+    # parameters of the mechanism, then those of the effects that the scene asks for
     registry = ParameterRegistry()
-    parameters = _mechanism_parameters(registry, scene.mechanism)
-    properties: dict[LinkGroup, LinkProperties] = {
+    parameters = mechanism_parameters(registry, scene.mechanism)
+    links: dict[LinkGroup, LinkProperties] = {
         group: link_properties(registry, group, parameters) for group in ("proximal", "distal")
     }
-    effects = chosen_effects(scene, registry, properties)
+    context = EffectContext(scene, registry, links)
+    effects = [effect for kind in EFFECTS for effect in kind.from_scene(context)]
+
+    # what the effects do to the coordinates makes the robot
     families = [family for effect in effects for family in effect.families()]
-    twists = any(effect.twists_joints() for effect in effects)
+    joint_stiffness = next((k for effect in effects if (k := effect.joint_stiffness()) is not None), None)
     shortening = {
         family.group: matrix
         for effect in effects
@@ -88,19 +164,22 @@ def assemble(scene: Scene) -> FiveBar:
         if (matrix := effect.shortening(family)) is not None
     }
     base = registry.derived("base_half_distance", parameters["base_half_distance"])
-    robot = make_robot(families, base, twists, shortening)
+    robot = make_robot(families, base, joint_stiffness is not None, shortening)
     outputs = tuple(output for effect in effects for output in effect.outputs(robot))
+
+    # equations in redundant coordinates, and their reduction to the independent ones
     dynamics = derive_dynamics(robot, effects, registry)
     partition = Partition.of(robot)
     motion = _independent_motion(robot, partition)
     everything = replace(motion, **{name: partition.fill(getattr(motion, name)) for name in ("q_e", "v_e", "a_e")})
     side = 1 if scene.mechanism.assembly_mode == "left" else -1
-    closure = Closure(robot, everything, (properties["proximal"].length, properties["distal"].length), side)
+    closure = Closure(robot, everything, (links["proximal"].length, links["distal"].length), side)
     force = dynamics.force(*closure.redundant().arguments(), registry.d)
     forces, elastic, position = _respond(robot, partition, closure, force)
     return FiveBar(
         robot=robot,
         registry=registry,
+        links=links,
         dynamics=dynamics,
         motion=motion,
         partition=partition,
@@ -109,9 +188,11 @@ def assemble(scene: Scene) -> FiveBar:
         forces=forces,
         elastic=elastic,
         position=position,
+        end_effector_mass=sum((effect.end_effector_mass() for effect in effects), casadi.SX(0)),
+        joint_stiffness=joint_stiffness,
         outputs=outputs,
         stiction=tuple(friction for effect in effects for friction in effect.stiction()),
-        notes=tuple(effect.note() for effect in effects),
+        notes=tuple(effect.note for effect in effects),
     )
 
 
@@ -133,36 +214,12 @@ def _independent_motion(robot: Robot, partition: Partition) -> IndependentMotion
     return IndependentMotion(q_a, v_a, a_a, q_e, v_e, casadi.SX.sym("a_e", q_e.numel()))
 
 
-def _mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> dict[str, casadi.SX]:
-    """The parameters that every scene has: lengths, diameters and material."""
-    variables = [
-        _positive(
-            "base_half_distance", "m", "Half of the distance between the bases", mechanism.base_half_distance, 1e3
-        )
-    ]
-    for group, link in (("proximal", mechanism.proximal), ("distal", mechanism.distal)):
-        variables += [
-            _positive(f"{group}.length", "m", f"Length of the {group} links", link.length, 1e3),
-            _positive(f"{group}.diameter", "m", f"Outer diameter of the {group} links", link.diameter, 1e2),
-            Variable(
-                f"{group}.inner_diameter",
-                "m",
-                f"Inner diameter of the {group} links, 0 for solid rods",
-                "parameter",
-                start=link.inner_diameter,
-                minimum=0.0,
-                maximum=1e2,
-            ),
-        ]
-    variables += [
-        _positive("material.density", "kg/m3", "Density of the links", mechanism.material.density, 1e6),
-        _positive(
-            "material.youngs_modulus", "Pa", "Young's modulus of the links", mechanism.material.youngs_modulus, 1e15
-        ),
-    ]
-    return {variable.name: registry.parameter(variable) for variable in variables}
-
-
-def _positive(name: str, unit: str, description: str, start: float, maximum: float) -> Variable:
-    """A parameter that must be above zero; FMI knows closed ranges only, so the minimum is tiny instead."""
-    return Variable(name, unit, description, "parameter", start=start, minimum=POSITIVE, maximum=maximum)
+def static_deflections(robot: Robot, forces: casadi.SX) -> casadi.SX:
+    """Deflections (n_statics, 1) of the quasi-static families for the forces (n, 1) that hold all coordinates."""
+    deflections, start = [], 0
+    for _, part in robot.elastic:
+        stop = start + part.q.numel()
+        if part.family.compliance is not None:
+            deflections.append(-part.family.compliance @ forces[start:stop])
+        start = stop
+    return casadi.vertcat(casadi.SX(0, 1), *deflections)

@@ -17,18 +17,30 @@ import casadi
 import numpy as np
 
 from flexfmu.model.algebra import form, symmetric
-from flexfmu.model.beams import Evaluate, Shape
-from flexfmu.model.effects import Effect
-from flexfmu.model.link_properties import LinkProperties
-from flexfmu.model.parameters import ParameterRegistry
+from flexfmu.model.beams import Evaluate, Shape, gram
+from flexfmu.model.effects import Effect, EffectContext
+from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import ElasticSymbols, Family, Link, LinkGroup, Robot
-from flexfmu.model.scene import Link as Rod
-from flexfmu.model.scene import Scene
-from flexfmu.model.shape_integrals import gram
+from flexfmu.model.scene.mechanism import Link as Rod
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import EffectNote
 
 
 class Foreshortening(Effect):
     """Second-order shortening of links that bend: geometric stiffening by rotation, payload, gravity and joint forces."""
+
+    note = EffectNote(
+        title="foreshortening",
+        sentence="Second-order shortening of links that bend: geometric stiffening by rotation, payload, gravity and joint forces.",
+        formula="u = −1/(2l) ∑ ∫ φ_j′ φ_k′ dξ q_j q_k",
+        contributes=("shortening of links", "kinetic energy T", "weight"),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        chosen = context.scene.effects
+        if chosen.foreshortening and (chosen.proximal_bending or chosen.distal_bending):
+            yield cls(context.registry, context.links)
 
     def __init__(self, registry: ParameterRegistry, properties: Mapping[LinkGroup, LinkProperties]) -> None:
         self._registry, self._properties = registry, properties
@@ -66,9 +78,6 @@ class Foreshortening(Effect):
             lambda i, j: self._registry.derived(f"{prefix}_{i}_{j}", factor * products[i, j]),
             products,
         )
-
-    def formula(self) -> str:
-        return "u = −1/(2l) ∑ ∫ φ_j′ φ_k′ dξ q_j q_k"
 
 
 def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:

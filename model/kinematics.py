@@ -1,18 +1,15 @@
-"""Rigid kinematics of the five-bar: inverse kinematics for points and for jets, and the margins to what planning must avoid."""
+"""Rigid kinematics of the five-bar: inverse and forward for points and jets, and the margins to what planning must avoid."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flexfmu.model.assembly import WORKING_MODES, bases, motor_angles
-from flexfmu.model.scene import Mechanism
-from flexfmu.trajectories.jets import Jet, arctan2, sqrt, unstack
+from flexfmu.model.scene.assembly import WORKING_MODES, bases, motor_angles
+from flexfmu.model.scene.mechanism import Mechanism
+from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sincos, sqrt, unstack
 from flexfmu.trajectories.joint import Margin
-
-Array = NDArray[np.float64]
 
 REACH_MARGIN = 1e-3
 """Smallest distance [m] to a stretched or folded leg (type-1 singularity) that planning accepts: joint rates grow like
@@ -54,7 +51,7 @@ class RigidKinematics:
         sine = sqrt(4.0 * proximal**2 * square - cosine * cosine)
         return unstack(arctan2(dy, dx) + signs * arctan2(sine, cosine))
 
-    def margins(self, position: Array) -> tuple[Margin, ...]:
+    def margins(self, position: RealArray) -> tuple[Margin, ...]:
         """Distances to the workspace boundary and to the type-2 singularity at positions (N, 2) [m].
 
         Out of reach the sine is NaN.
@@ -72,7 +69,7 @@ class RigidKinematics:
         ]
         return (*reaches, Margin(SINE_NAME, "1", self.sine(position), SINE_MARGIN))
 
-    def sine(self, position: Array) -> Array:
+    def sine(self, position: RealArray) -> RealArray:
         """Sine of the angle between the distal links at positions (N, 2) [m], shape (N,).
 
         Negative on the wrong assembly side, NaN out of reach.
@@ -82,7 +79,7 @@ class RigidKinematics:
         side = 1.0 if self.mechanism.assembly_mode == "left" else -1.0
         return np.asarray(side * (line[:, 0] * arm[:, 1] - line[:, 1] * arm[:, 0]) / self.mechanism.distal.length**2)
 
-    def _elbows(self, position: Array) -> list[Array]:
+    def _elbows(self, position: RealArray) -> list[RealArray]:
         """Elbow points (N, 2) [m] of both legs, NaN out of reach."""
         proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
         elbows = []
@@ -95,3 +92,27 @@ class RigidKinematics:
             angle = np.arctan2(arm[:, 1], arm[:, 0]) + sign * np.arctan2(sine, cosine)
             elbows.append(np.asarray(base) + proximal * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
         return elbows
+
+
+@dataclass(frozen=True)
+class RigidForwardKinematics:
+    """Forward kinematics of a mechanism in its assembly mode; implements the shapers' `ForwardKinematics`."""
+
+    mechanism: Mechanism
+
+    def end_effector(self, q11: Jet, q21: Jet) -> tuple[Jet, Jet]:
+        """Jets of the end effector's x and y [m] from jets of the joint angles [rad].
+
+        Both elbows are at the distal length from it: it lies on the perpendicular through the middle between them.
+        """
+        (x1, y1), (x2, y2) = self._elbow(0, q11), self._elbow(1, q21)
+        dx, dy = x2 - x1, y2 - y1
+        square = dx * dx + dy * dy
+        side = 1.0 if self.mechanism.assembly_mode == "left" else -1.0
+        height = side * sqrt(self.mechanism.distal.length**2 / square - 0.25)
+        return 0.5 * (x1 + x2) - height * dy, 0.5 * (y1 + y2) + height * dx
+
+    def _elbow(self, leg: int, angle: Jet) -> tuple[Jet, Jet]:
+        sine, cosine = sincos(angle)
+        (base_x, base_y), length = bases(self.mechanism)[leg], self.mechanism.proximal.length
+        return length * cosine + base_x, length * sine + base_y

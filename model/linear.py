@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
-from flexfmu.model.assembly import motor_angles
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.model.symbolic import SymbolicModel
 from flexfmu.model.torque_driven import torque_driven_plant
+from flexfmu.trajectories.jets import RealArray
 
 if TYPE_CHECKING:
     import control
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -31,8 +29,8 @@ class OperatingPoint:
         inputs: u = [torques, forces] (4,), with no force at the end effector.
     """
 
-    coordinates: Array
-    inputs: Array
+    coordinates: RealArray
+    inputs: RealArray
 
 
 def operating_point(scene: Scene, position: tuple[float, float]) -> OperatingPoint:
@@ -63,7 +61,10 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
         ValueError: an output is unknown, or the position is out of reach.
         EquilibriumError: there is no equilibrium.
     """
-    import control
+    try:
+        import control
+    except ImportError:
+        raise ImportError("linearize needs python-control; run: pip install flexfmu[control]") from None
 
     plant, point = torque_driven_plant(scene), operating_point(scene, position)
     rows = _rows(plant, outputs)
@@ -96,14 +97,14 @@ def _rows(plant: SymbolicModel, outputs: Sequence[str] | None) -> list[int]:
     return [names.index(name) for name in outputs]
 
 
-def _matrices(plant: SymbolicModel, point: OperatingPoint) -> tuple[Array, Array, Array, Array]:
+def _matrices(plant: SymbolicModel, point: OperatingPoint) -> tuple[RealArray, RealArray, RealArray, RealArray]:
     """A, B, C, D in the states [y, v] from M, K, C and the input matrix at the equilibrium."""
     n, m = len(plant.unknowns), len(plant.inputs)
     y, v, a, u = (casadi.SX.sym(name, size) for name, size in (("y", n), ("v", n), ("a", n), ("u", m)))
     derived = plant.functions["derive"]([variable.start or 0.0 for variable in plant.parameters])
     rest = (point.coordinates, np.zeros(n), np.zeros(n), point.inputs)
 
-    def jacobians(name: str) -> list[Array]:
+    def jacobians(name: str) -> list[RealArray]:
         expression = plant.functions[name](y, v, a, u, derived)
         slopes = casadi.Function(name, [y, v, a, u], [casadi.jacobian(expression, x) for x in (y, v, a, u)])
         return [np.asarray(slope.full()) for slope in slopes(*rest)]

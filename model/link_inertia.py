@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import casadi
 import numpy as np
 
 from flexfmu.model.algebra import column, dot, form, symmetric
-from flexfmu.model.effects import Effect
-from flexfmu.model.link_properties import LinkProperties
-from flexfmu.model.parameters import ParameterRegistry
+from flexfmu.model.effects import Effect, EffectContext
+from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import Link, LinkGroup, Robot
+from flexfmu.model.symbolic import EffectNote
 
 
 class LinkInertia(Effect):
     """Inertia of the four links with their displacement fields, eqs. (4) to (9) of Barnard, Briot and Caro (2012)."""
+
+    note = EffectNote(
+        title="link inertia",
+        sentence="Inertia of the four links with their displacement fields, eqs. (4) to (9) of Barnard, Briot and Caro (2012).",
+        formula="T = ½ ∑ ∫ |Ẋ|² dm, X = B + (x + u) e + w n, u and w the elastic displacements",
+        contributes=("kinetic energy T", "weight"),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        yield cls(context.registry, context.links)
 
     def __init__(self, registry: ParameterRegistry, properties: Mapping[LinkGroup, LinkProperties]) -> None:
         self._registry, self._properties = registry, properties
@@ -42,9 +53,6 @@ class LinkInertia(Effect):
         relative = (along_rate - w * across) * link.direction + (across_rate + w * along) * link.normal
         translation = 0.5 * inertia.mass * casadi.dot(V, V) + casadi.dot(V, relative)
         return translation + inertia.relative_energy(link, w)
-
-    def formula(self) -> str:
-        return "T = ½ ∑ ∫ |Ẋ|² dm, X = B + (x + u) e + w n, u and w the elastic displacements"
 
 
 class _LinkIntegrals:

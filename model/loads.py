@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import casadi
 import numpy as np
 
 from flexfmu.model.algebra import dot
-from flexfmu.model.effects import Effect
+from flexfmu.model.effects import Effect, EffectContext
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Robot
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import EffectNote, Variable
 
 
 class PointPayload(Effect):
     """Point mass at the end effector."""
+
+    note = EffectNote(
+        title="point payload",
+        sentence="Point mass at the end effector.",
+        formula="T = ½ m |Ẋ|²",
+        contributes=("kinetic energy T", "weight"),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        mass = context.scene.payload.mass
+        if mass:
+            yield cls(context.registry, mass)
 
     def __init__(self, registry: ParameterRegistry, mass: float) -> None:
         self._mass = registry.derived(
@@ -37,8 +52,8 @@ class PointPayload(Effect):
     def first_moment(self, robot: Robot) -> casadi.SX:
         return self._mass * robot.position
 
-    def formula(self) -> str:
-        return "T = ½ m |Ẋ|²"
+    def end_effector_mass(self) -> casadi.SX:
+        return self._mass
 
 
 class PayloadInertia(Effect):
@@ -47,6 +62,19 @@ class PayloadInertia(Effect):
     The end effector is a point where two links meet; the payload is taken to be mounted on the distal link of leg 1, as a
     gripper is. A payload that keeps its orientation, as a fourth leg or a parallelogram makes it, has no such effect.
     """
+
+    note = EffectNote(
+        title="payload inertia",
+        sentence="Rotary inertia of the payload, which turns with the last cross section of link 12.",
+        formula="T = ½ J ω², where ω is the rate of the section",
+        contributes=("kinetic energy T",),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        inertia = context.scene.payload.inertia
+        if inertia:
+            yield cls(context.registry, inertia, context.links["distal"].length)
 
     def __init__(self, registry: ParameterRegistry, inertia: float, length: casadi.SX) -> None:
         """`length` of the distal links [m]."""
@@ -63,12 +91,22 @@ class PayloadInertia(Effect):
             rate += dot(casadi.SX(turning), bending.v) / self._length
         return 0.5 * self._inertia * rate**2
 
-    def formula(self) -> str:
-        return "T = ½ J ω², where ω is the rate of the section"
-
 
 class Gravity(Effect):
     """Uniform gravity of any direction in the plane, eq. (14) of Barnard, Briot and Caro (2012)."""
+
+    note = EffectNote(
+        title="gravity",
+        sentence="Uniform gravity of any direction in the plane, eq. (14) of Barnard, Briot and Caro (2012).",
+        formula="V = −g · ∑ ∫ X dm",
+        contributes=("potential energy V",),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        gravity = context.scene.effects.gravity
+        if any(gravity):
+            yield cls(context.registry, gravity)
 
     def __init__(self, registry: ParameterRegistry, gravity: tuple[float, float]) -> None:
         self._gravity = casadi.vertcat(
@@ -93,6 +131,3 @@ class Gravity(Effect):
 
     def potential_energy(self, robot: Robot, first_moment: casadi.SX) -> casadi.SX:
         return -casadi.dot(self._gravity, first_moment)
-
-    def formula(self) -> str:
-        return "V = −g · ∑ ∫ X dm"

@@ -7,15 +7,13 @@ from functools import lru_cache
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from flexfmu.model.errors import EquilibriumError
 from flexfmu.model.numeric import numeric_model, standstill
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
-
-Array = NDArray[np.float64]
+from flexfmu.trajectories.jets import RealArray
 
 OSCILLATING = 1e-9
 """Imaginary part of an eigenvalue, relative to its magnitude, above which it belongs to a vibration."""
@@ -31,11 +29,11 @@ class DampedModes:
         ratios: damping ratios -Re λ / |λ|, shape (m,).
     """
 
-    frequencies: Array
-    ratios: Array
+    frequencies: RealArray
+    ratios: RealArray
 
 
-def natural_frequencies(scene: Scene, joints: tuple[float, float] | Array) -> Array:
+def natural_frequencies(scene: Scene, joints: tuple[float, float] | RealArray) -> RealArray:
     """Undamped natural frequencies [Hz], ascending, shape (n,), with the motors locked at (q11, q21) [rad].
 
     Raises:
@@ -47,7 +45,7 @@ def natural_frequencies(scene: Scene, joints: tuple[float, float] | Array) -> Ar
     return np.asarray(np.sqrt(_stable(eigh(stiffness, mass, eigvals_only=True), joints)) / (2 * np.pi), dtype=float)
 
 
-def damped_modes(scene: Scene, joints: tuple[float, float] | Array) -> DampedModes:
+def damped_modes(scene: Scene, joints: tuple[float, float] | RealArray) -> DampedModes:
     """Frequencies and damping ratios with the motors locked at (q11, q21) [rad]: eigenvalues of M x'' + C x' + K x = 0.
 
     Raises:
@@ -67,7 +65,7 @@ def damped_modes(scene: Scene, joints: tuple[float, float] | Array) -> DampedMod
     return DampedModes(size / (2 * np.pi), np.maximum(-values.real / size, 0.0))
 
 
-def _matrices(scene: Scene, joints: tuple[float, float] | Array) -> tuple[Array, Array, Array]:
+def _matrices(scene: Scene, joints: tuple[float, float] | RealArray) -> tuple[RealArray, RealArray, RealArray]:
     """Mass, damping and stiffness of small motions about the static equilibrium, (n, n) each."""
     model, u = numeric_model(scene), standstill(joints)
     elastic = static_equilibrium(scene, joints).elastic
@@ -85,7 +83,7 @@ def _damping_matrix(scene: Scene) -> casadi.Function:
     return casadi.Function("damping_matrix", [q, u], [casadi.densify(casadi.cse(at_rest))])
 
 
-def _stable(squares: Array, joints: tuple[float, float] | Array) -> Array:
+def _stable(squares: RealArray, joints: tuple[float, float] | RealArray) -> RealArray:
     """Squares of angular frequencies, ascending, none of them negative."""
     if squares[0] < 0.0:
         raise EquilibriumError(

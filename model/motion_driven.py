@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import casadi
 
-from flexfmu.model.assembly import motor_angles
 from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.plant_functions import (
     OutputRow,
@@ -23,7 +22,8 @@ from flexfmu.model.plant_functions import (
     start_angles,
     start_parameters,
 )
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicModel, Variable
 from flexfmu.model.time_derivatives import Motion
 

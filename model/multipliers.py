@@ -19,13 +19,11 @@ from functools import lru_cache
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.model.five_bar import FiveBar, assemble
-from flexfmu.model.scene import Scene
-from flexfmu.model.tips import TipMap
-
-Array = NDArray[np.float64]
+from flexfmu.model.robot import TipMap
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
 
 PASSIVE = 8
 """Number of passive coordinates and of constraints."""
@@ -58,9 +56,9 @@ class ConstrainedModel:
 class ConstrainedMotion:
     """Accelerations q'' (10 + n,), reaction forces lambda (8,) [N, N m] and motor torques (2,) [N m]."""
 
-    accelerations: Array
-    reactions: Array
-    torque: Array
+    accelerations: RealArray
+    reactions: RealArray
+    torque: RealArray
 
 
 @lru_cache(maxsize=8)
@@ -71,9 +69,7 @@ def constrained_model(scene: Scene) -> ConstrainedModel:
     """
     rigid = {f"effects.{family}": 0 for family in scene.effects.quasi_static}
     five_bar = assemble(scene.replace(rigid | {"effects.quasi_static": []}) if rigid else scene)
-    registry, n = five_bar.registry, five_bar.robot.q_e.numel()
-    derive = casadi.Function("derive", [registry.p], [registry.resolved()])
-    d = derive([registry.starts[variable.name] for variable in registry.variables])
+    d, n = five_bar.registry.derived_at_start(), five_bar.robot.q_e.numel()
     q, v = casadi.SX.sym("q", 2 + n + PASSIVE), casadi.SX.sym("v", 2 + n + PASSIVE)
     a = casadi.SX.sym("a", q.numel())
     f = _constraints(five_bar, q, d)
@@ -92,7 +88,7 @@ def constrained_model(scene: Scene) -> ConstrainedModel:
 
 
 def motion_driven_accelerations(
-    model: ConstrainedModel, q: Array, v: Array, motor_acceleration: Array, baumgarte: float = 0.0
+    model: ConstrainedModel, q: RealArray, v: RealArray, motor_acceleration: RealArray, baumgarte: float = 0.0
 ) -> ConstrainedMotion:
     """Accelerations, reactions and torques where the motors' accelerations are prescribed.
 
@@ -118,7 +114,7 @@ def motion_driven_accelerations(
 
 
 def torque_driven_accelerations(
-    model: ConstrainedModel, q: Array, v: Array, torque: Array, baumgarte: float = 0.0
+    model: ConstrainedModel, q: RealArray, v: RealArray, torque: RealArray, baumgarte: float = 0.0
 ) -> ConstrainedMotion:
     """Accelerations and reactions where the motor torques (2,) [N m] are given; arguments as above."""
     size, psi = 10 + model.n, model.jacobian(q).full()

@@ -1,4 +1,4 @@
-"""A scene's model evaluated with numbers: compiled once per set of effects, called for any pose and parameter values."""
+"""A scene's model evaluated with numbers: the flexible robot compiled once per set of effects, and the rigid inverse dynamics."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from functools import lru_cache
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
-from flexfmu.model.five_bar import FiveBar, assemble
+from flexfmu.model.five_bar import assemble
 from flexfmu.model.foreshortening import bending_beyond
-from flexfmu.model.scene import Scene
-
-Array = NDArray[np.float64]
+from flexfmu.model.robot import FAMILIES
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ def numeric_model(scene: Scene) -> NumericModel:
     five_bar = assemble(scene)
     m, closure = five_bar.motion, five_bar.closure
     u = casadi.vertcat(m.q_a, m.v_a, m.a_a)
-    values = _derived_values(five_bar)
+    values = five_bar.registry.derived_at_start()
 
     def function(name: str, arguments: list[casadi.SX], results: list[casadi.SX]) -> casadi.Function:
         filled = [casadi.densify(casadi.cse(casadi.substitute(r, five_bar.registry.d, values))) for r in results]
@@ -73,12 +72,25 @@ def numeric_model(scene: Scene) -> NumericModel:
     )
 
 
-def _derived_values(five_bar: FiveBar) -> casadi.DM:
-    registry = five_bar.registry
-    derive = casadi.Function("derive", [registry.p], [registry.resolved()])
-    return derive([registry.starts[variable.name] for variable in registry.variables])
-
-
-def standstill(joints: tuple[float, float] | Array) -> Array:
+def standstill(joints: tuple[float, float] | RealArray) -> RealArray:
     """u = [q_a, 0, 0], shape (6,), for locked motors at the angles [rad]."""
     return np.concatenate([np.asarray(joints, dtype=float), np.zeros(4)])
+
+
+def rigid_scene(scene: Scene) -> Scene:
+    """The scene with rigid links and rigid transmissions."""
+    stiff = {f"effects.{group}_{direction}": 0 for group, direction in FAMILIES}
+    return scene.replace(stiff | {"effects.transmission": None, "effects.quasi_static": []})
+
+
+def inverse_dynamics(scene: Scene) -> casadi.Function:
+    """Motor torques of the rigid robot: (q_a, v_a, a_a), each (2, 1) [rad, rad/s, rad/s²] → torque (2, 1) [N m].
+
+    Inertia of links, motors and payload, gravity and friction of the scene are in it, with the scene's numbers.
+    """
+    five_bar = assemble(rigid_scene(scene))
+    registry, motion = five_bar.registry, five_bar.motion
+    torque = casadi.substitute(five_bar.forces.motors, registry.d, registry.derived_at_start())
+    return casadi.Function(
+        "inverse_dynamics", [motion.q_a, motion.v_a, motion.a_a], [casadi.densify(casadi.cse(torque))]
+    )

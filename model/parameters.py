@@ -1,12 +1,22 @@
-"""The two layers of parameters: what a user sets (p), and what follows from it once (d), so that no evaluation repeats it."""
+"""Parameters of the model in two layers: what a user sets (p), and what follows from it once (d), so that no evaluation repeats it.
+
+Every robot has those of its mechanism, from which the links' properties follow; the others belong to effects.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi
 
+from flexfmu.model.robot import LinkGroup
+from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.symbolic import Variable
+
+POSITIVE = 1e-9
+"""Smallest admissible value of a length, density or modulus in its SI unit."""
 
 
 class ParameterRegistry:
@@ -65,10 +75,10 @@ class ParameterRegistry:
         """Symbols of all derived values, shape (n_derived, 1)."""
         return casadi.vertcat(*(symbol for symbol, _ in self._derived.values()))
 
-    @property
-    def starts(self) -> Mapping[str, float]:
-        """Start value of each parameter by name."""
-        return {name: float(v.start) for name, v in self._variables.items() if v.start is not None}
+    def derived_at_start(self) -> casadi.DM:
+        """The derived values that follow from the parameters' start values, shape (n_derived, 1)."""
+        derive = casadi.Function("derive", [self.p], [self.resolved()])
+        return derive([float(v.start) for v in self._variables.values() if v.start is not None])
 
     def resolved(self) -> casadi.SX:
         """The derived values as expressions of the parameters alone, shape (n_derived, 1)."""
@@ -79,3 +89,68 @@ class ParameterRegistry:
             expressions.append(casadi.substitute(expression, *known) if symbols else expression)
             symbols.append(symbol)
         return casadi.vertcat(*expressions)
+
+
+def mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> dict[str, casadi.SX]:
+    """The parameters that every scene has: lengths, diameters and material."""
+    variables = [
+        _positive(
+            "base_half_distance", "m", "Half of the distance between the bases", mechanism.base_half_distance, 1e3
+        )
+    ]
+    for group, link in (("proximal", mechanism.proximal), ("distal", mechanism.distal)):
+        variables += [
+            _positive(f"{group}.length", "m", f"Length of the {group} links", link.length, 1e3),
+            _positive(f"{group}.diameter", "m", f"Outer diameter of the {group} links", link.diameter, 1e2),
+            Variable(
+                f"{group}.inner_diameter",
+                "m",
+                f"Inner diameter of the {group} links, 0 for solid rods",
+                "parameter",
+                start=link.inner_diameter,
+                minimum=0.0,
+                maximum=1e2,
+            ),
+        ]
+    variables += [
+        _positive("material.density", "kg/m3", "Density of the links", mechanism.material.density, 1e6),
+        _positive(
+            "material.youngs_modulus", "Pa", "Young's modulus of the links", mechanism.material.youngs_modulus, 1e15
+        ),
+    ]
+    return {variable.name: registry.parameter(variable) for variable in variables}
+
+
+def _positive(name: str, unit: str, description: str, start: float, maximum: float) -> Variable:
+    """A parameter that must be above zero; FMI knows closed ranges only, so the minimum is tiny instead."""
+    return Variable(name, unit, description, "parameter", start=start, minimum=POSITIVE, maximum=maximum)
+
+
+@dataclass(frozen=True)
+class LinkProperties:
+    """Mass [kg], length, outer and inner diameter [m], area [m²] and second moment of area [m⁴] of a link group, in symbols."""
+
+    mass: casadi.SX
+    length: casadi.SX
+    outer_diameter: casadi.SX
+    inner_diameter: casadi.SX
+    area: casadi.SX
+    second_moment: casadi.SX
+    youngs_modulus: casadi.SX
+
+
+def link_properties(
+    registry: ParameterRegistry, group: LinkGroup, parameters: Mapping[str, casadi.SX]
+) -> LinkProperties:
+    """Mass, area and second moment of area of a round tube or rod, as derived symbols."""
+    outer, inner, length = (parameters[f"{group}.{key}"] for key in ("diameter", "inner_diameter", "length"))
+    area = math.pi / 4 * (outer**2 - inner**2)
+    return LinkProperties(
+        mass=registry.derived(f"{group}_mass", parameters["material.density"] * area * length),
+        length=registry.derived(f"{group}_length", length),
+        outer_diameter=outer,
+        inner_diameter=inner,
+        area=area,
+        second_moment=math.pi / 64 * (outer**4 - inner**4),
+        youngs_modulus=parameters["material.youngs_modulus"],
+    )

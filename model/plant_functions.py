@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import casadi
 import numpy as np
 
-from flexfmu.model.assembly import WORKING_MODES
 from flexfmu.model.closure import ProjectedForces
 from flexfmu.model.effects import Output
 from flexfmu.model.five_bar import FiveBar
-from flexfmu.model.five_bar_drawing import draw_five_bar
 from flexfmu.model.robot import Family
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.assembly import WORKING_MODES
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import Friction, SymbolicModel, Variable
 from flexfmu.model.time_derivatives import Motion, acceleration_terms, forward, motion_forward, motion_rate2
 
@@ -25,10 +24,10 @@ digits above where the elastic mass matrix loses its condition (3e5 at 0.026, 8e
 MARGIN_NAME = "sine of the angle between the distal links (type-2 singularity)"
 
 MIDDLE = np.array([0.5])
-"""Where on a link, as a fraction of its length, deflections are looked at that don't move its tip."""
+"""Position on a link, as a fraction of its length, at which shapes that don't move its tip are evaluated."""
 
 POSE = ("end_effector.position.x", "end_effector.position.y")
-"""Outputs that tell a person where the robot is."""
+"""Outputs that say where the robot is, for messages."""
 
 OutputRow = tuple[Variable, casadi.SX]
 
@@ -41,7 +40,7 @@ class PlantEquations:
         motion: unknowns y, their rates and accelerations, and inputs u.
         residual: r(y, v, a, u), (n, 1).
         outputs: variables with their expressions.
-        initial_inputs: u that nobody has set, as an expression of the parameters.
+        initial_inputs: start values of u, as an expression of the parameters.
         initial_coordinates: y at the start, undeformed, as an expression of the parameters.
         error_scale: [kappa (n), mu (n), floor], as an expression of the derived values.
     """
@@ -90,15 +89,16 @@ def make_plant(
         rate_inputs=rate_inputs,
         frictions=frictions,
         effects=five_bar.notes,
-        drawing=draw_five_bar(scene),
         pose=POSE,
     )
 
 
 def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[str, casadi.Function]:
     """The functions of `flexfmu.model.symbolic.FUNCTION_SIGNATURES`; `side` is the assembly mode's sign."""
+    # symbols of the motion, of the parameters p and of the derived values d
     motion, residual, outputs = equations.motion, equations.residual, equations.shown
     y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
+    # what follows from the parameters at the start
     derived = five_bar.registry.resolved()
     start = casadi.vertcat(derived, equations.initial_coordinates)
     results = {
@@ -136,9 +136,11 @@ def start_parameters(five_bar: FiveBar, scene: Scene) -> casadi.SX:
 
 def start_angles(five_bar: FiveBar, start: casadi.SX, scene: Scene) -> casadi.SX:
     """Motor angles (2, 1) at the start pose by rigid inverse kinematics in the scene's working mode."""
+    # the parameters by name, not the derived values: the start is calculated before these
     p = {v.name: s for v, s in zip(five_bar.registry.variables, casadi.vertsplit(five_bar.registry.p), strict=True)}
     a, proximal, distal = p["base_half_distance"], p["proximal.length"], p["distal.length"]
     angles = []
+    # law of cosines in the triangle base, elbow, end effector
     for base, sign in zip((-a, a), WORKING_MODES[scene.mechanism.working_mode], strict=True):
         dx, dy = start[0] - base, start[1]
         square = dx**2 + dy**2
@@ -156,13 +158,16 @@ def robot_outputs(five_bar: FiveBar) -> list[OutputRow]:
     """End effector, the effects' scalars, and the elastic coordinates with their derivatives."""
     closure, motion = five_bar.closure, five_bar.motion
     rows: list[OutputRow] = []
+    # motion of the end effector
     for kind, unit, vector in (
         ("position", "m", five_bar.position),
         ("velocity", "m/s", closure.velocity),
         ("acceleration", "m/s2", closure.acceleration),
     ):
         rows += _components(f"end_effector.{kind}", unit, f"End effector, {{}} of the {kind}", vector)
-    rows += [_watched(five_bar, watched) for watched in five_bar.outputs]
+    # outputs of the effects
+    rows += [_effect_output(five_bar, each) for each in five_bar.outputs]
+    # elastic coordinates with their rates and accelerations
     robot, states = five_bar.robot, five_bar.partition.states
     units, texts = robot.elastic_units, robot.elastic_texts
     for k, (name, i) in enumerate(zip(elastic_names(five_bar), states, strict=True)):
@@ -174,13 +179,13 @@ def robot_outputs(five_bar: FiveBar) -> list[OutputRow]:
     return rows
 
 
-def _watched(five_bar: FiveBar, watched: Output) -> OutputRow:
-    """A scalar of an effect, with static deflections put in."""
-    value = casadi.dot(watched.gain, watched.coordinates)
+def _effect_output(five_bar: FiveBar, scalar: Output) -> OutputRow:
+    """An effect's output, static deflections included."""
+    value = casadi.dot(scalar.gain, scalar.coordinates)
     if five_bar.partition.statics:
         value = casadi.substitute(value, five_bar.robot.q_e, five_bar.elastic)
-    description = watched.description[0].upper() + watched.description[1:]
-    return output(watched.name, watched.unit, description), value
+    description = scalar.description[0].upper() + scalar.description[1:]
+    return output(scalar.name, scalar.unit, description), value
 
 
 def elastic_names(five_bar: FiveBar) -> tuple[str, ...]:
@@ -222,10 +227,9 @@ def elastic_scale(five_bar: FiveBar) -> tuple[list[casadi.SX], list[casadi.SX]]:
     families = _vibrating(five_bar)
     kappa = [casadi.diag(family.stiffness) for family in families]
     mu = [casadi.diag(family.mass) for family in families]
-    if five_bar.robot.twist.numel():
-        find = five_bar.registry.find_derived
-        kappa.append(casadi.repmat(find("transmission_stiffness"), 2, 1))
-        mu.append(casadi.repmat(find("proximal_m_l2_3"), 2, 1))
+    if five_bar.joint_stiffness is not None:
+        kappa.append(casadi.repmat(five_bar.joint_stiffness, 2, 1))
+        mu.append(casadi.repmat(five_bar.registry.find_derived("proximal_m_l2_3"), 2, 1))
     return kappa, mu
 
 
@@ -235,20 +239,20 @@ def _vibrating(five_bar: FiveBar) -> list[Family]:
 
 
 def moving_mass(five_bar: FiveBar) -> casadi.SX:
-    """Mass of links and payload [kg]."""
-    find = five_bar.registry.find_derived
-    return 2 * (find("proximal_mass") + find("distal_mass")) + find("payload_mass")
+    """Mass of the links and of what moves with the end effector [kg]."""
+    return 2 * (five_bar.links["proximal"].mass + five_bar.links["distal"].mass) + five_bar.end_effector_mass
 
 
 def compliance(five_bar: FiveBar) -> casadi.SX:
     """Sum of the tips' static compliances [m/N], of the links' middles where no tip moves; zero for a rigid robot."""
     families = _vibrating(five_bar)
+    # compliance of the links
     moves = any(shape.tip for family in families for shape in family.shapes)
     total = casadi.SX(0)
     for family in families:
         reach = family.tips if moves else casadi.DM([float(shape.value(MIDDLE)[0]) for shape in family.shapes])
         total += casadi.sum1(reach**2 / casadi.diag(family.stiffness))
-    if five_bar.robot.twist.numel():
-        find = five_bar.registry.find_derived
-        total += find("proximal_length") ** 2 / find("transmission_stiffness")
+    # compliance of the transmissions, at the elbows
+    if five_bar.joint_stiffness is not None:
+        total += five_bar.links["proximal"].length ** 2 / five_bar.joint_stiffness
     return total

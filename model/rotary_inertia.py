@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import casadi
 
 from flexfmu.model.algebra import column, dot, form, symmetric
-from flexfmu.model.beams import Evaluate, Shape
-from flexfmu.model.effects import Effect
-from flexfmu.model.link_properties import LinkProperties
-from flexfmu.model.parameters import ParameterRegistry
+from flexfmu.model.beams import Evaluate, Shape, gram, mean
+from flexfmu.model.effects import Effect, EffectContext
+from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import Link, LinkGroup, Robot
-from flexfmu.model.scene import Link as LinkKeys
-from flexfmu.model.scene import Mechanism
-from flexfmu.model.shape_integrals import gram, mean
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.scene.mechanism import Link as LinkKeys
+from flexfmu.model.scene.mechanism import Mechanism
+from flexfmu.model.symbolic import EffectNote, Variable
 from flexfmu.model.timoshenko import Slenderness, shear_coefficient
 
 
@@ -33,22 +31,22 @@ class ThickBeam:
     gyration: casadi.SX
 
 
-def thick_beams(
-    registry: ParameterRegistry, properties: Mapping[LinkGroup, LinkProperties], mechanism: Mechanism
-) -> dict[LinkGroup, ThickBeam]:
-    """Shear and rotary inertia of both link groups; registers Poisson's ratio."""
-    nu = registry.parameter(
+def thick_beams(context: EffectContext) -> dict[LinkGroup, ThickBeam]:
+    """Shear and rotary inertia of both link groups, which registers Poisson's ratio; empty for slender beams."""
+    if context.scene.effects.beam != "timoshenko":
+        return {}
+    nu = context.registry.parameter(
         Variable(
             "material.poissons_ratio",
             "1",
             "Poisson's ratio of the links",
             "parameter",
-            start=mechanism.material.poissons_ratio,
+            start=context.scene.mechanism.material.poissons_ratio,
             minimum=-0.99,
             maximum=0.5,
         )
     )
-    return {group: _thick_beam(part, nu) for group, part in properties.items()}
+    return {group: _thick_beam(part, nu) for group, part in context.links.items()}
 
 
 def _thick_beam(part: LinkProperties, nu: casadi.SX) -> ThickBeam:
@@ -68,6 +66,19 @@ def slenderness(mechanism: Mechanism, group: LinkGroup) -> Slenderness:
 
 class RotaryInertia(Effect):
     """Rotary inertia of the links' cross sections and shear in their bending, after Timoshenko."""
+
+    note = EffectNote(
+        title="rotary inertia",
+        sentence="Rotary inertia of the links' cross sections and shear in their bending, after Timoshenko.",
+        formula="T = ½ ∑ ∫ ρI (θ̇ + ψ̇)² dx, where ψ is the turning of the section against the frame",
+        contributes=("kinetic energy T",),
+    )
+
+    @classmethod
+    def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
+        beams = thick_beams(context)
+        if beams:
+            yield cls(context.registry, context.links, beams)
 
     def __init__(
         self,
@@ -96,9 +107,6 @@ class RotaryInertia(Effect):
             len(shapes), lambda i, j: derived(f"{group}_rotary_{i}_{j}", inertia * products[i, j]), products
         )
         return energy + w * dot(first, bending.v) + 0.5 * form(matrix, bending.v, bending.v)
-
-    def formula(self) -> str:
-        return "T = ½ ∑ ∫ ρI (θ̇ + ψ̇)² dx, where ψ is the turning of the section against the frame"
 
 
 def _rotation(shape: Shape) -> Evaluate:

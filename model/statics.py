@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flexfmu.model.errors import EquilibriumError
 from flexfmu.model.numeric import NumericModel, numeric_model, standstill
-from flexfmu.model.scene import Scene
-
-Array = NDArray[np.float64]
+from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
 
 MAXIMUM_ITERATIONS = 50
 """Newton iterations; the deflections are small, so three are usual."""
@@ -33,12 +31,12 @@ class StaticState:
         torque: motor torques that hold the pose (2,) [N m].
     """
 
-    elastic: Array
-    position: Array
-    torque: Array
+    elastic: RealArray
+    position: RealArray
+    torque: RealArray
 
 
-def static_equilibrium(scene: Scene, joints: tuple[float, float] | Array) -> StaticState:
+def static_equilibrium(scene: Scene, joints: tuple[float, float] | RealArray) -> StaticState:
     """Equilibrium with the motors locked at the angles (q11, q21) [rad].
 
     Raises:
@@ -51,7 +49,7 @@ def static_equilibrium(scene: Scene, joints: tuple[float, float] | Array) -> Sta
     return StaticState(elastic, np.asarray(position.full()).ravel(), np.asarray(torque.full()).ravel())
 
 
-def _newton(model: NumericModel, u: Array) -> Array:
+def _newton(model: NumericModel, u: RealArray) -> RealArray:
     """Damped Newton iteration on the elastic forces at rest."""
     q = np.zeros(model.n)
     if model.n == 0:
@@ -74,7 +72,9 @@ def _newton(model: NumericModel, u: Array) -> Array:
     )
 
 
-def _damped_step(model: NumericModel, u: Array, q: Array, step: Array, force: Array) -> tuple[Array, Array, float]:
+def _damped_step(
+    model: NumericModel, u: RealArray, q: RealArray, step: RealArray, force: RealArray
+) -> tuple[RealArray, RealArray, float]:
     """The longest halved step that makes the residual smaller, or any step at rounding level."""
     damping, norm = 1.0, np.linalg.norm(force)
     while damping >= SMALLEST_DAMPING:
@@ -88,7 +88,7 @@ def _damped_step(model: NumericModel, u: Array, q: Array, step: Array, force: Ar
     return q, force, 0.0
 
 
-def _at_rounding(model: NumericModel, u: Array, q: Array, force: Array) -> bool:
+def _at_rounding(model: NumericModel, u: RealArray, q: RealArray, force: RealArray) -> bool:
     """True where the residual is only rounding of the elastic forces that cancel in it."""
     stiffness = np.abs(model.static_stiffness(q, u).full())
     load = np.abs(_static_force(model, np.zeros(model.n), u))
@@ -96,6 +96,6 @@ def _at_rounding(model: NumericModel, u: Array, q: Array, force: Array) -> bool:
     return bool(np.all(np.abs(force) <= 1e3 * np.finfo(float).eps * scale + np.finfo(float).tiny))
 
 
-def _static_force(model: NumericModel, q: Array, u: Array) -> Array:
+def _static_force(model: NumericModel, q: RealArray, u: RealArray) -> RealArray:
     zeros = np.zeros(model.n)
     return np.asarray(model.elastic_forces(q, zeros, zeros, u).full()).ravel()

@@ -116,15 +116,15 @@ class SymbolicModel:
         static_start: start value of the FMI parameter ``initial``: True for static equilibrium, False for undeformed.
         margin_name: what `singularity` measures, with its unit, for messages.
         minimum_margin: smallest admissible value of that measure.
-        is_damped: whether anything takes energy out of the vibrations; where nothing does, an integrator must not either.
+        is_damped: whether any effect dissipates the energy of vibrations; where none does, the integrator must not either.
         locked: number of leading unknowns that are actuated: they start at `initial_coordinates`, are held there while
             the others find their static equilibrium, and each belongs to the input of the same index, a generalised
-            force that holds the equilibrium unless somebody sets it.
+            force that holds the equilibrium unless it is set.
         rate_inputs: number of trailing inputs that are rates: zero at rest, so the static equilibrium doesn't see them.
         frictions: dry friction that can hold unknowns; events within a motion change what it does.
         effects: what the model contains, for documentation.
         drawing: what the mechanism looks like; None where there is nothing to draw.
-        pose: names of the outputs that tell a person where the mechanism is, for messages.
+        pose: names of the outputs that say where the mechanism is, for messages.
     """
 
     name: str

@@ -19,11 +19,9 @@ import numpy as np
 from numpy.polynomial import Legendre
 from scipy.linalg import eigh
 
-from flexfmu.model.bases import Basis
-from flexfmu.model.beams import FIXED_INTERFACE, STATIC, Array, Evaluate, Shape
+from flexfmu.model.beams import STATIC, Basis, Evaluate, Shape, fixed_interface, ordinal, pinned_pinned
 from flexfmu.model.robot import LinkGroup
-
-TEXT = "Coordinate of Timoshenko's mode shape"
+from flexfmu.trajectories.jets import RealArray
 
 SPARE_POLYNOMIALS = 20
 """Polynomials beyond two for each mode asked for; the modes converge exponentially with them."""
@@ -48,7 +46,7 @@ def shear_coefficient(outer: Number, inner: Number, poissons_ratio: Number) -> N
 
 
 def timoshenko_shapes(basis: Basis, group: LinkGroup, modes: int, slenderness: Slenderness) -> tuple[Shape, ...]:
-    """The first `modes` bending shapes of a link group; the counterparts of `flexfmu.model.bases.family_shapes`."""
+    """The first `modes` bending shapes of a link group; the counterparts of `flexfmu.model.elastic_family.family_shapes`."""
     if group == "distal":
         return tuple(pinned_pinned_timoshenko(k, slenderness) for k in range(1, modes + 1))
     if basis == "craig-bampton":
@@ -61,7 +59,7 @@ def tip_force_timoshenko(slenderness: Slenderness) -> Shape:
     share = 1.0 / (1.0 + 3.0 * slenderness.shear)
     linear = 3.0 * slenderness.shear
 
-    def slope(xi: Array) -> Array:
+    def slope(xi: RealArray) -> RealArray:
         return np.asarray(share * (3.0 * xi - 1.5 * xi**2 + linear))
 
     return Shape(
@@ -88,7 +86,7 @@ def pinned_pinned_timoshenko(mode: int, slenderness: Slenderness) -> Shape:
         strain=lambda xi: -turning * k * np.sin(k * xi),
         tip=0.0,
         wave_number=k,
-        text=TEXT,
+        text=f"{pinned_pinned(mode)}, with shear and rotary inertia",
     )
 
 
@@ -103,7 +101,7 @@ def _clamped_modes(modes: int, slenderness: Slenderness, tip_held: bool) -> tupl
     nodes, weights = np.polynomial.legendre.leggauss(count + 3)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
 
-    def table(functions: list[Legendre]) -> Array:
+    def table(functions: list[Legendre]) -> RealArray:
         return np.array([function(nodes) for function in functions])
 
     zeros = np.zeros((count, len(nodes)))
@@ -114,16 +112,16 @@ def _clamped_modes(modes: int, slenderness: Slenderness, tip_held: bool) -> tupl
     stiffness = (curvature * weights) @ curvature.T + (shear * weights) @ shear.T / slenderness.shear
     _, vectors = eigh(stiffness, mass, subset_by_index=(0, modes - 1))
     return tuple(
-        _polynomial_shape(_sum(displacements, vector[:count]), _sum(rotations, vector[count:]), tip_held)
-        for vector in vectors.T
+        _polynomial_shape(_sum(displacements, vector[:count]), _sum(rotations, vector[count:]), mode, tip_held)
+        for mode, vector in enumerate(vectors.T, 1)
     )
 
 
-def _sum(functions: list[Legendre], factors: Array) -> Legendre:
+def _sum(functions: list[Legendre], factors: RealArray) -> Legendre:
     return sum((factor * f for factor, f in zip(factors, functions, strict=True)), Legendre([0.0], domain=[0.0, 1.0]))
 
 
-def _polynomial_shape(displacement: Legendre, rotation: Legendre, tip_held: bool) -> Shape:
+def _polynomial_shape(displacement: Legendre, rotation: Legendre, mode: int, tip_held: bool) -> Shape:
     """A shape of polynomials with unit modal mass, bent to the positive side at the clamp."""
     sign = 1.0 if rotation.deriv()(0.0) > 0.0 else -1.0
     value, turning = sign * displacement, sign * rotation
@@ -134,9 +132,10 @@ def _polynomial_shape(displacement: Legendre, rotation: Legendre, tip_held: bool
         strain=_evaluate(turning.deriv()),
         tip=0.0 if tip_held else float(value(1.0)),
         wave_number=float(len(value.coef)),
-        text=FIXED_INTERFACE if tip_held else TEXT,
+        text=(fixed_interface(mode) if tip_held else f"{ordinal(mode)} mode of a clamped beam")
+        + ", with shear and rotary inertia",
     )
 
 
-def _evaluate(polynomial: Callable[[Array], Array]) -> Evaluate:
+def _evaluate(polynomial: Callable[[RealArray], RealArray]) -> Evaluate:
     return lambda xi: np.asarray(polynomial(xi))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import casadi
 
-from flexfmu.model.assembly import motor_angles
 from flexfmu.model.five_bar import FiveBar, assemble
 from flexfmu.model.plant_functions import (
     OutputRow,
@@ -22,7 +21,8 @@ from flexfmu.model.plant_functions import (
     start_angles,
     start_parameters,
 )
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.model.symbolic import Friction, SymbolicModel, Variable
 from flexfmu.model.time_derivatives import Motion
@@ -129,9 +129,9 @@ def _frictions(five_bar: FiveBar) -> tuple[Friction, ...]:
 def _error_scale(five_bar: FiveBar) -> casadi.SX:
     """[kappa (2 + n), mu (2 + n), floor]: energy norm; a motor angle counts like the elbow's displacement that it makes."""
     kappa, mu = elastic_scale(five_bar)
-    find = five_bar.registry.find_derived
-    length = find("proximal_length")
-    inertia = find("proximal_m_l2_3") + (find("distal_mass") + 0.5 * find("payload_mass")) * length**2
+    length, distal_mass = five_bar.links["proximal"].length, five_bar.links["distal"].mass
+    proximal_inertia = five_bar.registry.find_derived("proximal_m_l2_3")
+    inertia = proximal_inertia + (distal_mass + 0.5 * five_bar.end_effector_mass) * length**2
     bending = [part.family for _, part in five_bar.robot.elastic if part.family.direction == "bending"]
     stiffness = (
         bending[0].stiffness[0, 0] * (length / bending[0].shapes[0].tip) ** 2

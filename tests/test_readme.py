@@ -13,20 +13,21 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from flexfmu.cosim.cli import app
-from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.fmu.file import open_fmu
-from flexfmu.cosim.fmu.variables import parameter_names
-from flexfmu.cosim.measuring.metric_table import ALL_METRICS, METRICS, display
-from flexfmu.cosim.metrics import Measurement, measure_run
-from flexfmu.cosim.modes_table import modes_along_path
-from flexfmu.cosim.paper.cases import case_scene
-from flexfmu.cosim.paper.motions import blend_length, peak_task_acceleration
-from flexfmu.cosim.paper.reference import printed_table
-from flexfmu.cosim.planning import plan
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.variables import parameter_names
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, display
+from flexfmu.cosim.metrics.metrics import Measurement, measure_run
+from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.summary import summarise
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene, parse_scene
+from flexfmu.cosim.studies.paper.motions import blend_length, peak_task_acceleration
+from flexfmu.cosim.studies.paper.reference import printed_table
+from flexfmu.cosim.studies.paper.simulations import case_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import parse_scene
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -108,7 +109,7 @@ def test_files_and_targets_exist() -> None:
     """Links lead to files, scripts that are to be run exist, and so do the targets of make."""
     for link in re.findall(r"\]\(([^)#:]+)\)", README):
         assert (ROOT / link).exists(), link
-    for script in re.findall(r"`python ([^` ]+)", README):
+    for script in re.findall(r"`python (?!-m )([^` ]+)", README):
         assert (ROOT / script).is_file(), script
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for target in re.findall(r"^    make (\w+)", README, re.MULTILINE):

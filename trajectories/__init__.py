@@ -1,4 +1,4 @@
-"""Pick-and-place trajectories: blends, motion profiles, paths and joint trajectories."""
+"""What the robot shall do: paths, blends, profiles, motions over time, and impulse sequences of shapers; numpy and scipy alone."""
 
 from flexfmu.trajectories.blends import Blend, LameBlend, PolarPolynomial
 from flexfmu.trajectories.clothoid import ClothoidPair

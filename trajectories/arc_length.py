@@ -12,7 +12,7 @@ from numpy.polynomial import legendre
 from scipy.interpolate import CubicHermiteSpline
 
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 
 NODES = 20
 """Legendre polynomials per panel: a panel that they don't resolve is halved."""
@@ -56,10 +56,10 @@ class ArcLengthTable:
         guess: interpolant u(s), from which Newton's method starts.
     """
 
-    edges: Array
-    starts: Array
-    speeds: Array
-    lengths: Array
+    edges: RealArray
+    starts: RealArray
+    speeds: RealArray
+    lengths: RealArray
     guess: CubicHermiteSpline
 
     @property
@@ -68,11 +68,11 @@ class ArcLengthTable:
         return float(self.starts[-1])
 
     @cached_property
-    def _series(self) -> Array:
+    def _series(self) -> RealArray:
         """Both series, shape (NODES + 1, 2, P)."""
         return np.stack([self.lengths, np.pad(self.speeds, ((0, 1), (0, 0)))], axis=1)
 
-    def parameter(self, s: Array) -> Array:
+    def parameter(self, s: RealArray) -> RealArray:
         """The parameter u at the arc lengths s [m], shape (N,), by Newton's method; s is limited to the curve."""
         s = np.clip(s, 0.0, self.length)
         panel = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.edges) - 2)
@@ -89,7 +89,7 @@ class ArcLengthTable:
         return np.asarray(low + half * (xi + 1.0))
 
 
-def tabulate(speed: Callable[[Array], Array], end: float) -> ArcLengthTable:
+def tabulate(speed: Callable[[RealArray], RealArray], end: float) -> ArcLengthTable:
     """The arc length of a curve with ``speed`` ds/du [m] above zero for the parameter from 0 to ``end``.
 
     Raises:
@@ -102,7 +102,7 @@ def tabulate(speed: Callable[[Array], Array], end: float) -> ArcLengthTable:
     return ArcLengthTable(edges, starts, speeds, lengths, _guess(edges, starts, speeds, lengths))
 
 
-def _panels(speed: Callable[[Array], Array], end: float) -> Array:
+def _panels(speed: Callable[[RealArray], RealArray], end: float) -> RealArray:
     """Edges of panels on each of which the speed is resolved, found by halving."""
     waiting, edges = [(0.0, end)], [0.0]
     rounding = ROUNDING * float(np.max(speed(np.linspace(0.0, end, 8 * NODES))))
@@ -118,12 +118,12 @@ def _panels(speed: Callable[[Array], Array], end: float) -> Array:
     return np.array(edges)
 
 
-def _expansion(speed: Callable[[Array], Array], a: float, b: float) -> Array:
+def _expansion(speed: Callable[[RealArray], RealArray], a: float, b: float) -> RealArray:
     """Legendre coefficients of the speed between a and b, shape (NODES,), by Gauss quadrature."""
     return np.asarray(_PROJECTION @ speed(0.5 * (a + b) + 0.5 * (b - a) * _POINTS))
 
 
-def _guess(edges: Array, starts: Array, speeds: Array, lengths: Array) -> CubicHermiteSpline:
+def _guess(edges: RealArray, starts: RealArray, speeds: RealArray, lengths: RealArray) -> CubicHermiteSpline:
     """Piecewise cubic u(s) through points on every panel, with exact slopes."""
     xi = np.linspace(-1.0, 1.0, GUESSES_PER_PANEL, endpoint=False)
     u = edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (xi + 1.0)

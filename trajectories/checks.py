@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 
 
 def positive(name: str, value: float, unit: str) -> float:
@@ -26,7 +26,7 @@ def plane_vector(name: str, value: ArrayLike, unit: str) -> tuple[float, float]:
     return float(vector[0]), float(vector[1])
 
 
-def times(value: ArrayLike) -> Array:
+def times(value: ArrayLike) -> RealArray:
     """Finite times [s] as an array of shape (N,)."""
     time = np.atleast_1d(np.asarray(value, dtype=float))
     if time.ndim != 1:
@@ -37,7 +37,7 @@ def times(value: ArrayLike) -> Array:
     return time
 
 
-def within(name: str, value: ArrayLike, limit: float, unit: str) -> Array:
+def within(name: str, value: ArrayLike, limit: float, unit: str) -> RealArray:
     """Numbers between 0 and ``limit`` as an array of shape (N,)."""
     values = np.atleast_1d(np.asarray(value, dtype=float))
     bad = np.flatnonzero(~((values >= 0.0) & (values <= limit)))

@@ -14,7 +14,7 @@ from flexfmu.trajectories.blends import QUARTER
 from flexfmu.trajectories.checks import positive
 from flexfmu.trajectories.curves import PiecewiseCurve, PlacedPiece, PlaneJets
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array, Jet, sincos
+from flexfmu.trajectories.jets import Jet, RealArray, sincos
 
 LOWEST_RATIO, HIGHEST_RATIO = 0.5621, 1.7790
 """Limits of e/d, exclusive. The geometry ends at 0.561948 and 1.779526, where one part of the pair has vanished and a
@@ -35,7 +35,7 @@ class Clothoid:
     length: float
     turning: float
 
-    def jets(self, s: Array, order: int) -> PlaneJets:
+    def jets(self, s: RealArray, order: int) -> PlaneJets:
         """See `flexfmu.trajectories.curves.Piece`; the position is a pair of Fresnel integrals."""
         unit = self.length * math.sqrt(QUARTER / self.turning)
         across, along = fresnel(s / unit)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from flexfmu.trajectories.arc_length import ArcLengthTable, tabulate
 from flexfmu.trajectories.checks import within
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array, Jet, checked_order, compose, revert, sqrt, stack, unstack
+from flexfmu.trajectories.jets import Jet, RealArray, checked_order, compose, revert, sqrt, stack, unstack
 
 Side: TypeAlias = Literal["left", "right"]
 """Which one-sided limit to take where a derivative jumps."""
@@ -32,7 +32,7 @@ class Piece(Protocol):
         """Length [m]."""
         ...
 
-    def jets(self, s: Array, order: int) -> PlaneJets:
+    def jets(self, s: RealArray, order: int) -> PlaneJets:
         """Coordinates [m] and their derivatives by arc length at s [m], shape (N,), between 0 and the length."""
         ...
 
@@ -43,7 +43,7 @@ class StraightLine:
 
     length: float
 
-    def jets(self, s: Array, order: int) -> PlaneJets:
+    def jets(self, s: RealArray, order: int) -> PlaneJets:
         """See `Piece`."""
         return Jet.constant(np.zeros_like(s), order), Jet.variable(s, order)
 
@@ -70,7 +70,7 @@ class ParametricPiece:
         """Length [m]."""
         return self.table.length
 
-    def jets(self, s: Array, order: int) -> PlaneJets:
+    def jets(self, s: RealArray, order: int) -> PlaneJets:
         """See `Piece`. The parameter's series in s is the reversion of the arc length's series in the parameter."""
         u = self.table.parameter(s)
         if order == 0:
@@ -80,7 +80,7 @@ class ParametricPiece:
         arc = sqrt(x_slope * x_slope + y_slope * y_slope).integrate()
         return unstack(compose(stack((x, y)), revert(arc).truncate(order)))
 
-    def _speed(self, u: Array) -> Array:
+    def _speed(self, u: RealArray) -> RealArray:
         x, y = self.curve(Jet.variable(u, 1))
         return np.asarray(np.hypot(x.coefficients[1], y.coefficients[1]))
 
@@ -107,7 +107,7 @@ class PlacedPiece:
         """Length [m]."""
         return self.piece.length
 
-    def jets(self, s: Array, order: int) -> PlaneJets:
+    def jets(self, s: RealArray, order: int) -> PlaneJets:
         """See `Piece`."""
         own = self.own_arc_length(Jet.variable(s, order))
         u, v = self.piece.jets(own.value, order)
@@ -135,7 +135,7 @@ class PiecewiseCurve:
     pieces: tuple[Piece, ...]
 
     @cached_property
-    def edges(self) -> Array:
+    def edges(self) -> RealArray:
         """Arc length [m] at the pieces' ends, 0 and the length included, shape (pieces + 1,)."""
         return np.concatenate([[0.0], np.cumsum([piece.length for piece in self.pieces])])
 

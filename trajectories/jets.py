@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.trajectories.errors import TrajectoryError
 
-Array: TypeAlias = NDArray[np.float64]
+RealArray: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Jet:
             the k-th power of the variable's unit.
     """
 
-    coefficients: Array
+    coefficients: RealArray
 
     # numpy leaves `array * jet` to the jet
     __array_ufunc__ = None
@@ -65,7 +65,7 @@ class Jet:
         derivatives = np.asarray(derivatives, dtype=float)
         return cls(derivatives / _factorials(derivatives))
 
-    def derivatives(self) -> Array:
+    def derivatives(self) -> RealArray:
         """Value and derivatives f^(k), shape (order + 1, ...)."""
         return self.coefficients * _factorials(self.coefficients)
 
@@ -80,7 +80,7 @@ class Jet:
         return self.coefficients.shape[1:]
 
     @property
-    def value(self) -> Array:
+    def value(self) -> RealArray:
         """The function's value, shape (...)."""
         return np.asarray(self.coefficients[0])
 
@@ -262,7 +262,7 @@ def _add(u: Jet, w: Jet) -> Jet:
     return Jet(_aligned(u, w.coefficients.ndim)[: order + 1] + _aligned(w, u.coefficients.ndim)[: order + 1])
 
 
-def _shift(u: Jet, constant: Array) -> Jet:
+def _shift(u: Jet, constant: RealArray) -> Jet:
     a = _aligned(u, constant.ndim + 1)
     v = np.empty((u.order + 1, *np.broadcast_shapes(a.shape[1:], constant.shape)))
     v[1:] = a[1:]
@@ -290,34 +290,34 @@ def _divide(u: Jet, w: Jet) -> Jet:
     return Jet(v)
 
 
-def _convolve(a: Array, b: Array) -> Array | float:
+def _convolve(a: RealArray, b: RealArray) -> RealArray | float:
     """Σ a_j b_(n-1-j) over the first axis of two arrays of n rows; 0 where there are no rows."""
     if len(a) == 0:
         return 0.0
     return np.asarray((a * b[::-1]).sum(axis=0))
 
 
-def _slopes(coefficients: Array) -> Array:
+def _slopes(coefficients: RealArray) -> RealArray:
     """k c_k, shape of the coefficients."""
     return coefficients * _column(np.arange(float(len(coefficients))), coefficients)
 
 
-def _factorials(coefficients: Array) -> Array:
+def _factorials(coefficients: RealArray) -> RealArray:
     return _column(np.array([float(math.factorial(k)) for k in range(len(coefficients))]), coefficients)
 
 
-def _column(values: Array, like: Array) -> Array:
+def _column(values: RealArray, like: RealArray) -> RealArray:
     """``values`` along the first axis, shaped to multiply ``like``."""
     return values.reshape(-1, *(1,) * (like.ndim - 1))
 
 
-def _aligned(jet: Jet, ndim: int) -> Array:
+def _aligned(jet: Jet, ndim: int) -> RealArray:
     """Coefficients with at least ``ndim`` axes: axes of length 1 behind the first, as points broadcast from the last."""
     missing = max(0, ndim - jet.coefficients.ndim)
     return jet.coefficients.reshape(len(jet.coefficients), *(1,) * missing, *jet.shape)
 
 
-def _require(value: Array, valid: NDArray[np.bool_], operation: str, requirement: str) -> None:
+def _require(value: RealArray, valid: NDArray[np.bool_], operation: str, requirement: str) -> None:
     """Refuse an operation where a value isn't ``valid`` (NaN never is), naming the first such value."""
     if np.all(valid):
         return

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from flexfmu.trajectories.checks import times
 from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array, Jet, checked_order
+from flexfmu.trajectories.jets import Jet, RealArray, checked_order
 from flexfmu.trajectories.trajectory import Trajectory, limits
 
 SAMPLES_PER_INTERVAL = 200
@@ -42,7 +42,7 @@ class Margin:
 
     name: str
     unit: str
-    values: Array
+    values: RealArray
     required: float
 
 
@@ -53,7 +53,7 @@ class InverseKinematics(Protocol):
         """Jets of q11 and q21 [rad] from jets of the end effector's x and y [m]; angles modulo 2π."""
         ...
 
-    def margins(self, position: Array) -> tuple[Margin, ...]:
+    def margins(self, position: RealArray) -> tuple[Margin, ...]:
         """Margins at positions (x, y) [m], shape (N, 2), inside the workspace and outside."""
         ...
 
@@ -88,12 +88,12 @@ class JointTrajectory:
         """Times [s] at which some derivative may jump: those of the motion of the end effector."""
         return self.task.breakpoints
 
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """q11 and q21 [rad] and their time derivatives; see `Trajectory.evaluate`."""
         time = times(time)
         return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
 
-    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> Array:
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `flexfmu.trajectories.trajectory.HasLimits`."""
         time = times(time)
         motion = Jet.from_derivatives(limits(self.task, time, left, checked_order(order)))
@@ -103,12 +103,12 @@ class JointTrajectory:
         return result
 
     @cached_property
-    def _first_look(self) -> tuple[Array, Array]:
+    def _first_look(self) -> tuple[RealArray, RealArray]:
         """See `look_at`."""
         return look_at(self.task)
 
     @cached_property
-    def _samples(self) -> tuple[Array, Array]:
+    def _samples(self) -> tuple[RealArray, RealArray]:
         """Sample times [s], shape (N,), and continuous joint angles [rad], shape (N, 2)."""
         time, positions = self._first_look
         for _ in range(REFINEMENTS):
@@ -120,18 +120,18 @@ class JointTrajectory:
             positions = _positions(self.task, time)
         return time, angles
 
-    def _principal_angles(self, positions: Array) -> Array:
+    def _principal_angles(self, positions: RealArray) -> RealArray:
         """Joint angles modulo 2π [rad] at positions [m], both of shape (N, 2)."""
         angles = self.kinematics.joints(Jet(positions[None, :, 0]), Jet(positions[None, :, 1]))
         return np.stack([angle.value for angle in angles], axis=-1)
 
-    def _reference(self, time: Array) -> Array:
+    def _reference(self, time: RealArray) -> RealArray:
         """Angles between the samples [rad], good to much less than π, shape (N, 2)."""
         sample_times, angles = self._samples
         return np.stack([np.interp(time, sample_times, angle) for angle in angles.T], axis=-1)
 
 
-def look_at(task: Trajectory) -> tuple[Array, Array]:
+def look_at(task: Trajectory) -> tuple[RealArray, RealArray]:
     """Times [s], shape (N,), from 0 to the duration with all breakpoints, and positions [m] there, shape (N, 2)."""
     spans = [np.linspace(a, b, SAMPLES_PER_INTERVAL, endpoint=False) for a, b in pairwise(task.breakpoints)]
     time = np.concatenate([*spans, [task.duration]])
@@ -139,7 +139,7 @@ def look_at(task: Trajectory) -> tuple[Array, Array]:
 
 
 def check_margins(
-    task: Trajectory, kinematics: InverseKinematics, first_look: tuple[Array, Array] | None = None
+    task: Trajectory, kinematics: InverseKinematics, first_look: tuple[RealArray, RealArray] | None = None
 ) -> None:
     """Refuse a motion along which a margin falls below what it requires.
 
@@ -162,7 +162,7 @@ def check_margins(
         raise TrajectoryError(_violation(margin, worst, worst_time, _positions(task, np.array([worst_time]))[0]))
 
 
-def _violation(margin: Margin, value: float, time: float, position: Array) -> str:
+def _violation(margin: Margin, value: float, time: float, position: RealArray) -> str:
     unit = "" if margin.unit in ("", "1") else f" {margin.unit}"
     found = f"{value:.6g}{unit}" if np.isfinite(value) else "undefined"
     return (
@@ -172,7 +172,7 @@ def _violation(margin: Margin, value: float, time: float, position: Array) -> st
 
 
 def _smallest(
-    task: Trajectory, kinematics: InverseKinematics, index: int, time: Array, values: Array, required: float
+    task: Trajectory, kinematics: InverseKinematics, index: int, time: RealArray, values: RealArray, required: float
 ) -> tuple[float, float]:
     """Time [s] and value of the smallest margin number ``index``, refined around the samples' local minima.
 
@@ -201,15 +201,15 @@ def _smallest(
     return float(best[0][worst]), float(best[1][worst])
 
 
-def _positions(task: Trajectory, time: Array) -> Array:
+def _positions(task: Trajectory, time: RealArray) -> RealArray:
     return np.asarray(task.evaluate(time, 0)[0])
 
 
-def _defined(values: Array) -> Array:
+def _defined(values: RealArray) -> RealArray:
     """Margins with -∞ in place of NaN."""
     return np.where(np.isnan(values), -np.inf, values)
 
 
-def _near(angle: Array, reference: Array) -> Array:
+def _near(angle: RealArray, reference: RealArray) -> RealArray:
     """The angles [rad], turned by whole turns to lie within π of the reference."""
     return np.asarray(angle + 2.0 * np.pi * np.round((reference - angle) / (2.0 * np.pi)))

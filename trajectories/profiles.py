@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from flexfmu.trajectories.checks import within
 from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array, Jet, checked_order
+from flexfmu.trajectories.jets import Jet, RealArray, checked_order
 
 
 class SmoothPiece(Protocol):
@@ -27,7 +27,7 @@ class SmoothPiece(Protocol):
     @property
     def end(self) -> float: ...
 
-    def jet(self, eta: Array, order: int) -> Jet:
+    def jet(self, eta: RealArray, order: int) -> Jet:
         """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
         ...
 
@@ -51,7 +51,7 @@ class ProfilePiece:
     centre: float
     coefficients: tuple[float, ...]
 
-    def jet(self, eta: Array, order: int) -> Jet:
+    def jet(self, eta: RealArray, order: int) -> Jet:
         """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
         powers = np.ones((len(self.coefficients), *eta.shape))
         powers[1:] = eta - self.centre
@@ -161,7 +161,7 @@ def time_at(profile: Profile, fraction: float) -> float:
 
 
 @cache
-def _shifted(coefficients: tuple[float, ...], order: int) -> Array:
+def _shifted(coefficients: tuple[float, ...], order: int) -> RealArray:
     """(order + 1, n) matrix from the powers of x to the polynomial's normalised Taylor coefficients at x."""
     matrix = np.zeros((order + 1, len(coefficients)))
     for j, coefficient in enumerate(coefficients):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.trajectories.checks import positive, times
 from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side, placed
-from flexfmu.trajectories.jets import Array, Jet, checked_order, compose, joined, stack, unstack
+from flexfmu.trajectories.jets import Jet, RealArray, checked_order, compose, joined, stack, unstack
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile, SmoothPiece, time_at
 
@@ -38,7 +38,7 @@ class Trajectory(Protocol):
         """Times [s] at which some derivative may jump, sorted, 0 and ``duration`` included."""
         ...
 
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Value and time derivatives.
 
         Args:
@@ -59,7 +59,7 @@ class Trajectory(Protocol):
 class HasLimits(Protocol):
     """Gives left limits at some instants and right limits at others in one call, for little more than one of them."""
 
-    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> Array:
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """Value and time derivatives, as `Trajectory.evaluate` gives them.
 
         Args:
@@ -70,7 +70,7 @@ class HasLimits(Protocol):
         ...
 
 
-def limits(trajectory: Trajectory, time: Array, left: NDArray[np.bool_], order: int) -> Array:
+def limits(trajectory: Trajectory, time: RealArray, left: NDArray[np.bool_], order: int) -> RealArray:
     """One-sided limits of any trajectory, see `HasLimits`."""
     if isinstance(trajectory, HasLimits):
         return trajectory.limits(time, left, order)
@@ -112,12 +112,12 @@ class TaskTrajectory:
         passages = [time_at(self.profile, knot / self.path.length) for knot in self.path.knots]
         return tuple(self.duration * eta for eta in _merged(self.profile.jumps, passages))
 
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """x and y [m] and their time derivatives; see `Trajectory.evaluate`."""
         time = times(time)
         return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
 
-    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> Array:
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `HasLimits`."""
         time, order = times(time), checked_order(order)
         tolerance = SAME_TIME * self.duration
@@ -131,7 +131,7 @@ class TaskTrajectory:
             self._move([(interval, where) for interval, where in here if where.size], time, order, result)
         return result
 
-    def _move(self, parts: Sequence[tuple[Interval, Indices]], time: Array, order: int, result: Array) -> None:
+    def _move(self, parts: Sequence[tuple[Interval, Indices]], time: RealArray, order: int, result: RealArray) -> None:
         """Derivatives within intervals whose curves are congruent, which takes as many calls as for one interval."""
         if not parts:
             return
@@ -144,7 +144,7 @@ class TaskTrajectory:
             result[:, where] = np.moveaxis(stack(interval.piece.moved(unstack(part))).derivatives(), 1, -1)
             begin += where.size
 
-    def _arc_length(self, interval: Interval, time: Array, order: int) -> Jet:
+    def _arc_length(self, interval: Interval, time: RealArray, order: int) -> Jet:
         """The arc length along the piece's own direction in time [m]."""
         fraction = interval.profile.jet(time / self.duration, order).rescale(1.0 / self.duration)
         return interval.piece.own_arc_length(fraction * self.path.length - interval.piece_start)

@@ -1,1 +1,1 @@
-"""What a run leaves behind: summary, plots and the report."""
+"""What a run leaves behind: summary, tables, plots and the report."""

@@ -1,4 +1,4 @@
-"""The plots of a run's report: the scene, what drove the robot and how it answered."""
+"""The plots of a run's report: the mechanism on its path, what drove the robot and how it answered."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flexfmu.cosim.experiment import Run
-from flexfmu.cosim.measuring.bernstein import Array
-from flexfmu.cosim.measuring.segments import HermiteSegments
-from flexfmu.cosim.measuring.signals import (
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.metrics.segments import HermiteSegments
+from flexfmu.cosim.metrics.signals import (
     JOINT_POSITIONS,
     TIP_DEFLECTIONS,
     TORQUES,
@@ -23,9 +23,9 @@ from flexfmu.cosim.measuring.signals import (
     sample,
     segments,
 )
-from flexfmu.cosim.reports import plot_style
-from flexfmu.cosim.reports.mechanism_plot import draw_scene
-from flexfmu.cosim.reports.plot_style import GREY
+from flexfmu.cosim.reports.figure_style import FIRST, PAGE_GREY, PAGE_INK, SECOND, mark_time, page_style, to_svg
+from flexfmu.cosim.reports.figure_style import draw as draw_empty
+from flexfmu.model.scene.assembly import bases, elbows
 
 POINTS = 3000
 """About as many points of a curve as a plot of this size can show."""
@@ -47,17 +47,18 @@ class Plot:
     svg: str
 
 
-def draw_plots(run: Run, end_equilibrium: Array | None) -> Iterator[Plot]:
+def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     """The plots for which the run has recorded enough, the scene first.
 
     Args:
         run: a run, complete or not.
         end_equilibrium: (2,) equilibrium at the end pose [m]; None where it is not known, then the dwell isn't drawn.
     """
-    with plot_style.style():
+    with page_style():
         yield _plot(
             "scene", "Scene", "The rigid mechanism at start, middle and end of the path.", (5.2, 3.5), draw_scene, run
         )
+        # a run that ended at once has no curves
         if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
             return
         yield _plot("references", "Joint references", "What drives the robot.", (5.2, 3.9), _draw_references, run)
@@ -68,10 +69,12 @@ def draw_plots(run: Run, end_equilibrium: Array | None) -> Iterator[Plot]:
         if any(name in run.recording.columns for name in TIP_DEFLECTIONS):
             caption = "Transverse displacement of the proximal links' tips."
             yield _plot("deflections", "Tip deflections", caption, (5.2, 2.7), _draw_deflections, run)
+        # what elasticity does to the path
         caption = "Distance of the end effector from the rigid robot's, which tracks its path exactly."
         yield _plot("position", "Position error", caption, (5.2, 2.7), _draw_position_error, run)
         caption = "Norm of the deviation from the rigid robot's acceleration."
         yield _plot("acceleration", "Acceleration error", caption, (5.2, 2.7), _draw_acceleration_error, run)
+        # the dwell, if there was one
         if run.recording.time[-1] > run.plan.duration and end_equilibrium is not None:
             caption = "Distance from the static equilibrium at the end pose during the dwell, and the settling band."
             yield _plot(
@@ -82,9 +85,9 @@ def draw_plots(run: Run, end_equilibrium: Array | None) -> Iterator[Plot]:
 def _plot(
     key: str, title: str, caption: str, size: tuple[float, float], draw: Callable[[Figure, Run], None], run: Run
 ) -> Plot:
-    figure = plot_style.draw(*size)
+    figure = draw_empty(*size)
     draw(figure, run)
-    return Plot(key, title, caption, plot_style.to_svg(figure, key, title))
+    return Plot(key, title, caption, to_svg(figure, key, title))
 
 
 def _draw_references(figure: Figure, run: Run) -> None:
@@ -142,10 +145,10 @@ def _draw_acceleration_error(figure: Figure, run: Run) -> None:
     _draw_norm(figure, run, deviation_from_rigid(motion, run.plan.task), "error [m/s²]", 1.0, order=2)
 
 
-def _draw_dwell(figure: Figure, run: Run, end_equilibrium: Array) -> None:
+def _draw_dwell(figure: Figure, run: Run, end_equilibrium: RealArray) -> None:
     vibration = deviation_from_point(position(run.recording), end_equilibrium).within(run.plan.duration, np.inf)
     axes = _draw_norm(figure, run, vibration, "distance [µm]", 1e6)
-    axes.axhline(1e6 * run.scene.cosimulation.settling_band, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)))
+    axes.axhline(1e6 * run.scene.cosimulation.settling_band, color=PAGE_GREY, linewidth=0.9, linestyle=(0, (4, 3)))
     axes.set_xlim(run.plan.duration, run.recording.time[-1])
 
 
@@ -160,7 +163,7 @@ def _draw_norm(figure: Figure, run: Run, signal: HermiteSegments, label: str, fa
     return axes
 
 
-def _curve(signal: HermiteSegments, order: int = 0) -> tuple[Array, Array]:
+def _curve(signal: HermiteSegments, order: int = 0) -> tuple[RealArray, RealArray]:
     """Enough points of a signal for a smooth curve."""
     return sample(signal, int(np.clip(POINTS // max(len(signal.start), 1), 2, 20)), order)
 
@@ -169,4 +172,46 @@ def _time_axis(axes: Axes, run: Run) -> None:
     axes.set_xlabel("time [s]")
     axes.margins(x=0.01)
     if axes.dataLim.x0 < run.plan.duration < axes.dataLim.x1:
-        plot_style.mark_time(axes, run.plan.duration, "end of motion")
+        mark_time(axes, run.plan.duration, "end of motion")
+
+
+PATH_POINTS = 400
+
+
+def draw_scene(figure: Figure, run: Run) -> None:
+    """The path, and the rigid mechanism at start, middle and end of the motion."""
+    axes = figure.subplots()
+    task, duration = run.plan.task, run.plan.duration
+    path = task.evaluate(np.linspace(0.0, duration, PATH_POINTS), 0)[0]
+    axes.plot(path[:, 0], path[:, 1], color=SECOND, linewidth=1.8)
+    for fraction, opacity in ((0.0, 1.0), (0.5, 0.25), (1.0, 0.5)):
+        _draw_pose(axes, run, task.evaluate(fraction * duration, 0)[0, 0], opacity)
+    axes.annotate("start", path[0], xytext=(6, 6), textcoords="offset points", fontsize=8.5)
+    axes.annotate("end", path[-1], xytext=(6, 6), textcoords="offset points", fontsize=8.5)
+    _draw_bases(axes, run.scene.mechanism.base_half_distance)
+    axes.set_aspect("equal", anchor="N")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+
+
+def _draw_pose(axes: Axes, run: Run, position: RealArray, opacity: float) -> None:
+    """Both legs: base, elbow, end effector."""
+    mechanism = run.scene.mechanism
+    end_effector = (float(position[0]), float(position[1]))
+    for base, elbow in zip(bases(mechanism), elbows(mechanism, end_effector), strict=True):
+        axes.plot(*_line(base, elbow), color=PAGE_INK, linewidth=3.2, alpha=opacity, solid_capstyle="round")
+        axes.plot(*_line(elbow, end_effector), color=FIRST, linewidth=2.2, alpha=opacity, solid_capstyle="round")
+        axes.plot(*elbow, "o", color=PAGE_INK, markersize=4, alpha=opacity)
+    axes.plot(*end_effector, "o", color=SECOND, markersize=6, alpha=max(opacity, 0.6))
+
+
+def _line(start: tuple[float, float], end: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """x and y of both ends."""
+    return (start[0], end[0]), (start[1], end[1])
+
+
+def _draw_bases(axes: Axes, half_distance: float) -> None:
+    """The motors, leg 1 at -a."""
+    for leg, x in ((1, -half_distance), (2, half_distance)):
+        axes.plot(x, 0.0, "s", color=PAGE_GREY, markersize=9)
+        axes.annotate(f"motor {leg}", (x, 0.0), xytext=(0, -14), textcoords="offset points", ha="center", fontsize=8.5)

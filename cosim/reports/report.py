@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from flexfmu.cosim.measuring.metric_table import ALL_METRICS, display
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display
 
 if TYPE_CHECKING:
     from flexfmu.cosim.reports.plots import Plot
@@ -20,7 +20,7 @@ TILES = (
     "residual_vibration_amplitude",
     "settling_time",
 )
-"""The metrics that stand on top."""
+"""The metrics at the top of the report."""
 
 
 _NAMES: Mapping[str, str] = {
@@ -31,7 +31,7 @@ _NAMES: Mapping[str, str] = {
     "bang-bang": "bang-bang",
     "trapezoidal": "trapezoidal",
 }
-"""Kinds of blends and profiles in the scene file → what people call them."""
+"""Kinds of blends and profiles in the scene file → their names in the report."""
 
 
 def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
@@ -41,8 +41,9 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         summary: what `flexfmu.cosim.reports.summary.summarise` returns.
         plots: drawn by `flexfmu.cosim.reports.plots.draw_plots`.
     """
+    # the template and what it shows, all as text
     environment = Environment(
-        loader=PackageLoader("flexfmu.cosim", "templates"),
+        loader=PackageLoader("flexfmu.cosim.reports", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=False,

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import platform
+import re
+import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flexfmu.cosim.effects.summary import choice_summary
-from flexfmu.cosim.measuring.divergence import divergence
-from flexfmu.cosim.measuring.metric_table import ALL_METRICS
-from flexfmu.cosim.measuring.small_deflections import exceeded
-from flexfmu.cosim.metrics import Measurement, Metrics
-from flexfmu.cosim.reports.versions import versions
+from flexfmu.cosim.experiment.divergence import divergence
+from flexfmu.cosim.experiment.shaping import deviation
+from flexfmu.cosim.metrics.cycle_errors import cycle_errors
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS
+from flexfmu.cosim.metrics.metrics import Measurement, Metrics
+from flexfmu.cosim.metrics.small_deflections import exceeded
+from flexfmu.model.scene.effects import CHOOSABLE
+from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.experiment import Run
-    from flexfmu.cosim.master.delays import SignalDelay
-    from flexfmu.model.scene import Effects, Scene
+    from flexfmu.cosim.engine.master.delays import SignalDelay
+    from flexfmu.cosim.experiment.prepared_scene import Run
+    from flexfmu.model.scene.effects import Effects
+    from flexfmu.model.scene.schema import Scene
+
 
 COARSE = 1e-5
 """Estimated interpolation error, relative to a metric's value, from which the communication step counts as too coarse."""
@@ -62,6 +71,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
 def describe_effects(scene: Scene) -> dict[str, str]:
     """Effect → sentence, for the effects that the scene's model contains."""
     effects, found = scene.effects, {}
+    # elastic links
     for key, what in _FAMILIES.items():
         modes = getattr(effects, key)
         if modes:
@@ -72,6 +82,7 @@ def describe_effects(scene: Scene) -> dict[str, str]:
         found["beam"] = "Shear and rotary inertia of the links (Timoshenko)"
     if effects.foreshortening:
         found["foreshortening"] = "Foreshortening of links that bend (geometric stiffening)"
+    # losses, drives, loads
     found |= _damping(effects)
     found |= _drives(effects)
     if any(effects.gravity):
@@ -155,7 +166,6 @@ def _shaping(run: Run) -> dict[str, Any]:
     motion = run.plan.once
     if motion.task is motion.along_path:
         return {}
-    from flexfmu.cosim.shaping.plan import deviation
 
     added = motion.duration - motion.along_path.duration
     return {"shaping": {"added_time": added, "path_deviation": deviation(motion)}}
@@ -165,7 +175,6 @@ def _learning(run: Run) -> dict[str, Any]:
     """How a repeated motion is followed, cycle by cycle: root mean square and largest error of both joints [rad]."""
     if run.plan.repetition is None:
         return {}
-    from flexfmu.cosim.measuring.cycle_errors import cycle_errors
 
     cycles = [asdict(each) for each in cycle_errors(run.plan, run.recording)]
     return {"learning": {"period": run.plan.repetition.period, "tracking_errors": cycles}}
@@ -181,3 +190,69 @@ def _timing(run: Run) -> dict[str, float]:
     timing = run.timing
     parts = {"plan": timing.plan, "build": timing.build, "load": timing.load, "simulate": timing.simulate}
     return {**parts, "total": sum(parts.values())}
+
+
+def chosen_set(scene: Scene) -> dict[str, Any]:
+    """The keys of `effects` that are a matter of choice, with the scene's values."""
+    return scene.effects.model_dump(mode="json", include=set(CHOOSABLE))
+
+
+def choice_summary(scene: Scene) -> dict[str, Any]:
+    """What was chosen, for what, and what each effect is estimated to be worth; nothing where the scene chose itself."""
+    choice = scene.effects.choice
+    if choice is None:
+        return {}
+    return {
+        "tolerance": choice.tolerance,
+        "of": list(choice.of),
+        "chosen": chosen_set(scene),
+        "estimated_error": dict(zip(choice.of, choice.error, strict=True)),
+        "integrator_tolerance": scene.cosimulation.tolerance,
+        "effects": [
+            {
+                "effect": each.effect,
+                "change": each.change,
+                "chosen": each.chosen,
+                "contribution": dict(zip(choice.of, each.contribution, strict=True)),
+            }
+            for each in choice.effects
+        ],
+    }
+
+
+PACKAGES = ("flexfmu", "casadi", "fmpy", "numpy")
+
+_COMPILER = re.compile(rb"GCC: \([^)\0]*\) [\w.+-]+|(?:\w+ )?clang version [\w.+-]+|Apple clang version [\w.+-]+")
+"""How compilers sign what they make (section ``.comment`` of an ELF library)."""
+
+
+def versions(fmu: Path | None = None) -> Mapping[str, str | None]:
+    """Versions by name; None where one can't be found out.
+
+    Args:
+        fmu: the FMU whose compiler is named under ``compiler``.
+    """
+    return {
+        **{name: _package(name) for name in PACKAGES},
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "compiler": None if fmu is None else compiler_of(fmu),
+    }
+
+
+def compiler_of(fmu: Path) -> str | None:
+    """The compiler that made the FMU's library for this machine, by its own signature in the file; None if unsigned."""
+    try:
+        with zipfile.ZipFile(fmu) as archive:
+            libraries = [name for name in archive.namelist() if name.startswith("binaries/") and not name.endswith("/")]
+            signatures = [match for name in libraries for match in _COMPILER.findall(archive.read(name))]
+    except (OSError, zipfile.BadZipFile):
+        return None
+    return ", ".join(sorted({signature.decode("ascii", "replace") for signature in signatures})) or None
+
+
+def _package(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

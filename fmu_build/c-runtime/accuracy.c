@@ -1,3 +1,5 @@
+/* The cheap error estimate's calibration, and step sizes that fit an error (controller of Hairer, Norsett and Wanner, Solving
+ * Ordinary Differential Equations I, section II.4). */
 #include "accuracy.h"
 
 #include <math.h>
@@ -31,6 +33,7 @@ void flex_accuracy_clear(flex_accuracy *accuracy) {
 }
 
 double flex_accuracy_hold(flex_accuracy *accuracy, int stages, double error, double step) {
+  // the last estimate, scaled to this step and faded, is a lower limit
   double ratio = fmin(step / accuracy->held_step, 1.0);
   double held = fmax(error, HOLD * accuracy->held_error * flex_whole_power(ratio, stages + 1));
   accuracy->held_error = held;
@@ -56,6 +59,7 @@ void flex_accuracy_calibrate(flex_accuracy *accuracy, const flex_evidence *evide
 }
 
 double flex_fitting_step(double step, double suggested, double error, double allowed, int order) {
+  // the longest step, where even it is accurate enough; else the error's power law
   double longest = fmax(MAX_GROWTH * step, suggested);
   if (error * flex_whole_power(longest / step, order) <= SAFETY * allowed) return longest;
   return step * pow(SAFETY * allowed / error, 1.0 / order);
@@ -66,6 +70,8 @@ double flex_next_step(double step, double suggested, double fitting) {
 
   // a step that was cut short, to end with the communication step, says little about long ones
   if (step < 0.99 * suggested) return fmax(limited, fmin(suggested, fitting));
+
+  // small changes aren't worth new factors
   return fitting < WORTHWHILE_SHRINK * step || fitting > WORTHWHILE_GROWTH * step ? limited : step;
 }
 

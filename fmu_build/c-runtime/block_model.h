@@ -1,6 +1,6 @@
 /* The contract between a generated discrete-time block and the runtime.
  *
- * At its instants t_k = start time + offset + k sample_time a block reads its inputs u, puts out y and moves on:
+ * At its instants t_k = start time + offset + k sample_time a block reads its inputs u, outputs y and updates its states x:
  *
  *     y_k = output(x_k, u_k, p),     x_{k+1} = update(x_k, u_k, p).
  *

@@ -1,4 +1,6 @@
-/* Steps of collocation methods. */
+/* Steps of collocation methods: stages predicted from the last step's polynomial, solved by Newton's method, and accepted by a
+ * cheap error estimate that is calibrated now and then by two steps of half the size (Hairer and Wanner, Solving Ordinary
+ * Differential Equations II, section IV.8; Hairer, Norsett and Wanner I, section II.4 for the halves). */
 #include <float.h>
 #include <math.h>
 #include <string.h>
@@ -29,10 +31,14 @@ static void predict_from_history(flex_integrator *integrator, double h) {
   int n = integrator->n, s = integrator->stages.tableau->stages;
   const double *end_a = integrator->history + (s + 1) * n;
   double *a = integrator->stages.acceleration;
+
+  // without a last step the acceleration stays as it is
   if (integrator->record->history_step == 0.0) {
     for (int i = 0; i < s; i++) memcpy(a + i * n, integrator->a, (size_t)n * sizeof *a);
     return;
   }
+
+  // extrapolated, and moved to where the acceleration is now
   flex_predict(n, integrator->stages.tableau, &history, 1.0, h / integrator->record->history_step, a);
   for (int i = 0; i < s; i++)
     for (int c = 0; c < n; c++) a[i * n + c] += integrator->a[c] - end_a[c];
@@ -62,11 +68,15 @@ static void step_increments(flex_integrator *integrator, double h) {
 static flex_outcome accelerate_at_end(flex_integrator *integrator, double t, double h, double *margin) {
   const flex_stages *stages = &integrator->stages;
   int n = integrator->n, s = stages->tableau->stages;
+
+  // the last stage is the end of the step
   if (flex_ends_in_stage(stages->tableau)) {
     memcpy(integrator->a, stages->acceleration + (s - 1) * n, (size_t)n * sizeof(double));
     integrator->record->is_factored = 0;
     return flex_step_check_margin(integrator, stages->u + (s - 1) * stages->inputs->count, margin);
   }
+
+  // otherwise the polynomial predicts, and the equations at the end decide
   flex_combine(n, s, stages->tableau->at_end, stages->acceleration, integrator->a);
   flex_inputs_evaluate(stages->inputs, t, h, integrator->end_u);
   flex_outcome outcome = flex_integrator_accelerate(integrator, integrator->end_u);
@@ -108,9 +118,13 @@ static double cheap_error(flex_integrator *integrator, double h) {
   const flex_tableau *tableau = integrator->stages.tableau;
   int n = integrator->n;
   double *defect = integrator->defect;
+
+  // defect of the polynomial at the start, filtered so that stiff modes do not dominate it
   flex_combine(n, tableau->stages, tableau->at_start, integrator->stages.acceleration, defect);
   for (int c = 0; c < n; c++) defect[c] = integrator->a[c] - defect[c];
   flex_newton_filter(&integrator->stages.matrix, defect);
+
+  // norm of the defect in rates and positions
   double rate = DEFECT_RATE * h, position = DEFECT_POSITION * h * h, sum = 0.0;
   for (int c = 0; c < n; c++) {
     double of_rate = rate * rate * integrator->stages.rate_weight[c];
@@ -148,6 +162,8 @@ static flex_outcome calibrate(flex_integrator *integrator, const flex_integrator
   }
   memcpy(integrator->full_a, integrator->a, (size_t)n * sizeof(double));
   memcpy(integrator->full_a + n, integrator->stages.acceleration, (size_t)(s * n) * sizeof(double));
+
+  // the same interval by two halves, which are kept
   flex_outcome outcome = take_halves(integrator, t, h, allowed, value);
   if (outcome != FLEX_DONE) return flex_step_reject(integrator, before, FLEX_FAILED_SHRINK * h, outcome);
 
@@ -158,6 +174,8 @@ static flex_outcome calibrate(flex_integrator *integrator, const flex_integrator
   }
   double error = flex_error_norm(&integrator->stages, integrator->full_y, integrator->full_v);
   if (!isfinite(error)) return flex_step_reject(integrator, before, FLEX_FAILED_SHRINK * h, FLEX_NOT_FINITE);
+
+  // the halves' own error decides; the full one says what the cheap estimate is worth
   double fitting = flex_fitting_step(h, record->step, error, allowed, integrator->method->local_order);
   double halves_error = error / (ldexp(1.0, order) - 1.0);
   if (halves_error > allowed) {
@@ -216,9 +234,13 @@ static flex_outcome control(flex_integrator *integrator, const flex_integrator_r
 flex_outcome flex_collocation_step(flex_integrator *integrator, double t, double h, double allowed, double *value) {
   const flex_integrator_record before = *integrator->record;
   int is_fixed = *integrator->fixed_step > 0.0;
+
+  // stages of the step
   flex_step_save(integrator);
   predict_from_history(integrator, h);
   flex_outcome outcome = solve(integrator, t, h, allowed);
+
+  // error control, or with fixed steps straight to the end
   if (outcome == FLEX_DONE && !is_fixed) return control(integrator, &before, t, h, allowed, value);
   if (outcome == FLEX_DONE) outcome = finish(integrator, t, h, value);
   return outcome == FLEX_DONE ? outcome : flex_step_reject(integrator, &before, FLEX_FAILED_SHRINK * h, outcome);

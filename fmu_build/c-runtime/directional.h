@@ -2,7 +2,7 @@
  *
  * Only products with one direction are formed, by forward differentiation of the generated functions; the accelerations
  * change by M da = -(change of the residual without da). Before the motion the coordinates follow from inputs and parameters,
- * by the implicit function theorem where they are a static equilibrium. Inputs are held, also those that nobody has set. */
+ * by the implicit function theorem where they are a static equilibrium. Inputs are held, also those that were never set. */
 #ifndef FLEXFMU_DIRECTIONAL_H
 #define FLEXFMU_DIRECTIONAL_H
 

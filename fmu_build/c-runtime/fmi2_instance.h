@@ -30,7 +30,7 @@ typedef struct {
   const char *name;
   int logged[N_LOG_CATEGORIES];   /* 1 = the category is shown */
   void *freed_states;             /* memory of freed FMU states, for the next ones */
-  char reason[FLEX_MESSAGE_SIZE]; /* why the last fmi2DoStep was discarded, if it was and nobody went back since */
+  char reason[FLEX_MESSAGE_SIZE]; /* why the last fmi2DoStep was discarded, if it was and no state was restored since */
 } flex_instance;
 
 /* hands a sentence to the importer's logger, if its category is shown; returns the status */

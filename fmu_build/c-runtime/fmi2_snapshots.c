@@ -105,7 +105,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
   if (!FMUstate || !*FMUstate) return fmi2OK;
   if (!fits(instance, *FMUstate)) return fmi2Error;
 
-  // kept, so that it is known if somebody frees it again, and that the next one needs no new memory
+  // kept, so that it is known if it is freed again, and that the next one needs no new memory
   flex_snapshot *snapshot = *FMUstate;
   snapshot->signature = 0;
   snapshot->next_freed = instance->freed_states;

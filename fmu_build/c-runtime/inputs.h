@@ -20,7 +20,7 @@ void flex_inputs_clear(flex_inputs *inputs);
 /* a constant value from `time` on */
 void flex_inputs_set(flex_inputs *inputs, int index, double time, double value);
 
-/* the value of an input that nobody has set; derivatives that were set stay */
+/* the value of an input that was never set; derivatives that were set stay */
 void flex_inputs_default(flex_inputs *inputs, int index, double value);
 
 /* the same polynomial, expanded about another time */

@@ -23,7 +23,7 @@
 #define MIN_STEP_SHARE 1e-10
 #define MIN_STEP_ROUNDINGS 16.0
 
-/* no importer can stop a communication step that has begun: after so many steps, some seconds, it is told */
+/* no importer can stop a communication step that has begun: after so many steps, some seconds, the importer gets a message */
 #ifndef FLEX_MAX_STEPS
 #define FLEX_MAX_STEPS 1000000.0
 #endif

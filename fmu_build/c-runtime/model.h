@@ -78,7 +78,7 @@ typedef struct {
   const char *margin_name;   /* what `singularity` measures, for messages */
 
   flex_function derive;         /* (p) -> d */
-  flex_function initial_inputs; /* (p) -> u: inputs at the start pose, for inputs that nobody has set */
+  flex_function initial_inputs; /* (p) -> u: inputs at the start pose, for inputs that were never set */
   flex_function initial_coordinates; /* (p) -> y at the start, undeformed */
   flex_function residual;       /* (y, v, a, u, d) -> r [n] */
   flex_function mass_matrix;    /* (y, u, d) -> M [n x n], symmetric, positive definite */

@@ -7,7 +7,7 @@
 /* number of continuous states */
 size_t flex_backend_states(void);
 
-/* moves to a time and to finite states that somebody else has integrated */
+/* moves to a time and to finite states that the importer has integrated */
 void flex_backend_set_time(flex_backend *backend, double time);
 void flex_backend_set_states(flex_backend *backend, const double *x);
 

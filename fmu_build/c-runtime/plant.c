@@ -159,7 +159,7 @@ static flex_outcome need_derived(flex_plant *plant) {
   return FLEX_DONE;
 }
 
-// values of inputs that nobody has set
+// values of inputs that were never set
 static flex_outcome need_start_inputs(flex_plant *plant) {
   const double *const p[] = {plant->p};
   if (flex_call(&plant->equations, &plant->model->initial_inputs, 1, p, plant->shown_u)) return FLEX_NOT_FINITE;
@@ -192,7 +192,7 @@ const double *flex_plant_inputs_at_rest(flex_plant *plant) {
   return plant->u2;
 }
 
-// forces that nobody has set hold the locked unknowns against the static loads
+// forces that were never set hold the locked unknowns against the static loads
 static flex_outcome hold_locked(flex_plant *plant, const double *u, const double *y) {
   flex_statics *statics = &plant->statics;
   if (flex_statics_forces(statics, &plant->equations, u, y)) return FLEX_NOT_FINITE;
@@ -208,7 +208,7 @@ static int needs_holding(const flex_plant *plant) {
   return 0;
 }
 
-// deflection under the static loads, where the motion starts from it or somebody must hold it
+// deflection under the static loads, where the motion starts from it or forces must hold it
 static flex_outcome start_static(flex_plant *plant, double *value) {
   flex_integrator *integrator = &plant->integrator;
   int holds = needs_holding(plant);

@@ -1,4 +1,4 @@
-/* A plant in motion: parameters, inputs, state and outputs of one instance, evaluated when somebody asks.
+/* A plant in motion: parameters, inputs, state and outputs of one instance, evaluated on demand.
  *
  * Everything numerical lies in one piece of memory without pointers, so that saving and restoring it is a copy. */
 #ifndef FLEXFMU_PLANT_H
@@ -86,7 +86,7 @@ static inline void flex_plant_inputs_changed(flex_plant *plant) {
   if (!plant->record->is_moving) flex_plant_start_changed(plant);
 }
 
-/* somebody else has moved coordinates and rates */
+/* the importer has moved coordinates and rates */
 void flex_plant_moved(flex_plant *plant);
 
 /* an event of an importer that integrates itself: chooses the modes of friction anew, and holds them from now on; *stopped = 1
@@ -111,7 +111,7 @@ flex_failure flex_plant_need_start(flex_plant *plant);
 flex_failure flex_plant_need_acceleration(flex_plant *plant);
 flex_failure flex_plant_need_admissible(flex_plant *plant);
 
-/* make valid: inputs at the present time (also those that nobody set), outputs, their rates up to order 1 or 2 */
+/* make valid: inputs at the present time (also those never set), outputs, their rates up to order 1 or 2 */
 flex_failure flex_plant_need_inputs(flex_plant *plant);
 flex_failure flex_plant_need_outputs(flex_plant *plant);
 flex_failure flex_plant_need_rates(flex_plant *plant, int order);

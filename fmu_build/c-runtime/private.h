@@ -1,4 +1,4 @@
-/* Data that files of the runtime share with each other and with nobody else: addressed directly, not through a table of
+/* Data that files of the runtime share with each other alone: addressed directly, not through a table of
  * offsets. Zig's linker leaves entries of that table undefined for ARM Macs, and so no two of its libraries are equal. */
 #ifndef FLEXFMU_PRIVATE_H
 #define FLEXFMU_PRIVATE_H

@@ -14,7 +14,7 @@ void flex_state_space_set(flex_plant *plant, const double *x) {
   memset(integrator->y_rest, 0, size);
   memset(integrator->v_rest, 0, size);
 
-  // the acceleration shall not depend on where somebody was before, not even by its last digit
+  // the acceleration shall not depend on what was evaluated before, not even by its last digit
   memset(integrator->a, 0, size);
   flex_plant_moved(plant);
 }

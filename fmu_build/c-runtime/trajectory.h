@@ -1,4 +1,4 @@
-/* A trajectory in time, evaluated when somebody asks; at breakpoints the limit that is asked for. */
+/* A trajectory in time, evaluated on demand; at breakpoints the limit that is asked for. */
 #ifndef FLEXFMU_TRAJECTORY_H
 #define FLEXFMU_TRAJECTORY_H
 

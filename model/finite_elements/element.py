@@ -17,11 +17,9 @@ from functools import lru_cache
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.model.finite_elements.sections import BeamSection
-
-Array = NDArray[np.float64]
+from flexfmu.trajectories.jets import RealArray
 
 COORDINATES = 6
 """Of an element: x, y, theta of both nodes."""
@@ -103,7 +101,7 @@ def _deformation(length: float, shear: float, x: casadi.SX) -> casadi.SX:
     return casadi.vertcat(elongation + 0.5 * bowing, ends)
 
 
-def _stiffness(section: BeamSection, length: float, shear: float) -> Array:
+def _stiffness(section: BeamSection, length: float, shear: float) -> RealArray:
     """Of the deformation (3, 3)."""
     bending = section.bending / (length * (1.0 + shear)) * np.array([[4 + shear, 2 - shear], [2 - shear, 4 + shear]])
     matrix = np.zeros((3, 3))
@@ -140,7 +138,7 @@ def _section_angle(shear: float, x: casadi.SX, xi: float) -> casadi.SX:
     return casadi.atan2(line[1], line[0]) + casadi.dot(casadi.SX(_deflection(shear, xi)[2]), _ends(x))
 
 
-def _deflection(shear: float, xi: float) -> tuple[Array, Array, Array]:
+def _deflection(shear: float, xi: float) -> tuple[RealArray, RealArray, RealArray]:
     """Deflection over the length, its slope, and turning of the section, per turning of the ends (2,) each."""
     s = shear
     value = np.array([xi**3 - (2 + s / 2) * xi**2 + (1 + s / 2) * xi, xi**3 - (1 - s / 2) * xi**2 - s / 2 * xi])
@@ -149,6 +147,6 @@ def _deflection(shear: float, xi: float) -> tuple[Array, Array, Array]:
     return value / (1 + s), slope / (1 + s), turning / (1 + s)
 
 
-def _form(matrix: Array, vector: casadi.SX) -> casadi.SX:
+def _form(matrix: RealArray, vector: casadi.SX) -> casadi.SX:
     """vector' matrix vector."""
     return casadi.dot(vector, casadi.SX(matrix) @ vector)

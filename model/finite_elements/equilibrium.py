@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from flexfmu.model.errors import EquilibriumError
 from flexfmu.model.finite_elements.mesh import HELD, MOTORS
 from flexfmu.model.finite_elements.robot import FiniteElementRobot
-
-Array = NDArray[np.float64]
+from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.trajectories.jets import RealArray
 
 MAXIMUM_ITERATIONS = 20
 
@@ -30,12 +28,12 @@ class Equilibrium:
         torque: that the motors hold the pose with (2,) [N m].
     """
 
-    coordinates: Array
-    position: Array
-    torque: Array
+    coordinates: RealArray
+    position: RealArray
+    torque: RealArray
 
 
-def equilibrium(robot: FiniteElementRobot, joints: Array) -> Equilibrium:
+def equilibrium(robot: FiniteElementRobot, joints: RealArray) -> Equilibrium:
     """Equilibrium with the motors locked at the angles (q11, q21) [rad].
 
     Raises:
@@ -56,7 +54,7 @@ def equilibrium(robot: FiniteElementRobot, joints: Array) -> Equilibrium:
     )
 
 
-def element_frequencies(robot: FiniteElementRobot, joints: Array, count: int) -> Array:
+def element_frequencies(robot: FiniteElementRobot, joints: RealArray, count: int) -> RealArray:
     """The first undamped natural frequencies [Hz] about the static equilibrium, with the motors locked.
 
     Raises:
@@ -71,5 +69,5 @@ def element_frequencies(robot: FiniteElementRobot, joints: Array, count: int) ->
     return np.asarray(np.sqrt(squares) / (2.0 * np.pi))
 
 
-def _columns(*vectors: Array) -> tuple[Array, ...]:
+def _columns(*vectors: RealArray) -> tuple[RealArray, ...]:
     return tuple(vector[:, None] for vector in vectors)

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lu_factor, lu_solve
 
-from flexfmu.model.errors import EquilibriumError
 from flexfmu.model.finite_elements.equilibrium import equilibrium
 from flexfmu.model.finite_elements.mesh import HELD, MOTORS
 from flexfmu.model.finite_elements.robot import FiniteElementRobot
+from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
 
-Array = NDArray[np.float64]
-Factors = tuple[Array, NDArray[np.int32]]
+Factors = tuple[RealArray, NDArray[np.int32]]
 
 R = math.sqrt(6.0)
 STAGES = np.array([(4 - R) / 10, (4 + R) / 10, 1.0])
@@ -61,14 +61,14 @@ class ElementMotion:
         torque: of the motors (N, 2) [N m].
     """
 
-    time: Array
-    position: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
+    time: RealArray
+    position: RealArray
+    velocity: RealArray
+    acceleration: RealArray
+    torque: RealArray
 
 
-def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: Array, step: float) -> ElementMotion:
+def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray, step: float) -> ElementMotion:
     """Motion from the static equilibrium at the start; steps end at all breakpoints and instants.
 
     Args:
@@ -94,7 +94,7 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: Array, ste
     return course.motion()
 
 
-def _intervals(joints: Trajectory, instants: Array) -> Iterator[tuple[float, float]]:
+def _intervals(joints: Trajectory, instants: RealArray) -> Iterator[tuple[float, float]]:
     """Between instants and breakpoints that aren't the same but for rounding."""
     stop = float(instants[-1])
     breakpoints = [t for t in joints.breakpoints if t < stop and np.abs(instants - t).min() > SAME_TIME * stop]
@@ -104,15 +104,15 @@ def _intervals(joints: Trajectory, instants: Array) -> Iterator[tuple[float, flo
 class _Course:
     """A motion on its way: the present state, the factorised matrix, and what has been passed."""
 
-    def __init__(self, robot: FiniteElementRobot, joints: Array) -> None:
+    def __init__(self, robot: FiniteElementRobot, joints: RealArray) -> None:
         self._robot = robot
         self._x = equilibrium(robot, joints).coordinates
         self._v, self._a, self._force = np.zeros((3, self._x.size))
         self._factors: Factors | None = None
         self._factors_step = 0.0
-        self._passed: list[tuple[float, Array, Array, Array, Array]] = []
+        self._passed: list[tuple[float, RealArray, RealArray, RealArray, RealArray]] = []
 
-    def advance(self, time: float, h: float, motors: Array) -> None:
+    def advance(self, time: float, h: float, motors: RealArray) -> None:
         """One step of length h to a time; `motors` are angles, rates and accelerations (3, 2, stages)."""
         x = self._x[:, None] + h * STAGES * self._v[:, None]
         v, a = self._v[:, None] + np.zeros(3), self._a[:, None] + np.zeros(3)
@@ -122,7 +122,7 @@ class _Course:
         force = self._balance(time, h, x, v, a)
         self._x, self._v, self._a, self._force = x[:, -1], v[:, -1], a[:, -1], force[:, -1]
 
-    def _balance(self, time: float, h: float, x: Array, v: Array, a: Array) -> Array:
+    def _balance(self, time: float, h: float, x: RealArray, v: RealArray, a: RealArray) -> RealArray:
         """Newton's iteration on the stages' accelerations in place; the forces (size, 3) of the last iterate."""
         for iteration in range(1, MAXIMUM_ITERATIONS + 1):
             force = self._robot.forces(x, v, a)
@@ -138,7 +138,7 @@ class _Course:
             f"the finite elements' forces don't balance at {time:.6g} s: take smaller steps than {h:.3g} s"
         )
 
-    def _matrix(self, h: float, x: Array, v: Array, a: Array) -> Factors:
+    def _matrix(self, h: float, x: RealArray, v: RealArray, a: RealArray) -> Factors:
         """Factors of the iteration's matrix, made anew at the middle stage where they have grown old."""
         if self._factors is None or abs(h - self._factors_step) > 1e-9 * h:
             k, c, m = (each[HELD:, HELD:] for each in self._robot.tangents(x, v, a))

@@ -8,14 +8,14 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.model.errors import SceneError
 from flexfmu.model.finite_elements.element import COORDINATES, BeamElement, beam_element
 from flexfmu.model.finite_elements.mesh import MOTORS, Mesh, five_bar_mesh
 from flexfmu.model.finite_elements.placement import LINKS, rigid_links, straight
 from flexfmu.model.finite_elements.sections import beam_section
-from flexfmu.model.scene import NoDamping, Scene, StiffnessDamping
-
-Array = NDArray[np.float64]
+from flexfmu.model.scene.effects import NoDamping, StiffnessDamping
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.jets import RealArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class FiniteElementRobot:
     mesh: Mesh
     chains: tuple[Chain, ...]
 
-    def forces(self, x: Array, v: Array, a: Array) -> Array:
+    def forces(self, x: RealArray, v: RealArray, a: RealArray) -> RealArray:
         """Forces (size, S) that motions need from outside, from coordinates, rates and accelerations (size, S) each."""
         total = np.zeros(x.shape)
         for chain in self.chains:
@@ -56,7 +56,7 @@ class FiniteElementRobot:
         total[self._payload_angle] += payload.inertia * a[self._payload_angle]
         return total
 
-    def tangents(self, x: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+    def tangents(self, x: RealArray, v: RealArray, a: RealArray) -> tuple[RealArray, RealArray, RealArray]:
         """Jacobians of the forces by x, v and a, (size, size) each, at one state (size,) each."""
         total = np.zeros((3, self.mesh.size, self.mesh.size))
         for chain in self.chains:
@@ -70,7 +70,7 @@ class FiniteElementRobot:
         total[2, self._payload_angle, self._payload_angle] += self.scene.payload.inertia
         return total[0], total[1], total[2]
 
-    def undeformed(self, joints: Array) -> Array:
+    def undeformed(self, joints: RealArray) -> RealArray:
         """Coordinates (size,) of the rigid robot with the motors at the angles (2,) [rad]."""
         x = np.zeros(self.mesh.size)
         for _, link, root, tip in rigid_links(self.scene.mechanism, joints):
@@ -102,7 +102,7 @@ def finite_element_robot(scene: Scene, elements: int) -> FiniteElementRobot:
     return FiniteElementRobot(scene, mesh, tuple(chains))
 
 
-def _mapped(function: casadi.Function, index: NDArray[np.intp], *states: Array) -> Array:
+def _mapped(function: casadi.Function, index: NDArray[np.intp], *states: RealArray) -> RealArray:
     """The function of all elements in all states, shape (S, results, E)."""
     count, elements = states[0].shape[1], len(index)
     columns = [z[index].transpose(1, 2, 0).reshape(COORDINATES, count * elements) for z in states]

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 from flexfmu.model.robot import LinkGroup
-from flexfmu.model.scene import Link, Scene
+from flexfmu.model.scene.mechanism import Link
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.timoshenko import shear_coefficient
 
 

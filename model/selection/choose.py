@@ -1,17 +1,21 @@
-"""The choice itself: the cheapest set of effects for a scene, with what each effect is estimated to be worth."""
+"""The choice itself: the cheapest set of effects for a scene, with what each effect is estimated to be worth.
+
+The search starts with all effects and leaves out what is worth least, alone or in pairs. What the robot gives a scene, gravity for
+example, is never left out; its worth is estimated too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import get_args
 
-from flexfmu.model.choice_section import INTEGRATOR_SHARE, Choice, EstimatedEffect, MeasureName
-from flexfmu.model.enrichment import Neighbour
-from flexfmu.model.scene import FamilyName, Scene
+from flexfmu.model.enrichment import LOADS, Neighbour, enrichments, reductions
+from flexfmu.model.scene.choice import INTEGRATOR_SHARE, Choice, EstimatedEffect, MeasureName
+from flexfmu.model.scene.effects import CHOOSABLE, FamilyName
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.selection.effect_sets import richest, with_set
 from flexfmu.model.selection.estimator import Estimator
 from flexfmu.model.selection.motion_grid import JointMotion
-from flexfmu.model.selection.richest import richest, with_set
-from flexfmu.model.selection.search import cheapest, poorer, richer
 
 SAFETY = 1.5
 """By what estimated errors are multiplied: one step of Newton's method and finite time steps leave a few percent."""
@@ -40,17 +44,20 @@ def rich_enough(
     """
     most = richest(scene)
     while True:
-        richer = one_more(most, get_args(FamilyName))
-        plain, grown = (each.replace({"effects.foreshortening": False}) for each in (most, richer))
+        # compare with one mode more of every family
+        grown_most = one_more(most, get_args(FamilyName))
+        plain, grown = (each.replace({"effects.foreshortening": False}) for each in (most, grown_most))
         estimator = Estimator(scene, motion, of, asked, grown)
+        # add the mode that is worth most until the rest is negligible
         while max(estimator.errors(plain.effects).values()) > CONVERGED * tolerance:
             steps = [one_more(plain, [family]) for family in get_args(FamilyName)]
             plain = min(
                 (each for each in steps if estimator.covers(each.effects) and each != plain),
                 key=lambda each: max(estimator.errors(each.effects).values()),
             )
+        # done where nothing was added, or nothing can be
         found = plain.replace({"effects.foreshortening": True})
-        if found == most or richer == most:
+        if found == most or grown_most == most:
             return most
         most = found
 
@@ -117,3 +124,79 @@ def _estimated(estimator: Estimator, chosen: Scene) -> list[EstimatedEffect]:
         )
         for each, is_chosen in neighbours(estimator, chosen)
     ]
+
+
+Error = Callable[[Scene], float]
+"""Scene → error of its set of effects, the largest over all metrics."""
+
+HOPELESS = 3.0
+"""Error of a quick estimate, in units of the limit, from which a set isn't looked at more sharply."""
+
+
+def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: float) -> Scene:
+    """A scene whose error is within the limit and from which nothing more can be left out, neither one effect nor two at once.
+
+    Rigid links are tried first. Otherwise in each round, of the reductions that are within the limit, the one with the smallest
+    quick estimate is taken. Errors of opposite sign make up for each other, so that two effects may be left out together where
+    neither may go alone: such pairs are looked at where no single one is left.
+
+    Args:
+        richest, rigid: with all effects and with none.
+        quick, sharp: estimates of the error of a scene's set; the second one decides.
+        limit: largest error.
+    """
+    if quick(rigid) <= HOPELESS * limit and sharp(rigid) <= limit:
+        return rigid
+
+    def best(candidates: Iterable[Scene]) -> Scene | None:
+        ranked = sorted(((quick(each), each) for each in candidates), key=lambda pair: pair[0])
+        promising = (each for error, each in ranked if error <= HOPELESS * limit)
+        return next((each for each in promising if sharp(each) <= limit), None)
+
+    scene: Scene | None = richest
+    while scene is not None:
+        found = scene
+        scene = best(each.scene for each in poorer(found)) or best(_two_poorer(found))
+    return found
+
+
+def _two_poorer(scene: Scene) -> Iterable[Scene]:
+    """All scenes with two effects or modes less, each once."""
+    pairs = [second.scene for first in poorer(scene) for second in poorer(first.scene)]
+    return {each.effects.model_dump_json(): each for each in pairs}.values()
+
+
+def poorer(scene: Scene) -> Iterator[Neighbour]:
+    """All scenes with one effect or mode less."""
+    return (neighbour for neighbour in reductions(scene) if neighbour.effect in CHOOSABLE)
+
+
+def richer(scene: Scene) -> Iterator[Neighbour]:
+    """All scenes with one effect or mode more."""
+    return (neighbour for neighbour in enrichments(scene) if neighbour.effect in CHOOSABLE)
+
+
+def given_effects(
+    estimator: Estimator, chosen: Scene, motion: JointMotion
+) -> Iterator[tuple[Neighbour, EstimatedEffect]]:
+    """Each effect that the robot gives, as the scene without it and what that would change in the metrics.
+
+    Args:
+        estimator: of the scene.
+        chosen: the scene with a set of effects.
+        motion: of its motors.
+    """
+    metrics, scales = estimator.metrics(chosen.effects), estimator.scales
+    for without in (each for each in reductions(chosen) if each.effect in LOADS):
+        others = Estimator(without.scene, motion, tuple(metrics)).metrics(without.scene.effects)
+        shares = tuple(abs(others[name] - value) / scales[name] for name, value in metrics.items())
+        yield (
+            without,
+            EstimatedEffect(effect=without.effect, change=without.change, chosen=True, contribution=shares),
+        )
+
+
+def absent_effects(scene: Scene) -> tuple[str, ...]:
+    """What a robot may give that this one doesn't: keys of the scene."""
+    given = {each.effect for each in reductions(scene)}
+    return tuple(key for key in LOADS if key not in given)

@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 
 from flexfmu.model.numeric import NumericModel, numeric_model
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.schema import Scene
 
 EVALUATIONS, ROUNDS = 100, 40
 """The best of many short repetitions is timed: the shorter, the less other work gets in between."""

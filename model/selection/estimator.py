@@ -1,4 +1,4 @@
-"""What each set of effects makes of a scene's motion, from the equations themselves, without building anything.
+"""How each set of effects changes a scene's motion, estimated from the equations alone, without building an FMU.
 
 A set of effects is the richest robot with coordinates left out: its small elastic motions follow from rows and columns of the
 richest one's matrices, evaluated once along the motion. Their response to the loads of the rigid motion (Duhamel's integral, done by
@@ -17,13 +17,14 @@ from typing import get_args
 
 import numpy as np
 
-from flexfmu.model.choice_section import MeasureName
-from flexfmu.model.scene import Effects, FamilyName, Scene
+from flexfmu.model.scene.choice import MeasureName
+from flexfmu.model.scene.effects import Effects, FamilyName
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.selection.effect_sets import richest, with_beams
+from flexfmu.model.selection.linearized_motion import LinearizedMotion
 from flexfmu.model.selection.measures import Behaviour, measure_behaviour, scales
 from flexfmu.model.selection.motion_grid import JointMotion, MotionGrid, motion_grid
 from flexfmu.model.selection.response import Motion
-from flexfmu.model.selection.richest import richest, with_beams
-from flexfmu.model.selection.robot_along import RobotAlong
 
 Metrics = Mapping[MeasureName, float]
 """Values in SI units, or errors relative to the metrics' scales."""
@@ -37,7 +38,7 @@ class Estimator:
         motion: the planned motion of its motors.
         of: the metrics.
         asked: those of them that the user named, see `flexfmu.model.selection.measures.scales`.
-        most: the scene with the richest set, see `flexfmu.model.selection.richest`; with `RICHEST` there when None.
+        most: the scene with the richest set, see `flexfmu.model.selection.effect_sets`; with `RICHEST` there when None.
 
     Attributes:
         richest: the scene with the richest set.
@@ -55,7 +56,7 @@ class Estimator:
         self.richest, self._of, self.asked = richest(scene) if most is None else most, of, asked
         self._grid: MotionGrid = motion_grid(motion, scene.trajectory.dwell)
         self._static_start = scene.cosimulation.initial == "static"
-        self._robots: dict[tuple[str, bool], RobotAlong] = {}
+        self._robots: dict[tuple[str, bool], LinearizedMotion] = {}
         self._known: dict[tuple[str, bool], Metrics] = {}
         robot = self._robot(self.richest.effects)
         self._rigid = robot.outputs(_still(robot.load.shape))
@@ -98,20 +99,23 @@ class Estimator:
         """By how much the metrics differ from those of the richest set, relative to their scales."""
         return self.changes(effects, self.richest.effects, sharp=sharp)
 
-    def _robot(self, effects: Effects) -> RobotAlong:
+    def _robot(self, effects: Effects) -> LinearizedMotion:
         """The richest robot with the beam theory of a set of effects."""
         key = effects.beam, effects.foreshortening
         if key not in self._robots:
-            self._robots[key] = RobotAlong(with_beams(self.richest, effects), self._grid)
+            self._robots[key] = LinearizedMotion(with_beams(self.richest, effects), self._grid)
         return self._robots[key]
 
     def _behaviour(self, effects: Effects, sharp: bool) -> Behaviour:
+        # which coordinates of the richest robot move, and which deflect statically
         robot = self._robot(effects)
         states, statics = (robot.coordinates(effects, static=wanted) for wanted in (False, True))
+        # linear response, with one Newton step for the whole motion where the estimate is to be sharp
         start = robot.equilibrium(self._grid.rests[0], states) if self._static_start else np.zeros(states.size)
         motion = robot.response(states, start)
         if sharp and states.size:
             motion = robot.corrected(motion, states)
+        # exact outputs of that motion; static deflections move the end effector alone
         outputs = robot.outputs(motion)
         if statics.size:
             deflected = replace(motion, position=motion.position + robot.deflections(motion, statics))

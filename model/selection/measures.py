@@ -6,14 +6,12 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
-from flexfmu.model.choice_section import MeasureName
+from flexfmu.model.scene.choice import MeasureName
+from flexfmu.model.selection.linearized_motion import Outputs
 from flexfmu.model.selection.motion_grid import MotionGrid
-from flexfmu.model.selection.robot_along import Outputs
-
-Array = NDArray[np.float64]
+from flexfmu.trajectories.jets import RealArray
 
 FLOOR, ASKED_FLOOR = 0.1, 1e-4
 """Where a metric is near zero, errors are relative to this fraction of the largest deviation that elasticity causes; the second one
@@ -34,19 +32,19 @@ class Behaviour:
     grid: MotionGrid
     outputs: Outputs
     rigid: Outputs
-    rest: Array
+    rest: RealArray
 
-    def deviation(self) -> Array:
+    def deviation(self) -> RealArray:
         """Distance of the end effector from the rigid robot's [m], shape (N,)."""
         return np.asarray(np.linalg.norm(self.outputs.position - self.rigid.position, axis=1))
 
-    def vibration(self) -> Array:
+    def vibration(self) -> RealArray:
         """Distance of the end effector from its equilibrium during the dwell [m]."""
         return np.asarray(np.linalg.norm(self.outputs.position[~self.grid.moving] - self.rest, axis=1))
 
 
 def measure_behaviour(behaviour: Behaviour, of: Iterable[MeasureName]) -> dict[MeasureName, float]:
-    """Metrics of a motion in SI units; as `flexfmu.cosim.metrics` defines them, but from the instants alone."""
+    """Metrics of a motion in SI units; as `flexfmu.cosim.metrics.metrics` defines them, but from the instants alone."""
     return {name: _MEASURES[name](behaviour) for name in of}
 
 

@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from flexfmu.trajectories.jets import RealArray
 
 STEPS, LONGEST_STEP, MOST_STEPS = 3000, 5e-4, 12_000
 """Steps over motion and dwell, 0.15 ms for 0.45 s, a 20th of a period at 300 Hz; the longest step [s], a 20th at 100 Hz; and how many
@@ -29,7 +29,7 @@ class JointMotion(Protocol):
         """Times [s] at which some derivative may jump, sorted, 0 and the duration included."""
         ...
 
-    def evaluate(self, time: Array, order: int = 2, side: Literal["left", "right"] = "right") -> Array:
+    def evaluate(self, time: RealArray, order: int = 2, side: Literal["left", "right"] = "right") -> RealArray:
         """Angles [rad] and their time derivatives, shape (order + 1, N, 2)."""
         ...
 
@@ -46,9 +46,9 @@ class MotionGrid:
         duration: of the motion, without the dwell [s].
     """
 
-    time: Array
-    joints: Array
-    rests: Array
+    time: RealArray
+    joints: RealArray
+    rests: RealArray
     spans: tuple[tuple[int, int], ...]
     duration: float
 
@@ -61,7 +61,7 @@ class MotionGrid:
         return ~dwelling
 
     @property
-    def steps(self) -> Array:
+    def steps(self) -> RealArray:
         """Step of each span [s]."""
         return np.array([(self.time[b - 1] - self.time[a]) / (b - a - 1) for a, b in self.spans])
 

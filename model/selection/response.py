@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from flexfmu.trajectories.jets import RealArray
 
 SPECTRAL_RADIUS = 0.8
 """Share of a vibration far above the step's frequency that a step leaves: little is lost of what is resolved."""
@@ -29,9 +29,9 @@ _NEW = (1 - _ALPHA_F) / (1 - _ALPHA_M)
 class Motion:
     """Coordinates, rates and accelerations, each (N, n)."""
 
-    position: Array
-    velocity: Array
-    acceleration: Array
+    position: RealArray
+    velocity: RealArray
+    acceleration: RealArray
 
     def __add__(self, other: Motion) -> Motion:
         return Motion(
@@ -49,18 +49,18 @@ class LinearSystem:
         steps: step of each span [s].
     """
 
-    mass: Array
-    damping: Array
-    stiffness: Array
+    mass: RealArray
+    damping: RealArray
+    stiffness: RealArray
     spans: tuple[tuple[int, int], ...]
-    steps: Array
+    steps: RealArray
 
     def restricted(self, kept: NDArray[np.intp]) -> LinearSystem:
         """The system with the coordinates `kept` alone."""
         pick = np.ix_(np.arange(self.mass.shape[0]), kept, kept)
         return LinearSystem(self.mass[pick], self.damping[pick], self.stiffness[pick], self.spans, self.steps)
 
-    def response(self, load: Array, start: Array) -> Motion:
+    def response(self, load: RealArray, start: RealArray) -> Motion:
         """The motion from rest at `start` (n,) under the load f (N, n); positions and rates don't jump."""
         count, n = load.shape
         motion = Motion(*(np.zeros((count, n)) for _ in range(3)))
@@ -72,7 +72,9 @@ class LinearSystem:
             position, velocity = motion.position[b - 1], motion.velocity[b - 1]
         return motion
 
-    def _cross(self, motion: Motion, load: Array, a: int, b: int, h: float, position: Array, velocity: Array) -> None:
+    def _cross(
+        self, motion: Motion, load: RealArray, a: int, b: int, h: float, position: RealArray, velocity: RealArray
+    ) -> None:
         """Fill a motion's instants a..b-1 from where it is at their start."""
         mass, damping, stiffness = self.mass[a:b], self.damping[a:b], self.stiffness[a:b]
         q, v, n = h * h * _BETA * _NEW, h * _GAMMA * _NEW, position.size
@@ -92,7 +94,7 @@ class LinearSystem:
         motion.position[a:b], motion.velocity[a:b], motion.acceleration[a:b] = result[:, 0], result[:, 1], result[:, 2]
 
 
-def _predictor(h: float) -> Array:
+def _predictor(h: float) -> RealArray:
     """What the next instant is without its own acceleration, (4, 4)."""
     auxiliary = np.array([0.0, 0.0, _ALPHA_F, -_ALPHA_M]) / (1 - _ALPHA_M)
     old = np.array([0.0, 0.0, 0.0, 1.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.cosim.blocks.slave import BlockSlave
+from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.model.block import SymbolicBlock
 
 Array = NDArray[np.float64]

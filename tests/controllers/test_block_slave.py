@@ -9,13 +9,13 @@ import casadi
 import numpy as np
 import pytest
 
-from flexfmu.cosim.blocks.equations import Vector, block, split
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.slave import (
+from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import (
     BindsBuffers,
     DeclaresFeedthrough,
     HasOffset,

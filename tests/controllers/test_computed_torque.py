@@ -12,17 +12,17 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from flexfmu.cosim.blocks.code import COMPILED_FROM, block_function
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
-from flexfmu.cosim.controllers.limits import symmetric
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.planning import plan
+from flexfmu.cosim.control.blocks.code import COMPILED_FROM, block_function
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
+from flexfmu.cosim.control.controllers.limits import symmetric
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.fmu_build.block_codegen import sample_function
 from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.rigid_dynamics import inverse_dynamics
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.numeric import inverse_dynamics
+from flexfmu.model.scene.file import load_scene
 
 Array = NDArray[np.float64]
 Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]

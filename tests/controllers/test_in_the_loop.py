@@ -11,25 +11,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.controllers.computed_torque import computed_torque
-from flexfmu.cosim.controllers.from_control import control_block, from_control
-from flexfmu.cosim.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.controllers.limits import symmetric
-from flexfmu.cosim.controllers.linear_system import LinearSystem
-from flexfmu.cosim.controllers.pid import pid
-from flexfmu.cosim.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
-from flexfmu.cosim.controllers.state_space import state_space
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.lqg import LqgWeights, lqg
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.slave import Indices, RealArray, Slave, SlaveVariable
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.computed_torque import computed_torque
+from flexfmu.cosim.control.controllers.from_control import control_block, from_control
+from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
+from flexfmu.cosim.control.controllers.limits import symmetric
+from flexfmu.cosim.control.controllers.linear_system import LinearSystem, state_space
+from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
+from flexfmu.cosim.control.lqg import LqgWeights, lqg
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.linear import linearize, operating_point
-from flexfmu.model.rigid_dynamics import inverse_dynamics
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.numeric import inverse_dynamics
+from flexfmu.model.scene.file import load_scene
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.fmu_build.block_codegen import sample_function
 
 Array = NDArray[np.float64]

@@ -12,12 +12,10 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import cont2discrete
 
-from flexfmu.cosim.blocks.code import COMPILED_FROM, block_function
-from flexfmu.cosim.controllers.from_control import control_block, dotted, from_control
-from flexfmu.cosim.controllers.linear_system import linear_system
-from flexfmu.cosim.controllers.realisation import realise
-from flexfmu.cosim.controllers.state_space import state_space
-from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.control.blocks.code import COMPILED_FROM, block_function
+from flexfmu.cosim.control.controllers.from_control import control_block, dotted, from_control, realise
+from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.linear import signal_label
 

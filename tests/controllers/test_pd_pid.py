@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
-from flexfmu.cosim.controllers.limits import Limits, symmetric
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.controllers.pid import pid
-from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
+from flexfmu.cosim.control.controllers.limits import Limits, symmetric
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.block import SymbolicBlock
 
 Array = NDArray[np.float64]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.controllers.from_control import from_control
-from flexfmu.cosim.controllers.linear_system import LinearSystem, linear_system
-from flexfmu.cosim.controllers.state_feedback import (
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.from_control import from_control
+from flexfmu.cosim.control.controllers.linear_system import LinearSystem, linear_system
+from flexfmu.cosim.control.controllers.state_feedback import (
     Equilibrium,
     InputLimits,
     ReferenceFeedforward,
@@ -20,7 +20,7 @@ from flexfmu.cosim.controllers.state_feedback import (
     state_feedback,
     static_feedforward,
 )
-from flexfmu.cosim.errors import InputError
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.block import SymbolicBlock
 
 Array = NDArray[np.float64]

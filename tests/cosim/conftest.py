@@ -15,9 +15,9 @@ import fmpy
 import numpy as np
 import pytest
 
-from flexfmu.cosim.master.system import System, connect
-from flexfmu.cosim.results import Recording
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.master.system import System, connect
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 FOREIGN = Path(__file__).parent / "foreign-fmu"
 

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import WiringError
-from flexfmu.cosim.master.iteration import Anderson, FixedPoint, LoopSolver
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.system import AlgebraicLoop, connect
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.errors import WiringError
+from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, LoopSolver
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import AlgebraicLoop, connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 
 class Function:

@@ -9,13 +9,13 @@ import fmpy
 import pytest
 from fmpy import read_model_description
 
-from flexfmu.cosim.errors import FmuFileError, InputError
-from flexfmu.cosim.fmu.file import open_fmu
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.fmu.variables import settable_variables, settings
+from flexfmu.cosim.engine.errors import FmuFileError, InputError
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.fmu.variables import settable_variables, settings
+from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.archive import pack
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
 
 
 @pytest.fixture(scope="module")

@@ -7,18 +7,18 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from flexfmu.cosim.compiled import library
-from flexfmu.cosim.errors import SlaveError
-from flexfmu.cosim.loop.loop import Loop
-from flexfmu.cosim.loop.sections import loop_of
-from flexfmu.cosim.master.master import Outcome, Simulation, simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.scene_system import scene_system
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.errors import SlaveError
+from flexfmu.cosim.engine.master import c_library
+from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment.loop import Loop
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.system import scene_system
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.2, "trajectory.dwell": 0.02})
 
@@ -151,4 +151,4 @@ def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -
     """The run goes on in Python."""
     monkeypatch.setenv("CC", "there-is-no-such-compiler")
     monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path))
-    assert library.load.__wrapped__() is None
+    assert c_library.load.__wrapped__() is None

@@ -12,12 +12,12 @@ import fmpy.validation
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 
 @pytest.fixture(scope="module")

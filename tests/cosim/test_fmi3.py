@@ -10,16 +10,16 @@ import fmpy
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import FmuFileError, InputError, SlaveWarning
-from flexfmu.cosim.fmu.sampled_slave import SampledFmu, fmu_slave
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.master import Outcome, Simulation, simulate
-from flexfmu.cosim.master.step_control import StepDoubling
-from flexfmu.cosim.master.system import connect
-from flexfmu.fmu_build.finding import Severity
-from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveWarning
+from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu, fmu_slave
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.fmu_build.validation.finding import Severity
+from flexfmu.fmu_build.validation.validate import validate_fmu
 
-pytestmark = pytest.mark.filterwarnings("ignore::flexfmu.cosim.errors.SlaveWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::flexfmu.cosim.engine.errors.SlaveWarning")
 """The FMU gives no derivatives of most outputs."""
 
 INTEGERS = [f"{sign}Int{bits}" for bits in (8, 16, 32, 64) for sign in ("", "U")]

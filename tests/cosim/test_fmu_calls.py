@@ -6,10 +6,10 @@ from ctypes import POINTER, c_int32, c_uint32, c_void_p, cast
 
 import numpy as np
 
-from flexfmu.cosim.fmu.calls import WARNING
-from flexfmu.cosim.fmu.log import MAXIMUM_COMPLAINTS, MAXIMUM_MESSAGES, FmuLog
-from flexfmu.cosim.fmu.transfers import Transfers
-from flexfmu.cosim.fmu.variables import Handle
+from flexfmu.cosim.engine.fmu.calls import WARNING
+from flexfmu.cosim.engine.fmu.log import MAXIMUM_COMPLAINTS, MAXIMUM_MESSAGES, FmuLog
+from flexfmu.cosim.engine.fmu.transfers import Transfers
+from flexfmu.cosim.engine.fmu.variables import Handle
 
 
 def test_integers_are_rounded() -> None:

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.algorithms import Implicit, Jacobi
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.step_control import StepDoubling
-from flexfmu.cosim.master.system import System, connect
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.algorithms import Implicit, Jacobi
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import System, connect
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.model.scene.file import load_scene
 
 POSITION = ("plant.end_effector.position.x", "plant.end_effector.position.y")
 

@@ -12,10 +12,10 @@ import fmpy
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import FmuFileError, InputError
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.master import Outcome, Simulation, simulate
-from flexfmu.cosim.master.system import connect
+from flexfmu.cosim.engine.errors import FmuFileError, InputError
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.system import connect
 
 
 def run(path: Path, **parameters: float | str) -> tuple[FmuSlave, Simulation]:
@@ -75,6 +75,7 @@ def test_a_discarded_step_tells_how_far_it_came(foreign_fmu: Path) -> None:
     assert result.outcome is Outcome.STEP_FAILED
     assert "failed at 0.5 s" in result.message
     assert "fmi2Discard" in result.message
+    assert result.message.endswith("0 s of the step of 0.1 s are done (fmi2Discard), take a smaller communication step")
 
 
 def test_not_a_number_stops_the_run(foreign_fmu: Path) -> None:

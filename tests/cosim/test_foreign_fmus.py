@@ -16,16 +16,17 @@ import fmpy
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import FmuFileError, InputError, SlaveWarning, WiringError
-from flexfmu.cosim.fmu.sampled_slave import fmu_slave
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.isolation import AVAILABLE, Isolation
-from flexfmu.cosim.master.master import Outcome, Simulation, simulate
-from flexfmu.cosim.master.selection import Selection
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.results import Recording
-from flexfmu.cosim.slave import SlaveVariable
-from flexfmu.model.loop_section import FmuSection
+from flexfmu.cosim.engine.child_process import AVAILABLE
+from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveWarning, WiringError
+from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.isolation import Isolation
+from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.results import Recording, Selection
+from flexfmu.cosim.engine.slave import SlaveVariable
+from flexfmu.model.scene.loop import FmuSection
 
 Make = Callable[..., Path]
 
@@ -132,7 +133,7 @@ def test_forgotten_start_values_are_set_again(make_decay: Make, isolation: Isola
     result, told = remarks(lambda: alone(slave, isolation))
     time = result.recording.time
     np.testing.assert_allclose(result.recording["decay.x"].values, 3.0 - 2.0 * np.exp(-2.0 * time), rtol=1e-14)
-    assert result.recording["decay.said"].shown()[-1] == '"Bob; 10"'
+    assert result.recording["decay.said"].shown()[-1] == '"Bob, 10"'
     assert not told
 
 
@@ -179,12 +180,76 @@ def test_a_slave_may_end_the_simulation(foreign_fmu: Path, compiled: bool | None
 
 
 @pytest.mark.parametrize("compiled", [None, False])
+def test_a_discarded_step_is_tried_again_by_step_control(make_decay: Make, compiled: bool | None) -> None:
+    """After fmi2Discard an FMU can only go back to a saved state: step control does, and finds the steps that it manages."""
+    path = make_decay(("<CoSimulation ", '<CoSimulation canGetAndSetFMUstate="true" '))
+    stumbling, other = FmuSlave(path, "decay", {"trouble": "stumbles"}), FmuSlave(path, "other")
+    system = connect([stumbling, other], [("decay.x", "other.u")])
+    fixed = simulate(system, 1.0, 0.1, compiled=compiled)
+    assert fixed.outcome is Outcome.STEP_FAILED
+    assert fixed.message.startswith("decay failed at 0.03 s: ")
+    assert fixed.message.endswith(
+        "0.03 s of the step of 0.1 s are done (fmi2Discard), take step_control, which goes back and tries smaller steps"
+    )
+    result = simulate(system, 1.0, 0.1, compiled=compiled, step_control=StepDoubling(tolerance=0.1))
+    assert result.outcome is Outcome.COMPLETED
+    time = result.recording.time
+    assert 0.005 < np.diff(time).max() < 0.03 + 1e-12
+    np.testing.assert_allclose(result.recording["decay.x"].values, np.exp(-time), rtol=1e-13)
+
+
+@pytest.mark.parametrize("compiled", [None, False])
 def test_pending_steps_are_waited_for(make_decay: Make, compiled: bool | None) -> None:
     """An FMU whose fmi2DoStep returns fmi2Pending is asked until it is done."""
     path = make_decay(("<CoSimulation ", '<CoSimulation canRunAsynchronuously="true" '))
     result = alone(FmuSlave(path, "decay", {"trouble": "lingers"}), compiled=compiled)
     assert result.outcome is Outcome.COMPLETED
     np.testing.assert_allclose(result.recording["decay.x"].values, np.exp(-result.recording.time), rtol=1e-14)
+
+
+@pytest.mark.parametrize("isolation", [None, ISOLATED])
+@pytest.mark.parametrize("compiled", [None, False])
+def test_pending_steps_that_are_not_stated(
+    foreign_fmu: Path, compiled: bool | None, isolation: Isolation | None
+) -> None:
+    """fmi2Pending without canRunAsynchronuously ends the run with the reason and the remedy, in C and in Python alike."""
+    result = alone(FmuSlave(foreign_fmu, "decay", {"trouble": "lingers"}), isolation, compiled=compiled)
+    assert result.outcome is Outcome.STEP_FAILED
+    assert "fmi2DoStep returned fmi2Pending, which takes canRunAsynchronuously = true" in result.message
+    assert "no reason" not in result.message
+
+
+def test_types_of_foreign_signals(foreign_fmu: Path) -> None:
+    """A Real feeds neither Booleans nor enumerations, an Integer feeds Reals."""
+    slaves = [FmuSlave(foreign_fmu, "first"), FmuSlave(foreign_fmu, "second")]
+    with pytest.raises(WiringError, match=r"first\.x is Real, second\.inverted Boolean, which takes Boolean;"):
+        connect(slaves, [("first.x", "second.inverted")])
+    result = simulate(connect(slaves, [("first.steps", "second.u")]), 1.0, 0.5)
+    assert result.recording["first.steps"].values.tolist() == [0.0, 1.0, 2.0]
+    assert result.recording["second.x"].values[1] == pytest.approx(np.exp(-0.5), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("trouble", 99, r"trouble must be one of 1 \(none\), 2 \(fails\), .*, got 99"),
+        ("trouble", "nix", "trouble must be one of none, fails, .*, got 'nix'"),
+        ("inverted", 2, "inverted must be true or false, got 2"),
+        ("inverted", -0.5, "inverted must be true or false, got -0.5"),
+        ("inverted", "yes", "inverted is a number, got 'yes'"),
+    ],
+)
+def test_values_that_are_none_of_the_variable(foreign_fmu: Path, name: str, value: float | str, message: str) -> None:
+    """What is no item of an enumeration, or neither true nor false, is refused with what there is."""
+    with pytest.raises(InputError, match=message):
+        fmu_slave(foreign_fmu, "decay", {name: value})
+
+
+def test_booleans_in_all_spellings(foreign_fmu: Path) -> None:
+    """0, 1, true and false, as numbers, as Python has them and as FMI spells them."""
+    for value in (1, 1.0, True, "true"):
+        result = alone(FmuSlave(foreign_fmu, "decay", {"inverted": value, "u": 2.0}))
+        assert result.recording["decay.x"].values[-1] == pytest.approx(-2.0 + 3.0 * np.exp(-1.0), rel=1e-12)
 
 
 ONCE = "<CoSimulation ", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" needsExecutionTool="true" '
@@ -219,7 +284,7 @@ class Parrot:
     """Says the steps that it has made."""
 
     name = "parrot"
-    variables = (SlaveVariable("word", "output", discrete=True, text=True),)
+    variables = (SlaveVariable("word", "output", discrete=True, type="String"),)
     feedthrough = {"word": ()}  # noqa: RUF012
     steps = 0
 
@@ -229,7 +294,7 @@ class Parrot:
     def set(self, indices: Any, values: Any) -> None: ...
 
     def get(self, indices: Any, values: Any) -> None:
-        from flexfmu.cosim.slave import TEXTS as CODES
+        from flexfmu.cosim.engine.slave import TEXTS as CODES
 
         values[:] = CODES.code(f"step {self.steps}")
 
@@ -246,11 +311,11 @@ def test_texts_are_signals(
     slave = FmuSlave(make_decay(("</ModelVariables>", TEXTS + "</ModelVariables>")), "decay")
     system = connect([Parrot(), slave], [("parrot.word", "decay.word")])
     result = simulate(system, 1.0, 0.25, compiled=compiled, isolation=isolation)
-    assert result.recording["decay.said"].shown() == [f'"step {n}; {n}"' for n in range(5)]
+    assert result.recording["decay.said"].shown() == [f'"step {n}, {n}"' for n in range(5)]
     again = Recording.read_csv(result.recording.write_csv(tmp_path / "results.csv"))
     assert again["decay.said"].shown() == result.recording["decay.said"].shown()
     np.testing.assert_array_equal(again["decay.x"].values, result.recording["decay.x"].values)
-    with pytest.raises(WiringError, match=r"parrot\.word is a String, decay\.u a number"):
+    with pytest.raises(WiringError, match=r"parrot\.word is String, decay\.u Real"):
         connect([Parrot(), slave], [("parrot.word", "decay.u")])
 
 
@@ -264,8 +329,8 @@ def test_blanks_and_unicode_in_paths(foreign_fmu: Path, tmp_path: Path, monkeypa
             target.writestr(name, source.read(name))
         target.writestr("resources/Kennlinie größer 1.txt", "1")
     code = (
-        "import sys; from flexfmu.cosim.fmu.slave import FmuSlave; from flexfmu.cosim.master.system import connect;"
-        "from flexfmu.cosim.master.master import simulate;"
+        "import sys; from flexfmu.cosim.engine.fmu.slave import FmuSlave; from flexfmu.cosim.engine.master.system import connect;"
+        "from flexfmu.cosim.engine.master.master import simulate;"
         "print(simulate(connect([FmuSlave(sys.argv[1])], []), 1.0, 0.1).outcome.name)"
     )
     environment = {**os.environ, "TMPDIR": str(folder)}
@@ -303,7 +368,7 @@ def test_what_fmus_print_is_no_result(make_decay: Make, tmp_path: Path) -> None:
     command = [
         sys.executable,
         "-c",
-        "from flexfmu.cosim.cli import main; main()",
+        "from flexfmu.cosim.cli.main import main; main()",
         "run",
         str(tmp_path / "s.ssp"),
         "--json",

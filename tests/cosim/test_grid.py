@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.master.grid import COINCIDENT, Clock, time_grid
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.grid import Clock, time_grid
+from flexfmu.cosim.engine.slave import COINCIDENT
 
 
 def test_no_drift_after_many_steps() -> None:

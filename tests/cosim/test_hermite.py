@@ -7,7 +7,7 @@ from math import factorial
 import numpy as np
 import pytest
 
-from flexfmu.cosim.measuring.hermite import two_point
+from flexfmu.cosim.engine.hermite import hermite_derivatives
 
 
 def derivatives(coefficients: np.ndarray, x: float, count: int) -> np.ndarray:
@@ -22,7 +22,7 @@ def test_reproduces_polynomials_of_its_degree(order: int) -> None:
     coefficients = np.random.default_rng(order).normal(size=2 * order + 2)
     step = 0.7
     ends = [derivatives(coefficients, x, order + 1)[:, None] for x in (0.0, step)]
-    found = two_point(*ends, step)[:, 0]
+    found = hermite_derivatives(*ends, step)[:, 0]
     expected = coefficients * [factorial(k) for k in range(2 * order + 2)]
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8 * abs(expected).max())
 
@@ -36,7 +36,7 @@ def test_meets_the_right_end_at_any_step(step: float) -> None:
     rounding = 1456 * np.finfo(float).eps
     t = np.array([0.1, 0.3])
     left, right = (np.array([np.sin(s + k * np.pi / 2) for k in range(5)]) for s in (t, t + step))
-    found = two_point(left, right, np.full(2, step))
+    found = hermite_derivatives(left, right, np.full(2, step))
     for k in range(3):
         end = sum(found[j] * step ** (j - k) / factorial(j - k) for j in range(k, 10))
         np.testing.assert_allclose(end, right[k], rtol=0, atol=rounding / step**k)
@@ -47,7 +47,7 @@ def test_error_falls_with_the_tenth_power() -> None:
     errors = []
     for step in (2.0, 1.0):
         left, right = (np.array([[np.sin(s + k * np.pi / 2)] for k in range(5)]) for s in (0.2, 0.2 + step))
-        found = two_point(left, right, step)[:, 0]
+        found = hermite_derivatives(left, right, step)[:, 0]
         middle = sum(found[j] * (step / 2) ** j / factorial(j) for j in range(10))
         errors.append(abs(middle - np.sin(0.2 + step / 2)))
     assert np.log2(errors[0] / errors[1]) == pytest.approx(10.0, abs=0.5)

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import FmuFileError, InputError
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master import isolation as module
-from flexfmu.cosim.master.isolation import Isolation, isolation
-from flexfmu.cosim.master.master import Outcome, Simulation, simulate
-from flexfmu.cosim.master.step_control import StepDoubling
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.errors import FmuFileError, InputError
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master import isolation as module
+from flexfmu.cosim.engine.master.isolation import Isolation, isolation
+from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
 
@@ -137,12 +137,15 @@ def test_sys_exit_is_caught_without_isolation() -> None:
 
 
 HANGING = """
-import sys, time, threading
+import signal, sys, time, threading
 from pathlib import Path
-from flexfmu.cosim.master.isolation import Isolation
-from flexfmu.cosim.master.master import simulate
-from flexfmu.cosim.master.system import connect
+from flexfmu.cosim.engine.master.isolation import Isolation
+from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.system import connect
 from test_isolation import Ramp
+
+# a shell's background jobs ignore it, and so would this process
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def hang():
     print("hanging", file=sys.stderr, flush=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from flexfmu.cosim.modes_table import modes_along_path
-from flexfmu.cosim.planning import plan
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.reports.modes_table import modes_along_path
+from flexfmu.model.scene.file import load_scene
 
 
 def test_angles_do_not_jump_where_a_leg_points_left() -> None:

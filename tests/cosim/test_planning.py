@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.planning import plan
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 
 

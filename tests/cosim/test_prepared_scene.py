@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.experiment import PreparedScene, Run, run_scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run, run_scene
+from flexfmu.model.scene.file import load_scene
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.2, "trajectory.dwell": 0.01})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import warnings
 from pathlib import Path
@@ -10,8 +11,8 @@ import fmpy.util
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.results import Column, Recording
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.results import Column, Recording
 
 
 @pytest.fixture
@@ -54,6 +55,42 @@ def test_round_trip(recording: Recording, tmp_path: Path) -> None:
     np.testing.assert_array_equal(again["der(link11.bending[1],2)"].values, np.arange(4.0))
 
 
+TEXTS = ["plain", 'from, "p"', "two\nlines", "", '"', "\r\n;"]
+
+
+def test_texts_are_written_as_rfc_4180_has_them(recording: Recording, tmp_path: Path) -> None:
+    """Commas, quotes and line breaks arrive in any reader of CSV, in ours too, with every digit of the numbers."""
+    numbers = np.array([1.0 / 3.0, -1e-300, 0.1 + 0.2, 2e5, np.pi, 1.0])
+    columns = {"said": Column("", np.arange(6.0), texts=TEXTS), "x": Column("m", numbers)}
+    path = Recording(np.arange(6.0), columns).write_csv(tmp_path / "texts.csv")
+    with open(path, newline="", encoding="utf-8") as file:
+        names, *rows = csv.reader(file)
+    assert names == ["time", "said", "x"]
+    assert [row[1] for row in rows] == TEXTS
+    again = Recording.read_csv(path)
+    assert [again["said"].text_at(index) for index in range(6)] == TEXTS
+    np.testing.assert_array_equal(again["x"].values, numbers)
+    assert again["x"].texts is None
+    with pytest.raises(ResultsError, match="no texts"):
+        again["x"].text_at(0)
+
+
+def test_numpy_reads_what_we_write(recording: Recording, tmp_path: Path) -> None:
+    """numpy's readers get every digit too, of files without texts and of columns beside texts without commas."""
+    path = recording.write_csv(tmp_path / "results.csv")
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(table[:, 1], recording["joint1.torque"].values)
+    assert path.read_bytes() == (
+        b'"time","joint1.torque","der(link11.bending[1];2)"\n0.0,1.0,0.0\n0.1,0.3333333333333333,1.0\n'
+        b"0.1,-1e-300,2.0\n0.26666666666666666,200000.0,3.0\n"
+    )
+    said = Column("", np.zeros(4), texts=["stop; go"])
+    named = np.genfromtxt(
+        recording.with_columns({"said": said}).write_csv(tmp_path / "said.csv"), delimiter=",", skip_header=1
+    )
+    np.testing.assert_array_equal(named[:, 1], recording["joint1.torque"].values)
+
+
 def test_pieces_between_jumps(recording: Recording) -> None:
     """Both sides of a jump belong to different pieces."""
     assert [(piece.start, piece.stop) for piece in recording.smooth_pieces()] == [(0, 2), (2, 4)]
@@ -80,7 +117,9 @@ def test_unreadable_files(tmp_path: Path) -> None:
     """What is no table of signals is refused in one line."""
     (tmp_path / "text.csv").write_text("no numbers\nat all\n")
     (tmp_path / "other.csv").write_text('"x","time"\n1,2\n')
-    for name in ("none.csv", "text.csv", "other.csv"):
+    (tmp_path / "ragged.csv").write_text('"time","x"\n1,"a"\n2\n')
+    (tmp_path / "mixed.csv").write_text('"time","x"\n1,2\n2,"a"\n')
+    for name in ("none.csv", "text.csv", "other.csv", "ragged.csv", "mixed.csv"):
         with pytest.raises(ResultsError, match=name):
             Recording.read_csv(tmp_path / name)
 

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.controllers.pid import pid
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.fmu.sampled_slave import FmuTask, SampledFmu, fmu_slave
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.master import simulate
-from flexfmu.cosim.master.step_control import StepDoubling
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.ssp.export import export_ssp
-from flexfmu.cosim.ssp.loading import load_ssp
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu, fmu_slave
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.exchange.ssp.export import export_ssp
+from flexfmu.cosim.exchange.ssp.loading import load_ssp
+from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 MakeTask = Callable[..., Path]
 GAINS = {"proportional": 1e4, "integral": 1e5, "derivative": 100.0}

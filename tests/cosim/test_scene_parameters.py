@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from flexfmu.cosim.scene_parameters import scene_parameters, scene_with_parameters
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.experiment.parameters import scene_parameters, scene_with_parameters
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 DAMPING: dict[str, dict[str, Any]] = {
     "damping.ratio": {"kind": "modal", "ratio": 0.01},

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import InputError, ResultsError
-from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.master.master import simulate
-from flexfmu.cosim.master.selection import Selection
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.cosim.results import Recording
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.results import Recording, Selection
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.model.scene.file import load_scene
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.2, "trajectory.dwell": 0.02})
 

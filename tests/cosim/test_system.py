@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import pytest
 
-from flexfmu.cosim.errors import AlgebraicLoopError, WiringError
-from flexfmu.cosim.master.system import System, connect
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.errors import AlgebraicLoopError, InputError, WiringError
+from flexfmu.cosim.engine.master.linear_map import LinearMap
+from flexfmu.cosim.engine.master.system import System, connect
+from flexfmu.cosim.engine.slave import TAKES, Indices, RealArray, SlaveVariable, Type
 
 
 class Block:
@@ -61,6 +62,31 @@ def test_units_must_match() -> None:
     """Metres don't go into radians."""
     with pytest.raises(WiringError, match=r"a\.y1 is in rad, b\.u1 in m"):
         connect([Block("a", {}, unit="rad"), state("b")], [("a.y1", "b.u1")])
+
+
+@pytest.mark.parametrize("source", TAKES)
+@pytest.mark.parametrize("target", TAKES)
+def test_types_must_suit(source: Type, target: Type) -> None:
+    """Integers go into Reals and enumerations into Integers, as in SSP; nothing is rounded without a word."""
+    giver, taker = Block("a", {}), state("b")
+    giver.variables = (SlaveVariable("y", "output", type=source),)
+    taker.variables = (SlaveVariable("u", "input", type=target),)
+    if source in TAKES[target]:
+        assert connect([giver, taker], [("a.y", "b.u")]).connections
+        return
+    with pytest.raises(
+        WiringError, match=rf"types differ: a\.y is {source}, b\.u {target}, which takes {TAKES[target][0]}"
+    ) as refused:
+        connect([giver, taker], [("a.y", "b.u")])
+    assert f'SlaveVariable(.., type="{target}")' in str(refused.value)
+    with pytest.raises(WiringError, match="types differ"):
+        connect([giver, taker], [("a.y", "b.u", LinearMap(2.0))])
+
+
+def test_types_have_their_names() -> None:
+    """A misspelt type is refused where it stands."""
+    with pytest.raises(InputError, match="n has the type 'Int'; a variable is one of Real, Integer"):
+        SlaveVariable("n", "output", type="Int")  # type: ignore[arg-type]
 
 
 def test_an_unknown_unit_fits() -> None:

@@ -7,10 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from flexfmu.cosim.cycles import ThereAndBack
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.tabulated_trajectory import TabulatedTrajectory
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.trajectory_slave import TabulatedTrajectory, TrajectorySlave
+from flexfmu.cosim.experiment.cycles import ThereAndBack
 from flexfmu.trajectories.blends import LameBlend
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import BangBang

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.master.grid import time_grid
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.grid import time_grid
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 
 Array = NDArray[np.float64]
 

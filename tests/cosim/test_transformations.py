@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
-from flexfmu.cosim.master.linear_map import IDENTITY, LinearMap
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap, TableMap
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 FACTOR, OFFSET = 1024.0, 3.0
 """What the foreign quantity is: FACTOR times ours, plus OFFSET."""
@@ -67,3 +68,10 @@ def test_maps_follow_one_another() -> None:
     assert first.then(IDENTITY) is first
     assert IDENTITY.then(second) is second
     assert IDENTITY(0.1 + 0.2) == 0.1 + 0.2
+    table = TableMap(((0, 1.0), (1, 0.0), (2, 5.0)))
+    scaled = first.then(table).then(second)
+    assert [scaled(value) for value in (-0.5, 0.0, 0.5)] == [-2.5, 0.5, -14.5]
+    assert [table.then(table)(value) for value in (0.0, 1.0)] == [0.0, 1.0]
+    for lost in (lambda: table(3.0), lambda: table(float("nan")), lambda: table.then(table)(2.0)):
+        with pytest.raises(InputError, match=r"the table of a connection has nothing for .*, only for 0, 1"):
+            lost()

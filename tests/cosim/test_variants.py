@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.master.selection import Selection
-from flexfmu.cosim.scene_run import Run
-from flexfmu.cosim.variants import VariantError, metrics_of, run_variants
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.experiment.variants import VariantError, run_variants
+from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.errors import TrajectoryError
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.2, "trajectory.dwell": 0.02})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import time
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -9,14 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.commands.errors import one_line_errors
-from flexfmu.cosim.errors import CostWarning, InputError
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.master import controlled_steps, run
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.recorder import Recorder
-from flexfmu.cosim.master.step_control import StepDoubling
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.cli.console import one_line_errors
+from flexfmu.cosim.engine.child_process import AVAILABLE
+from flexfmu.cosim.engine.errors import CostWarning, InputError
+from flexfmu.cosim.engine.master import controlled_steps, cost
+from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
+from flexfmu.cosim.engine.master.recorder import Recorder
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.model.scene.file import load_scene
 
 Factory = Callable[..., Any]
 
@@ -59,19 +64,58 @@ def test_friction_that_hardly_slides_ends() -> None:
 
 def test_long_runs_are_announced(split_oscillator: Factory, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that records very much says so with its numbers and the remedy; a smaller one doesn't."""
-    monkeypatch.setattr(run, "MANY_VALUES", 10**4)
+    monkeypatch.setattr(cost, "MANY_VALUES", 10**4)
     system = split_oscillator(0).system()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         simulate(system, 2.0, 2.0 / 2000)
-    with pytest.warns(CostWarning, match=r"makes 5e\+03 communication steps and records 2e\+04 values: about") as told:
+    with pytest.warns(
+        CostWarning, match=r"makes 5e\+03 communication steps and records 2e\+04 values: it takes about "
+    ) as told:
         simulate(system, 2.0, 2.0 / 5000)
-    assert "0.00038 GB of memory, 0.001 GB where results.csv is written" in str(told[0].message)
+    assert len(told) == 1
+    assert "s and 0.00038 GB of memory, 0.001 GB where results.csv is written" in str(told[0].message)
     assert "take a larger communication step" in str(told[0].message)
-    monkeypatch.setattr(run, "MANY_VALUES", 10**8)
-    monkeypatch.setattr(run, "MANY_POINTS", 3000)
+    monkeypatch.setattr(cost, "MANY_VALUES", 10**8)
+    monkeypatch.setattr(cost, "MANY_POINTS", 3000)
     with pytest.warns(CostWarning):
         simulate(system, 2.0, 2.0 / 5000)
+
+
+def test_a_cost_is_told_before_references_are_calculated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """References of millions of points take minutes before the first step: who waits for them has been warned. The trial for
+    the time happens in a child process, so that the run's own slaves don't notice."""
+    monkeypatch.setattr(cost, "MANY_POINTS", 10_000)
+    events: list[int | str] = []
+    calculate = TrajectorySlave.prepare
+
+    def counted(slave: TrajectorySlave, times: np.ndarray) -> None:
+        events.append(times.size)
+        calculate(slave, times)
+
+    monkeypatch.setattr(TrajectorySlave, "prepare", counted)
+    monkeypatch.setattr(warnings, "warn", lambda message, *_, **__: events.append(message))
+    run = run_scene(load_scene("barnard2012-0.1kg").replace({"cosimulation.step": 5e-5}))
+    assert run.outcome is Outcome.COMPLETED
+    told, prepared = events[-2:]
+    assert prepared == 11_003
+    assert re.match(r"this run makes 1.1e\+04 communication .* takes about .* s and 0.043 GB of memory", str(told))
+    if AVAILABLE:
+        assert len(events) == 2
+
+
+def test_a_cost_is_as_said(split_oscillator: Factory) -> None:
+    """The first steps tell how long all take, here of a system whose steps take 0.2 ms; where they fail, the run tells why."""
+    fast = split_oscillator(0).system()
+
+    def trial(steps: int) -> Simulation:
+        time.sleep(2e-4 * steps)
+        return simulate(fast, 2.0, 2.0 / steps)
+
+    found = re.search(r"takes about (.*) min and 0.019 GB", cost.cost(10**6, 10**6, 0, trial))
+    assert found is not None
+    assert 3.0 < float(found[1]) < 20.0
+    assert "takes about 0.019 GB" in cost.cost(10**6, 10**6, 0, lambda steps: simulate(fast, 2.0, 1.0))
 
 
 def test_the_command_line_announces_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

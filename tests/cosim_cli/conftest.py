@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.experiment import Health, Run, Timing
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.results import Column, Recording
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.prepared_scene import Health, Run, Timing
+from flexfmu.model.scene.file import load_scene
 from flexfmu.model.statics import static_equilibrium
 
 MakeRun = Callable[..., Run]

@@ -11,17 +11,17 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from flexfmu.cosim.cli import app
-from flexfmu.cosim.commands import run as run_module
-from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.experiment import Run
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.measuring.metric_table import METRICS
-from flexfmu.cosim.results import Recording
-from flexfmu.cosim.workprec.subject import RunError
+from flexfmu.cosim.cli import run as run_module
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.studies.workprec.trial import RunError
 from flexfmu.fmu_build.errors import MissingCompilerError
-from flexfmu.model.errors import EquilibriumError
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.model.scene.file import load_scene
 
 MakeRun = Callable[..., Run]
 SCENE = "barnard2012-6kg"
@@ -210,7 +210,7 @@ def _shipped_text() -> str:
     """The text of a shipped scene."""
     from importlib.resources import files
 
-    return files("flexfmu.cosim").joinpath("scenes", f"{SCENE}.toml").read_text(encoding="utf-8")
+    return files("flexfmu.model.scene").joinpath("scenes", f"{SCENE}.toml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("command", ["run", "build", "modes"])

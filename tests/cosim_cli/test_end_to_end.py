@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from fmpy.util import read_csv
 
-from flexfmu.cosim.measuring.metric_table import METRICS
+from flexfmu.cosim.metrics.metric_table import METRICS
 
-FLEXFMU = (sys.executable, "-c", "from flexfmu.cosim.cli import main; main()")
+FLEXFMU = (sys.executable, "-c", "from flexfmu.cosim.cli.main import main; main()")
 
 
 def flexfmu(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -28,7 +28,7 @@ def flexfmu(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 def small_scene(folder: Path, **replacements: str) -> Path:
     """One bending mode and nothing else: an FMU that compiles in a moment."""
-    text = files("flexfmu.cosim").joinpath("scenes", "barnard2012-6kg.toml").read_text(encoding="utf-8")
+    text = files("flexfmu.model.scene").joinpath("scenes", "barnard2012-6kg.toml").read_text(encoding="utf-8")
     changes = {
         'name = "barnard2012-6kg"': 'name = "small"',
         "proximal_bending = 3": "proximal_bending = 1",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-FLEXFMU = (sys.executable, "-c", "from flexfmu.cosim.cli import main; main()")
+FLEXFMU = (sys.executable, "-c", "from flexfmu.cosim.cli.main import main; main()")
 SCENE = "barnard2012-6kg"
 FULL = Path("/dev/full")
 
@@ -31,7 +31,7 @@ def flexfmu(*arguments: str, **environment: str) -> subprocess.CompletedProcess[
 def test_help_loads_no_heavy_package() -> None:
     """`flexfmu --help` must answer at once: no CasADi, SciPy, Matplotlib, NumPy or fmpy."""
     code = (
-        "import sys\nfrom flexfmu.cosim.cli import app\n"
+        "import sys\nfrom flexfmu.cosim.cli.main import app\n"
         "try:\n    app(['--help'])\nexcept SystemExit:\n    pass\n"
         "print(sorted({name.split('.')[0] for name in sys.modules} & {'casadi', 'scipy', 'matplotlib', 'numpy', 'fmpy', 'pydantic'}))"
     )

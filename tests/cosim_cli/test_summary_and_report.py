@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from flexfmu.cosim.experiment import Run
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.measuring.metric_table import METRICS
-from flexfmu.cosim.measuring.small_deflections import exceeded
-from flexfmu.cosim.metrics import Measurement, measure_run, settings_for
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.results import Column
+from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.metrics.metrics import Measurement, measure_run, settings_for
+from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.reports import plots
-from flexfmu.cosim.reports.json_text import to_json
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import describe_effects, summarise
-from flexfmu.cosim.results import Column
+from flexfmu.cosim.reports.text import to_json
 
 MakeRun = Callable[..., Run]
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -105,7 +105,7 @@ def test_metrics_of_the_run_are_plain_numbers(make_run: MakeRun) -> None:
 def test_curves_peak_at_the_metrics(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
     """The report's curves are in the unit of their axis: the highest point of each is the metric beside it."""
     figures: dict[str, Figure] = {}
-    monkeypatch.setattr(plots.plot_style, "to_svg", lambda figure, key, title: figures.setdefault(key, figure) and "")
+    monkeypatch.setattr(plots, "to_svg", lambda figure, key, title: figures.setdefault(key, figure) and "")
     run = tracking(make_run())
     metrics = {name: measurement.value or 0.0 for name, measurement in measure_run(run).items()}
     list(draw_plots(run, settings_for(run.plan).end_equilibrium))

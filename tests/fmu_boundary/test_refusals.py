@@ -26,7 +26,7 @@ from boundary_support.subjects import FILES, fail_a_step
 from export_support.blocks import saturation
 
 from flexfmu.fmu_build.block_build import build_block_fmu
-from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
+from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 
 
 @pytest.fixture(params=FILES)

@@ -74,7 +74,7 @@ def behaves(name: str) -> Mutant:
 
     def make(sound: Files) -> bytes:
         description = sound[DESCRIPTION]
-        if name != "addresses":  # saves a process
+        if name not in ("addresses", "serialises_beyond"):  # saves a process
             description = description.replace(b' canSerializeFMUstate="true"', b"")
         return zipped(sound | {DESCRIPTION: description, "resources/mutant.txt": name.encode()})
 
@@ -158,6 +158,12 @@ def _damaged(sound: Files) -> bytes:
     return bytes(content)
 
 
+def _marked_as_encrypted(sound: Files) -> bytes:
+    content = bytearray(zipped(sound))
+    content[6] |= 1
+    return bytes(content)
+
+
 def _other_processor(content: Files) -> None:
     library = bytearray(content[LIBRARY])
     library[18:20] = struct.pack("<H", 183)
@@ -235,6 +241,30 @@ BEHAVIOUR = [
         "discards",
         "uninitialised",
         "pending",
+        "derivatives_ignored",
+        "derivatives_doubled",
+        "derivatives_negated",
+        "nan_first",
+        "no_indicators",
+        "nan_indicator",
+        "state_keeps_input",
+        "state_keeps_time",
+        "set_backwards",
+        "get_backwards",
+        "reading_disturbs",
+        "undeclared_late",
+        "seed_ignored",
+        "serialises_beyond",
+        "state_not_null",
+        "state_anew",
+        "reused_state",
+        "integrator_step",
+        "time_half",
+        "single_precision",
+        "writes_resource",
+        "warns",
+        "closes_output",
+        "boolean_42",
     ]
 ]
 
@@ -332,6 +362,23 @@ DESCRIPTIONS = [
     described("not well-formed", ("</ModelStructure>", "")),
     described("another version", ('fmiVersion="2.0"', 'fmiVersion="2.1"')),
     described("no date", ("2026-11-22T12:00:00Z", "yesterday")),
+    described(
+        "two times",
+        (
+            "  </ModelVariables>",
+            '<ScalarVariable name="clock" valueReference="9" causality="independent" variability="continuous"><Real/>'
+            "</ScalarVariable></ModelVariables>",
+        ),
+    ),
+    described("name empty", ('name="damping"', 'name=""')),
+    described("derivative starts anew", ('derivative="3"', 'derivative="3" reinit="true"')),
+    described("document type", ("<fmiModelDescription", '<!DOCTYPE spring [<!ENTITY x "y">]>\n<fmiModelDescription')),
+    described(
+        "local beyond max",
+        ('<Real unit="m/s" start="0"/>', '<Real unit="m/s" max="1" start="0"/>'),
+        ('<Real unit="m/s" derivative="2"/>', '<Real unit="m/s" min="1" derivative="2"/>'),
+        runs=True,
+    ),
 ]
 
 ARCHIVE = [
@@ -365,6 +412,7 @@ ARCHIVE = [
     rezipped("symbolic link", _link),
     rezipped("packed by LZMA", _lzma),
     Mutant("damaged", "archive", _damaged),
+    Mutant("marked as encrypted", "archive", _marked_as_encrypted),
     Mutant("cut off", "archive", lambda sound: zipped(sound)[:-400]),
     Mutant("no archive", "archive", lambda sound: sound[LIBRARY]),
 ]
@@ -373,13 +421,16 @@ MUTANTS = [*ARCHIVE, *DESCRIPTIONS, *BEHAVIOUR]
 
 
 def sound_variants(library: bytes) -> dict[str, bytes]:
-    """FMUs that are sound: as it is, one that ends the simulation by itself, one that a process may have once."""
+    """FMUs that are sound: as it is, one that ends the simulation by itself, one that a process may have once, one whose steps
+    go on after fmi2DoStep has returned."""
     sound = spring_files(library)
     once = re.sub(
         rb"(<(CoSimulation|ModelExchange)) ", rb'\1 canBeInstantiatedOnlyOncePerProcess="true" ', sound[DESCRIPTION]
     )
+    asynchronous = sound[DESCRIPTION].replace(b"<CoSimulation ", b'<CoSimulation canRunAsynchronuously="true" ')
     return {
         "sound": zipped(sound),
+        "runs asynchronously": zipped(sound | {DESCRIPTION: asynchronous, "resources/mutant.txt": b"asynchronous"}),
         "ends the simulation": zipped(sound | {"resources/mutant.txt": b"ends_early"}),
         "once a process": zipped(sound | {DESCRIPTION: once, "resources/mutant.txt": b"once"}),
     }

@@ -17,12 +17,12 @@ import pytest
 
 from flexfmu.fmu_build import build, cache, toolchain
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.fmu_build.checks.functions import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS
 from flexfmu.fmu_build.compilation import compile_library
-from flexfmu.fmu_build.elf import exported_symbols
 from flexfmu.fmu_build.errors import ArchiveError, CacheWarning, MissingCompilerError, PlatformError
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.validation.elf import exported_symbols
+from flexfmu.fmu_build.validation.functions import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS
 from flexfmu.model.symbolic import SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]

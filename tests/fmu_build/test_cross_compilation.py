@@ -10,13 +10,13 @@ from time import sleep
 import pytest
 
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.fmu_build.checks.functions import COSIMULATION_FUNCTIONS
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.platforms import PLATFORMS
 from flexfmu.fmu_build.sources import generate_sources
 from flexfmu.fmu_build.toolchain import find_compiler
-from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.fmu_build.validation.functions import COSIMULATION_FUNCTIONS
+from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]

@@ -16,10 +16,10 @@ from flexfmu.fmu_build.description import plant_description
 from flexfmu.fmu_build.documentation import PICTURE_SIZE, documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import png
-from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
 from flexfmu.model.drawing import Point
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
+from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicModel
 
 VOID = {"meta", "br", "hr", "img", "input", "link"}
@@ -73,6 +73,43 @@ def test_page_tells_all_effects_and_variables(robot: SymbolicModel) -> None:
     for variable in (*robot.inputs, *robot.parameters, *robot.outputs):
         assert variable.name in text
         assert variable.description in text
+
+
+ASSUMED = {
+    "link11.bending[2]": "Bending coordinate 2 of proximal link 1 (link11): the paper's second assumed mode, eq. (1)",
+    "link22.bending[1]": "Bending coordinate 1 of distal link 2 (link22): first mode of a beam pinned at both ends",
+    "link12.axial[1]": "Axial coordinate 1 of distal link 1 (link12): the paper's first assumed mode, eq. (2)",
+}
+CRAIG_BAMPTON = {
+    "link21.bending[1]": "Bending coordinate 1 of proximal link 2 (link21): Craig and Bampton's static shape under a force at "
+    "the tip, as the tip's displacement",
+    "link21.bending[2]": "Bending coordinate 2 of proximal link 2 (link21): Craig and Bampton's first mode with the tip held",
+    "link12.axial[2]": "Axial coordinate 2 of distal link 1 (link12): Craig and Bampton's first mode with the tip held",
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected", "suffix"),
+    [
+        ({"effects.basis": "assumed-modes"}, ASSUMED, ""),
+        ({"effects.basis": "craig-bampton"}, CRAIG_BAMPTON, ""),
+        (
+            {"effects.basis": "craig-bampton", "effects.beam": "timoshenko", "mechanism.material.poissons_ratio": 0.33},
+            {name: CRAIG_BAMPTON[name] for name in ("link21.bending[2]",)},
+            ", with shear and rotary inertia",
+        ),
+    ],
+    ids=["assumed modes", "Craig-Bampton", "Timoshenko"],
+)
+def test_coordinates_say_which_shape_and_link_they_belong_to(
+    changes: dict[str, object], expected: dict[str, str], suffix: str
+) -> None:
+    """Each has a text of its own, with the shape's number, where it comes from, and the link in words."""
+    modes = {f"effects.{family}": 2 for family in ("proximal_bending", "distal_bending", "distal_axial")}
+    model = build_model(load_scene("barnard2012-6kg").replace(modes | changes))
+    texts = {each.name: each.description for each in model.outputs if each.name.startswith("link") and "[" in each.name}
+    assert {name: texts[name] for name in expected} == {name: text + suffix for name, text in expected.items()}
+    assert len(set(texts.values())) == len(texts) == 12
 
 
 def test_page_needs_nothing_else(robot: SymbolicModel) -> None:

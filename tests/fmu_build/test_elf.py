@@ -8,7 +8,7 @@ from pathlib import Path
 import casadi
 import pytest
 
-from flexfmu.fmu_build.elf import NotElfError, exported_symbols
+from flexfmu.fmu_build.validation.elf import NotElfError, exported_symbols
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ELF is Linux's format")

@@ -13,7 +13,7 @@ from fmpy.model_description import read_model_description
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.cosim.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.description import plant_description
 from flexfmu.fmu_build.errors import ModelError

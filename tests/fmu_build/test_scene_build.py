@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu as validate_by_fmpy
 
+from flexfmu.cosim.experiment.scene_build import build_scene, scene_key
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.scene_build import build_scene, scene_key
 from flexfmu.fmu_build.sources import generate_sources
-from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 PATH_CHANGES: dict[str, Any] = {
     "trajectory.lift": (0.1, -1.0),
@@ -96,8 +96,8 @@ def test_cached_build_needs_no_casadi(scene: Scene) -> None:
     """What takes longest to load isn't loaded where nothing is to be built, the decision about that included."""
     build_scene(scene)
     script = (
-        "import sys; from flexfmu.model.scene_file import load_scene\n"
-        "from flexfmu.fmu_build.scene_build import build_scene\n"
+        "import sys; from flexfmu.model.scene.file import load_scene\n"
+        "from flexfmu.cosim.experiment.scene_build import build_scene\n"
         "built = build_scene(load_scene('barnard2012-6kg'))\n"
         "print(built.cached, 'casadi' in sys.modules)"
     )

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from flexfmu.fmu_build import toolchain
-from flexfmu.fmu_build.elf import exported_symbols
 from flexfmu.fmu_build.errors import CompileError, MissingCompilerError, PlatformError
 from flexfmu.fmu_build.platforms import PLATFORMS, find_platforms, native_platform
 from flexfmu.fmu_build.toolchain import CompileJob, find_compiler
+from flexfmu.fmu_build.validation.elf import exported_symbols
 
 HAS_ZIG = importlib.util.find_spec("ziglang") is not None
 

@@ -18,7 +18,7 @@ from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import Sources, generate_sources
 from flexfmu.fmu_build.toolchain import RUNTIME_FLAGS, find_compiler
-from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -25,19 +26,21 @@ from mutants import (
     Files,
     Mutant,
     compile_spring,
+    described,
     sound_variants,
     spring_files,
     zipped,
 )
 
-from flexfmu.cosim.cli import app
+from flexfmu.cosim.cli.main import app, validate
+from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.errors import ArchiveError
-from flexfmu.fmu_build.finding import Finding, Severity
 from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.fmu_build.validate import validate_fmu
-from flexfmu.model.scene_file import load_scene
+from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.life import disturbances
+from flexfmu.fmu_build.validation.validate import validate_fmu
+from flexfmu.model.scene.file import load_scene
 
 pytestmark = pytest.mark.skipif(native_platform().name != "linux64", reason="compiles and reads ELF")
 
@@ -50,6 +53,7 @@ NAMED = [
     "saving_disturbs",
     "undeclared_input",
     "environment",
+    "derivatives_doubled",
 ]
 """Some that a user meets."""
 
@@ -86,10 +90,11 @@ def mutant(name: str) -> Mutant:
 
 
 @pytest.mark.parametrize(
-    "variant", ["sound", "ends the simulation", pytest.param("once a process", marks=pytest.mark.slow)]
+    "variant",
+    ["sound", "ends the simulation", "runs asynchronously", pytest.param("once a process", marks=pytest.mark.slow)],
 )
 def test_sound_fmu_has_no_findings(found: Found, library: bytes, variant: str) -> None:
-    """Whatever is found in mutants is due to what was spoilt; fmi2Terminated and one instance a process are no faults."""
+    """Whatever is found in mutants is due to what was spoilt; fmi2Terminated, fmi2Pending and one instance a process are no faults."""
     assert found(sound_variants(library)[variant]) == []
 
 
@@ -110,8 +115,10 @@ def test_spoilt_behaviour_is_found(found: Found, name: str) -> None:
 def test_mutants_that_run_are_found(found: Found) -> None:
     """All but those that no run can tell from a sound FMU."""
     running = [each for each in MUTANTS if each.runs and each.name not in {*NAMED, "hang"}]
-    assert len(MUTANTS) >= 130
-    assert {each.name for each in running if not found(each)} == UNKNOWABLE
+    assert len(MUTANTS) >= 170
+    findings = {each.name: found(each) for each in running}
+    assert {name for name, listed in findings.items() if not listed} == UNKNOWABLE
+    assert [str(each) for listed in findings.values() for each in listed if not each.remedy] == []
 
 
 @pytest.mark.parametrize(
@@ -154,6 +161,15 @@ def test_one_cause_is_one_line(found: Found) -> None:
     assert len(crashes) <= 3
 
 
+def test_an_fmu_that_counts_its_instances_is_checked_to_the_end(found: Found, library: bytes) -> None:
+    """Dymola 2020's refuse the 51st instance of a process with a word about a licence: a warning, and nothing is left out."""
+    findings = found(zipped(spring_files(library) | {"resources/mutant.txt": b"counts"}))
+    assert [(each.check, each.severity) for each in findings] == [("instances", Severity.WARNING)]
+    assert findings[0].message == (
+        "fmi2Instantiate returns no instance in a process that has made and freed 50 (the licence was not found)"
+    )
+
+
 def test_endless_call_is_told_within_the_time_limit(found: Found) -> None:
     """A call that never returns is named, the rest isn't waited for, and the message says how long was waited."""
     begin = time.monotonic()
@@ -171,7 +187,7 @@ def processes(group_of: str) -> list[str]:
             lines.append(path.read_bytes().replace(b"\0", b" ").decode(errors="replace"))
         except OSError:
             continue  # it has just ended
-    return [line for line in lines if group_of in line and "checks.child" in line]
+    return [line for line in lines if group_of in line and "validation.child" in line]
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
@@ -181,7 +197,7 @@ def test_killed_validation_leaves_no_process_behind(library: bytes, tmp_path: Pa
     path.write_bytes(mutant("hang").make(spring_files(library)))
     home = tmp_path / "temporary"
     home.mkdir()
-    program = f"from pathlib import Path; from flexfmu.fmu_build.validate import validate_fmu; validate_fmu(Path({str(path)!r}))"
+    program = f"from pathlib import Path; from flexfmu.fmu_build.validation.validate import validate_fmu; validate_fmu(Path({str(path)!r}))"
     with subprocess.Popen(
         [sys.executable, "-c", program], env=os.environ | {"TMPDIR": str(home)}, stderr=subprocess.DEVNULL
     ) as parent:
@@ -215,6 +231,50 @@ def test_exit_status_tells_severity(library: bytes, tmp_path: Path) -> None:
     assert data["time_limit"] == 120.0
     assert [finding["section"] for finding in data["findings"]] == ["2.2.5"]
     assert data["findings"][0]["remedy"].startswith("correct DefaultExperiment")
+
+
+@pytest.mark.parametrize("name", ["cut off", "damaged", "description in a folder", "no archive"])
+def test_files_that_are_no_fmu_give_json_too(library: bytes, tmp_path: Path, name: str) -> None:
+    """Who reads JSON reads what is wrong with the worst files; the exit status stays 2, the line on standard error too."""
+    path = tmp_path / "spring.fmu"
+    path.write_bytes(mutant(name).make(spring_files(library)))
+    outcome = CliRunner().invoke(app, ["validate", str(path), "--json"])
+    (finding,) = json.loads(outcome.stdout)["findings"]
+    assert (finding["check"], finding["severity"]) == ("archive", "error")
+    assert str(path) in finding["message"]
+    assert outcome.exit_code == 2
+    assert str(path) in " ".join(outcome.stderr.split())
+
+
+def test_description_in_other_case_is_told(library: bytes, tmp_path: Path) -> None:
+    """A name that Windows takes for the same one is named."""
+    content = spring_files(library)
+    content["modeldescription.xml"] = content.pop(DESCRIPTION)
+    (tmp_path / "spring.fmu").write_bytes(zipped(content))
+    with pytest.raises(ArchiveError, match=r"it is called modeldescription\.xml, rename it"):
+        validate_fmu(tmp_path / "spring.fmu")
+
+
+def test_disturbances_are_named_as_c_does() -> None:
+    """A rounding mode by its name, a mask of files in octal digits."""
+    before = {"rounding of numbers": 0, "mask of new files": 0o022}
+    lines = "\n".join(map(str, disturbances(before, {"rounding of numbers": 0xC00, "mask of new files": 0o777})))
+    assert "rounding of numbers to towards zero" in lines or platform.machine() not in ("x86_64", "AMD64")
+    assert "mask of new files to 0o777" in lines
+
+
+def test_index_out_of_range_is_told_once(found: Found) -> None:
+    """What makes fmpy stumble is told in words of the standard, not in Python's."""
+    change = ('<Unknown index="6" dependencies="1 2 7"/>', '<Unknown index="6" dependencies="1 2 70"/>')
+    lines = [str(each) for each in found(described("", change)) if each.severity is Severity.ERROR]
+    assert any("InitialUnknowns refers to variable 70 of 14" in line for line in lines)
+    assert not any("list index" in line for line in lines)
+
+
+def test_help_has_whole_paragraphs() -> None:
+    """The terminal breaks lines, the text does not."""
+    paragraphs = (validate.__doc__ or "").strip().split("\n\n")
+    assert [text for text in paragraphs if "\n" in text] == []
 
 
 def test_other_versions_get_one_line(found: Found) -> None:

@@ -20,12 +20,12 @@ from export_support.trajectories import Swing, lame
 from fmpy.validation import validate_fmu as validate_by_fmpy
 
 from flexfmu.fmu_build.block_build import build_block_fmu, generate_block_sources
-from flexfmu.fmu_build.checks.fmu import FmuUnderTest, Kind
-from flexfmu.fmu_build.checks.steps import interpolates_inputs
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
-from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.steps import interpolates_inputs
+from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.symbolic import Variable
 from flexfmu.trajectories.profiles import BangBang

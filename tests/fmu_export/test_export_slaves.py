@@ -9,21 +9,20 @@ import numpy as np
 import pytest
 from fmpy.model_description import read_model_description
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.exported_system import ExportedSystem
-from flexfmu.cosim.fmu.sampled_slave import fmu_slave
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.fmu.trajectory import FmuTrajectory
-from flexfmu.cosim.loop.loop import make_loop
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.slave import SlaveVariable
-from flexfmu.cosim.slave_export import export_slaves
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import SlaveVariable
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.exchange.slave_export import ExportedSystem, export_slaves
+from flexfmu.cosim.experiment.loop import make_loop
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 PD = {"kind": "pd", "proportional": 5e3, "derivative": 60.0, "sample_time": 5e-4}
 RIGID = {

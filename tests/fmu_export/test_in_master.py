@@ -13,15 +13,15 @@ from export_support.blocks import SAMPLE_TIME, delay, linear_system, pd_controll
 from export_support.trajectories import lame
 from scipy.linalg import expm
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.errors import FmuFileError, InputError
-from flexfmu.cosim.fmu.sampled_slave import SampledFmu, fmu_slave
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.fmu.trajectory import FmuTrajectory
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.engine.errors import FmuFileError, InputError
+from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu, fmu_slave
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
 from flexfmu.trajectories.profiles import BangBang

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from flexfmu.cosim.workprec.hard import repetition, suite
-from flexfmu.cosim.workprec.hard.case import HardCase
-from flexfmu.cosim.workprec.hard.report import figures
+from flexfmu.cosim.studies.hard import repetition, suite
+from flexfmu.cosim.studies.hard.case import HardCase
+from flexfmu.cosim.studies.hard.suite import figures
 
 CYCLES = 200
 

@@ -13,17 +13,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from flexfmu.cosim.cli import app
-from flexfmu.cosim.errors import SlaveError
-from flexfmu.cosim.experiment import Run
-from flexfmu.cosim.results import Column, Recording
-from flexfmu.cosim.workprec.hard import judging, singularity, stiffness, suite
-from flexfmu.cosim.workprec.hard.case import Check, Finding, HardCase
-from flexfmu.cosim.workprec.hard.parameters import STIFF
-from flexfmu.cosim.workprec.hard.robots import paper_robot, run_case
-from flexfmu.model.assembly import motor_angles
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.engine.errors import SlaveError
+from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.experiment.prepared_scene import Run
+from flexfmu.cosim.studies.hard import extremes, judging, singularity, suite
+from flexfmu.cosim.studies.hard.case import Check, Finding, HardCase, paper_robot, run_case
+from flexfmu.cosim.studies.hard.extremes import STIFF
 from flexfmu.model.modes import natural_frequencies
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.schema import Scene
 
 ROOT = Path(__file__).parents[2]
 PASSED = Finding("all is well", (Check("error", 1e-6, 1e-5), Check("numbers not finite", 0.0, 0.0)))
@@ -115,11 +114,11 @@ def frequencies(robot: Scene) -> np.ndarray:
 @pytest.mark.slow
 def test_figures_that_make_models_stiff() -> None:
     """The table says how stiff the models are; the model has these frequencies."""
-    damped, many = (case.hard for case in stiffness.cases())
-    slow, fast = frequencies(stiffness.damped_robot())[[0, -1]]
+    damped, many = (case.hard for case in extremes.stiffness_cases())
+    slow, fast = frequencies(extremes.damped_robot())[[0, -1]]
     assert f"swings at {slow:.0f} Hz" in damped
-    assert f"decays at {stiffness.DAMPING_TIME * (2.0 * np.pi * fast) ** 2 / 1e6:.1f}e6 /s" in damped
-    low, high = frequencies(stiffness.many_modes_robot())[[0, -1]]
+    assert f"decays at {extremes.DAMPING_TIME * (2.0 * np.pi * fast) ** 2 / 1e6:.1f}e6 /s" in damped
+    low, high = frequencies(extremes.many_modes_robot())[[0, -1]]
     assert f"at {high / 1e3:.0f} kHz, {round(high / low, -2):.0f} times" in many
 
 
@@ -131,7 +130,7 @@ def test_command_tells_what_happened(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
     suspects = [("good", lambda: PASSED), ("bad", lambda: FAILED), ("broken", broken)]
     cases = tuple(HardCase(name, "a reason", run) for name, run in suspects)
-    monkeypatch.setattr(suite, "FAMILIES", (type("Family", (), {"cases": staticmethod(lambda: cases)}),))
+    monkeypatch.setattr(suite, "FAMILIES", (lambda: cases,))
     everything = CliRunner().invoke(app, ["workprec", "--hard", "--json", "--out", str(tmp_path)])
     assert everything.exit_code == 1
     found = json.loads(everything.stdout)
@@ -168,5 +167,5 @@ def test_documentation_has_every_case() -> None:
         pytest.skip("tests run away from the source tree")
     rows = [line.split(" | ") for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
     shown = [(row[0].removeprefix("| "), row[1]) for row in rows[2:]]
-    assert shown == [(case.name, case.hard) for case in chain.from_iterable(each.cases() for each in suite.FAMILIES)]
+    assert shown == [(case.name, case.hard) for case in chain.from_iterable(each() for each in suite.FAMILIES)]
     assert all(row[-1] == "passed |" for row in rows[2:])

@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.imperfections.channels import Channel, chain, joint_channels
-from flexfmu.cosim.imperfections.delay import delay, whole_delay
-from flexfmu.cosim.imperfections.delay_filter import Lagrange, Thiran
-from flexfmu.cosim.imperfections.jitter import jitter
-from flexfmu.cosim.imperfections.lag import lag
-from flexfmu.cosim.imperfections.noise import gaussian_noise, uniform_noise
-from flexfmu.cosim.imperfections.quantisation import encoder, quantisation
-from flexfmu.cosim.imperfections.rate_limit import rate_limit
-from flexfmu.cosim.imperfections.saturation import saturation
-from flexfmu.cosim.imperfections.variables import per_second
-from flexfmu.cosim.master.system import connect
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.imperfections.channels import Channel, chain, joint_channels
+from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
+from flexfmu.cosim.control.imperfections.delay_filter import Lagrange, Thiran
+from flexfmu.cosim.control.imperfections.jitter import jitter
+from flexfmu.cosim.control.imperfections.lag import lag
+from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
+from flexfmu.cosim.control.imperfections.quantisation import encoder, quantisation
+from flexfmu.cosim.control.imperfections.rate_limit import rate_limit
+from flexfmu.cosim.control.imperfections.saturation import saturation
+from flexfmu.cosim.control.imperfections.variables import per_second
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.system import connect
 from flexfmu.model.block import SymbolicBlock
 
 H = 1e-3

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import group_delay, lfilter
 
-from flexfmu.cosim.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.imperfections.delay import VECTORISED_FROM, delay, whole_delay
-from flexfmu.cosim.imperfections.delay_filter import LINEAR, DelayFilter, Interpolation, Lagrange, Thiran
+from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
+from flexfmu.cosim.control.imperfections.delay import VECTORISED_FROM, delay, whole_delay
+from flexfmu.cosim.control.imperfections.delay_filter import LINEAR, DelayFilter, Interpolation, Lagrange, Thiran
 
 H = 1e-3
 SIGNAL = Channel("a", "rad", 0.7)
@@ -152,6 +152,6 @@ def test_vectorised_and_scalar_lines_agree(run: Any, monkeypatch: pytest.MonkeyP
     channels, u = joint_channels("position", (0.1, 0.2)), np.random.default_rng(5).normal(size=(300, 2))
     results = []
     for limit in (0, 10**6):
-        monkeypatch.setattr("flexfmu.cosim.imperfections.delay.VECTORISED_FROM", limit)
+        monkeypatch.setattr("flexfmu.cosim.control.imperfections.delay.VECTORISED_FROM", limit)
         results.append(run(delay(channels, 60.4 * H, sample_time=H, interpolation=Thiran(2)), u))
     np.testing.assert_array_equal(*results)

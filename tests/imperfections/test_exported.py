@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Slave
 
-from flexfmu.cosim.imperfections.channels import joint_channels
-from flexfmu.cosim.imperfections.delay import whole_delay
-from flexfmu.cosim.imperfections.jitter import jitter
-from flexfmu.cosim.imperfections.noise import gaussian_noise, uniform_noise
+from flexfmu.cosim.control.imperfections.channels import joint_channels
+from flexfmu.cosim.control.imperfections.delay import whole_delay
+from flexfmu.cosim.control.imperfections.jitter import jitter
+from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.block import SymbolicBlock
 

@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.errors import AlgebraicLoopError
-from flexfmu.cosim.imperfections.channels import Channel, chain
-from flexfmu.cosim.imperfections.delay import delay, whole_delay
-from flexfmu.cosim.imperfections.jitter import jitter
-from flexfmu.cosim.imperfections.lag import lag
-from flexfmu.cosim.imperfections.noise import gaussian_noise
-from flexfmu.cosim.imperfections.quantisation import quantisation
-from flexfmu.cosim.imperfections.rate_limit import rate_limit
-from flexfmu.cosim.imperfections.saturation import saturation
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.imperfections.channels import Channel, chain
+from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
+from flexfmu.cosim.control.imperfections.jitter import jitter
+from flexfmu.cosim.control.imperfections.lag import lag
+from flexfmu.cosim.control.imperfections.noise import gaussian_noise
+from flexfmu.cosim.control.imperfections.quantisation import quantisation
+from flexfmu.cosim.control.imperfections.rate_limit import rate_limit
+from flexfmu.cosim.control.imperfections.saturation import saturation
+from flexfmu.cosim.engine.errors import AlgebraicLoopError
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 H = 0.01
 POSITION = Channel("joint1.position", "rad", 0.3)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from flexfmu.cosim.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.imperfections.jitter import jitter
+from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
+from flexfmu.cosim.control.imperfections.jitter import jitter
 
 H = 1e-3
 SIX_SIGMA = 6.0

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.imperfections.lag import Lag, lag
-from flexfmu.cosim.master.master import Outcome, simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
+from flexfmu.cosim.control.imperfections.lag import Lag, lag
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 
 TORQUE = Channel("joint1.torque", "N.m", 2.0)
 

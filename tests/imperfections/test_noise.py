@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, kurtosis, skew
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.imperfections.noise import gaussian_noise, uniform_noise
-from flexfmu.cosim.imperfections.random_streams import JUMP, MODULI, MULTIPLIERS, start_states
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
+from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
+from flexfmu.cosim.control.imperfections.random_streams import JUMP, MODULI, MULTIPLIERS, start_states
+from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.block import SymbolicBlock
 
 H = 2.5e-4

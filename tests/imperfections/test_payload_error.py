@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.imperfections.payload_error import with_payload_error
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene.file import load_scene
 
 
 @pytest.mark.parametrize("relative", [-1.0, -0.3, 0.0, 0.3])

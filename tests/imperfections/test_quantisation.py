@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.cosim.imperfections.channels import Channel, joint_channels
-from flexfmu.cosim.imperfections.quantisation import encoder, quantisation
+from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
+from flexfmu.cosim.control.imperfections.quantisation import encoder, quantisation
 
 H = 1e-3
 ANGLE = Channel("joint1.position", "rad")

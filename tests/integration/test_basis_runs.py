@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 METRICS = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude", "rms_acceleration_error")
 FAMILIES = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")

@@ -11,15 +11,16 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BPoly
 
-from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.model.assembly import WORKING_MODES, assembly_side, elbows
-from flexfmu.model.errors import SceneError
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Mechanism, Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import WORKING_MODES, assembly_side, elbows
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.mechanism import Mechanism
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories import TrajectoryError
 
@@ -153,7 +154,7 @@ def drawn(examples: int) -> settings:
 
 
 @pytest.mark.slow
-@drawn(16)
+@drawn(10)
 @given(scenes())
 def test_a_drawn_scene_runs(scene: Scene) -> None:
     """Other lengths, materials, modes, gravities, blends and profiles give finite metrics, damped or not."""
@@ -167,7 +168,7 @@ def test_a_drawn_scene_runs(scene: Scene) -> None:
 
 # without damping Radau would have to follow vibrations at 60 kHz; the energy test looks after that case
 @pytest.mark.slow
-@drawn(5)
+@drawn(2)
 @given(scenes(DAMPED))
 def test_a_drawn_scene_runs_and_agrees_with_another_integrator(scene: Scene) -> None:
     """The end state of any feasible scene is that of SciPy's Radau on the CasADi functions."""

@@ -8,23 +8,21 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from flexfmu.cosim.cli import app
-from flexfmu.cosim.effects import check as effect_check
-from flexfmu.cosim.effects import verified
-from flexfmu.cosim.effects.check import EVERYTHING, check_choice, comparisons
-from flexfmu.cosim.effects.choice import MEASURED, resolved
-from flexfmu.cosim.effects.study import study_effects
-from flexfmu.cosim.effects.verified import EXACT, Observed, choose_verified, observe
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.experiment import PreparedScene
-from flexfmu.cosim.planning import plan
-from flexfmu.model.choice_section import MeasureName
+from flexfmu.cosim.choices.effects import choice as verified
+from flexfmu.cosim.choices.effects import study as effect_check
+from flexfmu.cosim.choices.effects.choice import EXACT, MEASURED, Observed, choose_verified, observe, resolved
+from flexfmu.cosim.choices.effects.study import EVERYTHING, check_choice, comparisons, study_effects
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.choice import MeasureName
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.choose import SAFETY, one_more
+from flexfmu.model.selection.effect_sets import richest, with_set
 from flexfmu.model.selection.estimator import Estimator
-from flexfmu.model.selection.richest import richest, with_set
 
 ROOT = Path(__file__).parents[2]
 OPEN = load_scene(ROOT / "examples" / "effects_auto.toml")
@@ -161,9 +159,9 @@ def test_the_documentation_of_an_fmu_says_what_was_chosen() -> None:
     assert all(each.title != note.title for each in build_model(chosen.replace({"effects.choice": None})).effects)
 
 
-def test_an_open_scene_with_a_motion_of_its_own_is_refused() -> None:
+def test_an_open_scene_is_refused_where_nothing_chooses() -> None:
     """The choice is made along the scene's motion; along another one it would be another."""
-    with pytest.raises(InputError, match="comes with a motion or a loop of its own: resolve it first"):
+    with pytest.raises(InputError, match="leaves the choice of effects open"):
         PreparedScene(OPEN, motion=plan(OPEN))
 
 

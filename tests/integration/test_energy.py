@@ -10,11 +10,11 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.model.assembly import motor_angles
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 
 STEPS, STEP = 100_000, 1e-4

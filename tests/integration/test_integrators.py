@@ -8,15 +8,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.fmu_build.integrators import INTEGRATOR
-from flexfmu.model.cosimulation_section import LEAST_TOLERANCE
-from flexfmu.model.errors import SceneError
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 SHIPPED = ("barnard2012-6kg", "barnard2012-0.1kg")
 METHODS = tuple(INTEGRATOR.items)

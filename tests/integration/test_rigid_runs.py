@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.experiment import PreparedScene, run_scene
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.cosim.results import Recording
-from flexfmu.model.rigid_dynamics import inverse_dynamics
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene, run_scene
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.model.numeric import inverse_dynamics
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 RIGID = {"effects.proximal_bending": 0, "effects.distal_axial": 0}
 

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.metrics import Measurement, measure_run
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.metrics.metrics import Measurement, measure_run
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 SHIPPED = ("barnard2012-6kg", "barnard2012-0.1kg")
 ABRUPT = {

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from flexfmu.fmu_build.build import build_fmu
-from flexfmu.model.assembly import motor_angles
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.file import load_scene
 from flexfmu.model.statics import static_equilibrium
 
 

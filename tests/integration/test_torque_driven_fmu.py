@@ -11,12 +11,12 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 from scipy.integrate import solve_ivp
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.results import Recording
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.fmu_build.build import build_fmu
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicModel
 
 TORQUES = ("joint1.torque", "joint2.torque")

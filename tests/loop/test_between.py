@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.errors import InputError, WiringError
-from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.loop.loop import Shaper
-from flexfmu.cosim.loop.sections import loop_of
-from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.engine.errors import InputError, WiringError
+from flexfmu.cosim.engine.slave import SlaveVariable
+from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.loop import Shaper
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
-from flexfmu.cosim.slave import SlaveVariable
 from flexfmu.fmu_build.block_build import build_block_fmu
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.shapers.oscillator import Oscillator
 from flexfmu.trajectories.shapers.zero_vibration import zero_vibration
 
@@ -67,7 +67,7 @@ def test_a_shaper_along_the_path_keeps_it(motion_driven: Scene) -> None:
     """The rigid robot's end effector stays on its path."""
     scene = motion_driven.replace({"shaper": [{"kind": "zv", "modes": [MODE], "apply": "path"}]})
     loop = loop_of(scene)
-    from flexfmu.cosim.shaping.plan import deviation
+    from flexfmu.cosim.experiment.shaping import deviation
 
     assert deviation(loop.motion) < 1e-9
     assert loop.motion.duration > 0.35

@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.commands import run as command
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.errors import WiringError
-from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.loop.loop import PayloadError
-from flexfmu.cosim.loop.sections import holding_torques
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.measuring.metric_table import ALL_METRICS, METRICS
-from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.cli import run as command
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.engine.errors import WiringError
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.loop import PayloadError
+from flexfmu.cosim.experiment.parameters import holding_torques
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
-from flexfmu.cosim.results import Recording
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.schema import Scene
 
 COMPUTED_TORQUE = {"kind": "computed-torque", "proportional": 6400.0, "derivative": 160.0, "sample_time": 1e-3}
 
@@ -121,7 +121,7 @@ def test_a_payload_error_is_known_to_the_robot_alone(controlled: Scene, run: Run
 
 def heavy_controllers(scene: Scene) -> list[object]:
     """The controllers of a scene's own sections."""
-    from flexfmu.cosim.loop.sections import loop_of
+    from flexfmu.cosim.experiment.sections import loop_of
 
     return list(loop_of(scene).controllers)
 
@@ -177,7 +177,7 @@ def test_imperfections_of_torques_need_a_controller(robot: Scene) -> None:
 
 def test_foreign_effects_are_refused(robot: Scene, run: Run) -> None:
     """An FMU without the scene's friction would silently be another robot."""
-    from flexfmu.cosim.errors import InputError
+    from flexfmu.cosim.engine.errors import InputError
 
     rough = robot.replace({"effects.joint_friction": {"viscous": 0.5}})
     with pytest.raises(InputError, match=r"the FMU lacks joint_friction\.viscous"):
@@ -186,7 +186,7 @@ def test_foreign_effects_are_refused(robot: Scene, run: Run) -> None:
 
 QUITTER = """
 import os
-from flexfmu.cosim.slave import SlaveVariable
+from flexfmu.cosim.engine.slave import SlaveVariable
 
 class Quitter:
     name = "quitter"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.cycles import ThereAndBack, repeated
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.cycles import ThereAndBack, repeated
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.model.scene.file import load_scene
 
 
 def bang_bang(dwell: float) -> MotionPlan:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from flexfmu.cosim.experiment import Run, run_scene
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.measuring.divergence import divergence
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.experiment.divergence import divergence
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.model.linear import linearize
-from flexfmu.model.scene import Scene
+from flexfmu.model.scene.schema import Scene
 
 SAMPLE = 1e-3
 

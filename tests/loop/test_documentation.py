@@ -9,14 +9,14 @@ from typing import Any, get_args
 
 import pytest
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.loop.sections import loop_of
-from flexfmu.model.controller_sections import ControllerSection
-from flexfmu.model.cosimulation_section import Anderson, FixedPoint, StepControl
-from flexfmu.model.imperfection_sections import ImperfectionSection
-from flexfmu.model.loop_section import FmuSection, PythonSection
-from flexfmu.model.scene import Scene
-from flexfmu.model.shaper_sections import ShaperSection
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.model.scene.controllers import ControllerSection
+from flexfmu.model.scene.cosimulation import Anderson, FixedPoint, StepControl
+from flexfmu.model.scene.imperfections import ImperfectionSection
+from flexfmu.model.scene.loop import FmuSection, PythonSection
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.scene.shapers import ShaperSection
 
 PAGE = (Path(__file__).parents[2] / "docs" / "control-loop.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)

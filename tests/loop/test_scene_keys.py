@@ -8,30 +8,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.fmu.sampled_slave import SampledFmu
-from flexfmu.cosim.loop.coupling import coupling_of
-from flexfmu.cosim.loop.sections import loop_of
-from flexfmu.cosim.master.algorithms import GaussSeidel, Implicit, Jacobi
-from flexfmu.cosim.master.iteration import Anderson, FixedPoint
-from flexfmu.cosim.measuring.cycle_errors import cycle_errors
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.slave import Slave
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.sampled_slave import SampledFmu
+from flexfmu.cosim.engine.master.algorithms import GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint
+from flexfmu.cosim.engine.slave import Slave
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import coupling_of, run_scene
+from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.metrics.cycle_errors import cycle_errors
 from flexfmu.fmu_build.block_build import build_block_fmu
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 PD = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
-SHIPPED = Path(__file__).parents[2] / "cosim" / "scenes" / "barnard2012-6kg.toml"
+SHIPPED = Path(__file__).parents[2] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml"
 
 
 def imperfections(robot: Scene, *sections: dict[str, Any]) -> list[Slave]:
     """The slaves of imperfections behind a PD controller."""
     loop = loop_of(robot.replace({"controller": [PD], "imperfection": list(sections)}))
-    return [insert.slave for insert in loop.inserts]
+    return [inline.slave for inline in loop.inline_blocks]
 
 
 def response(slave: Any, signal: Any) -> Any:
@@ -154,7 +153,7 @@ def test_specified_insensitivity(robot: Scene) -> None:
     """The band that a scene names is kept, at the price of a longer motion than ZV's."""
     section = {"kind": "si", "band": [45.0, 70.0], "tolerance": 0.08, "apply": "sampled", "sample_time": 1e-3}
     loop = loop_of(robot.replace({"shaper": [section]}))
-    (shaper,) = (insert.slave for insert in loop.inserts)
+    (shaper,) = (inline.slave for inline in loop.inline_blocks)
     response_to_one = np.diff(response(shaper, np.append(0.0, np.ones(80))))
     frequencies = np.linspace(46.0, 69.0, 100)
     vibration = abs(np.exp(2j * np.pi * np.outer(frequencies, 1e-3 * np.arange(80))) @ response_to_one)
@@ -210,7 +209,7 @@ def test_learning_controllers_share_their_motion(robot: Scene) -> None:
 
 
 CONTROLLERS = """
-from flexfmu.cosim.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pd import pd
 
 def damper(gain):
     return pd(gain, {derivative}, sample_time=1e-3, name="damper")

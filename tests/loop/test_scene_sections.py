@@ -7,13 +7,13 @@ from typing import Any, get_args
 
 import pytest
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.loop.sections import loop_of
-from flexfmu.fmu_build.scene_build import scene_key
-from flexfmu.model.errors import SceneError
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
-from flexfmu.model.shaper_sections import ShaperKind
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.scene_build import scene_key
+from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.scene.shapers import ShaperKind
 from flexfmu.trajectories.shapers.catalogue import SHAPERS
 
 PD = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}

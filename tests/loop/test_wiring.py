@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import pytest
 
-from flexfmu.cosim.errors import WiringError
-from flexfmu.cosim.loop.wiring import Wiring, passing, wire
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.engine.errors import WiringError
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment.wiring import Wiring, inline_block, wire
 
 
 class Names:
@@ -38,7 +38,7 @@ def sources(wiring: Wiring) -> dict[str, str]:
 
 
 def test_equal_names_are_connected() -> None:
-    """References and measurements reach the controller, its torque the plant; what nobody puts out stays at its start."""
+    """References and measurements reach the controller, its torque the plant; what no slave outputs stays at its start."""
     wiring = wire(TRAJECTORY, PLANT, [PD])
     assert sources(wiring) == {
         "pd.q.reference": "trajectory.q.reference",
@@ -55,7 +55,7 @@ def test_signals_pass_in_the_order_given() -> None:
         Names("shaper", ["q.reference"], ["shaped.q.reference"]),
         Names("amplifier", ["torque"], ["torque"]),
     )
-    wiring = wire(TRAJECTORY, PLANT, [PD], [passing(each) for each in (amplifier, delay, shaper, noise)])
+    wiring = wire(TRAJECTORY, PLANT, [PD], [inline_block(each) for each in (amplifier, delay, shaper, noise)])
     assert sources(wiring) == {
         "shaper.q.reference": "trajectory.q.reference",
         "pd.q.reference": "shaper.shaped.q.reference",
@@ -71,13 +71,13 @@ def test_an_encoder_replaces_more_than_it_takes() -> None:
     """A slave may make two signals of one: the plant's own rate then goes nowhere."""
     encoder = Names("encoder", ["q.input"], ["q", "v"])
     damper = Names("damper", ["v"], ["torque"])
-    assert sources(wire(TRAJECTORY, PLANT, [damper], [passing(encoder)]))["damper.v"] == "encoder.v"
+    assert sources(wire(TRAJECTORY, PLANT, [damper], [inline_block(encoder)]))["damper.v"] == "encoder.v"
 
 
 def test_a_measurement_may_move_the_robot_by_itself() -> None:
-    """Without a controller too an insert is of use where its output is connected to the robot."""
+    """Without a controller too an inline block is of use where its output is connected to the robot."""
     spring = Names("spring", ["q"], ["q"])
-    assert sources(wire(TRAJECTORY, PLANT, [], [passing(spring)], {"plant.force": "spring.q"})) == {
+    assert sources(wire(TRAJECTORY, PLANT, [], [inline_block(spring)], {"plant.force": "spring.q"})) == {
         "spring.q": "plant.q",
         "plant.force": "spring.q",
     }
@@ -90,7 +90,7 @@ def test_controllers_feed_each_other_first() -> None:
 
 
 def test_nobody_feeds_itself() -> None:
-    """A signal that a slave both takes and puts out comes from somebody else: another controller, or the trajectory."""
+    """A signal that a slave both takes and outputs comes from another source: a second controller, or the trajectory."""
     filtered = Names("filter", ["q.reference", "q"], ["q.reference", "torque"])
     assert sources(wire(TRAJECTORY, PLANT, [filtered]))["filter.q.reference"] == "trajectory.q.reference"
     with pytest.raises(WiringError, match=r"c\.memory has no source"):
@@ -112,7 +112,7 @@ def test_explicit_connections_come_first() -> None:
     foreign, noise = Names("foreign", ["u1", "u2"], ["y"]), Names("noise", ["q.input"], ["q"])
     explicit = {"foreign.u1": "q", "foreign.u2": "plant.q", "plant.torque": "foreign.y"}
     amplifier = Names("amplifier", ["torque"], ["torque"])
-    wiring = wire(TRAJECTORY, PLANT, [foreign], [passing(noise), passing(amplifier)], explicit)
+    wiring = wire(TRAJECTORY, PLANT, [foreign], [inline_block(noise), inline_block(amplifier)], explicit)
     assert sources(wiring) == {
         "noise.q.input": "plant.q",
         "foreign.u1": "noise.q",
@@ -123,11 +123,11 @@ def test_explicit_connections_come_first() -> None:
 
 
 @pytest.mark.parametrize(
-    ("controllers", "inserts", "explicit", "message"),
+    ("controllers", "inline_blocks", "explicit", "message"),
     [
         ([Names("c", ["q.refernce"], ["torque"])], [], {}, "c.q.refernce has no source"),
-        ([PD, Names("c", [], ["torque"])], [], {}, "pd and c both put out torque"),
-        ([Names("c", [], ["q"])], [], {}, "c puts out q, but so does the robot"),
+        ([PD, Names("c", [], ["torque"])], [], {}, "pd and c both output torque"),
+        ([Names("c", [], ["q"])], [], {}, "c outputs q, but so does the robot"),
         ([Names("c", ["q"], ["y"])], [], {}, r"\(c\.y\) reaches the robot, which takes torque, force"),
         ([], [Names("n", ["q"], [])], {}, "n has no outputs"),
         ([], [Names("n", ["qq"], ["qq"])], {}, "n acts on qq, which doesn't exist; did you mean 'q'"),
@@ -148,8 +148,8 @@ def test_explicit_connections_come_first() -> None:
     ],
 )
 def test_what_fits_nothing_is_named(
-    controllers: list[Names], inserts: list[Names], explicit: dict[str, str], message: str
+    controllers: list[Names], inline_blocks: list[Names], explicit: dict[str, str], message: str
 ) -> None:
     """Every mistake names the slave, the variable and what would do."""
     with pytest.raises(WiringError, match=message):
-        wire(TRAJECTORY, PLANT, controllers, [passing(each) for each in inserts], explicit)
+        wire(TRAJECTORY, PLANT, controllers, [inline_block(each) for each in inline_blocks], explicit)

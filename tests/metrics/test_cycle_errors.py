@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.cycles import repeated
-from flexfmu.cosim.measuring.cycle_errors import cycle_errors
-from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.results import Column, Recording
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.experiment.cycles import repeated
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.metrics.cycle_errors import cycle_errors
+from flexfmu.model.scene.file import load_scene
 
 ERRORS = (1e-3, 2e-4)
 """Of the joints in the first cycle [rad]; each further cycle halves them."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.measuring.bernstein import Array, bisect, maximum_norm
-from flexfmu.cosim.measuring.segments import HermiteSegments
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.metrics.bernstein import bisect, maximum_norm
+from flexfmu.cosim.metrics.segments import HermiteSegments
 
 
 def sine_segments(
@@ -19,7 +20,7 @@ def sine_segments(
     return HermiteSegments(time[:-1], time[1:], nodes[:, :-1], nodes[:, 1:])
 
 
-def largest_error(segments: HermiteSegments, frequency: float, phase: float = 0.3) -> Array:
+def largest_error(segments: HermiteSegments, frequency: float, phase: float = 0.3) -> RealArray:
     """(n,) largest difference from the sine in each segment, densely sampled."""
     theta = np.linspace(0.0, 1.0, 41)
     time = segments.start + theta[:, np.newaxis] * segments.duration

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.measuring.small_deflections import exceeded, path_errors
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.references import compare_motions, full_scene, sample_instants, shapes_motion
-from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.metrics.small_deflections import exceeded, path_errors
+from flexfmu.cosim.studies.references import compare_motions, full_scene, sample_instants, shapes_motion
 from flexfmu.model.finite_elements.equilibrium import equilibrium
 from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.numeric import numeric_model, standstill
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 
 PAPER = load_scene("barnard2012-6kg")

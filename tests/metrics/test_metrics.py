@@ -10,15 +10,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.measuring.bernstein import Array
-from flexfmu.cosim.measuring.metric_table import METRICS
-from flexfmu.cosim.metrics import Measurement, Settings, measure, measure_run
-from flexfmu.cosim.results import Column, Recording
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.metrics.metrics import Measurement, Settings, measure, measure_run
 
 T, DWELL, STEP = 0.4, 0.3, 2e-3
 OMEGA = 2 * math.pi * 20.0
-Signal = Callable[[Array, int], Array]
+Signal = Callable[[RealArray, int], RealArray]
 """(time, order) → time derivative of that order of a smooth signal."""
 
 
@@ -29,7 +29,7 @@ class Quadratic:
     duration: float = T
     breakpoints: tuple[float, ...] = (0.0, T)
 
-    def evaluate(self, time: Array, order: int = 2, side: str = "right") -> Array:
+    def evaluate(self, time: RealArray, order: int = 2, side: str = "right") -> RealArray:
         """(order + 1, N, 2) position and derivatives."""
         moving = (time < T) if side == "right" else (time <= T)
         x = np.zeros((order + 1, len(time), 2))
@@ -44,7 +44,7 @@ def sine(amplitude: float, omega: float, decay: float = 0.0, phase: float = 0.0)
     return lambda t, order: np.imag(amplitude * root**order * np.exp(root * t + 1j * phase))
 
 
-def column(signal: Signal, time: Array, order: int = 0) -> Column:
+def column(signal: Signal, time: RealArray, order: int = 0) -> Column:
     """The order-th derivative of a signal as a recorded column."""
     return Column("", signal(time, order), signal(time, order + 1), signal(time, order + 2))
 
@@ -113,7 +113,7 @@ LARGER = sine(10.0, OMEGA)
 """What happens during the dwell."""
 
 
-def in_two_parts(motion: Signal, dwell: Signal, time: Array, order: int = 0) -> Column:
+def in_two_parts(motion: Signal, dwell: Signal, time: RealArray, order: int = 0) -> Column:
     """A signal that is another one from the right limit at T on."""
     moving = np.arange(time.size) <= np.searchsorted(time, T)
     return Column("", *(np.where(moving, motion(time, k), dwell(time, k)) for k in range(order, order + 3)))

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flexfmu.cosim.closed_loop import run_loop
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.experiment import PreparedScene, Run, run_scene
-from flexfmu.cosim.measuring.metric_table import display
-from flexfmu.cosim.metrics import measure_run
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run, run_scene
+from flexfmu.cosim.metrics.metric_table import display
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import coarse_metrics
-from flexfmu.cosim.slave import Indices, RealArray, SlaveVariable
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
 
 STUDY = Path(__file__).parents[2] / "benchmarks" / "stated_errors.py"
 

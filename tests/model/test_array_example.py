@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 from pydantic import BaseModel
 
-from flexfmu.model.array_example import array_example
-from flexfmu.model.controller_sections import StateSpaceSection
-from flexfmu.model.scene import Effects, TrajectorySection
+from flexfmu.model.scene.array_example import array_example
+from flexfmu.model.scene.controllers import StateSpaceSection
+from flexfmu.model.scene.effects import Effects
+from flexfmu.model.scene.motion import TrajectorySection
 
 
 @pytest.mark.parametrize(

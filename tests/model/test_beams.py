@@ -12,11 +12,11 @@ from flexfmu.model.beams import (
     clamped_pinned_bending,
     fixed_fixed_axial,
     fixed_free_axial,
+    integrate_shapes,
     pinned_pinned_bending,
     tip_force_axial,
     tip_force_bending,
 )
-from flexfmu.model.shape_integrals import integrate_shapes
 
 XI = np.linspace(0.0, 1.0, 101)
 

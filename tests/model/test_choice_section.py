@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 
-from flexfmu.model.errors import SceneError
 from flexfmu.model.five_bar import assemble
-from flexfmu.model.scene_file import load_scene, parse_scene
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import parse_scene
 
 AUTO: dict[str, Any] = {
     "gravity": [0.0, -9.81],
@@ -42,7 +43,9 @@ def test_the_scene_file_of_the_shipped_scenes_can_be_left_to_the_choice() -> Non
     scene = parse_scene(data(), "test")
     assert scene.effects.basis == "craig-bampton"
     assert scene.replace({}) == scene
-    assert "select" not in files("flexfmu.cosim").joinpath("scenes", "barnard2012-6kg.toml").read_text(encoding="utf-8")
+    assert "select" not in files("flexfmu.model.scene").joinpath("scenes", "barnard2012-6kg.toml").read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize(

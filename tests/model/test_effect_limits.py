@@ -8,13 +8,13 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
-from flexfmu.model.assembly import elbow as elbow_of
-from flexfmu.model.assembly import elbows, motor_angles
-from flexfmu.model.bases import family_shapes
+from flexfmu.model.elastic_family import family_shapes
 from flexfmu.model.modes import damped_modes, natural_frequencies
 from flexfmu.model.numeric import numeric_model, standstill
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import elbow as elbow_of
+from flexfmu.model.scene.assembly import elbows, motor_angles
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 
 POSE = (0.05, 0.3)

@@ -11,10 +11,12 @@ from typing import Any, get_args
 import pytest
 from pydantic import BaseModel
 
-from flexfmu.model.choice_section import Choice
-from flexfmu.model.cosimulation_section import Cosimulation
-from flexfmu.model.scene import Effects, Mechanism, Payload, TrajectorySection
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.choice import Choice
+from flexfmu.model.scene.cosimulation import Cosimulation
+from flexfmu.model.scene.effects import Effects
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.mechanism import Mechanism, Payload
+from flexfmu.model.scene.motion import TrajectorySection
 
 ROOT = Path(__file__).parents[2]
 PAGES = [(ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("effects.md", "control-loop.md")]

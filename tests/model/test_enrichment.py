@@ -6,8 +6,8 @@ import pytest
 
 from flexfmu.model.enrichment import enrichments, reductions
 from flexfmu.model.five_bar import assemble
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 RICH = {
     "payload.inertia": 0.01,

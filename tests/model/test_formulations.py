@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.model.assembly import motor_angles
 from flexfmu.model.multipliers import constrained_model, motion_driven_accelerations, torque_driven_accelerations
 from flexfmu.model.numeric import numeric_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 VARIANTS = {
     "the paper's robot": {},

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.model.assembly import WORKING_MODES, assembly_side, elbows
 from flexfmu.model.kinematics import RigidKinematics
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import WORKING_MODES, assembly_side, elbows
+from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories import Jet, JointTrajectory, TrajectoryError
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.model.assembly import motor_angles
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from flexfmu.model.assembly import motor_angles
-from flexfmu.model.errors import SceneError
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 
 POSE = (-0.1, 0.3)

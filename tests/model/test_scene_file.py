@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.model.errors import SceneError, SceneWarning
-from flexfmu.model.scene import ModalDamping, NoDamping
-from flexfmu.model.scene_file import load_scene, shipped_scenes
+from flexfmu.model.scene.effects import ModalDamping, NoDamping
+from flexfmu.model.scene.errors import SceneError, SceneWarning
+from flexfmu.model.scene.file import load_scene, shipped_scenes
 
 WRONG_VALUES = {
     "negative mass": ({"payload.mass": -0.1}, r"`payload\.mass` must be at least 0\.0 kg, got -0\.1 kg"),
@@ -206,7 +206,7 @@ def test_a_scene_survives_the_way_through_plain_data() -> None:
 def shipped_text() -> str:
     from importlib.resources import files
 
-    return files("flexfmu.cosim").joinpath("scenes/barnard2012-6kg.toml").read_text()
+    return files("flexfmu.model.scene").joinpath("scenes/barnard2012-6kg.toml").read_text()
 
 
 JUNK = st.one_of(

@@ -8,20 +8,26 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from flexfmu.cosim.planning import plan
-from flexfmu.model.choice_section import MeasureName
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.numeric import numeric_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
-from flexfmu.model.selection import richest as richest_module
-from flexfmu.model.selection.choose import choose_effects, estimated_errors, rich_enough
+from flexfmu.model.scene.choice import MeasureName
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.selection import effect_sets
+from flexfmu.model.selection.choose import (
+    absent_effects,
+    cheapest,
+    choose_effects,
+    estimated_errors,
+    given_effects,
+    poorer,
+    rich_enough,
+)
+from flexfmu.model.selection.effect_sets import RICHEST, richest, with_set
 from flexfmu.model.selection.estimator import Estimator
-from flexfmu.model.selection.given import absent_effects, given_effects
 from flexfmu.model.selection.measures import scales
 from flexfmu.model.selection.motion_grid import motion_grid
 from flexfmu.model.selection.response import LinearSystem
-from flexfmu.model.selection.richest import RICHEST, richest, with_set
-from flexfmu.model.selection.search import cheapest, poorer
 
 OF: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
 HEAVY = load_scene("barnard2012-6kg")
@@ -153,7 +159,7 @@ def test_one_shape_more_of_each_family_changes_nothing(monkeypatch: pytest.Monke
     names = get_args(MeasureName)
     estimates = estimator(LIGHT, names)
     counts: dict[str, Any] = {key: value + 1 for key, value in RICHEST.items() if type(value) is int}
-    monkeypatch.setattr(richest_module, "RICHEST", {**RICHEST, **counts})
+    monkeypatch.setattr(effect_sets, "RICHEST", {**RICHEST, **counts})
     finer = estimator(LIGHT, names)
     for name in names:
         assert abs(estimates.reference[name] - finer.reference[name]) < 1e-3 * estimates.scales[name], name

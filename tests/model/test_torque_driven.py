@@ -6,15 +6,15 @@ import casadi
 import numpy as np
 import pytest
 
-from flexfmu.model.assembly import motor_angles
-from flexfmu.model.errors import SceneError
 from flexfmu.model.linear import linearize, operating_point
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.multipliers import constrained_model, motion_driven_accelerations
+from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.plants import build_model
-from flexfmu.model.rigid_dynamics import inverse_dynamics
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicModel
 
 POSE = (-0.1, 0.3)

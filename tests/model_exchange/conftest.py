@@ -12,9 +12,9 @@ import pytest
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 from numpy.typing import NDArray
 
-from flexfmu.fmu_build.scene_build import build_scene
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 Array = NDArray[np.float64]
 Kind = Literal["exchange", "stepping"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.fmu_build.validation.validate import validate_fmu
 
 Array = NDArray[np.float64]
 

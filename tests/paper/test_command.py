@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.measuring.metric_table import METRICS
-from flexfmu.cosim.paper import command
-from flexfmu.cosim.paper.cases import Case
-from flexfmu.cosim.paper.errors import PaperError
-from flexfmu.cosim.paper.simulations import Simulation, evaluators
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.studies.paper import command
+from flexfmu.cosim.studies.paper.simulations import Case, PaperError, Simulation, simulation_evaluators
 
 CASES: tuple[Case, ...] = (
     ("barnard2012-6kg", "Bang-bang", "Lamé"),
@@ -64,7 +62,7 @@ def test_progress_never_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_both_names_of_the_clothoid_pair_are_one_simulation() -> None:
     """Tables 7 and 11 name the same curve differently."""
     done = {case: simulation(case) for case in CASES}
-    torque = evaluators(done, "barnard2012-6kg")["peak_torque_1"]
+    torque = simulation_evaluators(done, "barnard2012-6kg")["peak_torque_1"]
     assert torque("Bang-bang", "Clot.") == torque("Bang-bang", "Clothoid") == 1.0
 
 
@@ -73,4 +71,4 @@ def test_a_metric_without_a_value_is_an_error() -> None:
     case = CASES[0]
     broken = Simulation(case, dict.fromkeys(METRICS), 0.43, np.zeros(1), np.zeros(1), Path("plant.fmu"), 0.0)
     with pytest.raises(PaperError, match="Bang-bang, Lamé: the simulation has no peak_torque_1"):
-        evaluators({case: broken}, case[0])["peak_torque_1"]("Bang-bang", "Lamé")
+        simulation_evaluators({case: broken}, case[0])["peak_torque_1"]("Bang-bang", "Lamé")

@@ -10,15 +10,11 @@ import math
 import pytest
 from rich.console import Console
 
-from flexfmu.cosim.errors import ResultsError
-from flexfmu.cosim.paper.agreement import count_agreement
-from flexfmu.cosim.paper.comparison import Cell, ComparisonTable, compare
-from flexfmu.cosim.paper.layout import lay_out, percentage
-from flexfmu.cosim.paper.markdown import table_to_markdown
-from flexfmu.cosim.paper.reference import Verdict, printed_table, source
-from flexfmu.cosim.paper.report import PaperReport
-from flexfmu.cosim.paper.spreadsheet import table_to_csv
-from flexfmu.cosim.paper.terminal import print_report
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.studies.paper.comparison import Cell, ComparisonTable, compare, count_agreement
+from flexfmu.cosim.studies.paper.reference import Verdict, printed_table, source
+from flexfmu.cosim.studies.paper.report import PaperReport, print_report
+from flexfmu.cosim.studies.paper.tables import lay_out, percentage, table_to_csv, table_to_markdown
 
 
 def compare_with_itself(key: str, factor: float = 1.0) -> ComparisonTable:

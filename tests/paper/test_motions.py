@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.paper import motions
-from flexfmu.cosim.paper.cases import trajectory_scene
-from flexfmu.cosim.paper.comparison import Comparison, ComparisonTable, compare
-from flexfmu.cosim.paper.reference import printed_table
-from flexfmu.cosim.paper.spectrum import WINDOW, acceleration_spectrum, band_average
-from flexfmu.cosim.planning import plan
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.studies.paper import motions
+from flexfmu.cosim.studies.paper.comparison import Comparison, ComparisonTable, compare
+from flexfmu.cosim.studies.paper.reference import printed_table
+from flexfmu.cosim.studies.paper.simulations import trajectory_scene
+from flexfmu.cosim.studies.paper.spectra import WINDOW, acceleration_spectrum, band_average
 
 
 def computed(key: str) -> ComparisonTable:
-    return compare(printed_table(key), motions.evaluators())
+    return compare(printed_table(key), motions.motion_evaluators())
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from flexfmu.cosim.paper.command import run_paper
-from flexfmu.cosim.paper.comparison import Cell
-from flexfmu.cosim.paper.reference import TABLES, printed_tables
-from flexfmu.cosim.paper.report import PaperReport
+from flexfmu.cosim.studies.paper.command import run_paper
+from flexfmu.cosim.studies.paper.comparison import Cell
+from flexfmu.cosim.studies.paper.reference import TABLES, printed_tables
+from flexfmu.cosim.studies.paper.report import PaperReport
 
 pytestmark = pytest.mark.slow
 

@@ -20,7 +20,7 @@ from flexfmu.fmu_build.platforms import PLATFORMS, native_platform
 from flexfmu.fmu_build.sources import Sources, generate_sources
 from flexfmu.fmu_build.toolchain import find_compiler
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import SymbolicModel
 
 LibraryFor = Callable[..., bytes]

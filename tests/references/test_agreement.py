@@ -15,10 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.references import (
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.studies.references import (
     FREQUENCIES,
-    Array,
     Beam,
     Motion,
     compare_at_rest,
@@ -27,19 +28,18 @@ from flexfmu.cosim.references import (
     sample_instants,
     shapes_motion,
 )
-from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.model.finite_elements.equilibrium import element_frequencies
 from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.modes import natural_frequencies
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 SCENES = ("barnard2012-6kg", "barnard2012-0.1kg")
 WITH, WITHOUT = 1e-3, 2e-3
 """Bounds with and without foreshortening."""
 
-Reference = Callable[[Scene, MotionPlan, Array], Motion]
+Reference = Callable[[Scene, MotionPlan, RealArray], Motion]
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -107,11 +107,11 @@ def fmu_of_shapes(foreshortening: bool) -> Path:
     return build_scene(full_scene(load_scene(SCENES[0]), "euler-bernoulli", foreshortening)).path
 
 
-def by_elements(scene: Scene, motion: MotionPlan, instants: Array) -> Motion:
+def by_elements(scene: Scene, motion: MotionPlan, instants: RealArray) -> Motion:
     return simulate(finite_element_robot(scene, 2), motion.joints, instants, 5e-4)
 
 
-def by_exudyn(scene: Scene, motion: MotionPlan, instants: Array) -> Motion:
-    from flexfmu.cosim.workprec.exudyn_peer import simulate_exudyn
+def by_exudyn(scene: Scene, motion: MotionPlan, instants: RealArray) -> Motion:
+    from flexfmu.cosim.studies.workprec.exudyn_peer import simulate_exudyn
 
     return simulate_exudyn(scene, motion, instants, step=1e-4 if scene.payload.mass > 1.0 else 5e-5, elements=4)

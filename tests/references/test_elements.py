@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.references import full_scene
-from flexfmu.model.assembly import motor_angles
-from flexfmu.model.errors import SceneError
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.studies.references import full_scene
 from flexfmu.model.finite_elements.element import COORDINATES, beam_element
 from flexfmu.model.finite_elements.equilibrium import element_frequencies
 from flexfmu.model.finite_elements.motion import simulate
 from flexfmu.model.finite_elements.robot import finite_element_robot
 from flexfmu.model.finite_elements.sections import BeamSection
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.file import load_scene
 
 SCENE = full_scene(load_scene("barnard2012-6kg"), "euler-bernoulli", foreshortening=True)
 SLENDER = BeamSection(length=1.0, axial=7e7, bending=5e3, shear=np.inf, mass=2.6, rotary=0.0)

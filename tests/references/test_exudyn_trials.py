@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexfmu.cosim.workprec import peers
-from flexfmu.cosim.workprec.subject import subject_of
-from flexfmu.cosim.workprec.trial import Curve, Trial
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.studies.workprec import tool_trials
+from flexfmu.cosim.studies.workprec.trial import Curve, Trial, subject_of
+from flexfmu.model.scene.file import load_scene
 
 SCENE = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
 
@@ -16,7 +15,7 @@ SCENE = load_scene("barnard2012-6kg").replace({"trajectory.dwell": 0.0})
 def trials(**changes: object) -> list[Trial]:
     """Exudyn's trials of the scene with changed keys."""
     scene = SCENE.replace({key.replace("__", "."): value for key, value in changes.items()})
-    return list(peers.exudyn_trials(subject_of(scene), Curve(()), lambda text: None))
+    return list(tool_trials.exudyn_trials(subject_of(scene), Curve(()), lambda text: None))
 
 
 @pytest.mark.slow
@@ -24,7 +23,7 @@ def test_errors_fall_with_the_steps_square(monkeypatch: pytest.MonkeyPatch) -> N
     """Counted from its own converged run, generalised-alpha has the second order that it should have, so that errors of its
     time steps are what is seen, not another model's."""
     pytest.importorskip("exudyn", reason="exudyn isn't installed: pip install flexfmu[peers]")
-    monkeypatch.setattr(peers, "STEPS", (5e-4, 2.5e-4))
+    monkeypatch.setattr(tool_trials, "EXUDYN_STEPS", (5e-4, 2.5e-4))
     coarse, fine = trials()
     assert coarse.error is not None
     assert fine.error is not None
@@ -42,7 +41,7 @@ def test_what_exudyn_lacks_is_told() -> None:
 
 def test_exudyn_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the extra a study says what to install."""
-    monkeypatch.setattr(peers, "find_spec", lambda name: None)
+    monkeypatch.setattr(tool_trials, "find_spec", lambda name: None)
     (trial,) = trials()
     assert trial.failed
     assert "flexfmu[peers]" in trial.note

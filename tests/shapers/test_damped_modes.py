@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from flexfmu.cosim.planning import plan
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.modes import damped_modes, natural_frequencies
 from flexfmu.model.numeric import numeric_model, standstill
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.shapers import (
     SHAPERS,
     UNSHAPED,
@@ -355,5 +355,5 @@ def test_other_bad_arguments() -> None:
 def test_residual_takes_many_frequencies() -> None:
     """An array of frequencies gives as many residuals as single ones, to the order in which BLAS takes sums."""
     sequence, probe = design("ei", [Oscillator(10.0, 0.1)]), np.linspace(1.0, 30.0, 7)
-    single: Array = np.concatenate([sequence.residual(f, 0.1) for f in probe])
+    single: RealArray = np.concatenate([sequence.residual(f, 0.1) for f in probe])
     np.testing.assert_allclose(sequence.residual(probe, 0.1), single, rtol=1e-14)

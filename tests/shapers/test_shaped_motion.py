@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.shaping.plan import shape_joints, shape_path
-from flexfmu.model.forward_kinematics import RigidForwardKinematics
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.shaping import shape_joints, shape_path
+from flexfmu.model.kinematics import RigidForwardKinematics
+from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories import BangBang, JointTrajectory, TaskTrajectory, Trapezoidal
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet, sin

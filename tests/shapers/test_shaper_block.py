@@ -6,11 +6,11 @@ import casadi
 import numpy as np
 import pytest
 
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.shaping.block import JOINT_REFERENCES, ShapedSignal, shaper_block
+from flexfmu.cosim.control.shaper_block import JOINT_REFERENCES, ShapedSignal, shaper_block
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory, design
 
 MODE = Oscillator(58.0, 0.02)

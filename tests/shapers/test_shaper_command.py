@@ -12,21 +12,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from flexfmu.cosim.cli import app
-from flexfmu.cosim.errors import InputError
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.imperfections.payload_error import with_payload_error
-from flexfmu.cosim.loop.sections import loop_of
-from flexfmu.cosim.metrics import measure_run
-from flexfmu.cosim.planning import MotionPlan, plan
-from flexfmu.cosim.shaping import design as shaping_design
-from flexfmu.cosim.shaping.design import Alternative, alternatives, design_modes
-from flexfmu.cosim.shaping.plan import deviation, shape_joints, shape_path
-from flexfmu.cosim.shaping.recommendation import Limits, compare_slower, recommend
-from flexfmu.cosim.shaping.scene_file import write_shaped
-from flexfmu.cosim.shaping.study import (
+from flexfmu.cosim.choices.shapers import design as shaping_design
+from flexfmu.cosim.choices.shapers.design import Alternative, alternatives, design_modes
+from flexfmu.cosim.choices.shapers.recommendation import Limits, compare_slower, recommend, write_shaped
+from flexfmu.cosim.choices.shapers.study import (
     Candidate,
-    Result,
+    CandidateResult,
     Trial,
     candidates,
     payload_errors,
@@ -36,11 +27,19 @@ from flexfmu.cosim.shaping.study import (
     studied,
     study,
 )
-from flexfmu.cosim.shaping.table import markdown, to_csv
-from flexfmu.fmu_build.scene_build import build_scene
+from flexfmu.cosim.choices.shapers.table import markdown, to_csv
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.shaping import deviation, shape_joints, shape_path
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.modes import DampedModes
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, design
 from flexfmu.trajectories.shapers.shaped import ShapedTrajectory
 
@@ -79,10 +78,10 @@ def test_modes_near_the_lowest_are_shaped_for(
     assert wanted.band == (20.0, shaped[-1])
 
 
-def result(motion: MotionPlan, name: str, added: float, settling: float | None, stray: float = 0.0) -> Result:
+def result(motion: MotionPlan, name: str, added: float, settling: float | None, stray: float = 0.0) -> CandidateResult:
     """A result with one trial."""
     candidate = Candidate(name, "joints" if added else "-", UNSHAPED, motion)
-    return Result(candidate, added, stray, (Trial(0.0, 1e-6 if settling == 0.0 else 5e-5, settling, 50.0),))
+    return CandidateResult(candidate, added, stray, (Trial(0.0, 1e-6 if settling == 0.0 else 5e-5, settling, 50.0),))
 
 
 def test_design_modes_are_those_of_the_end_pose(motion: MotionPlan) -> None:
@@ -281,7 +280,7 @@ def shipped_text() -> str:
     """The shipped 6 kg scene."""
     from importlib.resources import files
 
-    return (files("flexfmu.cosim") / "scenes" / "barnard2012-6kg.toml").read_text(encoding="utf-8")
+    return (files("flexfmu.model.scene") / "scenes" / "barnard2012-6kg.toml").read_text(encoding="utf-8")
 
 
 def test_a_slower_motion_takes_the_time_on_the_same_path(motion: MotionPlan) -> None:
@@ -301,7 +300,9 @@ def test_rigid_robots_need_no_shaper(scene: Scene) -> None:
 def test_tables_have_every_trial(motion: MotionPlan) -> None:
     """CSV has one line a simulation in SI units, Markdown one table a quantity with payload errors in columns."""
     trials = (Trial(-0.3, 2e-6, 0.0, 41.0), Trial(0.0, 1e-5, None, 50.0), Trial(0.3, 3e-6, 0.0123, 61.0))
-    found = Result(Candidate("zv", "joints", ImpulseSequence((0.0, 0.008), (0.5, 0.5)), motion), 0.008, 3e-4, trials)
+    found = CandidateResult(
+        Candidate("zv", "joints", ImpulseSequence((0.0, 0.008), (0.5, 0.5)), motion), 0.008, 3e-4, trials
+    )
     rows = list(csv.DictReader(to_csv([found]).splitlines()))
     assert [float(row["payload_error"]) for row in rows] == [-0.3, 0.0, 0.3]
     assert [row["settling_time"] for row in rows] == ["0.0", "", "0.0123"]
@@ -314,7 +315,7 @@ def test_tables_have_every_trial(motion: MotionPlan) -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command with two shapers only."""
-    import flexfmu.cosim.commands.shaper as command
+    import flexfmu.cosim.cli.shaper as command
 
     def few(modes: object) -> list[Alternative]:
         return [each for each in alternatives(modes) if each.name in ("zv", "ei")]  # type: ignore[arg-type]
@@ -396,7 +397,7 @@ def test_bad_bands_are_refused(band: str, tmp_path: Path) -> None:
 
 def test_study_says_how_far_it_is(motion: MotionPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     """Progress runs from the first simulation to 1, in equal steps, without going back."""
-    import flexfmu.cosim.shaping.study as module
+    import flexfmu.cosim.choices.shapers.study as module
 
     monkeypatch.setattr(module, "simulate", lambda candidate, error, fmu: Trial(error, 0.0, 0.0, 1.0))
     heard: list[float] = []

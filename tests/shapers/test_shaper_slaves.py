@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.blocks.slave import BlockSlave
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.master import simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.shaping.block import JOINT_REFERENCES, SHAPED, shaper_block
-from flexfmu.cosim.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.control.shaper_block import JOINT_REFERENCES, SHAPED, shaper_block
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.planning import plan
 from flexfmu.fmu_build.block_build import build_block_fmu
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.shapers import Oscillator, ShapedTrajectory, design
 
 SAMPLE_TIME = 1e-3

@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without t
 
 from ssp_support.packages import SSD, package
 
-from flexfmu.cosim.ssp.export import export_ssp
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.exchange.ssp.export import export_ssp
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 
 @pytest.fixture(scope="session")

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from time import monotonic, sleep
 from zipfile import ZipFile
 
 import pytest
@@ -13,9 +17,9 @@ import tomlkit
 from ssp_support.packages import SSD, inline, of_second, parameter_set
 from typer.testing import CliRunner, Result
 
-from flexfmu.cosim.cli import app
-from flexfmu.cosim.results import Recording
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.model.scene.file import load_scene
 
 MakeSsp = Callable[..., Path]
 
@@ -91,6 +95,18 @@ def test_run_tells_what_it_ignored(make_ssp: MakeSsp, tmp_path: Path) -> None:
     assert {each.name for each in (tmp_path / "out").iterdir()} == {"results.csv", "summary.json"}
 
 
+def test_texts_in_the_table(make_ssp: MakeSsp, make_decay: Callable[..., bytes], tmp_path: Path) -> None:
+    """The table shows a String's last text, not its code; results.csv has all of them."""
+    said = '<ScalarVariable name="said" valueReference="1" causality="output" variability="discrete"><String/></ScalarVariable>'
+    files = {"resources/decay.fmu": make_decay(("</ModelVariables>", f"{said}</ModelVariables>"))}
+    ran = flexfmu("run", str(make_ssp(SSD, files)), "--step", "0.1", "--out", str(tmp_path / "out"))
+    assert ran.exit_code == 0, ran.output
+    line = next(each for each in ran.stdout.splitlines() if "first.said" in each)
+    assert line.split(maxsplit=1)[1].strip() == '"decay, 10"'
+    recording = Recording.read_csv(tmp_path / "out" / "results.csv")
+    assert recording["first.said"].text_at(0) == "decay, 0"
+
+
 def test_files_without_a_stop_time(make_ssp: MakeSsp, tmp_path: Path) -> None:
     """The refusal names the option, and with it the file runs."""
     path = str(make_ssp(SSD.replace(' stopTime="1"', "")))
@@ -129,6 +145,46 @@ def test_failures_are_one_line(ssd: str, status: int, problem: str, make_ssp: Ma
     assert problem.split()[-1] in result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert (tmp_path / "out" / "results.csv").exists() == (status == 1)
+
+
+def hanging(process: int, children: bool) -> bool:
+    """Whether a process spends its time in one call, or its child does."""
+    found = Path(f"/proc/{process}/task/{process}/children").read_text().split() if children else [str(process)]
+    begin = [spent(each) for each in found]
+    sleep(0.7)
+    return any(spent(each) - before > 0.3 for each, before in zip(found, begin, strict=True))
+
+
+def spent(process: str) -> float:
+    """Processor time of a process [s]; 0 of one that is gone."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return int(fields[11]) / os.sysconf("SC_CLK_TCK")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at processes as Linux shows them")
+@pytest.mark.parametrize("isolated", [True, False])
+def test_sigterm_leaves_nothing_behind(isolated: bool, make_ssp: MakeSsp, tmp_path: Path) -> None:
+    """SIGTERM ends a run like Ctrl-C, with status 143: what was recorded is written, no folder and no child stays. A
+    program that an FMU holds within itself ends too, though it can't tidy up."""
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    path = make_ssp(of_second(inline(parameter_set(trouble='Enumeration value="hangs"'))))
+    options = ["--step", "0.1", "--out", str(tmp_path / "out"), "--isolate" if isolated else "--no-isolate"]
+    command = [sys.executable, "-c", "from flexfmu.cosim.cli.main import main; main()", "run", str(path), *options]
+    running = subprocess.Popen(command, env={**os.environ, "TMPDIR": str(temporary)}, stderr=subprocess.PIPE, text=True)
+    end = monotonic() + 60.0
+    while not (list(temporary.glob("flexfmu-*")) and hanging(running.pid, children=isolated)) and monotonic() < end:
+        sleep(0.1)
+    assert list(temporary.glob("flexfmu-*"))
+    running.send_signal(signal.SIGTERM)
+    _, problem = running.communicate(timeout=60)
+    assert running.returncode == 143, problem
+    if isolated:
+        assert not list(temporary.glob("flexfmu-*"))
+        assert Recording.read_csv(tmp_path / "out" / "results.csv").time[-1] == pytest.approx(0.5)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")

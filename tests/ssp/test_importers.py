@@ -12,7 +12,7 @@ from ssp_support.importers import SIGNAL, simulate
 from ssp_support.loops import INSTANTS, SAMPLE_TIME, export_loop, in_our_master, off
 from ssp_support.loops import STEPS as LOOP_STEPS
 
-from flexfmu.cosim.ssp.loading import load_ssp
+from flexfmu.cosim.exchange.ssp.loading import load_ssp
 
 STEPS = (4e-4, 2e-4)
 INSTANT = 0.2

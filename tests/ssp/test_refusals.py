@@ -20,10 +20,10 @@ from ssp_support.packages import (
     parameter_set,
 )
 
-from flexfmu.cosim.errors import FmuFileError, InputError
-from flexfmu.cosim.ssp.archive import DESCRIPTION, SspArchive
-from flexfmu.cosim.ssp.loading import load_ssp
-from flexfmu.cosim.ssp.structure import SspError
+from flexfmu.cosim.engine.errors import FmuFileError, InputError
+from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
+from flexfmu.cosim.exchange.ssp.loading import load_ssp
+from flexfmu.cosim.exchange.ssp.structure import SspError
 
 MakeSsp = Callable[..., Path]
 
@@ -90,7 +90,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "upwards": (changed("resources/decay.fmu", "../decay.fmu"), "leads out of the archive"),
     "upwards, hidden": (changed("resources/decay.fmu", "resources/%2e%2e/%2E%2E/decay.fmu"), "leads out of the archive"),
     "backslash": (changed("resources/decay.fmu", "resources\\decay.fmu"), "with slashes"),
-    "unknown variable": (changed('name="u"', 'name="uu"').replace('endConnector="u"', 'endConnector="uu"'), "has no variable 'uu'; did you mean 'u'?"),
+    "unknown variable": (changed('name="u"', 'name="uu"').replace('endConnector="u"', 'endConnector="uu"'), "<Connector name='uu'> of 'second': resources/decay.fmu has no variable 'uu'; did you mean 'u'?"),
     "wrong direction": (changed('name="u" kind="input"', 'name="u" kind="output"'), "is of kind output; in resources/decay.fmu it is input"),
     "wrong type": (changed('<ssc:Real unit="m"/>', "<ssc:Integer/>"), "is Integer; in resources/decay.fmu it is Real"),
     "unknown kind": (changed('kind="input"', 'kind="inlet"'), "has the kind 'inlet'"),
@@ -102,7 +102,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "unknown connector": (connected(startConnector="y"), "names the connector 'y', which 'first' doesn't have"),
     "unknown system connector": (connected(startElement=""), "names the system's connector 'x', which doesn't exist"),
     "two outputs": (connected(endConnector="x"), "joins output and output"),
-    "types": (connected(endConnector="inverted"), "feeds Boolean 'inverted' from Real 'x'"),
+    "types": (connected(endConnector="inverted"), "between 'first.x' and 'second.inverted' feeds Boolean 'second.inverted' from Real 'first.x'"),
     "table": (connected(TABLE), "has a table that is no line"),
     "calculated parameter": (connected(endConnector="rate").replace('<ssd:Connector name="inverted" kind="input"/>', '<ssd:Connector name="rate" kind="parameter"/>'), "joins output and parameter; parameters are set before the run"),
     "factor": (connected('<ssc:LinearTransformation factor="two"/>'), "has factor='two', which must be a number"),
@@ -116,13 +116,15 @@ WRONG: dict[str, tuple[str, str]] = {
     "missing set": (of_second(binding('source="values.ssv"')), "names 'values.ssv', which isn't in decays.ssp"),
     "set of another kind": (of_second(binding('type="text/csv" source="a.csv"')), "has the type 'text/csv'"),
     "set in an FMU": (of_second(binding('sourceBase="component" source="a.ssv"')), "from within an FMU"),
-    "no value": (of_second(inline(parameter_set(rate="Real"))), "<Real> lacks the attribute 'value'"),
+    "no value": (of_second(inline(parameter_set(rate="Real"))), "<Real> of 'second' lacks the attribute 'value'"),
     "value": (of_second(inline(parameter_set(rate='Real value="fast"'))), "value='fast', which must be a number"),
     "value not finite": (of_second(inline(parameter_set(rate='Real value="NaN"'))), "must be finite"),
     "type of a value": (of_second(inline(parameter_set(rate='Boolean value="true"'))), "is Boolean; 'rate' of resources/decay.fmu is Real"),
     "calculated": (of_second(inline(parameter_set(steps='Integer value="1"'))), "which the FMU calculates"),
     "unit of a value": (of_system(inline(parameter_set(second__x='Real value="1" unit="s"'))), "s can't be converted to m"),
-    "item": (of_second(inline(parameter_set(trouble='Enumeration value="maybe"'))), "trouble must be one of none, fails, ends, forgets"),
+    "no item": (of_second(inline(parameter_set(trouble='Integer value="99"'))), "<Component name='second'>: trouble must be one of 1 (none), 2 (fails), "),
+    "no boolean": (of_second(inline(parameter_set(inverted='Boolean value="2"'))), "<Boolean> of 'second' has value='2', which must be true or false"),
+    "item": (of_second(inline(parameter_set(trouble='Enumeration value="maybe"'))), "<Component name='second'>: trouble must be one of none, fails, ends, forgets"),
     "mapping": (
         of_second(inline(parameter_set(a='Real value="1"'), mapping=f"<ssd:ParameterMapping>{MAPPED}</ssd:ParameterMapping>")),
         "parameter 'a' is 1.0, which its mapping doesn't have",
@@ -140,6 +142,34 @@ def test_one_line(name: str, make_ssp: MakeSsp) -> None:
         assert "decays.ssp, SystemStructure.ssd, line " in message
 
 
+def test_files_in_one_line(make_ssp: MakeSsp) -> None:
+    """Where the line says nothing, the message still tells which component, and in which system."""
+    nested = changed(
+        '<ssd:Component name="second"', '<ssd:System name="inner"><ssd:Elements><ssd:Component name="second"'
+    )
+    head, tail = nested.rsplit("</ssd:Component>", 1)
+    nested = f"{head}</ssd:Component></ssd:Elements>{{}}</ssd:System>{tail}".replace(CONNECTION, "")
+    own = '<ssd:Connections><ssd:Connection startElement="second" startConnector="x" endElement="second" endConnector="u">{}</ssd:Connection></ssd:Connections>'
+    flat = {
+        nested.format("").replace(
+            'name="u"', 'name="x"'
+        ): "<Component name='second'> of 'inner' has two connectors named 'x'",
+        nested.format("").replace(
+            'name="u" kind="input"', 'name="u" kind="inlet"'
+        ): "<Connector name='u'> of 'inner.second' has the kind",
+        nested.format(
+            own.format('<ssc:LinearTransformation factor="two"/>')
+        ): "<LinearTransformation> between 'inner.second.x' and 'inner.second.u' has factor",
+        changed(
+            'endConnector="u"', 'endConnector="v"'
+        ): "<Connection> between 'first.x' and 'second.v' names the connector 'v'",
+    }
+    for ssd, problem in flat.items():
+        message = refusal(make_ssp(" ".join(ssd.split("\n"))))
+        assert ", line 1: " in message
+        assert problem in message
+
+
 def test_units_that_measure_different_things(make_ssp: MakeSsp, make_decay: Callable[..., bytes]) -> None:
     """Metres can't become seconds, unless the file says that nothing is to be converted."""
     seconds = make_decay(
@@ -147,7 +177,7 @@ def test_units_that_measure_different_things(make_ssp: MakeSsp, make_decay: Call
     )
     ssd = changed('name="second" source="resources/decay.fmu"', 'name="second" source="resources/s.fmu"')
     message = refusal(make_ssp(ssd, {"resources/s.fmu": seconds}))
-    assert "from 'x' to 'u': m can't be converted to s" in message
+    assert "between 'first.x' and 'second.u': m can't be converted to s" in message
     load_ssp(make_ssp(ssd.replace(CONNECTION, CONNECTION.replace("/>", ' suppressUnitConversion="true"/>')), {"resources/s.fmu": seconds}), step=1.0)  # fmt: skip
 
 

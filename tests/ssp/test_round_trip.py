@@ -10,14 +10,14 @@ import pytest
 from fmpy import read_model_description
 from fmpy.ssp.ssd import read_ssd, read_ssv
 
-from flexfmu.cosim.experiment import run_scene
-from flexfmu.cosim.loop.recording import plain_names
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.results import Column
-from flexfmu.cosim.ssp.export import PARAMETERS, export_ssp
-from flexfmu.cosim.ssp.loading import load_ssp
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.engine.results import Column
+from flexfmu.cosim.exchange.ssp.export import PARAMETERS, export_ssp
+from flexfmu.cosim.exchange.ssp.loading import load_ssp
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.recording import plain_names
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 TIGHT = 1e-11
 """Of the magnitude of a signal: what passes between the slaves, torques and the end effector's motion differ by what the

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from ssp_support.packages import CONNECTION, NAMESPACES, SSD, binding, inline, of_second, of_system, parameter_set
 
-from flexfmu.cosim.master.linear_map import LinearMap
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.ssp.loading import load_ssp
-from flexfmu.cosim.ssp.structure import Unit, ValueMap
+from flexfmu.cosim.engine.master.linear_map import LinearMap
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.exchange.ssp.loading import load_ssp
+from flexfmu.cosim.exchange.ssp.structure import SspError, Unit, ValueMap
 
 MakeSsp = Callable[..., Path]
 STEP, COUNT = 0.125, 8
@@ -249,7 +249,7 @@ def test_parameters_at_all_levels(make_ssp: MakeSsp) -> None:
 
 
 def test_tables(make_ssp: MakeSsp) -> None:
-    """Booleans and items of enumerations are mapped by tables; on a connection a table counts where it is a line."""
+    """Booleans and items of enumerations are mapped by tables; a table that is a line counts as such."""
     entries = (
         '<ssm:MappingEntry source="flag" target="inverted"><ssc:BooleanMappingTransformation><ssc:MapEntry source="false" target="true"/></ssc:BooleanMappingTransformation></ssm:MappingEntry>'
         '<ssm:MappingEntry source="mood" target="trouble"><ssc:EnumerationMappingTransformation><ssc:MapEntry source="fine" target="none"/></ssc:EnumerationMappingTransformation></ssm:MappingEntry>'
@@ -260,6 +260,67 @@ def test_tables(make_ssp: MakeSsp) -> None:
     assert ValueMap(((False, True), (True, False))).linear() == LinearMap(-1.0, 1.0)
     assert ValueMap(((1, 10), (3, 20), (5, 30))).linear() == LinearMap(5.0, 5.0)
     assert ValueMap(((1, 1), (2, 4), (3, 9))).linear() is None
+
+
+def table(kind: str, **pairs: str) -> str:
+    """A table on a connection; names begin with a letter: ``_3="5"``."""
+    entries = "".join(f'<ssc:MapEntry source="{a.lstrip("_")}" target="{b}"/>' for a, b in pairs.items())
+    return f"<ssc:{kind}MappingTransformation>{entries}</ssc:{kind}MappingTransformation>"
+
+
+def connected(source: str, target: str, inner: str) -> str:
+    """The system with another connection between its components, whose connectors there are."""
+    ends = f'startElement="first" startConnector="{source}" endElement="second" endConnector="{target}"'
+    return SSD.replace(CONNECTION, f"<ssd:Connection {ends}>{inner}</ssd:Connection>")
+
+
+@pytest.mark.parametrize("isolate", [False, None])
+def test_tables_that_are_no_lines(make_ssp: MakeSsp, isolate: bool | None) -> None:
+    """Integers are looked up at every communication point, through systems' connectors too, which show what comes of it."""
+    squares = [0, 1, 4, 9, 16, 25, 36, 49, 64]
+    steps = table("Integer", **{f"_{n}": str(square) for n, square in enumerate(squares)})
+    path = make_ssp(connected("steps", "u", steps))
+    recording = load_ssp(path, step=STEP).simulate(isolate=isolate).recording
+    second = 1.0
+    for square in squares[:-1]:
+        second = square + (second - square) * exp(-STEP)
+    assert recording["second.x"].values[-1] == pytest.approx(second, rel=1e-12)
+    out = '<ssd:Connectors><ssd:Connector name="result" kind="output"/></ssd:Connectors>'
+    shown = (
+        f'<ssd:Connection startElement="first" startConnector="steps" endConnector="result">{steps}</ssd:Connection>'
+    )
+    ssd = SSD.replace("<ssd:Elements>", f"{out}<ssd:Elements>").replace(CONNECTION, shown)
+    recording = load_ssp(make_ssp(ssd), step=STEP).simulate(isolate=isolate).recording
+    assert recording["result"].values.tolist() == squares
+
+
+def test_values_that_a_table_lacks(make_ssp: MakeSsp) -> None:
+    """The run ends where the signal leaves the table, with its value and what the table has."""
+    path = make_ssp(connected("steps", "u", table("Integer", _0="7", _1="0", _2="1")))
+    simulation = load_ssp(path, step=STEP).simulate()
+    assert simulation.outcome is Outcome.STEP_FAILED
+    assert (
+        "first failed at 0.375 s: the table of a connection has nothing for 3, only for 0, 1, 2" in simulation.message
+    )
+    assert simulation.recording.time[-1] == pytest.approx(0.25)
+
+
+def test_tables_of_items(make_ssp: MakeSsp, make_decay: Callable[..., bytes]) -> None:
+    """Names of items are those of the enumerations at the connection's ends."""
+    variables = "".join(
+        f'<ScalarVariable name="{name}" valueReference="1" causality="{causality}" variability="discrete"><Enumeration '
+        f'declaredType="Trouble"{start}/></ScalarVariable>'
+        for name, causality, start in (("mood", "output", ""), ("task", "input", ' start="1"'))
+    )
+    fmu = {"resources/decay.fmu": make_decay(("</ModelVariables>", f"{variables}</ModelVariables>"))}
+    items = table("Enumeration", ends="ends", none="fails")
+    ssd = connected("mood", "task", items).replace("<ssc:Integer/>", "<ssc:Enumeration name='Trouble'/>")
+    ssd = ssd.replace('name="steps"', 'name="mood"').replace('name="inverted"', 'name="task"')
+    simulation = load_ssp(make_ssp(ssd, fmu), step=STEP).simulate()
+    assert simulation.recording["second.mood"].values[-1] == 2.0
+    assert "second failed at 0.5 s" in simulation.message
+    with pytest.raises(SspError, match=r"with the item 'fine', which first\.mood doesn't have; it has: none, fails"):
+        load_ssp(make_ssp(ssd.replace('source="none"', 'source="fine"'), fmu), step=STEP)
 
 
 def test_ssp_2(make_ssp: MakeSsp) -> None:

@@ -10,11 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ssp_support.packages import package
 
-from flexfmu.cosim.master.linear_map import LinearMap
-from flexfmu.cosim.ssp.archive import SspArchive
-from flexfmu.cosim.ssp.parameter_reading import BASE_UNITS
-from flexfmu.cosim.ssp.reading import read_structure
-from flexfmu.cosim.ssp.structure import (
+from flexfmu.cosim.engine.master.linear_map import LinearMap
+from flexfmu.cosim.exchange.ssp.archive import SspArchive
+from flexfmu.cosim.exchange.ssp.parameter_reading import BASE_UNITS
+from flexfmu.cosim.exchange.ssp.reading import read_structure
+from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
     Component,
     Connection,
@@ -27,7 +27,7 @@ from flexfmu.cosim.ssp.structure import (
     Unit,
     ValueMap,
 )
-from flexfmu.cosim.ssp.writing import ssd_xml, ssv_xml
+from flexfmu.cosim.exchange.ssp.writing import ssd_xml, ssv_xml
 
 NAMES = st.text("abcXYZ019._-[]<>&\"'äé ,;()", min_size=1, max_size=12)
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)

@@ -11,10 +11,10 @@ import pytest
 from third_party_support.tools import python_tool, run
 from typer.testing import CliRunner
 
-from flexfmu.cosim.cli import app
-from flexfmu.fmu_build.finding import Severity
+from flexfmu.cosim.cli.main import app
 from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.validate import validate_fmu
+from flexfmu.fmu_build.validation.finding import Severity
+from flexfmu.fmu_build.validation.validate import validate_fmu
 
 pytestmark = [
     pytest.mark.slow,

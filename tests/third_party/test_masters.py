@@ -17,7 +17,7 @@ from third_party_support.agreement import ROUNDING, TOOLS, SharedRun, Tool, apar
 
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flexfmu.trajectories import Jet, Margin
-from flexfmu.trajectories.jets import Array, arctan2, sqrt
+from flexfmu.trajectories.jets import RealArray, arctan2, sqrt
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class FiveBar:
         """q1 = angle(X - B1) + acos(..), q2 = angle(X - B2) - acos(..)."""
         return self._joint(x + self.half_base, y, 1.0), self._joint(x - self.half_base, y, -1.0)
 
-    def margins(self, position: Array) -> tuple[Margin, ...]:
+    def margins(self, position: RealArray) -> tuple[Margin, ...]:
         """Reach of both legs."""
         reach = self.proximal + self.distal
         distances = [np.hypot(position[:, 0] - base, position[:, 1]) for base in (-self.half_base, self.half_base)]
@@ -33,7 +33,7 @@ class FiveBar:
             for i, distance in enumerate(distances, start=1)
         )
 
-    def end_effector(self, q1: Array, q2: Array) -> Array:
+    def end_effector(self, q1: RealArray, q2: RealArray) -> RealArray:
         """Forward kinematics, end effector on the left of the line from elbow 1 to elbow 2; shape (N, 2) [m]."""
         first = np.stack([-self.half_base + self.proximal * np.cos(q1), self.proximal * np.sin(q1)], axis=-1)
         second = np.stack([self.half_base + self.proximal * np.cos(q2), self.proximal * np.sin(q2)], axis=-1)

@@ -10,7 +10,7 @@ from scipy.special import ellipe
 
 from flexfmu.trajectories import TrajectoryError
 from flexfmu.trajectories.arc_length import tabulate
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 
 
 def ellipse_speed(a: float, b: float):
@@ -57,7 +57,7 @@ def test_arc_lengths_beyond_the_ends_stay_on_the_curve() -> None:
 def test_a_speed_that_cannot_be_resolved_is_refused() -> None:
     """Protects against an endless refinement."""
 
-    def rough(u: Array) -> Array:
+    def rough(u: RealArray) -> RealArray:
         return 2.0 + np.sin(1e9 * u)
 
     with pytest.raises(TrajectoryError, match="too elongated"):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from flexfmu.trajectories import Blend, ClothoidPair, Jet, LameBlend, PolarPolynomial, TrajectoryError
-from flexfmu.trajectories.jets import Array, arctan2, sqrt
+from flexfmu.trajectories.jets import RealArray, arctan2, sqrt
 
 KINDS: tuple[Callable[[float, float], Blend], ...] = (LameBlend, ClothoidPair, PolarPolynomial)
 ROUNDING = 1e-15
@@ -36,13 +36,13 @@ def sampled(blend: Blend, order: int, points: int = 201) -> tuple[Jet, Jet]:
     return blend.curve.jets(np.linspace(0.0, blend.curve.length, points), order)
 
 
-def growth(x: Jet, y: Jet) -> Array:
+def growth(x: Jet, y: Jet) -> RealArray:
     """1/R [1/m], shape (N,), so that the k-th coefficients of x and y are at most R^(1-k): their natural size."""
     coefficients = np.abs(np.stack([x.coefficients[2:], y.coefficients[2:]]))
     return np.asarray(np.max(coefficients ** (1.0 / np.arange(1, x.order))[:, None], axis=(0, 1)))
 
 
-def scaled(jet: Jet, rate: Array) -> Array:
+def scaled(jet: Jet, rate: RealArray) -> RealArray:
     """Coefficients in units of their natural size."""
     return np.abs(jet.coefficients / rate ** np.arange(jet.order + 1)[:, None])
 

@@ -21,7 +21,7 @@ from flexfmu.trajectories import (
     TaskTrajectory,
     TrajectoryError,
 )
-from flexfmu.trajectories.jets import Array, arctan2
+from flexfmu.trajectories.jets import RealArray, arctan2
 
 
 def task(
@@ -78,7 +78,7 @@ class Pointer:
         angle = arctan2(y - self.base[1], x - self.base[0])
         return angle, angle + 4.0 * math.pi
 
-    def margins(self, position: Array) -> tuple[Margin, ...]:
+    def margins(self, position: RealArray) -> tuple[Margin, ...]:
         return (Margin("length", "m", np.hypot(*(position - self.base).T), self.required),)
 
 
@@ -142,7 +142,7 @@ def test_undefined_margins_are_violations_but_named_last() -> None:
     class Partial(Pointer):
         required: float = 0.1
 
-        def margins(self, position: Array) -> tuple[Margin, ...]:
+        def margins(self, position: RealArray) -> tuple[Margin, ...]:
             (length,) = Pointer.margins(self, position)
             sine = Margin("sine", "1", np.where(length.values > 0.2, 0.5, np.nan), 0.02)
             return sine, replace(length, required=self.required)

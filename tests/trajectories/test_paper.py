@@ -22,7 +22,7 @@ from flexfmu.trajectories import (
     TaskTrajectory,
     Trapezoidal,
 )
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 
 PROFILES = {
     "poly7": SeventhDegreePolynomial(),
@@ -68,7 +68,7 @@ def path(blend: Blend) -> PickAndPlacePath:
     return PickAndPlacePath((-0.175, 0.320), (0.0, -1.0), 0.025, 0.350, blend)
 
 
-def both_sides(trajectory: TaskTrajectory | JointTrajectory, points: int = 4001) -> Array:
+def both_sides(trajectory: TaskTrajectory | JointTrajectory, points: int = 4001) -> RealArray:
     """Second derivatives at many times and on both sides of every breakpoint, shape (N, 2)."""
     times = np.union1d(np.linspace(0.0, trajectory.duration, points), trajectory.breakpoints)
     return np.concatenate([trajectory.evaluate(times, 2, side)[2] for side in ("left", "right")])

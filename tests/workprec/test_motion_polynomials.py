@@ -7,10 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.workprec.equations import joint_motion
-from flexfmu.cosim.workprec.motion_polynomials import pieces
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.studies.workprec.equations import joint_motion, pieces
+from flexfmu.model.scene.file import load_scene
 
 casadi = pytest.importorskip("casadi")
 

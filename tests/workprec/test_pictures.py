@@ -10,11 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
 from flexfmu.cosim.reports.figure_style import draw
-from flexfmu.cosim.workprec.figures import draw_family
-from flexfmu.cosim.workprec.point_labels import keep_apart, label_points
-from flexfmu.cosim.workprec.study import Study
-from flexfmu.cosim.workprec.trial import Trial
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.studies.workprec.figures import draw_family, keep_apart, label_points
+from flexfmu.cosim.studies.workprec.study import Study
+from flexfmu.cosim.studies.workprec.trial import Trial
+from flexfmu.model.scene.file import load_scene
 
 
 @pytest.fixture

@@ -12,19 +12,24 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from flexfmu.cosim.cli import app
-from flexfmu.cosim.workprec import fmu_trials, solver_trials, tool_trials
-from flexfmu.cosim.workprec.conclusions import advantages, cheapest, sentence
-from flexfmu.cosim.workprec.effect_trials import effect_trials, ladder
-from flexfmu.cosim.workprec.figures import lines_of, save_figures
-from flexfmu.cosim.workprec.formulation_trials import formulation_trials
-from flexfmu.cosim.workprec.page import html
-from flexfmu.cosim.workprec.report import data, markdown, notes
-from flexfmu.cosim.workprec.study import FAMILIES, Study, is_differential_equation
-from flexfmu.cosim.workprec.subject import Subject, subject_of
-from flexfmu.cosim.workprec.trial import MOST, Curve, Trial, fastest, fastest_in_turns, sweep
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.cli.main import app
+from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
+from flexfmu.cosim.studies.workprec import fmu_trials, solver_trials, tool_trials
+from flexfmu.cosim.studies.workprec.figures import html, lines_of, save_figures
+from flexfmu.cosim.studies.workprec.fmu_trials import effect_trials, ladder
+from flexfmu.cosim.studies.workprec.report import data, markdown, notes
+from flexfmu.cosim.studies.workprec.solver_trials import formulation_trials
+from flexfmu.cosim.studies.workprec.study import (
+    FAMILIES,
+    Study,
+    advantages,
+    cheapest,
+    is_differential_equation,
+    sentence,
+)
+from flexfmu.cosim.studies.workprec.trial import Curve, Subject, Trial, subject_of, sweep
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 SCENE: Scene = load_scene("barnard2012-6kg").replace(
     {
@@ -233,7 +238,7 @@ def test_what_can_be_asked() -> None:
 def spend(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Lets processor time [s] pass on a clock that stands still otherwise."""
     passed = [0.0]
-    monkeypatch.setattr("flexfmu.cosim.workprec.trial.process_time", lambda: sum(passed))
+    monkeypatch.setattr("flexfmu.cosim.experiment.timing.process_time", lambda: sum(passed))
     return passed.append
 
 
@@ -262,7 +267,9 @@ def test_timing_in_turns_gives_each_its_own_time(spend: Callable[[float], None])
 def test_command(tmp_path: Path) -> None:
     """One family of a scene file from the command line, as JSON, with all files."""
     scene = tmp_path / "scene.toml"
-    text = (Path(__file__).parents[2] / "cosim" / "scenes" / "barnard2012-6kg.toml").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml").read_text(
+        encoding="utf-8"
+    )
     scene.write_text(text.replace("duration = 0.43", "duration = 0.25"), encoding="utf-8")
     out = tmp_path / "out"
     arguments = ["workprec", str(scene), "--out", str(out), "--only", "communication", "--json"]

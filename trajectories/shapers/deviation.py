@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.trajectory import Trajectory
 
@@ -60,7 +60,7 @@ class _NearestPoint:
         self._arc_lengths = np.linspace(0.0, path.length, POINTS_ON_PATH)
         self._tree = cKDTree(np.stack([jet.value for jet in path.jets(self._arc_lengths, 0)], axis=-1))
 
-    def distances(self, positions: Array) -> Array:
+    def distances(self, positions: RealArray) -> RealArray:
         """Distances [m] of positions (N, 2) [m], shape (N,)."""
         distance, index = self._tree.query(positions)
         s = self._arc_lengths[index]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from flexfmu.trajectories.curves import Side
-from flexfmu.trajectories.jets import Array, Jet, checked_order
+from flexfmu.trajectories.jets import Jet, RealArray, checked_order
 from flexfmu.trajectories.trajectory import Trajectory
 
 
@@ -43,7 +43,7 @@ class EndEffectorTrajectory:
         """Times [s] at which some derivative may jump: those of the joints."""
         return self.joints.breakpoints
 
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """x and y [m] and their time derivatives; see `flexfmu.trajectories.Trajectory.evaluate`."""
         motion = Jet.from_derivatives(self.joints.evaluate(time, checked_order(order), side))
         q11, q21 = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))

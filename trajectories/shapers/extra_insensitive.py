@@ -24,7 +24,7 @@ import numpy as np
 from scipy.optimize import root
 
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.shapers.oscillator import Oscillator, checked_fraction
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
@@ -61,7 +61,7 @@ def extra_insensitive(mode: Oscillator, tolerance: float = 0.05, humps: int = 1)
     return ImpulseSequence(tuple(angles / mode.angular_frequency), tuple(amplitudes))
 
 
-def chebyshev_amplitudes(impulses: int, tolerance: float) -> Array:
+def chebyshev_amplitudes(impulses: int, tolerance: float) -> RealArray:
     """Amplitudes (N,) of N equidistant impulses whose residual V T_{N-1}(x0 cos(θ/2)) ripples between ±V.
 
     T is the Chebyshev polynomial, x0 = cosh(acosh(1/V) / (N - 1)), θ the phase between two impulses; by the inverse
@@ -81,7 +81,7 @@ def _chebyshev_edge(impulses: int, tolerance: float) -> float:
     return math.cosh(math.acosh(1.0 / tolerance) / (impulses - 1))
 
 
-def _followed(conditions: _Conditions, unknowns: Array, ratio: float) -> Array:
+def _followed(conditions: _Conditions, unknowns: RealArray, ratio: float) -> RealArray:
     """The solution for a damping ratio, from that for a slightly smaller one."""
     found = root(conditions.equations, unknowns, args=(ratio,), tol=1e-14)
     _, angles, zeros, tops = conditions.unpack(found.x)
@@ -109,7 +109,7 @@ class _Conditions:
     def impulses(self) -> int:
         return self.humps + 2
 
-    def undamped(self) -> Array:
+    def undamped(self) -> RealArray:
         """The closed-form solution without damping."""
         n, edge = self.humps + 1, _chebyshev_edge(self.impulses, self.tolerance)
         zeros = 2.0 / np.pi * np.arccos(np.cos(np.pi * (2 * np.arange(n) + 1) / (2 * n)) / edge)
@@ -120,7 +120,7 @@ class _Conditions:
         frequencies = [free, moving] if self.humps % 2 else [moving, free]
         return np.concatenate([amplitudes[1:], np.pi * np.arange(1, self.impulses), *frequencies])
 
-    def unpack(self, unknowns: Array) -> tuple[Array, Array, Array, Array]:
+    def unpack(self, unknowns: RealArray) -> tuple[RealArray, RealArray, RealArray, RealArray]:
         """Amplitudes and angles (n + 2,), frequencies of the zeros (n + 1,) and of the tops (n,)."""
         n = self.humps + 1
         amplitudes = np.concatenate([[1.0 - np.sum(unknowns[:n])], unknowns[:n]])
@@ -130,7 +130,7 @@ class _Conditions:
             return amplitudes, angles, rest[:n], np.insert(rest[n:], self.humps // 2, 1.0)
         return amplitudes, angles, np.insert(rest[: n - 1], self.humps // 2, 1.0), rest[n - 1 :]
 
-    def equations(self, unknowns: Array, ratio: float) -> Array:
+    def equations(self, unknowns: RealArray, ratio: float) -> RealArray:
         """No residual at the zeros; at the tops the tolerance, and no slope."""
         amplitudes, angles, zeros, tops = self.unpack(unknowns)
         exponents = complex(ratio, math.sqrt(1.0 - ratio**2)) * angles - ratio * angles[-1]

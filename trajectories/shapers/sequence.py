@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from flexfmu.trajectories.checks import positive
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.shapers.oscillator import checked_fraction, checked_ratio
 
 SUM_ROUNDING = 1e-9
@@ -67,7 +67,7 @@ class ImpulseSequence:
         """Time of the last impulse [s]: by this much a shaped motion is longer."""
         return self.times[-1]
 
-    def residual(self, frequency: ArrayLike, ratio: float = 0.0) -> Array:
+    def residual(self, frequency: ArrayLike, ratio: float = 0.0) -> RealArray:
         """Residual vibration after the last impulse as a fraction of that of one impulse at time 0.
 
         V = exp(-ζ ω T_n) sqrt(C² + S²) with C = Σ A_i exp(ζ ω T_i) cos(ω sqrt(1-ζ²) T_i), S likewise with the sine
@@ -88,7 +88,7 @@ class ImpulseSequence:
 
     def sensitivity_curve(
         self, frequency: float, ratio: float = 0.0, lowest: float = 0.5, highest: float = 1.5, points: int = 401
-    ) -> tuple[Array, Array]:
+    ) -> tuple[RealArray, RealArray]:
         """Residual vibration over the true frequency divided by the design frequency.
 
         Args:
@@ -195,7 +195,7 @@ def _listed(values: tuple[float, ...]) -> str:
     return ", ".join(f"{value:.6g}" for value in values)
 
 
-def _frequencies(value: ArrayLike) -> Array:
+def _frequencies(value: ArrayLike) -> RealArray:
     """Finite frequencies [Hz], zero or positive, shape (N,)."""
     frequency = np.atleast_1d(np.asarray(value, dtype=float))
     bad = np.flatnonzero(~(np.isfinite(frequency) & (frequency >= 0.0)))

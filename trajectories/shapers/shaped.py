@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from flexfmu.trajectories.checks import times
 from flexfmu.trajectories.curves import Side
-from flexfmu.trajectories.jets import Array, checked_order
+from flexfmu.trajectories.jets import RealArray, checked_order
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
 
@@ -38,7 +38,7 @@ class ShapedTrajectory:
         shifted = [point + delay for delay in self.sequence.times for point in self.trajectory.breakpoints]
         return merged([0.0, self.duration], shifted, 0.5 * SAME_TIME * self.trajectory.duration)
 
-    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> Array:
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Coordinates and their time derivatives; see `flexfmu.trajectories.Trajectory.evaluate`."""
         delayed = times(time) - np.array(self.sequence.times)[:, np.newaxis]
         parts = self.trajectory.evaluate(delayed.ravel(), checked_order(order), side)

@@ -11,7 +11,7 @@ import numpy as np
 
 from flexfmu.trajectories.checks import positive
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array, Jet
+from flexfmu.trajectories.jets import Jet, RealArray
 from flexfmu.trajectories.profiles import Profile, SmoothPiece
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.shapers.shaped import merged
@@ -111,7 +111,7 @@ class _Sum:
     done: float
     share: float
 
-    def jet(self, eta: Array, order: int) -> Jet:
+    def jet(self, eta: RealArray, order: int) -> Jet:
         """See `SmoothPiece.jet`."""
         total = Jet.constant(np.full(eta.shape, self.done), order)
         for amplitude, delay, piece in self.terms:

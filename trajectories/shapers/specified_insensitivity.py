@@ -16,7 +16,7 @@ from scipy.optimize import Bounds, minimize
 
 from flexfmu.trajectories.checks import positive
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.shapers.extra_insensitive import chebyshev_amplitudes
 from flexfmu.trajectories.shapers.oscillator import checked_fraction, checked_ratio
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
@@ -67,11 +67,11 @@ def specified_insensitivity(
     )
 
 
-def _sequence(amplitudes: Array, times: Array) -> ImpulseSequence:
+def _sequence(amplitudes: RealArray, times: RealArray) -> ImpulseSequence:
     return ImpulseSequence(tuple(times), tuple(amplitudes / np.sum(amplitudes)))
 
 
-def _last_time(x: Array) -> float:
+def _last_time(x: RealArray) -> float:
     return float(x[-1])
 
 
@@ -85,7 +85,7 @@ class _Problem:
     tolerance: float
     ratio: float
 
-    def solve(self) -> tuple[Array, Array]:
+    def solve(self) -> tuple[RealArray, RealArray]:
         """Amplitudes and times, each (N,); the tolerance may be missed where so few impulses can't keep it."""
         n = self.impulses
         goal = np.zeros(2 * n - 1)
@@ -106,34 +106,36 @@ class _Problem:
         found = minimize(_last_time, self._start(), **arguments)
         return self._unpack(np.asarray(found.x))
 
-    def worst(self, amplitudes: Array, times: Array) -> float:
+    def worst(self, amplitudes: RealArray, times: RealArray) -> float:
         """Largest residual over the range."""
         frequencies = np.linspace(self.lowest, self.highest, DENSITY * SAMPLES_PER_IMPULSE * self.impulses)
         return float(np.sqrt(np.max(self._squares(amplitudes, times, frequencies)[0])))
 
-    def _start(self) -> Array:
+    def _start(self) -> RealArray:
         """The Chebyshev sequence for this number of impulses, half a period apart."""
         times = 0.5 * np.arange(self.impulses)
         amplitudes = chebyshev_amplitudes(self.impulses, self.tolerance) * np.exp(-2.0 * np.pi * self.ratio * times)
         return np.concatenate([amplitudes / np.sum(amplitudes), times[1:]])
 
-    def _unpack(self, x: Array) -> tuple[Array, Array]:
+    def _unpack(self, x: RealArray) -> tuple[RealArray, RealArray]:
         return x[: self.impulses], np.concatenate([[0.0], x[self.impulses :]])
 
     @property
-    def _samples(self) -> Array:
+    def _samples(self) -> RealArray:
         return np.linspace(self.lowest, self.highest, SAMPLES_PER_IMPULSE * self.impulses)
 
-    def _margins(self, x: Array) -> Array:
+    def _margins(self, x: RealArray) -> RealArray:
         """1 - (residual / tolerance)² at the samples."""
         return np.asarray(1.0 - self._squares(*self._unpack(x), self._samples)[0] / self.tolerance**2)
 
-    def _margin_slopes(self, x: Array) -> Array:
+    def _margin_slopes(self, x: RealArray) -> RealArray:
         """Derivatives of the margins by the unknowns."""
         _, by_amplitudes, by_times = self._squares(*self._unpack(x), self._samples)
         return np.asarray(-np.hstack([by_amplitudes, by_times[:, 1:]]) / self.tolerance**2)
 
-    def _squares(self, amplitudes: Array, times: Array, frequencies: Array) -> tuple[Array, Array, Array]:
+    def _squares(
+        self, amplitudes: RealArray, times: RealArray, frequencies: RealArray
+    ) -> tuple[RealArray, RealArray, RealArray]:
         """Squared residuals (M,) after the latest impulse, and their derivatives by amplitudes and times, (M, N) each."""
         latest = int(np.argmax(times))  # trials of the optimisation may have impulses out of order
         omega = 2.0 * np.pi * frequencies

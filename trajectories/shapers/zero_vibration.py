@@ -13,12 +13,12 @@ import numpy as np
 from scipy.optimize import root
 
 from flexfmu.trajectories.errors import TrajectoryError
-from flexfmu.trajectories.jets import Array
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.shapers.oscillator import Oscillator
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 HIGHEST_DERIVATIVES = 20
-"""Derivatives beyond which nobody waits for the last impulse, ten periods late."""
+"""Largest order: the last impulse comes ten periods late."""
 
 CONTINUATION_STEP = 0.02
 """Step of the damping ratio in which a solution is followed from the undamped one."""
@@ -71,7 +71,7 @@ def unity_magnitude(mode: Oscillator) -> ImpulseSequence:
     return ImpulseSequence((0.0, first, second), (1.0, -1.0, 1.0))
 
 
-def _unity_magnitude_equations(angles: Array, ratio: float) -> Array:
+def _unity_magnitude_equations(angles: RealArray, ratio: float) -> RealArray:
     """Real and imaginary part of 1 - exp(p θ1) + exp(p θ2), p = ζ + j sqrt(1 - ζ²), scaled to the last impulse."""
     pole = complex(ratio, math.sqrt(1.0 - ratio**2))
     total = (1.0 - cmath.exp(pole * angles[0]) + cmath.exp(pole * angles[1])) * math.exp(-ratio * angles[1])

@@ -1,6 +1,7 @@
 /* A plain FMI 2.0 co-simulation FMU as another tool might make it: x' = rate (u - x), y = 2 x, no input derivatives,
- * no saved states, outputs of all types, messages with format arguments. `trouble` makes it fail from 0.5 s on,
- * crash, hang or exit, give NaN for derivatives, forget what was set or take its time; it crashes when it is loaded where
+ * outputs of all types, messages with format arguments. `trouble` makes it fail from 0.5 s on,
+ * crash, hang or exit, give NaN for derivatives, forget what was set, take its time or, at any time, get through 0.03 s of a step
+ * at most; it crashes when it is loaded where
  * DECAY_CRASHES says so, has one instance in a process where DECAY_ONCE does, and prints where DECAY_PRINTS does. */
 #include <math.h>
 #include <stdio.h>
@@ -9,12 +10,12 @@
 
 #include "fmi2Functions.h"
 
-enum { NONE = 1, FAILS, ENDS, FORGETS, ABORTS, CRASHES, HANGS, EXITS, DISCARDS, NAN_FIRST, NAN_ALWAYS, NAN_LATER, REFUSES, RESETS, IGNORES, LINGERS };
+enum { NONE = 1, FAILS, ENDS, FORGETS, ABORTS, CRASHES, HANGS, EXITS, DISCARDS, NAN_FIRST, NAN_ALWAYS, NAN_LATER, REFUSES, RESETS, IGNORES, LINGERS, STUMBLES };
 
 typedef struct {
   const fmi2CallbackFunctions *callbacks;
   double x, u, rate, time;
-  int trouble, steps, inverted, asked;
+  int trouble, steps, inverted, asked, discarded;
   char label[32], said[64];
 } decay;
 
@@ -155,11 +156,32 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolea
     get_into(d->trouble);
   }
   double u = d->inverted ? -d->u : d->u;
+  if (d->discarded) return say(d, fmi2Error); /* after fmi2Discard the standard allows to go back, not on */
+  d->discarded = d->trouble == STUMBLES && step > 0.03;
+  if (d->discarded) step = 0.03;
   d->x = u + (d->x - u) * exp(-d->rate * step);
   d->time = point + step;
   d->steps++;
   d->asked = 0;
-  return d->trouble == LINGERS ? fmi2Pending : fmi2OK;
+  return d->discarded ? fmi2Discard : d->trouble == LINGERS ? fmi2Pending : fmi2OK;
+}
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
+  if (!*state) *state = malloc(sizeof(decay));
+  memcpy(*state, c, sizeof(decay));
+  return fmi2OK;
+}
+
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
+  memcpy(c, state, sizeof(decay));
+  return fmi2OK;
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
+  (void)c;
+  free(*state);
+  *state = NULL;
+  return fmi2OK;
 }
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {

@@ -11,14 +11,14 @@ from export_support.blocks import pd_controller
 from export_support.trajectories import Swing
 
 from boundary_support.raw import DISCARD, OK, RawInstance
+from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.fmu_build.block_build import build_block_fmu, generate_block_sources
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.scene_build import build_scene
 from flexfmu.fmu_build.sources import Sources, generate_sources, runtime_sources
 from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu, generate_trajectory_sources
 from flexfmu.model.plants import build_model
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 
 HAND_WRITTEN = Path(__file__).parents[2] / "c-runtime" / "models.c"
 EXPERIMENT = DefaultExperiment()

@@ -24,7 +24,11 @@
   X(undeclared_state) X(not_linear) X(undeclared_initial) X(start) X(start_string) X(parameter_ignored) X(parameter_clamped)        \
   X(any_reference) X(any_order) X(array_end) X(crash) X(crash_late) X(hang) X(prints) X(directory) X(environment) X(rounding)       \
   X(handler) X(leaves_file) X(open_file) X(time_stands) X(not_boolean) X(out_of_range) X(terminate_fails) X(second_fails)           \
-  X(discards) X(uninitialised) X(ends_early) X(once) X(pending)
+  X(discards) X(uninitialised) X(ends_early) X(once) X(counts) X(pending) X(asynchronous) X(derivatives_ignored) X(derivatives_doubled) \
+  X(derivatives_negated) X(nan_first) X(no_indicators) X(nan_indicator) X(state_keeps_input) X(state_keeps_time) X(set_backwards)   \
+  X(get_backwards) X(reading_disturbs) X(undeclared_late) X(seed_ignored) X(serialises_beyond) X(state_not_null)                    \
+  X(state_anew) X(integrator_step) X(time_half) X(single_precision) X(writes_resource) X(warns) X(closes_output)                    \
+  X(reused_state) X(boolean_42)
 
 #define ENUM(name) M_##name,
 #define TEXT(name) #name,
@@ -44,7 +48,7 @@ typedef struct {
   State now;
   fmi2CallbackFunctions callbacks;
   char *scratch;
-  int mutant, is_slave, discarded;
+  int mutant, is_slave, discarded, waits;
 } Spring;
 
 static State shared;
@@ -88,6 +92,8 @@ static void start(Spring *spring) {
   shared_stiffness = 40.0;
 }
 
+static char resource[4096];
+
 static int mutant_in(const char *uri) {
   char path[4096], name[BUFFER] = "sound";
   size_t n = 0;
@@ -102,6 +108,7 @@ static int mutant_in(const char *uri) {
   strcpy(path + n, "/mutant.txt");
   FILE *file = fopen(path, "r");
   if (file) {
+    strcpy(resource, path);
     if (fscanf(file, "%63s", name) != 1) strcpy(name, "sound");
     fclose(file);
   }
@@ -119,6 +126,7 @@ static void disturb(Spring *s) {
   if (is(s, M_rounding)) fesetround(FE_UPWARD);
   if (is(s, M_handler)) signal(SIGFPE, on_signal);
   if (is(s, M_open_file) && !fopen("/dev/null", "r")) abort();
+  if (is(s, M_closes_output)) close(STDOUT_FILENO);
   if (is(s, M_leaves_file)) {
     FILE *file = fopen("log.txt", "w");
     if (file) fclose(file);
@@ -136,6 +144,10 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
   if (mutant == M_uri_percent && strchr(uri, '%')) return NULL;
   if (mutant == M_second_fails && instances) return NULL;
   if (mutant == M_once && calls++) return NULL;
+  if (mutant == M_counts && calls++ >= 50) {
+    callbacks->logger(callbacks->componentEnvironment, name, fmi2Error, "logStatusError", "the licence was not found");
+    return NULL;
+  }
   Spring *s = callbacks->allocateMemory(1, sizeof *s);
   if (!s) return NULL;
   instances++;
@@ -144,6 +156,10 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
   s->mutant = mutant;
   s->is_slave = type == fmi2CoSimulation;
   start(s);
+  if (mutant == M_writes_resource) {
+    FILE *file = fopen(strcat(resource, ".log"), "w");
+    if (file) fclose(file);
+  }
   return s;
 }
 
@@ -186,6 +202,7 @@ static double value_of(Spring *spring, unsigned which) {
     case POSITION:
       if (is(spring, M_static_count)) return s->x[0] + 1e-6 * calls++;
       if (is(spring, M_undeclared_input)) return s->x[0] + 0.1 * s->u;
+      if (is(spring, M_undeclared_late) && s->time > 0.4) return s->x[0] + 0.1 * s->u;
       if (is(spring, M_output_jumps) && s->time > 0.5) return INFINITY;
       if (is(spring, M_out_of_range)) return s->x[0] * 500.0;
       return s->x[0];
@@ -208,7 +225,9 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
   Spring *s = c;
   for (size_t i = 0; i < n; i++) {
     if (r[i] >= VARIABLES && !is(s, M_any_reference)) return refuse(s, "no such variable");
-    value[i] = r[i] < VARIABLES ? value_of(s, r[i]) : 0.0;
+    unsigned which = is(s, M_get_backwards) && n > 2 ? r[n - 1 - i] : r[i];
+    value[i] = which < VARIABLES ? value_of(s, which) : 0.0;
+    if (is(s, M_reading_disturbs) && r[i] == POSITION) now(s)->x[1] += 1e-7;
   }
   if (is(s, M_array_end) && n) value[n] = 0.0;
   return fmi2OK;
@@ -219,11 +238,13 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
   State *s = now(spring);
   for (size_t i = 0; i < n; i++) {
     if (r[i] >= VARIABLES && is(spring, M_any_reference)) continue;
-    if (r[i] == PULL) s->u = value[i], s->u_rate = 0.0;
-    else if (r[i] == POSITION || r[i] == VELOCITY) s->x[r[i] - POSITION] = value[i];
+    double v = value[is(spring, M_set_backwards) ? n - 1 - i : i];
+    if (is(spring, M_single_precision)) v = (float)v;
+    if (r[i] == PULL) s->u = v, s->u_rate = 0.0;
+    else if (r[i] == POSITION || r[i] == VELOCITY) s->x[r[i] - POSITION] = v;
     else if ((r[i] == STIFFNESS || r[i] == DAMPING) && legal(spring, STARTED | INITIALIZING)) {
-      if (r[i] == DAMPING) s->damping = value[i];
-      else s->stiffness = shared_stiffness = value[i];
+      if (r[i] == DAMPING) s->damping = v;
+      else s->stiffness = shared_stiffness = v;
     } else return refuse(spring, "this can't be set now");
   }
   return fmi2OK;
@@ -248,7 +269,7 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t 
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Boolean value[]) {
   for (size_t i = 0; i < n; i++) {
     if (r[i] > 1 && !is(c, M_any_reference)) return refuse(c, "no such variable");
-    value[i] = r[i] == 1 ? (now(c)->x[0] > 0.0) * (is(c, M_not_boolean) ? 7 : 1) : now(c)->locked;
+    value[i] = r[i] == 1 ? (now(c)->x[0] > 0.0) * (is(c, M_not_boolean) ? 7 : 1) : now(c)->locked * (is(c, M_boolean_42) ? 42 : 1);
   }
   return fmi2OK;
 }
@@ -278,7 +299,8 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n
 }
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
-  if (!*state) *state = malloc(sizeof(State));
+  if (*state && is(c, M_reused_state)) return fmi2OK;
+  if (!*state || is(c, M_state_anew)) *state = malloc(sizeof(State));
   memcpy(*state, now(c), sizeof(State));
   if (is(c, M_saving_disturbs)) now(c)->u_rate = 0.1;
   return fmi2OK;
@@ -288,6 +310,8 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
   State *s = now(c), old = *s;
   memcpy(s, state, sizeof *s);
   if (is(c, M_state_half)) s->x[1] = old.x[1];
+  if (is(c, M_state_keeps_input)) s->u = old.u;
+  if (is(c, M_state_keeps_time)) s->time = old.time;
   if (is(c, M_state_leaks_input)) s->damping = old.damping * (1.0 + 1e-6);
   return fmi2OK;
 }
@@ -295,7 +319,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
   (void)c;
   free(*state);
-  *state = NULL;
+  if (!is(c, M_state_not_null)) *state = NULL;
   return fmi2OK;
 }
 
@@ -312,6 +336,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte b
     memset(bytes, 0, size);
     memcpy(bytes, &copy, sizeof copy);
   } else memcpy(bytes, state, size);
+  if (is(c, M_serialises_beyond)) memset(bytes + size, 0x55, 8);
   return fmi2OK;
 }
 
@@ -330,9 +355,10 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
   Spring *s = c;
   double u = 0.0, x[2] = {0.0, 0.0}, dx[2], k = now(s)->stiffness;
   for (size_t i = 0; i < m; i++) {
+    double seed = is(s, M_seed_ignored) ? dknown[i] != 0.0 : dknown[i];
     if (known[i] > VELOCITY) return refuse(c, "no known");
-    if (known[i] == PULL) u += dknown[i] * (is(s, M_directional_input) ? -1.0 : 1.0);
-    else x[known[i] - POSITION] += dknown[i];
+    if (known[i] == PULL) u += seed * (is(s, M_directional_input) ? -1.0 : 1.0);
+    else x[known[i] - POSITION] += seed;
   }
   rates(s, x, u, dx);
   for (size_t i = 0; i < n; i++) {
@@ -368,15 +394,19 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean no
   int parts = 1 + (int)(fmax(h, 0.0) / LARGEST_STEP);
   for (int part = 0; part < parts && h > 0.0; part++) runge_kutta(spring, h / parts);
   s->steps++;
-  s->time = time + wanted;
-  return is(spring, M_pending) ? fmi2Pending : fmi2OK;
+  s->time = time + wanted * (is(spring, M_time_half) ? 0.5 : 1.0);
+  if (is(spring, M_pending) || (is(spring, M_asynchronous) && s->steps % 16 == 1)) return spring->waits = 2, fmi2Pending;
+  return is(spring, M_warns) ? fmi2Warning : fmi2OK;
 }
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer order[],
                                        const fmi2Real value[]) {
   for (size_t i = 0; i < n; i++) {
     if (r[i] != PULL || order[i] != 1) return refuse(c, "no such derivative");
-    now(c)->u_rate = value[i];
+    now(c)->u_rate = value[i] * (is(c, M_derivatives_ignored) ? 0.0
+                                 : is(c, M_derivatives_doubled) ? 2.0
+                                 : is(c, M_derivatives_negated) ? -1.0
+                                                                : 1.0);
   }
   return fmi2OK;
 }
@@ -388,7 +418,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     if (order[i] != 1) return refuse(c, "no such derivative");
     value[i] = r[i] == POSITION ? s->x[1] : s->stiffness * (s->u_rate - s->x[1]);
     if (is(c, M_negative_derivatives)) value[i] = -value[i];
-    if (is(c, M_nan_derivatives)) value[i] = NAN;
+    if (is(c, M_nan_derivatives) || (is(c, M_nan_first) && !s->steps)) value[i] = NAN;
     if (is(c, M_some_derivatives) && r[i] != POSITION) value[i] *= 1.04;
   }
   return fmi2OK;
@@ -434,12 +464,14 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state, fmi2Boolean *event, fmi2Boolean *end) {
   (void)no_set_state;
   disturb(c);
+  if (is(c, M_integrator_step)) now(c)->x[1] *= 0.99;
   *event = *end = fmi2False;
   return fmi2OK;
 }
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) {
-  for (size_t i = 0; i < n; i++) z[i] = now(c)->x[0];
+  if (is(c, M_no_indicators)) return refuse(c, "no event indicators");
+  for (size_t i = 0; i < n; i++) z[i] = is(c, M_nan_indicator) ? NAN : now(c)->x[0];
   return fmi2OK;
 }
 
@@ -475,7 +507,12 @@ const char *fmi2GetTypesPlatform(void) { return last_mutant == M_types ? "other"
   NOTHING(fmi2Get##name, (fmi2Component c, const fmi2StatusKind k, type *v), ((void)c, (void)k, (void)v, fmi2Discard))
 
 NOTHING(fmi2CancelStep, (fmi2Component c), ((void)c, fmi2OK))
-STATUS(Status, fmi2Status)
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
+  Spring *s = c;
+  if (kind != fmi2DoStepStatus) return fmi2Discard;
+  *value = is(s, M_asynchronous) && s->waits-- > 0 ? fmi2Pending : fmi2OK;
+  return fmi2OK;
+}
 STATUS(RealStatus, fmi2Real)
 STATUS(IntegerStatus, fmi2Integer)
 STATUS(StringStatus, fmi2String)

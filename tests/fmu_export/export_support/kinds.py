@@ -14,28 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export_support.blocks import SAMPLE_TIME, expected
-from flexfmu.cosim.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
-from flexfmu.cosim.controllers.from_control import control_block
-from flexfmu.cosim.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.controllers.limits import symmetric
-from flexfmu.cosim.controllers.linear_system import linear_system
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.controllers.pid import pid
-from flexfmu.cosim.controllers.state_feedback import state_feedback, static_feedforward
-from flexfmu.cosim.controllers.state_space import state_space
-from flexfmu.cosim.imperfections.channels import joint_channels
-from flexfmu.cosim.imperfections.delay import delay, whole_delay
-from flexfmu.cosim.imperfections.delay_filter import Lagrange, Thiran
-from flexfmu.cosim.imperfections.jitter import jitter
-from flexfmu.cosim.imperfections.lag import lag
-from flexfmu.cosim.imperfections.noise import gaussian_noise, uniform_noise
-from flexfmu.cosim.imperfections.quantisation import encoder, quantisation
-from flexfmu.cosim.imperfections.rate_limit import rate_limit
-from flexfmu.cosim.imperfections.saturation import saturation
-from flexfmu.cosim.shaping.block import shaper_block
+from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
+from flexfmu.cosim.control.controllers.from_control import control_block
+from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
+from flexfmu.cosim.control.controllers.limits import symmetric
+from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.controllers.state_feedback import state_feedback, static_feedforward
+from flexfmu.cosim.control.imperfections.channels import joint_channels
+from flexfmu.cosim.control.imperfections.delay import delay, whole_delay
+from flexfmu.cosim.control.imperfections.delay_filter import Lagrange, Thiran
+from flexfmu.cosim.control.imperfections.jitter import jitter
+from flexfmu.cosim.control.imperfections.lag import lag
+from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
+from flexfmu.cosim.control.imperfections.quantisation import encoder, quantisation
+from flexfmu.cosim.control.imperfections.rate_limit import rate_limit
+from flexfmu.cosim.control.imperfections.saturation import saturation
+from flexfmu.cosim.control.shaper_block import shaper_block
 from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.rigid_dynamics import inverse_dynamics
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.numeric import inverse_dynamics
+from flexfmu.model.scene.file import load_scene
 from flexfmu.model.symbolic import Variable
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.model.kinematics import RigidKinematics
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.blends import Blend, LameBlend
 from flexfmu.trajectories.joint import JointTrajectory
 from flexfmu.trajectories.path import PickAndPlacePath

@@ -17,7 +17,7 @@ import pytest
 from fmpy.ssp.ssd import read_ssv
 from numpy.typing import NDArray
 
-from flexfmu.cosim.ssp.export import PARAMETERS
+from flexfmu.cosim.exchange.ssp.export import PARAMETERS
 
 SIGNAL = "end_effector.position.x"
 SCRIPT = Path(__file__).parent / "importer.py"

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.master.master import Outcome
-from flexfmu.cosim.ssp.export import export_ssp
-from flexfmu.cosim.ssp.loading import load_ssp
-from flexfmu.model.scene_file import load_scene
+from flexfmu.cosim.engine.master.master import Outcome
+from flexfmu.cosim.exchange.ssp.export import export_ssp
+from flexfmu.cosim.exchange.ssp.loading import load_ssp
+from flexfmu.model.scene.file import load_scene
 from ssp_support.importers import SIGNAL, simulate
 
 Table = NDArray[np.float64]

@@ -19,13 +19,13 @@ import fmpy
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.fmu.slave import FmuSlave
-from flexfmu.cosim.master.algorithms import Algorithm, GaussSeidel, Jacobi
-from flexfmu.cosim.master.master import simulate
-from flexfmu.cosim.master.system import connect
-from flexfmu.cosim.planning import plan
-from flexfmu.cosim.slave_export import export_slaves
-from flexfmu.model.scene import Scene
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Jacobi
+from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.exchange.slave_export import export_slaves
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.model.scene.schema import Scene
 from third_party_support import maestro, masters
 from third_party_support.tools import python_tool, run
 

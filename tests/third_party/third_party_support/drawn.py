@@ -6,24 +6,24 @@ from collections.abc import Iterator
 from random import Random
 from typing import Any
 
-from flexfmu.cosim.controllers.computed_torque import computed_torque
-from flexfmu.cosim.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.controllers.pd import pd
-from flexfmu.cosim.controllers.pid import pid
-from flexfmu.cosim.imperfections.channels import joint_channels
-from flexfmu.cosim.imperfections.delay import delay
-from flexfmu.cosim.imperfections.lag import lag
-from flexfmu.cosim.imperfections.noise import gaussian_noise
-from flexfmu.cosim.imperfections.quantisation import encoder
-from flexfmu.cosim.shaping.block import shaper_block
+from flexfmu.cosim.control.controllers.computed_torque import computed_torque
+from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
+from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.controllers.pid import pid
+from flexfmu.cosim.control.imperfections.channels import joint_channels
+from flexfmu.cosim.control.imperfections.delay import delay
+from flexfmu.cosim.control.imperfections.lag import lag
+from flexfmu.cosim.control.imperfections.noise import gaussian_noise
+from flexfmu.cosim.control.imperfections.quantisation import encoder
+from flexfmu.cosim.control.shaper_block import shaper_block
 from flexfmu.fmu_build.block_description import block_description, with_starts
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.plants import build_model
-from flexfmu.model.rigid_dynamics import inverse_dynamics
-from flexfmu.model.scene import Scene
-from flexfmu.model.scene_file import load_scene
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 SHIPPED = ("barnard2012-6kg", "barnard2012-0.1kg")

@@ -1,1 +1,0 @@
-"""Discrete-time blocks as slaves."""

@@ -1,0 +1,1 @@
+"""Effects and input shapers, chosen by what runs show."""

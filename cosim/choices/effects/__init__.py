@@ -1,0 +1,1 @@
+"""The fewest effects that keep the metrics within a tolerance, verified by runs."""

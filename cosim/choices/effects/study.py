@@ -1,0 +1,276 @@
+"""A choice of effects with everything that was looked at: what each effect is worth, what it costs, frequencies, and runs of the
+chosen set beside the next richer ones; as data and as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from rich.table import Column, Table
+
+from flexfmu.cosim.choices.effects.choice import (
+    EXACT,
+    FmuOf,
+    Observed,
+    Step,
+    asked,
+    choose_verified,
+    observe,
+    quiet,
+    wanted,
+)
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.timing import fastest_in_turns
+from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
+from flexfmu.cosim.reports.text import titled_table
+from flexfmu.model.choice_text import percent
+from flexfmu.model.scene.choice import Choice, EstimatedEffect, MeasureName, integrator_tolerance
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.selection.choose import estimated_errors, given_effects, neighbours, richer
+from flexfmu.model.selection.cost import Cost, costs
+from flexfmu.model.selection.estimator import Estimator
+from flexfmu.model.selection.measures import scales
+
+POSES = 3
+"""Poses of the frequencies: start, middle and end of the path."""
+
+Place = Literal["in", "out", "given"]
+"""Where an effect is: in the chosen set or out of it, or given by the robot and not a matter of choice."""
+
+
+@dataclass(frozen=True)
+class EffectRow:
+    """One effect, in the set or not, or given by the robot.
+
+    Attributes:
+        place: where it is.
+        estimate: what it is and what it changes in each metric.
+        cost: of the set without it, or with it.
+        poses: natural frequencies of that set along the path.
+    """
+
+    place: Place
+    estimate: EstimatedEffect
+    cost: Cost
+    poses: list[ModalPose]
+
+
+@dataclass(frozen=True)
+class EffectStudy:
+    """A choice of effects with everything that was looked at.
+
+    Attributes:
+        scene: with the chosen set; ``scene.effects.choice`` says what was estimated.
+        estimator: for further sets.
+        cost: of the chosen set.
+        poses: its natural frequencies along the path.
+        rows: every effect, those in the set first, those that the robot gives last.
+    """
+
+    scene: Scene
+    estimator: Estimator
+    cost: Cost
+    poses: list[ModalPose]
+    rows: tuple[EffectRow, ...]
+
+    @property
+    def choice(self) -> Choice:
+        """How the effects were chosen: tolerance, metrics, estimated errors and contributions."""
+        choice = self.scene.effects.choice
+        assert choice is not None  # that is what `choose_effects` gives
+        return choice
+
+
+def study_effects(
+    scene: Scene, tolerance: float | None = None, of: tuple[str, ...] = (), show: Step = quiet
+) -> EffectStudy:
+    """Choose a scene's effects and look at each of them.
+
+    Args:
+        scene: any scene; its own choice of elastic effects doesn't matter.
+        tolerance, of: as in the scene file; the scene's own, or `flexfmu.model.scene.choice.DEFAULT_TOLERANCE` and `flexfmu.cosim.choices.effects.choice.MEASURED`.
+        show: called with what is being done and the finished fraction.
+
+    Raises:
+        BuildError, ResultsError: as for `resolved`.
+        SceneError: the tolerance or a metric is impossible.
+        TrajectoryError: the motion isn't feasible.
+    """
+    limit, names = wanted(scene, tolerance, of)
+    stated = scene.effects.tolerance
+    if stated is None or scene.cosimulation.tolerance == integrator_tolerance(stated):
+        # the integrator's tolerance belongs to other effects, or to none
+        scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
+    motion = plan(scene)
+    chosen, estimator = choose_verified(scene, motion.joints, limit, names, asked(scene, of), show)
+    show("looking at what the robot gives", None)
+    found = _changes(estimator, chosen, motion)
+    show("timing the equations", None)
+    own, *theirs = costs((chosen, *(other for _, other, _ in found)))
+    rows: list[EffectRow] = []
+    for (place, other, estimate), cost in zip(found, theirs, strict=True):
+        show(f"frequencies: {estimate.effect}", len(rows) / len(found))
+        rows.append(EffectRow(place, estimate, cost, _frequencies(motion, other)))
+    return EffectStudy(chosen, estimator, own, _frequencies(motion, chosen), tuple(rows))
+
+
+def _changes(
+    estimator: Estimator, chosen: Scene, motion: MotionPlan
+) -> tuple[tuple[Place, Scene, EstimatedEffect], ...]:
+    """All single changes of a chosen set, and of what the robot gives."""
+    assert chosen.effects.choice is not None  # that is what `choose_effects` gives
+    elastic = zip(neighbours(estimator, chosen), chosen.effects.choice.effects, strict=True)
+    given = given_effects(estimator, chosen, motion.joints)
+    return (
+        *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
+        *(("given", each.scene, estimate) for each, estimate in given),
+    )
+
+
+def _frequencies(motion: MotionPlan, scene: Scene) -> list[ModalPose]:
+    return modes_along_path(replace(motion, scene=scene), POSES)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A chosen set beside a richer one; changes of the metrics are relative to their scales.
+
+    Attributes:
+        effect, change: what the richer set has more.
+        estimated: change of each metric without a run.
+        observed: change of each metric between two runs.
+        slower: processor time of the richer set's run over that of the chosen one's.
+    """
+
+    effect: str
+    change: str
+    estimated: Mapping[MeasureName, float]
+    observed: Mapping[MeasureName, float]
+    slower: float
+
+    @property
+    def effectivity(self) -> float | None:
+        """Largest estimated over largest observed change; None where nothing was observed."""
+        return effectivity(max(self.estimated.values()), max(self.observed.values()))
+
+
+def effectivity(estimated: float, observed: float) -> float | None:
+    """An estimate over what was observed; None where nothing was observed, beside which no estimate has a size."""
+    return estimated / observed if observed else None
+
+
+EVERYTHING = "everything"
+"""Effect of the comparison with the richest set, whose estimate is that of the choice, safety included."""
+
+
+def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = quiet) -> tuple[Comparison, ...]:
+    """Run the chosen set, the richest one and each next richer one; all of `comparisons`."""
+    return tuple(comparisons(study, fmu_of, show))
+
+
+def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = quiet) -> Iterator[Comparison]:
+    """The chosen set beside the richest one, then beside each next richer one, run when asked for.
+
+    Args:
+        study: the choice.
+        fmu_of: where the FMUs come from; built, or taken from the cache, when None.
+        show: called with what is being done and the finished fraction.
+
+    Raises:
+        BuildError: an FMU can't be built.
+        ResultsError: a run failed.
+    """
+    # the runs to compare with
+    chosen, estimator = study.scene, study.estimator
+    names = tuple(estimator.reference)
+    show("running the chosen set", None)
+    base = observe(chosen, names, fmu_of, EXACT)
+    show("running the richest set", None)
+    full = observe(estimator.richest, (*names, "peak_position_error"), fmu_of, EXACT)
+    units = scales(full.metrics, estimator.asked)
+
+    def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> Comparison:
+        observed = {name: abs(other.metrics[name] - base.metrics[name]) / units[name] for name in names}
+        own, longer = fastest_in_turns([base.run, other.run])
+        return Comparison(effect, change, estimated, observed, longer / own)
+
+    yield compare(EVERYTHING, "the richest set", estimated_errors(estimator, chosen), full)
+    # one more of each effect, where the estimates know it
+    for each in richer(chosen):
+        if estimator.covers(each.scene.effects):
+            show(f"running with {each.effect}: {each.change}", None)
+            estimated = estimator.changes(chosen.effects, each.scene.effects)
+            yield compare(each.effect, each.change, estimated, observe(each.scene, names, fmu_of, EXACT))
+
+
+SHOWN_FREQUENCIES = 3
+"""Lowest frequencies of each pose in the table; all of them are in the JSON."""
+
+LONGEST_WORD = len("foreshortening")
+
+
+def contribution_table(study: EffectStudy) -> Table:
+    """Every effect, in or out, with its contribution to each metric and its cost."""
+    metrics = [METRICS[name].label for name in study.choice.of]
+    table = _table(
+        f"{study.scene.name}: what each effect is worth, as relative change of each metric, and what it costs",
+        (" ", "Effect", "Change"),
+        (*metrics, "states", "operations", "time"),
+    )
+    cost = study.cost
+    own = f"{cost.states}", f"{cost.operations}", f"{1e6 * cost.time:.3g} µs"
+    table.add_row("", "the set itself", "", *("" for _ in metrics), *own)
+    for row in study.rows:
+        states, operations = row.cost.states - cost.states, row.cost.operations - cost.operations
+        slower = 100.0 * (row.cost.time / cost.time - 1.0)
+        more = f"{states:+d}" if states else "", f"{operations:+d}", f"{slower:+.0f} %"
+        table.add_row(*_named(row), *map(percent, row.estimate.contribution), *more)
+    return table
+
+
+def frequency_table(study: EffectStudy) -> Table:
+    """Natural frequencies along the path, of the set and with each single change."""
+    places = [f"s = {pose.s:g}" for pose in study.poses]
+    table = _table(
+        f"lowest {SHOWN_FREQUENCIES} natural frequencies along the path [Hz], motors locked",
+        (" ", "Effect", "Change"),
+        places,
+    )
+    table.add_row("", "the set itself", "", *_lowest(study.poses))
+    for row in study.rows:
+        table.add_row(*_named(row), *_lowest(row.poses))
+    return table
+
+
+def comparison_table(comparisons: Iterable[Comparison]) -> Table:
+    """Estimates beside what runs of the FMUs show."""
+    table = _table(
+        "the chosen set beside richer ones: largest change over the metrics",
+        ("Effect", "Change"),
+        ("estimated", "observed", "effectivity", "time of a run"),
+    )
+    for each in comparisons:
+        estimated, observed = max(each.estimated.values()), max(each.observed.values())
+        ratio = "–" if each.effectivity is None else f"{each.effectivity:.2f}"
+        table.add_row(each.effect, each.change, percent(estimated), percent(observed), ratio, f"{each.slower:.2f} x")
+    return table
+
+
+def _named(row: EffectRow) -> tuple[str, str, str]:
+    return row.place, row.estimate.effect, row.estimate.change
+
+
+def _lowest(poses: Iterable[ModalPose]) -> Iterator[str]:
+    """The lowest frequencies of each pose."""
+    for pose in poses:
+        yield "  ".join(f"{frequency:.1f}" for frequency in pose.frequencies[:SHOWN_FREQUENCIES]) or "–"
+
+
+def _table(title: str, texts: Iterable[str], numbers: Iterable[str]) -> Table:
+    return titled_table(
+        title,
+        *(Column(each, min_width=LONGEST_WORD) if each == "Change" else Column(each, no_wrap=True) for each in texts),
+        *(Column(each, justify="right") for each in numbers),
+    )

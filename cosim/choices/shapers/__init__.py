@@ -1,0 +1,1 @@
+"""Input shapers compared on a scene: residual vibration against added time, path deviation, jerk and torque."""

@@ -1,0 +1,275 @@
+"""What shapers do to a scene: co-simulations of the motion-driven FMU, one FMU with the payload as its parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from flexfmu.cosim.choices.shapers.design import Alternative
+from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.shaping import APPLICATIONS, deviation
+from flexfmu.cosim.metrics.metrics import Settings, measure, settings_for
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence
+
+UNSHAPED_NAME, NOTHING = "unshaped", "-"
+"""Name of the motion as it is, and what is shaped then."""
+
+DWELL_PERIODS = 15.0
+"""Dwell in periods of the lowest mode, for a scene without one: without a dwell there is no residual vibration."""
+
+
+JERK_POINTS = 2001
+"""Points over a motion at which its jerk is looked at, beside its breakpoints."""
+
+SMOOTH = 1e-6
+"""Jumps of the acceleration below this share of its maximum are rounding."""
+
+Drive = Literal["perfect", "controller"]
+"""What drives the robot in a study."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One co-simulation.
+
+    Attributes:
+        payload_error: relative error of the payload's mass.
+        residual: largest distance of the end effector from where it comes to rest during the dwell [m]: from its
+            equilibrium with a perfect drive, from its last position with a controller.
+        settling_time: time after the motion's end from which it stays in the settling band [s]; None if it doesn't
+            within the dwell.
+        peak_torque: largest torque of either motor over the motion [N.m].
+        rest_offset: distance of the point where a controlled robot comes to rest from the equilibrium [m].
+    """
+
+    payload_error: float
+    residual: float
+    settling_time: float | None
+    peak_torque: float
+    rest_offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A shaper applied in one of the two ways, or the unshaped motion.
+
+    Attributes:
+        name: of the shaper.
+        application: ``joints`` or ``path``; ``-`` for none.
+        sequence: its impulses.
+        motion: the shaped motion.
+        section: the scene file's `[[shaper]]` table that applies it; empty for the unshaped motion.
+    """
+
+    name: str
+    application: str
+    sequence: ImpulseSequence
+    motion: MotionPlan
+    section: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Name and application in words."""
+        return self.name if self.application == NOTHING else f"{self.name} on {self.application}"
+
+
+@dataclass(frozen=True)
+class CandidateResult:
+    """What a candidate does, over all payload errors.
+
+    Attributes:
+        candidate: what was simulated.
+        added_time: by how much the motion is longer than the scene's own [s].
+        path_deviation: largest distance of the rigid end effector from the scene's path [m].
+        trials: one for each payload error.
+        peak_jerk: largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps.
+    """
+
+    candidate: Candidate
+    added_time: float
+    path_deviation: float
+    trials: tuple[Trial, ...]
+    peak_jerk: float = np.inf
+
+    @cached_property
+    def nominal(self) -> Trial:
+        """The trial with the scene's own payload."""
+        return min(self.trials, key=lambda trial: abs(trial.payload_error))
+
+    @property
+    def worst_residual(self) -> float:
+        """Largest residual vibration over the payload band [m]."""
+        return max(trial.residual for trial in self.trials)
+
+    @property
+    def peak_torque(self) -> float:
+        """Largest torque of either motor over the payload band [N.m]."""
+        return max(trial.peak_torque for trial in self.trials)
+
+    @property
+    def worst_settling_time(self) -> float | None:
+        """Longest settling time over the payload band [s]; None where one didn't settle."""
+        times = [trial.settling_time for trial in self.trials]
+        return None if None in times else max(time for time in times if time is not None)
+
+    @property
+    def time_to_rest(self) -> float | None:
+        """Added time and longest settling time [s]: how long after the unshaped motion's end there is rest."""
+        settling = self.worst_settling_time
+        return None if settling is None else self.added_time + settling
+
+
+def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -> Scene:
+    """The scene as the study needs it: with a dwell, without shapers of its own, and with the drive asked for.
+
+    Args:
+        scene: the scene.
+        lowest_frequency: of the lowest mode [Hz]; a scene without dwell gets some periods of it.
+        drive: ``perfect`` for a robot that follows its references exactly, ``controller`` for the scene's controllers and
+            imperfections; None for the controllers where the scene has some.
+
+    Raises:
+        InputError: the scene has no controller to study with.
+    """
+    if drive == "controller" and not scene.controller:
+        raise InputError(
+            f"scene {scene.name} has no [[controller]] to study shapers with: add one, or take the perfect drive"
+        )
+    dropped = ("shaper",) if drive != "perfect" and scene.controller else ("controller", "shaper", "imperfection")
+    changes: dict[str, object] = {section: () for section in dropped if getattr(scene, section)}
+    if "controller" in dropped and scene.cosimulation.drive != "motion":
+        changes["cosimulation.drive"] = "motion"
+    if scene.trajectory.dwell == 0.0:
+        changes["trajectory.dwell"] = DWELL_PERIODS / lowest_frequency
+    return scene.replace(changes) if changes else scene
+
+
+def candidates(motion: MotionPlan, shapers: Sequence[Alternative]) -> tuple[list[Candidate], Mapping[str, str]]:
+    """The unshaped motion and every shaper in both ways; what can't be applied is left out, with the reason."""
+    found, refused = [Candidate(UNSHAPED_NAME, NOTHING, UNSHAPED, motion)], {}
+    for shaper in shapers:
+        for application, shape in APPLICATIONS.items():
+            try:
+                section = {**shaper.section, "apply": application}
+                shaped = shape(motion, shaper.sequence)
+                found.append(Candidate(shaper.name, application, shaper.sequence, shaped, section))
+            except TrajectoryError as error:
+                refused[f"{shaper.name} on {application}"] = str(error)
+    return found, refused
+
+
+def slower(motion: MotionPlan, extra_time: float) -> Candidate:
+    """The unshaped motion, slower by a time [s]: what the time that a shaper adds could have bought instead."""
+    scene = motion.scene.replace({"trajectory.duration": motion.duration + extra_time})
+    return Candidate("slower", NOTHING, UNSHAPED, plan(scene))
+
+
+def study(
+    candidates: Sequence[Candidate],
+    payload_errors: Sequence[float],
+    nominal_duration: float,
+    fmu_path: Path,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Iterator[CandidateResult]:
+    """Co-simulate each candidate with each payload error.
+
+    Args:
+        candidates: shaped motions of one scene.
+        payload_errors: relative errors of the payload's mass; just 0 for a scene without payload.
+        nominal_duration: duration of the scene's own motion [s].
+        fmu_path: the scene's motion-driven FMU.
+        progress: called with the finished fraction.
+
+    Raises:
+        CosimError: a simulation didn't reach its end.
+    """
+    for index, candidate in enumerate(candidates):
+        trials = []
+        for error in payload_errors:
+            trials.append(simulate(candidate, error, fmu_path))
+            progress((index + len(trials) / len(payload_errors)) / len(candidates))
+        added = candidate.motion.duration - nominal_duration
+        yield CandidateResult(candidate, added, deviation(candidate.motion), tuple(trials), peak_jerk(candidate.motion))
+
+
+def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Trial:
+    """One co-simulation, measured.
+
+    Raises:
+        CosimError: it didn't reach its end.
+    """
+    run, settings, offset = _simulated(candidate, payload_error, fmu_path)
+    values = {name: measurement.value for name, measurement in measure(run.recording, settings).items()}
+    return Trial(
+        payload_error,
+        values["residual_vibration_amplitude"] or 0.0,
+        values["settling_time"],
+        max(values["peak_torque_1"] or 0.0, values["peak_torque_2"] or 0.0),
+        offset,
+    )
+
+
+def vibration(candidate: Candidate, fmu_path: Path) -> tuple[RealArray, RealArray]:
+    """Times after the motion's end [s] and the end effector's distance from where it comes to rest [m], nominal payload.
+
+    Raises:
+        CosimError: the simulation didn't reach its end.
+    """
+    run, settings, _ = _simulated(candidate, 0.0, fmu_path)
+    after = run.recording.time >= run.plan.duration
+    distance = np.linalg.norm(position_values(run)[:, after] - settings.end_equilibrium[:, None], axis=0)
+    return run.recording.time[after] - run.plan.duration, distance
+
+
+def _simulated(candidate: Candidate, payload_error: float, fmu_path: Path) -> tuple[Run, Settings, float]:
+    """A run, what to measure it by, and how far it comes to rest from the equilibrium [m].
+
+    Controllers keep believing in the scene's payload.
+    """
+    motion = candidate.motion
+    scene = motion.scene
+    mass = with_payload_error(scene, payload_error).payload.mass
+    parameters = {"payload.mass": mass} if payload_error else {}
+    run = run_scene(scene, loop=loop_of(scene, motion), fmu_path=fmu_path, parameters=parameters)
+    if not run.completed:
+        raise CosimError(f"{candidate.label}, payload error {payload_error:+.0%}: {run.message}")
+    settings = settings_for(run.plan, run.robot)
+    if not scene.controller:
+        return run, settings, 0.0
+    rest = position_values(run)[:, -1]
+    return run, replace(settings, end_equilibrium=rest), float(np.linalg.norm(rest - settings.end_equilibrium))
+
+
+def position_values(run: Run) -> RealArray:
+    """End-effector positions of a run (2, N) [m]."""
+    return np.array([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"])
+
+
+def peak_jerk(motion: MotionPlan) -> float:
+    """Largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps."""
+    joints = motion.joints
+    times = np.union1d(np.linspace(0.0, joints.duration, JERK_POINTS), joints.breakpoints)
+    left, right = (joints.evaluate(times, 3, side=side) for side in ("left", "right"))
+    jump = np.abs(left[2] - right[2]).max()
+    if jump > SMOOTH * np.abs(right[2]).max():
+        return np.inf
+    return float(max(np.abs(left[3]).max(), np.abs(right[3]).max()))
+
+
+def payload_errors(scene: Scene, band: float, count: int) -> list[float]:
+    """So many relative payload errors between -band and band, 0 among them; 0 alone for a scene without payload."""
+    if not scene.payload.mass or not band:
+        return [0.0]
+    return [float(error) for error in np.round(np.linspace(-band, band, count), 12)]

@@ -1,0 +1,263 @@
+"""What the commands say and read: results on standard output, progress on a terminal's standard error, every error as one line with an
+exit status, and scenes with their effects chosen where they leave that open.
+
+Exit status 0: done. 1: it ran and failed. 2: wrong usage or input, nothing was done.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from io import StringIO
+from threading import Thread
+from time import sleep
+from typing import TYPE_CHECKING, Any, Never, TextIO
+
+import typer
+from rich.console import Console, RenderableType
+
+from flexfmu.cosim.engine.errors import ResultsError
+
+if TYPE_CHECKING:
+    from flexfmu.model.scene.schema import Scene
+
+
+PIPED_WIDTH = 120
+"""Columns of a table that goes into a file or another program."""
+
+Step = Callable[[str, float | None], None]
+"""Called with what is being done and the finished fraction, 0..1; None where it isn't known."""
+
+
+def print_text(text: str) -> None:
+    """Write to standard output at once. A reader that has gone away ends the command without a word.
+
+    Raises:
+        ResultsError: standard output is closed or can't be written, a full disk for example.
+    """
+    stdout = _stdout()
+    try:
+        stdout.write(text.encode(stdout.encoding or "utf-8", "replace").decode(stdout.encoding or "utf-8"))
+        stdout.flush()
+    except BrokenPipeError:
+        abandon_stdout()
+        raise typer.Exit(1) from None
+    except OSError as error:
+        abandon_stdout()
+        raise ResultsError(f"can't write to standard output: {error.strerror or error}") from error
+
+
+def print_rich(*parts: RenderableType) -> None:
+    """Write tables and styled text to standard output; see `rich_output`."""
+    with rich_output() as console:
+        for part in parts:
+            console.print(part)
+
+
+@contextmanager
+def rich_output() -> Iterator[Console]:
+    """A console whose text goes to standard output in the end: as wide as the terminal, and in colours where there is one.
+
+    Raises:
+        ResultsError: standard output is closed or can't be written.
+    """
+    is_terminal, text = _stdout().isatty(), StringIO()
+    yield Console(
+        file=text, force_terminal=is_terminal or None, width=None if is_terminal else PIPED_WIDTH, highlight=False
+    )
+    print_text(text.getvalue())
+
+
+@contextmanager
+def progress() -> Iterator[Step]:
+    """A progress bar on standard error; nothing when that is piped."""
+    stderr: TextIO | None = sys.stderr
+    if stderr is None or not stderr.isatty():
+        yield lambda text, fraction: None
+        return
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda text, fraction: bar.update(
+            task, description=text, total=None if fraction is None else 1.0, completed=fraction or 0.0
+        )
+
+
+def _stdout() -> TextIO:
+    """Standard output.
+
+    Raises:
+        ResultsError: the command was started without one.
+    """
+    stdout: TextIO | None = sys.stdout
+    if stdout is None:
+        raise ResultsError("can't write to standard output: it is closed")
+    return stdout
+
+
+def keep_stdout() -> None:
+    """Keep standard output for results: what libraries of FMUs print goes to standard error from here on."""
+    try:
+        own = os.dup(sys.stdout.fileno())
+    except (AttributeError, OSError, ValueError):  # there is none
+        return
+    try:
+        os.dup2(2, 1)
+    except OSError:  # there is no standard error
+        os.close(own)
+        return
+    sys.stdout = open(own, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)  # noqa: SIM115 - lives as long as the process
+
+
+def abandon_stdout() -> None:
+    """Point standard output to nowhere, or Python complains once more when it flushes at exit."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError):
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - lives as long as the process
+
+
+FAILURE, USAGE, TERMINATED = 1, 2, 143
+
+TERMINATION_GRACE = 5.0
+"""How long a call of a library, an FMU's for example, may keep the program from ending after SIGTERM [s]."""
+
+
+@contextmanager
+def orderly_termination() -> Iterator[None]:
+    """SIGTERM ends the program like Ctrl-C: results so far are written, temporary folders removed; the status is 143.
+
+    Without that, folders with unpacked FMUs would stay. A program that hangs in a library's call ends all the same.
+    """
+    if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    asked: list[int] = []
+
+    def interrupt(number: int, _: object) -> Never:
+        asked.append(number)
+        raise KeyboardInterrupt
+
+    def watch(reading: int) -> None:
+        """Python calls handlers between its own instructions alone, but writes the signal's number here at once."""
+        while number := os.read(reading, 1):
+            if number[0] == signal.SIGTERM:
+                sleep(TERMINATION_GRACE)
+                if not asked:
+                    os._exit(TERMINATED)
+
+    # where Python's handler may wait for a library's call, a thread watches as well
+    signal.signal(signal.SIGTERM, interrupt)
+    if os.name == "posix":
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        Thread(target=watch, args=(reading,), daemon=True).start()
+    try:
+        yield
+    except SystemExit:
+        if asked:
+            sys.exit(TERMINATED)
+        raise
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """Turn every error that a user can meet into one line on standard error and the exit status.
+
+    Anything else is a mistake in flexfmu and keeps its traceback. Warnings that concern the user are one line each as well.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _showing(warnings.showwarning)
+            yield
+    except typer.Exit:
+        raise
+    except KeyboardInterrupt:
+        show_error("interrupted")
+        raise typer.Exit(FAILURE) from None
+    except Exception as error:
+        status = _exit_status(error)
+        if status is None:
+            raise
+        show_error(_sentence(error))
+        raise typer.Exit(status) from error
+
+
+def show_error(message: str) -> None:
+    """One line on standard error, if there is one."""
+    show_note(message)
+
+
+def show_note(message: str) -> None:
+    """One line on standard error for something that isn't a result, if there is a standard error."""
+    stderr: TextIO | None = sys.stderr
+    if stderr is not None:
+        print(f"flexfmu: {' '.join(message.split())}", file=stderr)
+
+
+def _showing(others: Callable[..., None]) -> Callable[..., None]:
+    """Shows a warning that concerns the user without the line of code that it comes from; others as before."""
+    from flexfmu.cosim.engine.errors import CostWarning, SlaveWarning
+    from flexfmu.fmu_build.errors import CacheWarning
+    from flexfmu.model.scene.errors import SceneWarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
+        if issubclass(category, CacheWarning | CostWarning | SceneWarning | SlaveWarning):
+            show_note(f"warning: {message}")
+        else:
+            others(message, category, *where)
+
+    return show
+
+
+def _exit_status(error: Exception) -> int | None:
+    """The exit status for an error; None for a mistake in flexfmu.
+
+    The families of errors are imported here: `flexfmu --help` would wait for SciPy otherwise.
+    """
+    from flexfmu.cosim.engine.errors import CosimError, InputError
+    from flexfmu.fmu_build.errors import BuildError, MissingCompilerError, PlatformError, StartError
+    from flexfmu.model.scene.errors import EquilibriumError, SceneError
+    from flexfmu.trajectories.errors import TrajectoryError
+
+    if isinstance(error, MissingCompilerError):
+        return FAILURE
+    if isinstance(error, SceneError | TrajectoryError | InputError | PlatformError | StartError):
+        return USAGE
+    return FAILURE if isinstance(error, CosimError | BuildError | EquilibriumError | OSError) else None
+
+
+def _sentence(error: Exception) -> str:
+    """The error's own words, the system's where it comes from there."""
+    if isinstance(error, OSError):
+        where = f" ({error.filename})" if error.filename else ""
+        return f"{error.strerror or error}{where}"
+    return str(error)
+
+
+def load_resolved(source: str) -> Scene:
+    """A scene from its file or by its name; what was chosen is said on standard error.
+
+    Raises:
+        SceneError: as for `flexfmu.model.scene.file.load_scene`.
+        TrajectoryError: effects are to be chosen along a motion that isn't feasible.
+    """
+    from flexfmu.model.scene.file import load_scene
+
+    scene = load_scene(source)
+    if scene.effects.select is None:
+        return scene
+    from flexfmu.cosim.choices.effects.choice import resolved
+    from flexfmu.model.choice_text import choice_sentence
+
+    with progress() as show:
+        chosen = resolved(scene, show)
+    show_note(choice_sentence(chosen))
+    return chosen

@@ -1,0 +1,70 @@
+"""`flexfmu workprec`: what accuracy costs in time, and with `--hard` whether hard cases stay right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.text import Text
+
+from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+from flexfmu.cosim.reports.text import to_json
+
+HARD_CASES = "hard-cases"
+"""Name of the suite's folder and files."""
+
+
+def workprec_command(source: str | None, out: Path | None, families: Sequence[str], as_json: bool) -> int:
+    """Measure, write the results, and print them; the exit status."""
+    from flexfmu.cosim.studies.workprec.figures import html, save_figures
+    from flexfmu.cosim.studies.workprec.report import data, markdown, notes, terminal_table
+    from flexfmu.cosim.studies.workprec.study import FAMILIES, run_study
+
+    # usage
+    if source is None:
+        raise InputError("workprec needs a SCENE, or --hard for the hard cases, which have robots of their own")
+    unknown = [each for each in families if each not in FAMILIES]
+    if unknown:
+        raise InputError(f"--only takes {', '.join(FAMILIES)}, got {unknown[0]}")
+    # measure, and write each file as soon as it is known
+    scene = load_resolved(source)
+    folder = OutputFolder(out or RESULTS / scene.name / "workprec")
+    folder.prepare()
+    with progress() as show:
+        study = run_study(scene, families or FAMILIES, lambda text: show(text, None))
+        folder.write("workprec.json", to_json(data(study)))
+        folder.write("workprec.md", markdown(study))
+        show("pictures", None)
+        save_figures(study, folder.path)
+        folder.write("workprec.html", html(study))
+    # standard output
+    if as_json:
+        print_text(to_json(data(study)))
+    else:
+        print_rich(terminal_table(study), *(Text(note) for note in notes(study)))
+        print_text(f"workprec.json, workprec.md, workprec.html and pictures are in {folder.path}\n")
+    return 0
+
+
+def hard_command(source: str | None, out: Path | None, names: Sequence[str], as_json: bool) -> int:
+    """Run the hard cases, write what happened, and print it; the exit status."""
+    from flexfmu.cosim.studies.hard.suite import conclusion, data, hard_cases, markdown, run_cases, terminal_table
+
+    if source is not None:
+        raise InputError(f"the hard cases have robots of their own: leave out {source}")
+    cases = hard_cases(names)
+    folder = OutputFolder(out or RESULTS / HARD_CASES)
+    folder.prepare()
+    with progress() as show:
+        results = run_cases(cases, lambda text: show(text, None))
+    text = to_json(data(results))
+    folder.write(f"{HARD_CASES}.json", text)
+    folder.write(f"{HARD_CASES}.md", markdown(results))
+    if as_json:
+        print_text(text)
+    else:
+        print_rich(terminal_table(results), Text(conclusion(results)))
+        print_text(f"{HARD_CASES}.json and {HARD_CASES}.md are in {folder.path}\n")
+    return 0 if all(result.finding.passed for result in results) else FAILURE

@@ -1,0 +1,1 @@
+"""Controllers, filters, shapers and imperfections as slaves that sample; knows no scene file."""

@@ -1,0 +1,92 @@
+"""From equations to a block: symbols, dense functions, and the direct feedthrough read off the equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import accumulate
+from typing import Any
+
+import casadi
+
+from flexfmu.cosim.control.blocks.slave import check_variables
+from flexfmu.cosim.engine.slave import check_sampling
+from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import Variable
+
+Vector = Any
+"""A CasADi column vector, SX or MX."""
+
+Equations = Callable[[Vector, Vector, Vector], tuple[Vector, Vector]]
+"""(x, u, p) → (y, next x), all column vectors."""
+
+
+def block(
+    name: str,
+    description: str,
+    equations: Equations,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    inputs: Sequence[Variable],
+    outputs: Sequence[Variable],
+    parameters: Sequence[Variable] = (),
+    states: Sequence[float] = (),
+    symbol: Any = casadi.SX,
+    latency: Mapping[str, float] | None = None,
+) -> SymbolicBlock:
+    """The block of some equations; direct feedthrough is whatever an output depends on structurally.
+
+    Args:
+        name, description: what it is.
+        equations: called once, with symbols.
+        sample_time, offset: [s].
+        inputs, outputs, parameters: variables in the order of u, y and p.
+        states: start values of x.
+        symbol: `casadi.SX` for scalar operations; `casadi.MX` keeps long vectors in one piece.
+        latency: output → delay at low frequency [s].
+
+    Raises:
+        InputError: the sample time, the offset, a start value, a name or a size is wrong.
+    """
+    check_sampling(sample_time, offset, name)
+    arguments = [
+        symbol.sym(letter, len(each)) for letter, each in zip("xup", (states, inputs, parameters), strict=True)
+    ]
+    output, update = (casadi.densify(each) for each in equations(*arguments))
+    result = SymbolicBlock(
+        name=name,
+        description=description,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=tuple(inputs),
+        outputs=tuple(outputs),
+        parameters=tuple(parameters),
+        states=tuple(float(value) for value in states),
+        output=casadi.Function("output", arguments, [output], ["x", "u", "p"], ["y"]),
+        update=casadi.Function("update", arguments, [update], ["x", "u", "p"], ["next_x"]),
+        latency=latency or {},
+    )
+    check_variables(result)
+    return _with_feedthrough(result)
+
+
+def split(vector: Vector, *sizes: int) -> list[Vector]:
+    """Cut a vector into pieces of these sizes, and whatever remains into pieces of the last size; nothing remains after a
+    last piece of size zero."""
+    edges = list(accumulate(sizes, initial=0))
+    if sizes[-1]:
+        edges += range(edges[-1] + sizes[-1], vector.numel() + 1, sizes[-1])
+    pieces: list[Vector] = casadi.vertsplit(vector, edges)
+    return pieces
+
+
+def _with_feedthrough(block: SymbolicBlock) -> SymbolicBlock:
+    """The block with the inputs that each output depends on."""
+    sparsity = block.output.jac_sparsity(0, 1)
+    pairs = list(zip(sparsity.row(), sparsity.get_col(), strict=True))
+    feedthrough = {
+        variable.name: tuple(block.inputs[column].name for row, column in pairs if row == i)
+        for i, variable in enumerate(block.outputs)
+    }
+    return replace(block, feedthrough=feedthrough)

@@ -1,0 +1,191 @@
+"""A discrete-time block as a slave: controllers, shapers and imperfections run in the master through this one class."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+import casadi
+import numpy as np
+
+from flexfmu.cosim.control.blocks.code import block_function
+from flexfmu.cosim.engine.binding import Copy, is_range
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
+from flexfmu.fmu_build.block_codegen import check_block
+from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import Variable
+
+
+class BlockSlave:
+    """Samples a block at its instants and holds the outputs in between.
+
+    Variables are the block's inputs, parameters and outputs, in this order. Before the first sample instant the outputs
+    are those of the start states and of the inputs at initialisation. A sample calls one function on fixed buffers;
+    nothing is allocated.
+
+    Args:
+        block: the block.
+        name: name of the slave; the block's own by default.
+        compiled: True to evaluate in compiled C, False in CasADi's virtual machine; None compiles large blocks.
+
+    Raises:
+        ModelError: the block contradicts its contract: sample time, offset, start states or shapes.
+        InputError: two variables share a name, or a parameter is out of range.
+        MissingCompilerError, CompileError: it is to be compiled and can't be.
+    """
+
+    def __init__(self, block: SymbolicBlock, name: str = "", *, compiled: bool | None = None) -> None:
+        check_block(block)
+        check_variables(block)
+        self.name = name or block.name
+        self.block = block
+        self.sample_time, self.offset = block.sample_time, block.offset
+        self.feedthrough, self.latency = dict(block.feedthrough), dict(block.latency)
+        known = (*block.inputs, *block.parameters)
+        self.variables = tuple(slave_variable(each) for each in (*known, *block.outputs))
+        self._inputs, self._known = len(block.inputs), len(known)
+        self._memory = np.zeros(len(self.variables) + 2 * len(block.states))
+        self._memory[: self._known] = [each.start or 0.0 for each in known]
+        self._states, self._next = self._memory[len(self.variables) :].reshape(2, -1)
+        self._buffers: list[object] = []
+        function = block_function(block, compiled)
+        self._sample = self._bound(function, output=True, update=True)
+        self._output = self._bound(function, output=True, update=False)
+        self._update = self._bound(function, output=False, update=True)
+
+    def _bound(self, function: casadi.Function, output: bool, update: bool) -> Call:
+        """The function (x, u, p) → (y, next x) on the slave's memory, leaving out one of its results or none."""
+        buffer: Any
+        buffer, evaluate = function.buffer()
+        self._buffers.append(buffer)  # the call needs it
+        inputs, parameters, outputs, _ = np.split(self._memory, [self._inputs, self._known, len(self.variables)])
+        for i, values in enumerate((self._states, inputs, parameters)):
+            buffer.set_arg(i, values.data)
+        if output:
+            buffer.set_res(0, outputs.data)
+        if update:
+            buffer.set_res(1, self._next.data)
+        call: Call = evaluate
+        return call
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Begin with the start states; inputs and parameters keep what has been set."""
+        self._states[:] = self.block.states
+        self._output()
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """Set inputs and parameters (n,).
+
+        Raises:
+            InputError: a variable is an output, or a parameter's value isn't finite or is out of range.
+        """
+        for index, value in zip(indices.tolist(), values.tolist(), strict=True):
+            if index >= self._known:
+                raise InputError(f"{self.name}.{self.variables[index].name} is an output and can't be set")
+            if index >= self._inputs:
+                check_parameter(self.block.parameters[index - self._inputs], value, self.name)
+        self._memory[indices] = values
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Write current values into ``values`` (n,)."""
+        self._memory.take(indices, None, values, "clip")
+
+    def sample(self, time: float) -> None:
+        """Calculate outputs and next states from the inputs just set."""
+        self._sample()
+        self._states[:] = self._next
+
+    def output(self, time: float) -> None:
+        """Calculate outputs from the states and the inputs set so far."""
+        self._output()
+
+    def update(self, time: float) -> None:
+        """Calculate the next states from the inputs just set."""
+        self._update()
+        self._states[:] = self._next
+
+    def step(self, time: float, step: float) -> None:
+        """Nothing happens between the sample instants: the outputs are held."""
+
+    def terminate(self) -> None:
+        """End the run: inputs go back to their starts, so that the next run repeats this one to the last bit."""
+        self._memory[: self._inputs] = [each.start or 0.0 for each in self.block.inputs]
+
+    def save(self) -> RealArray:
+        """Inputs, parameters, outputs and states."""
+        return self._memory.copy()
+
+    def restore(self, state: object) -> None:
+        """Go back to what `save` gave.
+
+        Raises:
+            InputError: the state belongs to another slave.
+        """
+        if not isinstance(state, np.ndarray) or state.shape != self._memory.shape:
+            raise InputError(f"{self.name}: this state was not saved by this slave")
+        self._memory[:] = state
+
+    def bind_set(self, indices: Indices, values: RealArray) -> Call:
+        """A call that sets inputs from ``values`` (n,).
+
+        Raises:
+            InputError: a variable is no input.
+        """
+        if (indices >= self._inputs).any():
+            raise InputError(f"{self.name}: only inputs can be connected; set parameters before the run")
+        return Copy(values, self._memory, indices)
+
+    def bind_get(self, indices: Indices, values: RealArray) -> Call:
+        """A call that writes variables into ``values`` (n,)."""
+        memory = self._memory
+        if is_range(indices):
+            return Copy(memory[indices[0] : indices[-1] + 1], values, np.arange(indices.size))
+
+        def read() -> None:
+            memory.take(indices, None, values, "clip")
+
+        return read
+
+    def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
+        """Inputs are sampled; their derivatives mean nothing here."""
+        raise InputError(f"{self.name} is sampled and takes no input derivatives")
+
+    def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
+        """Outputs are held; their derivatives are not offered."""
+        raise InputError(f"{self.name} is sampled and gives no output derivatives")
+
+
+def check_variables(block: SymbolicBlock) -> None:
+    """Check names and parameters of a block.
+
+    Raises:
+        InputError: two variables share a name, or a parameter's start isn't finite or is out of range.
+    """
+    where = f"block {block.name!r}"
+    names = [variable.name for variable in (*block.inputs, *block.parameters, *block.outputs)]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{where}: two variables are named {name!r}; give each its own name")
+    for parameter in block.parameters:
+        check_parameter(parameter, parameter.start, where)
+
+
+def check_parameter(variable: Variable, value: float | None, where: str) -> None:
+    """Check a parameter's value against its range.
+
+    Raises:
+        InputError: the value is missing, not finite or out of range.
+    """
+    if value is None or not isfinite(value):
+        raise InputError(f"{where}: {variable.name} must be a finite number in {variable.unit}, got {value}")
+    if variable.minimum is not None and value < variable.minimum:
+        raise InputError(f"{where}: {variable.name} must be at least {variable.minimum} {variable.unit}, got {value}")
+    if variable.maximum is not None and value > variable.maximum:
+        raise InputError(f"{where}: {variable.name} must be at most {variable.maximum} {variable.unit}, got {value}")
+
+
+def slave_variable(variable: Variable) -> SlaveVariable:
+    """As the master sees it; no unit fits every unit, as in an FMU."""
+    unit = "" if variable.unit == "1" else variable.unit
+    return SlaveVariable(variable.name, variable.causality, unit, variable.start)

@@ -1,0 +1,140 @@
+"""Computed torque: rigid inverse dynamics that linearise and decouple the joints, and the same as a mere feedforward."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi
+
+from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.controllers.joints import (
+    JOINTS,
+    PerJoint,
+    feedforward_outputs,
+    feedforwards,
+    gains,
+    measurements,
+    references,
+    torques,
+)
+from flexfmu.cosim.control.controllers.limits import Limits, saturate
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import Variable
+
+
+def computed_torque(
+    inverse_dynamics: casadi.Function,
+    proportional: PerJoint,
+    derivative: PerJoint,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    limits: Limits | None = None,
+    joints: Sequence[str] = JOINTS,
+    name: str = "computed_torque",
+) -> SymbolicBlock:
+    """Torque = sat(ID(q, v, a_r + K_d (v_r - v) + K_p (q_r - q)) + feedforward).
+
+    On the rigid plant a = ID^-1(q, v, torque), so that the error obeys e'' + K_d e' + K_p e = 0 at the sample instants
+    whatever the pose: natural frequency sqrt(K_p), damping ratio K_d / (2 sqrt(K_p)). J. J. Craig, Introduction to
+    Robotics, 3rd ed. 2005, section 10.4; B. Siciliano et al., Robotics, 2009, section 8.5.2.
+
+    Inputs: ``joint1.reference.position``, ``.velocity``, ``.acceleration``, ``joint1.position``, ``joint1.velocity``,
+    ``joint1.feedforward`` (zero unless connected); output ``joint1.torque``. Gains and limits are tunable parameters
+    ``joint1.proportional_gain``, ``joint1.derivative_gain``, ``joint1.torque.minimum``, ``joint1.torque.maximum``.
+    `BlockSlave` compiles it when the inverse dynamics are large, as those of a five-bar are.
+
+    Args:
+        inverse_dynamics: (q, v, a) → torque, as `flexfmu.model.numeric.inverse_dynamics` gives it
+            [rad, rad/s, rad/s2 → N.m].
+        proportional: K_p [1/s2].
+        derivative: K_d [1/s].
+        sample_time, offset: [s].
+        limits: torque limits; None for none.
+        joints: names of the joints.
+        name: name of the block.
+
+    Raises:
+        InputError: the inverse dynamics don't fit the joints, a gain is negative or not finite, or the sample time
+            isn't positive.
+    """
+    _check(inverse_dynamics, joints, name)
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        n = len(joints)
+        q_r, v_r, a_r, q, v, feedforward = split(u, n)
+        k_p, k_d, *bounds = split(p, n)
+        # inverse dynamics of the reference acceleration, corrected by PD feedback
+        torque = inverse_dynamics.call([q, v, a_r + k_d * (v_r - v) + k_p * (q_r - q)])[0] + feedforward
+        return saturate(torque, *bounds) if limits else torque, x
+
+    return block(
+        name,
+        "Computed-torque control: rigid inverse dynamics and PD",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=[*_reference_motion(joints), *_measured_motion(joints), *feedforwards(joints)],
+        outputs=torques(joints),
+        parameters=[
+            *gains(joints, "proportional_gain", proportional, "1/s2", "Stiffness per inertia"),
+            *gains(joints, "derivative_gain", derivative, "1/s", "Damping per inertia"),
+            *(limits.parameters(joints) if limits else ()),
+        ],
+    )
+
+
+def inverse_dynamics_feedforward(
+    inverse_dynamics: casadi.Function,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    joints: Sequence[str] = JOINTS,
+    name: str = "feedforward",
+) -> SymbolicBlock:
+    """Feedforward = ID(q_r, v_r, a_r): the rigid torques of the reference motion, for a PD or PID to correct.
+
+    Inputs: ``joint1.reference.position``, ``.velocity``, ``.acceleration``; output ``joint1.feedforward``. Arguments
+    and errors as for `computed_torque`.
+    """
+    _check(inverse_dynamics, joints, name)
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        return inverse_dynamics.call(split(u, len(joints)))[0], x
+
+    return block(
+        name,
+        "Rigid inverse dynamics of the reference motion",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=_reference_motion(joints),
+        outputs=feedforward_outputs(joints, "Rigid torque of the reference motion"),
+    )
+
+
+def _reference_motion(joints: Sequence[str]) -> list[Variable]:
+    """Position, velocity and acceleration references."""
+    return [
+        *references(joints, "position"),
+        *references(joints, "velocity"),
+        *references(joints, "acceleration"),
+    ]
+
+
+def _measured_motion(joints: Sequence[str]) -> list[Variable]:
+    """Measured positions and velocities."""
+    return [*measurements(joints, "position"), *measurements(joints, "velocity")]
+
+
+def _check(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) -> None:
+    """The inverse dynamics take three vectors and give one, of one number for each joint."""
+    found = [inverse_dynamics.numel_in(i) for i in range(inverse_dynamics.n_in())]
+    results = [inverse_dynamics.numel_out(i) for i in range(inverse_dynamics.n_out())]
+    n = len(joints)
+    if found != [n] * 3 or results != [n]:
+        raise InputError(
+            f"{name}: the inverse dynamics must take (q, v, a) of {n} each and give {n} torques for {', '.join(joints)}; "
+            f"{inverse_dynamics.name()} takes {found} and gives {results}"
+        )

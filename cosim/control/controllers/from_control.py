@@ -1,0 +1,266 @@
+"""python-control's systems as blocks: state spaces and transfer functions, discrete as they are, continuous discretised."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from math import isclose, isfinite, pi, tan
+from typing import Any, Literal, get_args
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.signal import cont2discrete
+
+from flexfmu.cosim.control.controllers.linear_system import LinearSystem, Signal, state_space
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.model.block import SymbolicBlock
+
+Method = Literal["zoh", "foh", "tustin", "euler", "backward"]
+"""Discretisations: hold of order zero, exact for held inputs; hold of order one (triangle), exact for inputs linear between
+the samples; Tustin's rule; Euler's forward and backward rule. G. F. Franklin, J. D. Powell, M. L. Workman, Digital
+Control of Dynamic Systems, 3rd ed. 1998, chapter 6."""
+
+_SCIPY_NAMES: Mapping[Method, Any] = {
+    "zoh": "zoh",
+    "foh": "foh",
+    "tustin": "bilinear",
+    "euler": "euler",
+    "backward": "backward_diff",
+}
+
+_OBJECT = re.compile(r"^(joint\d+|link\d+|end_effector|force)_")
+_QUANTITY = re.compile(r"\.(reference|position|velocity|acceleration)_(position|velocity|acceleration|x|y)$")
+
+SAME_SAMPLE_TIME = 1e-9
+"""Sample times that differ by less than this, relatively, are the same; they come from divisions such as 1 / 4000."""
+
+
+def control_block(
+    system: Any,
+    *,
+    method: Method | None = None,
+    sample_time: float | None = None,
+    prewarp: float | None = None,
+    offset: float = 0.0,
+    start: Sequence[float] | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    units: Mapping[str, str] | None = None,
+    name: str = "controller",
+) -> SymbolicBlock:
+    """The block of a `control.StateSpace` or `control.TransferFunction`.
+
+    Args:
+        system, method, sample_time, prewarp, inputs, outputs, units: as for `from_control`.
+        offset: first sample instant [s].
+        start: start states of a state space (n,); zero when left out.
+        name: name of the block.
+
+    Raises:
+        InputError: as for `from_control`.
+    """
+    linear = from_control(
+        system,
+        method=method,
+        sample_time=sample_time,
+        prewarp=prewarp,
+        inputs=inputs,
+        outputs=outputs,
+        units=units,
+    )
+    return state_space(linear, offset=offset, start=start, name=name)
+
+
+def from_control(
+    system: Any,
+    *,
+    method: Method | None = None,
+    sample_time: float | None = None,
+    prewarp: float | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> LinearSystem:
+    """The discrete-time system of a `control.StateSpace` or `control.TransferFunction`, any number of inputs and outputs.
+
+    A discrete system is taken as it is, with its own sample time. A continuous one needs a method and a sample time.
+    Labels become names; python-control allows no dots in them, so those of the robot's variables get theirs back, see
+    `dotted`.
+
+    Args:
+        system: the system.
+        method: discretisation of a continuous system, see `Method`.
+        sample_time: [s] of a continuous system, or of a discrete one whose ``dt`` is True.
+        prewarp: frequency [rad/s] at which Tustin's rule shall be exact; with that method alone.
+        inputs, outputs: names to take in place of the labels.
+        units: name → unit; those left out have none and fit every unit.
+
+    Raises:
+        InputError: python-control is missing, the system is of another kind or not proper, it has no time base,
+            it is continuous without method or sample time, sample times contradict each other, or a name is unknown.
+    """
+    matrices = _matrices(system)
+    names_in = _names(inputs, system.input_labels, "inputs")
+    names_out = _names(outputs, system.output_labels, "outputs")
+    _check_units(units or {}, [*names_in, *names_out])
+    if system.isctime(strict=True):
+        method, sample_time = _explicit(method, sample_time)
+        matrices = _discretise(matrices, method, sample_time, prewarp)
+    else:
+        if method is not None or prewarp is not None:
+            raise InputError("the system is discrete and is taken as it is; leave out method and prewarp")
+        sample_time = _own_sample_time(system.dt, sample_time)
+
+    def signals(names: Sequence[str]) -> tuple[Signal, ...]:
+        return tuple(Signal(name, (units or {}).get(name, "1")) for name in names)
+
+    return LinearSystem(*matrices, sample_time, signals(names_in), signals(names_out))
+
+
+def dotted(label: str) -> str:
+    """A variable of the robot whose dots became underscores, as in `flexfmu.model.linear`, with its dots: ``joint1_torque``
+    → ``joint1.torque``, ``end_effector_position_x`` → ``end_effector.position.x``. Other labels stay."""
+    return _QUANTITY.sub(r".\1.\2", _OBJECT.sub(r"\1.", label))
+
+
+def _matrices(system: Any) -> Matrices:
+    """A, B, C, D of a system, in s or z."""
+    try:
+        import control
+    except ImportError:
+        raise InputError("python-control is missing; run: pip install flexfmu[control]") from None
+    if isinstance(system, control.StateSpace):
+        return system.A, system.B, system.C, system.D
+    if isinstance(system, control.TransferFunction):
+        return realise(system.num_array, system.den_array)
+    raise InputError(
+        f"need a control.StateSpace or control.TransferFunction, got {type(system).__name__}; convert it with control.ss"
+    )
+
+
+def _names(given: Sequence[str] | None, labels: Sequence[str], what: str) -> list[str]:
+    """Names given, or those of the labels."""
+    if given is None:
+        return [dotted(label) for label in labels]
+    if isinstance(given, str) or len(given) != len(labels):
+        raise InputError(
+            f"{what} must be a sequence of {len(labels)} names, one for each of {list(labels)}, got {given!r}"
+        )
+    return list(given)
+
+
+def _check_units(units: Mapping[str, str], names: Sequence[str]) -> None:
+    """Units belong to signals that exist."""
+    for name in units:
+        if name not in names:
+            hint = get_close_matches(name, names, n=1, cutoff=0.0)
+            raise InputError(
+                f"units: there is no signal {name!r}; did you mean {hint[0] if hint else 'another system'!r}?"
+            )
+
+
+def _explicit(method: Method | None, sample_time: float | None) -> tuple[Method, float]:
+    """Method and sample time of a discretisation, neither of which is guessed."""
+    if method is None or sample_time is None:
+        raise InputError(
+            f"the system is continuous: say how to discretise it, method= one of {', '.join(get_args(Method))}, "
+            "and with which sample_time= in s; or discretise it with control.c2d"
+        )
+    if method not in get_args(Method):
+        raise InputError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
+    if not (isfinite(sample_time) and sample_time > 0.0):
+        raise InputError(f"the sample time must be positive, got {sample_time} s; 1e-3 s is 1 kHz")
+    return method, sample_time
+
+
+def _own_sample_time(dt: Any, sample_time: float | None) -> float:
+    """Sample time of a discrete system: its own, or the one given where it leaves it open."""
+    if dt is None:
+        raise InputError("the system has no time base (dt is None); set dt = 0 for continuous, or its sample time in s")
+    if dt is True:
+        if sample_time is None:
+            raise InputError("the system is discrete without a sample time (dt is True); say sample_time= in s")
+        return sample_time
+    if sample_time is not None and not isclose(dt, sample_time, rel_tol=SAME_SAMPLE_TIME):
+        raise InputError(
+            f"the system has the sample time {dt} s, not {sample_time} s; leave out sample_time, or design it anew"
+        )
+    return float(dt)
+
+
+def _discretise(matrices: Any, method: Method, sample_time: float, prewarp: float | None) -> Matrices:
+    """The discrete equivalent of a continuous system."""
+    step = sample_time
+    if prewarp is not None:
+        if method != "tustin":
+            raise InputError(f"prewarp belongs to the method 'tustin', not to {method!r}")
+        if not 0.0 < prewarp < pi / sample_time:
+            raise InputError(
+                f"prewarp must be above 0 and below the Nyquist frequency {pi / sample_time:.6g} rad/s, got {prewarp} rad/s"
+            )
+        step = 2.0 * tan(prewarp * sample_time / 2.0) / prewarp
+    if np.size(matrices[0]) == 0:
+        return matrices[0], matrices[1], matrices[2], matrices[3]
+    A, B, C, D, _ = cont2discrete(matrices, step, _SCIPY_NAMES[method])
+    return np.asarray(A), np.asarray(B), np.asarray(C), np.asarray(D)
+
+
+Matrices = tuple[RealArray, RealArray, RealArray, RealArray]
+"""A, B, C, D."""
+
+
+def realise(numerators: Sequence[Sequence[RealArray]], denominators: Sequence[Sequence[RealArray]]) -> Matrices:
+    """State space of a matrix of transfer functions, in s or z alike.
+
+    Every element gets the states of its own controllable canonical form (T. Kailath, Linear Systems, 1980, section
+    2.1.1), so that the realisation isn't minimal where elements share poles; the response is the same.
+
+    Args:
+        numerators, denominators: [output][input] → coefficients, highest power first.
+
+    Raises:
+        InputError: an element isn't proper.
+    """
+    height, width = len(numerators), len(numerators[0])
+    D = np.zeros((height, width))
+    parts: list[RealArray] = []
+    rows: list[RealArray] = []
+    columns: list[RealArray] = []
+    for i in range(height):
+        for j in range(width):
+            a, c, D[i, j] = _canonical(numerators[i][j], denominators[i][j], f"[{i}, {j}]")
+            parts.append(a)
+            columns.append(np.outer(np.eye(len(a), 1), np.eye(1, width, j)))
+            rows.append(np.outer(np.eye(1, height, i), c))
+    return _stack(parts), np.concatenate(columns), np.concatenate(rows, axis=1), D
+
+
+def _canonical(numerator: RealArray, denominator: RealArray, where: str) -> tuple[RealArray, RealArray, float]:
+    """A, C, D of one element; B is the first unit vector."""
+    b, a = (
+        np.trim_zeros(np.asarray(numerator, dtype=float), "f"),
+        np.trim_zeros(np.asarray(denominator, dtype=float), "f"),
+    )
+    if not (np.isfinite(b).all() and np.isfinite(a).all()):
+        raise InputError(f"the coefficients of element {where} must be finite, got {numerator} / {denominator}")
+    if a.size == 0:
+        raise InputError(f"the denominator of element {where} is zero")
+    if b.size > a.size:
+        raise InputError(
+            f"element {where} isn't proper: its numerator has degree {b.size - 1}, its denominator {a.size - 1}; "
+            "add fast poles, such as a derivative filter"
+        )
+    # controllable canonical form with a monic denominator
+    b = np.concatenate([np.zeros(a.size - b.size), b]) / a[0]
+    a = a / a[0]
+    A = np.eye(a.size - 1, k=-1)
+    A[:1] = -a[1:]
+    return A, b[1:] - b[0] * a[1:], float(b[0])
+
+
+def _stack(parts: Sequence[RealArray]) -> RealArray:
+    """Block-diagonal matrix, parts without states left out."""
+    full = [part for part in parts if part.size]
+    return np.asarray(block_diag(*full), dtype=float) if full else np.zeros((0, 0))

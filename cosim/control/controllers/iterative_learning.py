@@ -1,0 +1,119 @@
+"""P-type iterative learning: a torque that gets better from cycle to cycle of a repeated motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+
+import casadi
+
+from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.controllers.joints import (
+    JOINTS,
+    UNITS,
+    Kind,
+    PerJoint,
+    feedforward_outputs,
+    gains,
+    measurements,
+    references,
+)
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.block import SymbolicBlock
+
+MAXIMUM_TABLE = 1_000_000
+"""Tables of more samples than this are taken for a mistake in the cycle's unit."""
+
+
+def iterative_learning(
+    gain: PerJoint,
+    cycle: int,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    shift: int = 1,
+    forgetting: float = 0.0,
+    learn_from: Kind = "position",
+    joints: Sequence[str] = JOINTS,
+    name: str = "learning",
+) -> SymbolicBlock:
+    """Feedforward of cycle j + 1 = what cycle j learned from its error: for each joint and sample k = 0 .. N - 1 ::
+
+        w_j+1(k) = (1 - forgetting) w_j(k) + gain * e_j(k + shift),      w_0 = 0,      e = reference - measurement
+
+    P-type learning (S. Arimoto, S. Kawamura, F. Miyazaki, Bettering operation of robots by learning, J. Robotic Systems
+    1 (1984) 123; forgetting: S. Arimoto, Int. J. Control 52 (1990)). On a sampled plant with first Markov parameter
+    g = y(shift) of a unit pulse, the error of a sample changes from cycle to cycle by the factor 1 - forgetting - gain g,
+    which has to be less than 1 in magnitude. The last ``shift`` samples have no error within their cycle: they are
+    only forgotten.
+
+    Every cycle has to start from the same state of the plant, so repeat a motion that comes back, or whose plant is set
+    back. Inputs: ``joint1.reference.position`` and ``joint1.position`` (or ``velocity``); output ``joint1.feedforward``,
+    to be added to a controller's torque, without direct feedthrough. The gain is tunable: ``joint1.learning_gain``.
+
+    Args:
+        gain: learning gain [N.m/rad] (or [N.m.s/rad] for velocities).
+        cycle: N, samples in a cycle.
+        sample_time, offset: [s].
+        shift: samples from a torque to the error that it causes; 1 for a sampled plant without direct feedthrough.
+        forgetting: 0 keeps everything; some percent gives robustness at the price of a remaining error.
+        learn_from: which error: ``position``, ``velocity`` or ``acceleration``.
+        joints: names of the joints.
+        name: name of the block.
+
+    Raises:
+        InputError: cycle, shift, forgetting, a gain or the sample time is out of range.
+    """
+    _check(cycle, shift, forgetting, name)
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        # states: the sample's number within the cycle, and for each joint the torques of a cycle ahead
+        n, (k, *queues) = len(joints), split(x, 1, cycle)
+        errors = casadi.if_else(k >= shift, u[:n] - u[n:], casadi.MX.zeros(n))
+        moved = [_move_on(queues[i], p[i] * errors[i], shift, forgetting) for i in range(n)]
+        # the number begins again with every cycle
+        following = casadi.if_else(k + 1.0 >= cycle, 0.0, k + 1.0)
+        return casadi.vertcat(*(queue[0] for queue in queues)), casadi.vertcat(following, *moved)
+
+    return block(
+        name,
+        "P-type iterative learning over cycles",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=[*references(joints, learn_from), *measurements(joints, learn_from)],
+        outputs=feedforward_outputs(joints, "Learned torque"),
+        parameters=gains(joints, "learning_gain", gain, _per("N.m", UNITS[learn_from]), "Learning gain"),
+        states=[0.0] * (1 + len(joints) * cycle),
+        symbol=casadi.MX,
+    )
+
+
+def _move_on(queue: Vector, correction: Vector, shift: int, forgetting: float) -> Vector:
+    """The table of a joint, kept as a queue, one sample later.
+
+    Its head is the present torque; the torque of ``shift`` samples ago stands ``shift`` places before its end and learns
+    from the present error, the present one goes to the end.
+    """
+    cycle = queue.numel()
+    learner = (cycle - shift) % cycle
+    learned = (1.0 - forgetting) * queue[learner] + correction
+    if learner == 0:
+        return casadi.vertcat(queue[1:, 0], learned)
+    return casadi.vertcat(queue[1:learner, 0], learned, queue[learner + 1 :, 0], queue[0])
+
+
+def _per(unit: str, divisor: str) -> str:
+    """``unit`` per ``divisor``, as FMI spells it: ``N.m`` per ``rad/s`` is ``N.m.s/rad``."""
+    numerator, _, denominator = divisor.partition("/")
+    return f"{unit}.{denominator}/{numerator}" if denominator else f"{unit}/{numerator}"
+
+
+def _check(cycle: int, shift: int, forgetting: float, name: str) -> None:
+    """Lengths are whole numbers that fit each other."""
+    if cycle != int(cycle) or not 1 <= cycle <= MAXIMUM_TABLE:
+        raise InputError(f"{name}: a cycle must have 1 to {MAXIMUM_TABLE} samples, got {cycle}")
+    if shift != int(shift) or not 0 <= shift < cycle:
+        raise InputError(f"{name}: the shift must be 0 to {cycle - 1} samples, less than a cycle, got {shift}")
+    if not (isfinite(forgetting) and 0.0 <= forgetting < 1.0):
+        raise InputError(f"{name}: the forgetting must be at least 0 and below 1, got {forgetting}")

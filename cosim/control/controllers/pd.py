@@ -1,0 +1,77 @@
+"""PD control of the joints, from measured angles and rates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.controllers.joints import (
+    JOINTS,
+    PerJoint,
+    feedforwards,
+    gains,
+    measurements,
+    references,
+    torques,
+)
+from flexfmu.cosim.control.controllers.limits import Limits, saturate
+from flexfmu.model.block import SymbolicBlock
+
+
+def pd(
+    proportional: PerJoint,
+    derivative: PerJoint,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    limits: Limits | None = None,
+    joints: Sequence[str] = JOINTS,
+    name: str = "pd",
+) -> SymbolicBlock:
+    """Torque = sat(K_p (q_r - q) + K_d (v_r - v) + feedforward) for each joint. It has no state.
+
+    Inputs: ``joint1.reference.position``, ``.velocity``, ``joint1.position``, ``joint1.velocity``,
+    ``joint1.feedforward`` (zero unless connected); output ``joint1.torque``. Gains and limits are tunable parameters
+    ``joint1.proportional_gain``, ``joint1.derivative_gain``, ``joint1.torque.minimum``, ``joint1.torque.maximum``.
+
+    Args:
+        proportional: K_p [N.m/rad].
+        derivative: K_d [N.m.s/rad].
+        sample_time, offset: [s].
+        limits: torque limits; None for none.
+        joints: names of the joints.
+        name: name of the block.
+
+    Raises:
+        InputError: a gain is negative or not finite, their number doesn't fit, or the sample time isn't positive.
+    """
+    parameters = [
+        *gains(joints, "proportional_gain", proportional, "N.m/rad", "Proportional gain"),
+        *gains(joints, "derivative_gain", derivative, "N.m.s/rad", "Derivative gain"),
+        *(limits.parameters(joints) if limits else ()),
+    ]
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        n = len(joints)
+        # torque = k_p (q_r - q) + k_d (v_r - v) + feedforward, within its limits
+        q_r, v_r, q, v, feedforward = split(u, n)
+        k_p, k_d, *bounds = split(p, n)
+        torque = k_p * (q_r - q) + k_d * (v_r - v) + feedforward
+        return saturate(torque, *bounds) if limits else torque, x
+
+    return block(
+        name,
+        "PD control of the joints",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=[
+            *references(joints, "position"),
+            *references(joints, "velocity"),
+            *measurements(joints, "position"),
+            *measurements(joints, "velocity"),
+            *feedforwards(joints),
+        ],
+        outputs=torques(joints),
+        parameters=parameters,
+    )

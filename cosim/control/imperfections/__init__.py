@@ -1,0 +1,1 @@
+"""What real drives and sensors do to signals: delay, lag, noise, quantisation, jitter, limits."""

@@ -1,0 +1,132 @@
+"""The signals that pass through an imperfection, and wiring by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from math import isfinite
+from numbers import Real
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.control.blocks.equations import Vector
+from flexfmu.cosim.control.controllers.joints import JOINTS, UNITS
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.units import unit_exponents
+
+JOINT_UNITS: dict[str, str] = {str(kind): unit for kind, unit in UNITS.items()} | {"torque": "N.m"}
+"""What a joint has: kind of signal → unit."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A signal that passes through a block: output ``name``, as the signal's receiver knows it, and input ``name.input``.
+
+    Attributes:
+        name: the signal's name, for example ``joint1.position``.
+        unit: its unit, for example ``rad``; ``1`` for none.
+        initial: the signal before the first sample, in ``unit``; a parameter ``name.initial`` of the block. None where
+            the first sample's own value will do: blocks that pass it on at once start with it, without a bump.
+    """
+
+    name: str
+    unit: str = "1"
+    initial: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise InputError("a channel needs a name, for example joint1.position")
+        try:
+            unit_exponents(self.unit)
+        except ModelError as error:
+            raise InputError(f"channel {self.name}: {error}") from None
+        if self.initial is not None and not isfinite(self.initial):
+            raise InputError(f"channel {self.name}: the initial value must be finite, got {self.initial} {self.unit}")
+
+    @property
+    def input(self) -> str:
+        """Name of the block's input."""
+        return f"{self.name}.input"
+
+
+def joint_channels(
+    kind: str, initial: Sequence[float | None] | NDArray[np.float64] = (), joints: Sequence[str] = JOINTS
+) -> tuple[Channel, ...]:
+    """The joints' channels ``joint1.<kind>``, ``joint2.<kind>``.
+
+    Args:
+        kind: position [rad], velocity [rad/s], acceleration [rad/s2] or torque [N.m].
+        initial: value before the first sample for each joint, a list or an array; empty for none.
+        joints: names of the joints.
+
+    Raises:
+        InputError: the kind is unknown, or the values aren't one number for each joint.
+    """
+    if kind not in JOINT_UNITS:
+        raise InputError(f"joints have {', '.join(JOINT_UNITS)}; got {kind!r}")
+    starts = list(initial) if isinstance(initial, Sequence | np.ndarray) and np.ndim(np.asarray(initial)) == 1 else [""]
+    numbers = all(each is None or isinstance(each, Real) for each in starts)
+    if not numbers or len(starts) not in (0, len(joints)):
+        raise InputError(f"initial must be one number for each of {', '.join(joints)}, got {initial!r}")
+    values = [None if each is None else float(each) for each in starts] or [None] * len(joints)
+    unit = JOINT_UNITS[kind]
+    return tuple(Channel(f"{joint}.{kind}", unit, value) for joint, value in zip(joints, values, strict=True))
+
+
+def chain(channels: Sequence[Channel], *slaves: str) -> list[tuple[str, str]]:
+    """Connections that lead channels from the first slave through imperfections to the last.
+
+    ``chain(channels, "plant", "encoder", "noise", "pd")`` connects ``plant.joint1.position`` to
+    ``encoder.joint1.position.input``, ..., ``noise.joint1.position`` to ``pd.joint1.position``.
+
+    Args:
+        channels: the channels; only names count.
+        slaves: names of source, imperfections in order, receiver.
+
+    Returns:
+        Pairs for `flexfmu.cosim.engine.master.system.connect`.
+
+    Raises:
+        InputError: there are fewer than two slaves.
+    """
+    if len(slaves) < 2:
+        raise InputError(f"a chain leads from one slave to another, got {list(slaves)}")
+    return [
+        (f"{source}.{channel.name}", f"{target}.{channel.name if target == slaves[-1] else channel.input}")
+        for source, target in pairwise(slaves)
+        for channel in channels
+    ]
+
+
+def empty(size: int) -> list[float]:
+    """Start states of a memory of ``size`` numbers."""
+    return [0.0] * (1 + size)
+
+
+def repeated(values: Vector, times: int) -> Vector:
+    """A vector (n,) several times, (times * n,); a row of copies is one operation in CasADi, a column isn't."""
+    return casadi.vec(casadi.repmat(values, 1, times))
+
+
+def cut(vector: Vector, *sizes: int) -> list[Vector]:
+    """A column vector in pieces of these sizes, which may be zero; what remains is left out.
+
+    A slice of a vector of length one that takes nothing would be an empty row, which counts when vectors are stacked.
+    """
+    edges = list(accumulate(sizes, initial=0))
+    pieces: list[Vector] = casadi.vertsplit(vector, [*edges, vector.numel()])
+    return pieces[: len(sizes)]
+
+
+def recall(x: Vector, start: Vector) -> Vector:
+    """The memory (size,), or ``start`` (size,) at the first sample."""
+    return casadi.if_else(x[0], x[1:], start)
+
+
+def remember(*values: Vector) -> Vector:
+    """The states that hold some vectors until the next sample."""
+    return casadi.vertcat(1.0, *values)

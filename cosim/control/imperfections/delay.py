@@ -1,0 +1,120 @@
+"""Delay of signals by whole samples or parts of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi
+
+from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.imperfections.channels import Channel, cut, empty, recall, remember, repeated
+from flexfmu.cosim.control.imperfections.delay_filter import LINEAR, DelayFilter, Interpolation, delay_in_samples
+from flexfmu.cosim.control.imperfections.variables import (
+    initial_parameters,
+    inputs,
+    outputs,
+    require_initial,
+    start_values,
+    whole_number,
+)
+from flexfmu.model.block import SymbolicBlock
+
+VECTORISED_FROM = 100
+"""Memories of at least this size move in one piece; below, single scalar operations are faster."""
+
+
+def whole_delay(
+    channels: Sequence[Channel],
+    samples: int,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    name: str = "delay",
+) -> SymbolicBlock:
+    """y_k = u_k-n, exactly; the channels' initial values up to then. n = 0 passes everything on.
+
+    Args:
+        channels: what is delayed, with initial values (needless for n = 0).
+        samples: n, zero or positive.
+        sample_time, offset: [s].
+        name: name of the block.
+
+    Raises:
+        InputError: n isn't a whole number or is negative, a channel has no initial value, or the sample time isn't
+            positive.
+    """
+    whole = whole_number(f"{name}: the delay in samples", samples, 0, hint="`delay` takes any time in seconds")
+    return _delay_line(channels, DelayFilter(whole), sample_time, offset, name)
+
+
+def delay(
+    channels: Sequence[Channel],
+    time: float,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    interpolation: Interpolation = LINEAR,
+    name: str = "delay",
+) -> SymbolicBlock:
+    """y(t_k) = u(t_k - time) with the signal between the samples interpolated; a whole number of samples is exact.
+
+    Delays of one sample and more don't depend on the input of the same instant and break algebraic loops. Before the
+    first sample signals are at the channels' initial values, or at the first input where a delay passes that on at once.
+
+    Args:
+        channels: what is delayed, with initial values for a delay of whole samples and more.
+        time: the delay [s], zero or positive.
+        sample_time, offset: [s].
+        interpolation: `Lagrange` of any order, `LINEAR` being the first, or the all-pass `Thiran`.
+        name: name of the block.
+
+    Raises:
+        InputError: the delay is negative, not finite or too short for the interpolation, a channel has no initial
+            value, or the sample time isn't positive.
+    """
+    design = interpolation.design(delay_in_samples(time, sample_time, name))
+    return _delay_line(channels, design, sample_time, offset, name)
+
+
+def _delay_line(
+    channels: Sequence[Channel], design: DelayFilter, sample_time: float, offset: float, name: str
+) -> SymbolicBlock:
+    """A filter behind a delay line, for every channel.
+
+    The last tap is taken out of all terms, so that a constant signal stays what it is to the last bit.
+    """
+    ports = inputs(channels)
+    if design.whole:
+        require_initial(channels, name)
+    n, depth, order = len(channels), design.depth, len(design.denominator)
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        memory = recall(x, repeated(start_values(channels, p, u), depth + order)) if depth else x
+        past, response = cut(memory, n * depth, n * order)
+        # the filter acts on differences to the oldest sample, so that a constant passes unchanged
+        signal: Vector = casadi.vertcat(u, past)
+        last = signal[n * depth :]
+        y = last
+        # feedforward part of the filter, then its feedback part
+        for i, weight in enumerate(design.numerator[:-1], start=design.whole):
+            y += weight * (signal[n * i : n * (i + 1)] - last)
+        for i, weight in enumerate(design.denominator):
+            y -= weight * (response[n * i : n * (i + 1)] - last)
+        if not depth:
+            return y, x
+        return y, remember(*cut(signal, n * depth), *cut(casadi.vertcat(y, response), n * order))
+
+    size = n * (depth + order)
+    return block(
+        name,
+        f"Delay by {design.samples:.9g} samples",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=ports,
+        outputs=outputs(channels),
+        parameters=initial_parameters(channels) if depth else (),
+        states=empty(size) if depth else (),
+        symbol=casadi.MX if size >= VECTORISED_FROM else casadi.SX,
+        latency={each.name: design.samples * sample_time for each in channels} if design.samples else {},
+    )

@@ -1,0 +1,168 @@
+"""Digital filters that delay a signal by a fraction of a sample.
+
+T. I. Laakso, V. Välimäki, M. Karjalainen, U. K. Laine, Splitting the unit delay: tools for fractional delay filter design,
+IEEE Signal Processing Magazine 13(1), 1996, pp. 30-60.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb, floor, isfinite, prod
+from typing import Protocol
+
+from flexfmu.cosim.control.imperfections.variables import whole_number
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import check_sampling
+
+WHOLE = 1e-12
+"""A delay this close to a whole number of samples, relative to it, is that number: time / sample time is rounded."""
+
+HIGHEST_ORDER = 10
+"""Beyond, there is nothing to gain for signals of a machine."""
+
+
+@dataclass(frozen=True)
+class DelayFilter:
+    """y_k = sum_i b_i u_k-whole-i - sum_i a_i y_k-i with i from 0 in the first sum and from 1 in the second.
+
+    Attributes:
+        whole: samples that the signal is delayed before the filter.
+        numerator: b_0, b_1, ..., with neither first nor last one zero.
+        denominator: a_1, a_2, ...; sum b = 1 + sum a, so that a constant stays what it is.
+    """
+
+    whole: int
+    numerator: tuple[float, ...] = (1.0,)
+    denominator: tuple[float, ...] = ()
+
+    @property
+    def depth(self) -> int:
+        """How many past inputs it needs."""
+        return self.whole + len(self.numerator) - 1
+
+    @property
+    def samples(self) -> float:
+        """Group delay at zero frequency, in samples."""
+        b, a = self.numerator, (1.0, *self.denominator)
+        slopes = (sum(i * weight for i, weight in enumerate(weights)) / sum(weights) for weights in (b, a))
+        return self.whole + next(slopes) - next(slopes)
+
+
+class Interpolation(Protocol):
+    """A way to get at a signal between its samples."""
+
+    def design(self, samples: float) -> DelayFilter:
+        """The filter of a delay.
+
+        Args:
+            samples: delay in samples, zero or positive, not necessarily whole.
+
+        Raises:
+            InputError: the delay is too short.
+        """
+
+
+@dataclass(frozen=True)
+class Lagrange:
+    """The polynomial through order + 1 samples, about the point where it is read: h_k = prod_{i != k} (D - i) / (k - i).
+
+    The frequency response is maximally flat at zero frequency, and its magnitude nowhere exceeds 1 (Laakso et al. 1996, on
+    maximally flat FIR filters). The shortest delay is (order - 1) / 2 samples.
+
+    Attributes:
+        order: N, from 1, which is linear interpolation.
+    """
+
+    order: int
+
+    def __post_init__(self) -> None:
+        _check_order(self.order, "Lagrange interpolation")
+
+    def design(self, samples: float) -> DelayFilter:
+        """The filter, with the delay within its middle interval.
+
+        Raises:
+            InputError: the delay is below (order - 1) / 2 samples.
+        """
+        nodes = range(self.order + 1)
+        middle = (self.order - 1) / 2
+        _check_shortest(samples, middle, f"Lagrange interpolation of order {self.order}")
+        whole = floor(samples - middle)
+        rest = samples - whole
+        weights = (prod((rest - i) / (k - i) for i in nodes if i != k) for k in nodes)
+        return _trimmed(whole, tuple(weights))
+
+
+@dataclass(frozen=True)
+class Thiran:
+    """The all-pass whose group delay is maximally flat at zero frequency: a_k = (-1)^k C(N, k) prod_i (D - N + i) / (D - N + k + i).
+
+    It changes no amplitude at any frequency, but answers a step with ripples. J.-P. Thiran, Recursive digital filters with
+    maximally flat group delay, IEEE Transactions on Circuit Theory 18(6), 1971, pp. 659-664; as an all-pass in
+    Laakso et al. 1996. The delay in the filter is N - 1/2 to N + 1/2 samples, where it is stable and at its best.
+
+    Attributes:
+        order: N, from 1.
+    """
+
+    order: int
+
+    def __post_init__(self) -> None:
+        _check_order(self.order, "Thiran's all-pass")
+
+    def design(self, samples: float) -> DelayFilter:
+        """The filter, with a delay of about its order.
+
+        Raises:
+            InputError: the delay is below order - 1/2 samples.
+        """
+        n = self.order
+        _check_shortest(samples, n - 0.5, f"Thiran's all-pass of order {n}")
+        whole = floor(samples - n + 0.5)
+        excess = samples - whole - n
+        a = [
+            (-1) ** k * comb(n, k) * prod((excess + i) / (excess + k + i) for i in range(n + 1))
+            for k in range(1, n + 1)
+        ]
+        if not any(a):
+            return DelayFilter(whole + n)
+        return DelayFilter(whole, (*reversed(a), 1.0), tuple(a))
+
+
+def delay_in_samples(time: float, sample_time: float, where: str) -> float:
+    """A delay in samples, whole where it is meant to be.
+
+    Args:
+        time, sample_time: [s].
+        where: who asks, for messages.
+
+    Raises:
+        InputError: the delay is negative or not finite, or the sample time isn't positive.
+    """
+    check_sampling(sample_time, 0.0, where)
+    if not (isfinite(time) and time >= 0.0):
+        raise InputError(f"{where}: the delay must be zero or positive, got {time} s")
+    samples = time / sample_time
+    return float(round(samples)) if abs(samples - round(samples)) <= WHOLE * samples else samples
+
+
+def _trimmed(whole: int, weights: tuple[float, ...]) -> DelayFilter:
+    """A filter without the zeros at the ends of its weights."""
+    used = [i for i, weight in enumerate(weights) if weight]
+    return DelayFilter(whole + used[0], weights[used[0] : used[-1] + 1])
+
+
+def _check_order(order: int, what: str) -> None:
+    whole_number(f"the order of {what}", order, 1, HIGHEST_ORDER)
+
+
+def _check_shortest(samples: float, shortest: float, what: str) -> None:
+    if not samples >= shortest:
+        raise InputError(
+            f"a delay of {samples:g} samples is too short for {what}, which needs at least {shortest:g}; "
+            "take a lower order, linear interpolation or a shorter sample time"
+        )
+
+
+LINEAR = Lagrange(1)
+"""The straight line through two samples."""

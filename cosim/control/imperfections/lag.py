@@ -1,0 +1,236 @@
+"""First-order lag: what a current loop or an amplifier does to its command, in continuous time or sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, exp, expm1, factorial, isfinite
+
+import casadi
+import numpy as np
+
+from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.blocks.slave import slave_variable
+from flexfmu.cosim.control.imperfections.channels import Channel, empty, recall, remember
+from flexfmu.cosim.control.imperfections.variables import (
+    PerChannel,
+    initial_parameters,
+    inputs,
+    outputs,
+    parameters,
+    require_initial,
+)
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import Indices, RealArray
+from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER
+from flexfmu.model.block import SymbolicBlock
+
+SAMPLES = 10
+"""Samples in a time constant of a continuous lag that leaves as a sampled block."""
+
+
+class Lag:
+    """T y' + y = u in continuous time, solved exactly for inputs that are polynomials over a step, as held ones are.
+
+    With z = h / T and phi_k(x) = sum of x^j / (j + k)! (M. Hochbruck, A. Ostermann, Exponential integrators, Acta Numerica
+    19, 2010, section 2.1)::
+
+        y(t + h) = exp(-z) y(t) + sum of u_k h^k z phi_k+1(-z)        u(t + s) = sum of u_k s^k / k!
+
+    Its derivatives y' = (u - y) / T, y'' = (u' - y') / T .. go with it, so that the robot gets a polynomial that meets five
+    of them at both ends of a step; for steps up to T its error is 3e-10 of a jump of the input. Outputs depend on no input of the same
+    instant, which breaks algebraic loops.
+
+    Args:
+        channels: the commands, usually torques, with initial values.
+        time_constant: T [s], above zero: 1 / (2 pi f) for a bandwidth f [Hz]; one for all or one for each channel.
+        name: name of the slave.
+
+    Attributes:
+        largest_step: the shortest time constant [s].
+        latency: output → its time constant [s].
+
+    Raises:
+        InputError: a channel has no initial value, or a time constant isn't positive and finite.
+    """
+
+    max_input_order = max_output_order = MAX_INPUT_ORDER
+    rates_follow_inputs = True
+
+    def __init__(self, channels: Sequence[Channel], time_constant: PerChannel, name: str = "lag") -> None:
+        require_initial(channels, name)
+        ports, ends = inputs(channels), outputs(channels)
+        times = parameters(
+            channels, "time_constant", time_constant, ["s"] * len(ports), "the time constant", minimum=0.0
+        )
+        self.name = name
+        self.variables = tuple(slave_variable(each) for each in (*ports, *times, *ends))
+        self.feedthrough: dict[str, tuple[str, ...]] = {each.name: () for each in ends}
+        self._channels = tuple(channels)
+        self._initial = np.array([each.initial or 0.0 for each in channels])
+        # inputs with their derivatives (orders + 1, n), and outputs (n,)
+        self._u = np.zeros((1 + MAX_INPUT_ORDER, len(channels)))
+        self._u[0] = self._y = self._initial.copy()
+        self._order = 0
+        self._times = np.empty(len(channels))
+        self._set_times(np.array([each.start or 0.0 for each in times]))
+
+    def _set_times(self, times: RealArray) -> None:
+        """Change the time constants.
+
+        Raises:
+            InputError: one isn't positive and finite.
+        """
+        for channel, time in zip(self._channels, times.tolist(), strict=True):
+            if not (isfinite(time) and time > 0.0):
+                raise InputError(
+                    f"{self.name}: the time constant of {channel.name} must be positive, got {time} s; leave the lag out"
+                )
+        self._times[:] = times
+        self.largest_step = float(times.min())
+        self.latency = {each.name: time for each, time in zip(self._channels, times.tolist(), strict=True)}
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Begin with the initial values."""
+        self._y = self._initial.copy()
+
+    def terminate(self) -> None:
+        """End the run: the inputs go back to their starts."""
+        self._u[:] = 0.0
+        self._u[0] = self._initial
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """Set inputs, which are held unless derivatives follow, and time constants.
+
+        Raises:
+            InputError: a variable is an output, or a time constant isn't positive.
+        """
+        n = len(self._channels)
+        if (indices >= 2 * n).any():
+            raise InputError(f"{self.name}: only inputs and time constants can be set")
+        fed = indices < n
+        self._u[0, indices[fed]] = values[fed]
+        self._u[1 : self._order + 1, indices[fed]] = 0.0
+        if not fed.all():
+            times = self._times.copy()
+            times[indices[~fed] - n] = values[~fed]
+            self._set_times(times)
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Set derivatives (orders, n) of inputs."""
+        self._order = max(self._order, len(derivatives))
+        self._u[1 : len(derivatives) + 1, indices] = derivatives
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Current values of variables."""
+        values[:] = np.concatenate((self._u[0], self._times, self._y))[indices]
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Derivatives (orders, n) of outputs: y^(k+1) = (u^(k) - y^(k)) / T."""
+        columns = indices - 2 * len(self._channels)
+        times, last = self._times[columns], self._y[columns]
+        for k in range(len(derivatives)):
+            last = derivatives[k] = (self._u[k, columns] - last) / times
+
+    def step(self, time: float, step: float) -> None:
+        """Advance exactly, and the input's polynomial to the end of the step."""
+        z, order = step / self._times, self._order
+        if not order:
+            self._y = self._u[0] + (self._y - self._u[0]) * np.exp(-z)
+            return
+        powers = step ** np.arange(order + 1.0)
+        weights = np.array([_phi(-each, order + 1) for each in z.tolist()]).T
+        self._y = weights[0] * self._y + z * ((powers[:, None] * self._u[: order + 1]) * weights[1:]).sum(axis=0)
+        for k in range(order):
+            terms = [powers[j] / factorial(j) for j in range(order + 1 - k)]
+            self._u[k] = terms @ self._u[k : order + 1]
+
+    def save(self) -> object:
+        """Inputs and outputs."""
+        return self._u.copy(), self._y.copy(), self._order
+
+    def restore(self, state: object) -> None:
+        """Go back to what `save` gave.
+
+        Raises:
+            InputError: the state belongs to another slave.
+        """
+        if not (isinstance(state, tuple) and len(state) == 3):
+            raise InputError(f"{self.name}: this state was not saved by this slave")
+        self._u[:], self._y, self._order = state[0], state[1].copy(), state[2]
+
+    def sampled(self, step: float) -> SymbolicBlock:
+        """The lag as a block with `SAMPLES` or more samples in a time constant, a whole number of them in ``step`` [s]."""
+        sample_time = step / ceil(SAMPLES * step / self.largest_step - 1e-9)
+        return lag(self._channels, self._times.tolist(), sample_time=sample_time, name=self.name)
+
+
+def _phi(x: float, highest: int) -> list[float]:
+    """phi_0 .. phi_highest at x <= 0; phi_k = 1 / k! + x phi_k+1, upwards where that divides by a large number, downwards
+    from a series where it multiplies by a small one."""
+    if x < -1.0:
+        found = [exp(x)]
+        for k in range(highest):
+            found.append((found[k] - 1.0 / factorial(k)) / x)
+        return found
+    last = sum(x**j / factorial(j + highest) for j in range(20))
+    found = [last]
+    for k in reversed(range(highest)):
+        found.append(1.0 / factorial(k) + x * found[-1])
+    return found[::-1]
+
+
+def lag(
+    channels: Sequence[Channel],
+    time_constant: PerChannel,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    name: str = "lag",
+) -> SymbolicBlock:
+    """T y' + y = u at the sample instants, exact for an input that is held between them.
+
+    With sample time h and a = exp(-h / T)::
+
+        y_k+1 = a y_k + (1 - a) u_k
+
+    (zero-order-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed.
+    1998, section 4.3). The output is a staircase, half a sample late on average; a sample time of T / 10 makes it a good
+    current loop, `Lag` is one without samples. It doesn't depend on the input of the same instant, so it breaks algebraic loops. T = 0 is a delay of
+    one sample. The time constant is a tunable parameter ``<channel>.time_constant``.
+
+    Args:
+        channels: the commands, usually torques, with initial values.
+        time_constant: T [s], zero or positive: 1 / (2 pi f) for a bandwidth f [Hz].
+        sample_time, offset: [s].
+        name: name of the block.
+
+    Raises:
+        InputError: a channel has no initial value, a time constant is negative or not finite, or the sample time isn't
+            positive.
+    """
+    ports = inputs(channels)
+    require_initial(channels, name)
+    n, h = len(channels), sample_time
+    times = parameters(channels, "time_constant", time_constant, ["s"] * n, "the time constant", minimum=0.0)
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        time, initial = split(p, n)
+        y = recall(x, initial)
+        return y, remember(u + casadi.exp(-h / time) * (y - u))
+
+    return block(
+        name,
+        "First-order lag",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=ports,
+        outputs=outputs(channels),
+        parameters=[
+            *times,
+            *initial_parameters(channels),
+        ],
+        states=empty(n),
+        # the sum of the impulse response's delays
+        latency={c.name: h / -expm1(-h / t.start) if t.start else h for c, t in zip(channels, times, strict=True)},
+    )

@@ -1,0 +1,31 @@
+"""Payload error: the robot carries something else than those believe who design its controller or shaper."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene.schema import Scene
+
+
+def with_payload_error(scene: Scene, relative: float) -> Scene:
+    """The scene with (1 + relative) times its payload.
+
+    Build the plant from it and everything else from the scene itself, or the other way round.
+
+    Args:
+        scene: the scene.
+        relative: relative error of the mass: -0.3 for 30 % less.
+
+    Raises:
+        InputError: the error isn't finite or is below -1, or there is no payload to be wrong about.
+    """
+    mass = scene.payload.mass
+    if not (isfinite(relative) and relative >= -1.0):
+        raise InputError(f"the relative payload error must be finite and at least -1 (no payload), got {relative}")
+    if mass == 0.0 and relative:
+        raise InputError(
+            f"scene {scene.name} has no payload, so {relative:+.0%} of it changes nothing; "
+            "give the mass itself: scene.replace({'payload.mass': 0.1})"
+        )
+    return scene.replace({"payload.mass": mass * (1.0 + relative)})

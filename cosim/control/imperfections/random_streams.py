@@ -1,0 +1,124 @@
+"""Random numbers that are the same in Python and in exported C, to the last bit, because every operation on them is exact.
+
+The generator combines two multiplicative congruential ones with moduli below 2^31, of period 2.3e18: P. L'Ecuyer, Efficient
+and portable combined random number generators, Communications of the ACM 31(6), 1988, pp. 742-751. Products stay
+below 2^48, so doubles hold them exactly.
+
+Every stream has a name, whose hash is where it starts, and a seed, which jumps ahead by seed * 2^40 numbers (P. L'Ecuyer,
+S. Côté, Implementing a random number package with splitting facilities, ACM Transactions on Mathematical Software 17(1),
+1991, pp. 98-111). So a signal keeps its random numbers whatever other signals a block has, seeds never overlap, and
+signals of different names have nothing in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Any
+
+import casadi
+import numpy as np
+
+from flexfmu.cosim.control.blocks.equations import Vector
+from flexfmu.cosim.control.imperfections.variables import whole_number
+from flexfmu.model.symbolic import Variable
+
+MODULI = (2147483563, 2147483399)
+MULTIPLIERS = (40014, 40692)
+
+JUMP = 2**40
+"""Random numbers between one seed and the next: a hundred days at 100 kHz."""
+
+SEED_BITS = 20
+LARGEST_SEED = 2**SEED_BITS - 1
+
+_HALF = 2**16
+
+
+@dataclass(frozen=True)
+class Streams:
+    """States of n generators: the first and the second congruential one of each, (n,) whole numbers."""
+
+    first: Vector
+    second: Vector
+
+    @classmethod
+    def of(cls, states: Vector) -> Streams:
+        """From one vector (2 n,)."""
+        return cls(*casadi.vertsplit(states, states.numel() // 2))
+
+    @property
+    def states(self) -> Vector:
+        """As one vector (2 n,)."""
+        return casadi.vertcat(self.first, self.second)
+
+
+def start_states(name: str) -> tuple[int, int]:
+    """Where the stream of a name starts with seed 0."""
+    digest = sha256(name.encode()).digest()
+    first, second = (
+        1 + int.from_bytes(digest[8 * i : 8 * i + 8], "big") % (modulus - 1) for i, modulus in enumerate(MODULI)
+    )
+    return first, second
+
+
+def seeded(names: Sequence[str], seed: Vector) -> Streams:
+    """The streams of n names for a seed (scalar), a whole number from 0 to `LARGEST_SEED`."""
+    starts = np.array([start_states(name) for name in names], dtype=float).T
+    return Streams(
+        *(
+            _long_product(_jump(seed, multiplier, modulus), casadi.DM(start), modulus)
+            for start, multiplier, modulus in zip(starts, MULTIPLIERS, MODULI, strict=True)
+        )
+    )
+
+
+def draw(streams: Streams) -> tuple[Vector, Streams]:
+    """One number of each stream, uniform in (0, 1), and the streams behind it."""
+    first, second = (
+        _remainder(multiplier * state, modulus)
+        for state, multiplier, modulus in zip((streams.first, streams.second), MULTIPLIERS, MODULI, strict=True)
+    )
+    difference = first - second
+    whole = casadi.if_else(difference < 1.0, difference + (MODULI[0] - 1), difference)
+    return whole / MODULI[0], Streams(first, second)
+
+
+def seed_parameter(seed: int, block: str) -> Variable:
+    """The fixed parameter ``seed``.
+
+    Raises:
+        InputError: the seed isn't a whole number or is out of range.
+    """
+    start = whole_number(f"{block}: the seed", seed, 0, LARGEST_SEED)
+    return Variable("seed", "1", "Number of the random experiment", "parameter", float(start), 0.0, float(LARGEST_SEED))
+
+
+def _jump(seed: Vector, multiplier: int, modulus: int) -> Vector:
+    """multiplier^(JUMP seed) modulo the modulus, by the seed's binary digits."""
+    result: Any = 1.0
+    rest = casadi.floor(seed)
+    for bit in range(SEED_BITS):
+        factor = pow(multiplier, JUMP << bit, modulus)
+        half = casadi.floor(rest / 2.0)
+        digit = rest - 2.0 * half
+        result = _long_product(1.0 + digit * (factor - 1.0), result, modulus)
+        rest = half
+    return result
+
+
+def _long_product(a: Vector, b: Vector, modulus: int) -> Vector:
+    """a b modulo the modulus, for whole a and b below it; b in two halves, so that no product exceeds 2^48."""
+    upper = casadi.floor(b / _HALF)
+    lower = b - _HALF * upper
+    return _remainder(_HALF * _remainder(a * upper, modulus) + a * lower, modulus)
+
+
+def _remainder(value: Vector, modulus: int) -> Vector:
+    """The remainder of whole numbers below 2^48 and a modulus above 2^30, exactly.
+
+    The quotient is below 2^18, so it is rounded by less than 2^-35, and unless it is whole it is at least 2^-31 away from
+    a whole number: it is rounded down to the right one.
+    """
+    return value - modulus * casadi.floor(value / modulus)

@@ -1,0 +1,59 @@
+"""Saturation: a signal that stays within limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.controllers.limits import saturate
+from flexfmu.cosim.control.imperfections.channels import Channel
+from flexfmu.cosim.control.imperfections.variables import PerChannel, inputs, outputs, parameters, units
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.block import SymbolicBlock
+
+
+def saturation(
+    channels: Sequence[Channel],
+    lower: PerChannel,
+    upper: PerChannel,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    name: str = "saturation",
+) -> SymbolicBlock:
+    """y = u within [lower, upper], the nearer limit elsewhere. It has no state.
+
+    The limits are tunable parameters ``<channel>.minimum`` and ``<channel>.maximum``.
+
+    Args:
+        channels: what is limited, usually torques.
+        lower, upper: limits in the channels' units.
+        sample_time, offset: [s].
+        name: name of the block.
+
+    Raises:
+        InputError: a limit isn't finite, the lower one is above the upper one, or the sample time isn't positive.
+    """
+    ports = inputs(channels)
+    minima = parameters(channels, "minimum", lower, units(channels), "the lower limit")
+    maxima = parameters(channels, "maximum", upper, units(channels), "the upper limit")
+    for channel, low, high in zip(channels, minima, maxima, strict=True):
+        if low.start is not None and high.start is not None and low.start > high.start:
+            raise InputError(
+                f"{name}: the lower limit {low.start} {low.unit} of {channel.name} is above the upper one, "
+                f"{high.start} {high.unit}; swap them"
+            )
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        return saturate(u, *split(p, len(channels))), x
+
+    return block(
+        name,
+        "Saturation",
+        equations,
+        sample_time=sample_time,
+        offset=offset,
+        inputs=ports,
+        outputs=outputs(channels),
+        parameters=[*minima, *maxima],
+    )

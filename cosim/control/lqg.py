@@ -1,0 +1,130 @@
+"""A linear-quadratic regulator with a Kalman filter for the torque-driven robot, designed at a pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flexfmu.cosim.control.controllers.from_control import from_control
+from flexfmu.cosim.control.controllers.limits import Limits
+from flexfmu.cosim.control.controllers.linear_system import LinearSystem
+from flexfmu.cosim.control.controllers.state_feedback import (
+    Equilibrium,
+    InputLimits,
+    state_feedback,
+    static_feedforward,
+)
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.linear import linearize, operating_point
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.schema import Scene
+
+POSITIONS = ("joint1.position", "joint2.position")
+RATES = ("joint1.velocity", "joint2.velocity")
+TORQUES = ("joint1.torque", "joint2.torque")
+
+
+@dataclass(frozen=True)
+class LqgWeights:
+    """What counts as one unit of cost, and the noise that the filter expects.
+
+    Attributes:
+        position_error: [rad], for each joint.
+        velocity_error: [rad/s].
+        torque_deviation: [N.m].
+        torque_noise: standard deviation of a disturbing torque, sample by sample [N.m].
+        measurement_noise: standard deviation of the measured angles [rad].
+    """
+
+    position_error: tuple[float, float] = (1e-3, 1e-3)
+    velocity_error: tuple[float, float] = (0.1, 0.1)
+    torque_deviation: tuple[float, float] = (10.0, 10.0)
+    torque_noise: float = 1.0
+    measurement_noise: float = 1e-5
+
+
+def lqg(
+    scene: Scene,
+    position: tuple[float, float],
+    weights: LqgWeights | None = None,
+    *,
+    sample_time: float,
+    offset: float = 0.0,
+    limits: Limits | None = None,
+    name: str = "state_feedback",
+) -> SymbolicBlock:
+    """State feedback with an observer of full order, from measured angles alone.
+
+    The robot is linearised about its equilibrium at a pose and discretised for held torques; `control.dlqr` and
+    `control.dlqe` give the gains. References shift the equilibrium without static error.
+
+    Args:
+        scene: the robot.
+        position: pose, of the rigid end effector [m].
+        weights: what counts.
+        sample_time, offset: [s].
+        limits: torque limits.
+        name: name of the block.
+
+    Raises:
+        InputError: python-control is missing.
+        EquilibriumError: there is no equilibrium at the pose.
+    """
+    # the plant: the linearised robot, sampled with held torques; the gains need rates beside positions
+    robot = linearize(scene, position, (*POSITIONS, *RATES))[:, :2]
+    units = dict.fromkeys(TORQUES, "N.m") | dict.fromkeys(POSITIONS, "rad") | dict.fromkeys(RATES, "rad/s")
+    full = from_control(
+        robot, method="zoh", sample_time=sample_time, inputs=TORQUES, outputs=(*POSITIONS, *RATES), units=units
+    )
+    K, L = _gains(full, weights or LqgWeights())
+    # the observer measures positions alone
+    measured = from_control(
+        robot[:2, :], method="zoh", sample_time=sample_time, inputs=TORQUES, outputs=POSITIONS, units=_only(units)
+    )
+    # references enter as the steady state of each position, about the torques at rest
+    point = operating_point(scene, position)
+    rest = Equilibrium(inputs=point.inputs[:2].tolist(), outputs=point.coordinates[:2].tolist())
+    reference = static_feedforward(measured, POSITIONS, rest)
+    start = np.asarray(motor_angles(scene.mechanism, scene.trajectory.start)) - point.coordinates[:2]
+    return state_feedback(
+        measured,
+        K,
+        L,
+        offset=offset,
+        reference=reference,
+        equilibrium=rest,
+        estimate=(reference.Nx @ start).tolist(),
+        limits=None if limits is None else InputLimits(_pair(limits.lower), _pair(limits.upper)),
+        name=name,
+    )
+
+
+def _gains(robot: LinearSystem, weights: LqgWeights) -> tuple[RealArray, RealArray]:
+    """Feedback and observer gains for a robot whose outputs are angles, then rates.
+
+    Raises:
+        InputError: python-control is missing.
+    """
+    try:
+        import control
+    except ImportError:
+        raise InputError("state feedback needs python-control; run: pip install flexfmu[control]") from None
+    cost = robot.C.T @ np.diag(1.0 / np.square([*weights.position_error, *weights.velocity_error])) @ robot.C
+    K, _, _ = control.dlqr(robot.A, robot.B, cost, np.diag(1.0 / np.square(weights.torque_deviation)))
+    noise = weights.torque_noise**2 * np.eye(2), weights.measurement_noise**2 * np.eye(2)
+    L, _, _ = control.dlqe(robot.A, robot.B, robot.C[: len(POSITIONS)], *noise)
+    return K, L
+
+
+def _only(units: dict[str, str]) -> dict[str, str]:
+    """Units of torques and positions."""
+    return {name: unit for name, unit in units.items() if name not in RATES}
+
+
+def _pair(value: object) -> tuple[float, float]:
+    """A limit for each joint."""
+    first, second = np.broadcast_to(np.asarray(value, dtype=float), (2,)).tolist()
+    return first, second

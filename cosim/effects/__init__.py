@@ -1,1 +1,0 @@
-"""The choice of effects along a scene's motion, and runs that check it."""

@@ -1,0 +1,184 @@
+"""FMU files: unpacked once per content, described, and checked for what a slave needs."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import fmpy
+from fmpy.model_description import Item, SimpleType, read_model_description
+
+from flexfmu.cosim.engine.errors import FmuFileError
+from flexfmu.cosim.engine.fmu.annotations import breakpoints, choices, names, sampling
+from flexfmu.cosim.engine.fmu.fmi3_variables import flattened, structural_sizes
+
+
+@dataclass(frozen=True)
+class UnpackedFmu:
+    """An FMU on disk, ready to be loaded; equal to any with the same content.
+
+    Attributes:
+        path: the FMU file.
+        folder: where FMUs with that content have been unpacked; gone when the process ends.
+        description: model description as fmpy reads it; of FMI 3.0 with a variable for each element of an array.
+        sizes: structural parameters that have other values than the description says.
+    """
+
+    path: Path = field(compare=False)
+    folder: Path
+    description: Any = field(compare=False)
+    sizes: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def is_fmi3(self) -> bool:
+        """Whether it is an FMU of FMI 3.0."""
+        return str(self.description.fmiVersion).startswith("3.")
+
+    @property
+    def library(self) -> Path:
+        """Where the binary for this platform is, or should be."""
+        platform: str = fmpy.platform_tuple if self.is_fmi3 else fmpy.platform
+        identifier = self.description.coSimulation.modelIdentifier
+        return Path(self.folder, "binaries", platform, f"{identifier}{fmpy.sharedLibraryExtension}")
+
+    @property
+    def sampling(self) -> tuple[float, float] | None:
+        """Sample time and offset [s] of an exported block; None for any other FMU.
+
+        Raises:
+            FmuFileError: the annotation doesn't make sense.
+        """
+        return sampling(self.path, self.folder)
+
+    @property
+    def breakpoints(self) -> tuple[float, ...] | None:
+        """Breakpoints [s] of an exported trajectory, ascending; None for any other FMU.
+
+        Raises:
+            FmuFileError: the annotation doesn't make sense.
+        """
+        return breakpoints(self.path, self.folder)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether this package made it."""
+        return str(self.description.generationTool).startswith("flexfmu ")
+
+
+def open_fmu(path: Path) -> UnpackedFmu:
+    """Unpack an FMI 2.0 or 3.0 co-simulation FMU, or find it unpacked from an earlier time.
+
+    Raises:
+        FmuFileError: it is missing, broken, of another kind, or has no binary for this platform.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise FmuFileError(f"can't read the FMU {path}: {error.strerror}; check the path") from error
+    folder, description = _unpack(hashlib.sha256(content).hexdigest(), path)
+    fmu = UnpackedFmu(path, folder, description)
+    _check(fmu)
+    return fmu
+
+
+def resized(fmu: UnpackedFmu, parameters: Mapping[str, Any]) -> UnpackedFmu:
+    """The FMU with arrays of the sizes that the structural parameters among these start values give them.
+
+    Raises:
+        InputError: a structural parameter has a value that doesn't suit its type or range.
+    """
+    sizes = structural_sizes(fmu.description, parameters)
+    if not sizes:
+        return fmu
+    description = attempt(fmu.path, lambda: read_model_description(str(fmu.folder), validate=False))
+    return replace(fmu, description=flattened(description, fmu.folder, sizes), sizes=tuple(sizes.items()))
+
+
+@cache
+def _root() -> Path:
+    """Folder of all unpacked FMUs of this process, removed at its end."""
+    folder = tempfile.TemporaryDirectory(prefix="flexfmu-", ignore_cleanup_errors=True)
+    atexit.register(folder.cleanup)
+    return Path(folder.name)
+
+
+_unpacked: dict[str, tuple[Path, Any]] = {}
+"""Content hash → folder and model description, so that the same FMU is unpacked and parsed once."""
+
+
+def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
+    """Folder and model description of the FMU with that content."""
+    if digest not in _unpacked:
+        folder = _root() / digest
+        attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
+        description = attempt(path, lambda: read_model_description(str(folder), validate=False))
+        if str(description.generationTool).startswith("flexfmu "):
+            _restore_names(description, names(path, folder))
+            _name_choices(description, choices(path, folder))
+        if description.fmiVersion.startswith("3."):
+            _check_clocks(path, description)
+            description = flattened(description, folder, {})
+        _unpacked[digest] = folder, description
+    return _unpacked[digest]
+
+
+def _restore_names(description: Any, structured: Mapping[str, str]) -> None:
+    """Give the variables of our own FMUs with flat names the structured ones, so that they connect like any others."""
+    for variable in description.modelVariables:
+        variable.name = structured.get(variable.name, variable.name)
+
+
+def _name_choices(description: Any, names: Mapping[str, Mapping[str, int]]) -> None:
+    """Give the numbered choices of our own FMUs their names, as enumerations have them in their types."""
+    for variable in description.modelVariables:
+        if variable.name in names:
+            items = [Item(name, str(value)) for name, value in names[variable.name].items()]
+            variable.declaredType = SimpleType(variable.name, type=variable.type, items=items)
+
+
+def attempt(path: Path, action: Callable[[], Any]) -> Any:
+    """Do something with fmpy, whose errors are of many kinds."""
+    try:
+        return action()
+    except zipfile.BadZipFile:
+        raise FmuFileError(f"{path} is no FMU: not a zip file; build it again or check the path") from None
+    except FmuFileError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FmuFileError(f"{path} is a broken FMU: {reason}; `flexfmu validate` tells more") from error
+
+
+def _check_clocks(path: Path, description: Any) -> None:
+    """Clocks tick at instants that the importer must keep."""
+    clocks = [variable.name for variable in description.modelVariables if variable.type == "Clock"]
+    if clocks:
+        more = f" and {len(clocks) - 3} more" if len(clocks) > 3 else ""
+        raise FmuFileError(
+            f"{path} has clocks ({', '.join(clocks[:3])}{more}), which this program doesn't run; export it without them, "
+            "for co-simulation"
+        )
+
+
+def _check(fmu: UnpackedFmu) -> None:
+    """Version, kind and platform."""
+    path, description = fmu.path, fmu.description
+    if not description.fmiVersion.startswith(("2.", "3.")):
+        raise FmuFileError(
+            f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0 and 3.0: export it again"
+        )
+    if description.coSimulation is None:
+        kind = "model exchange" if description.modelExchange is not None else "scheduled execution"
+        raise FmuFileError(f"{path} is for {kind} only; export it for co-simulation")
+    if not fmu.library.is_file():
+        platform = fmu.library.parent.name
+        platforms = sorted(each.name for each in (fmu.folder / "binaries").glob("*") if each.is_dir())
+        found = ", ".join(platforms) or "none"
+        raise FmuFileError(f"{path} has no binary for {platform} (it has: {found}); build it for this platform")

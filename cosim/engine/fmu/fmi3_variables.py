@@ -1,0 +1,209 @@
+"""Model descriptions of FMI 3.0 as those of FMI 2.0 are: arrays element by element, ``y[1]`` and ``A[1,2]``, row by row.
+
+Structural parameters, which sizes of arrays depend on, count as parameters; variables of type Binary are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import prod
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from attrs import asdict, define, evolve
+from fmpy.model_description import ModelVariable, Unknown
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.fmi3_calls import DTYPES
+from flexfmu.cosim.engine.fmu.variables import Handle, Value, settable_variables, settings
+
+_KINDS = {"Float32": "Real", "Float64": "Real", "Enumeration": "Enumeration", "Boolean": "Boolean", "String": "String"}
+"""Types of FMI 3.0 → types of FMI 2.0; all others are Integer."""
+
+
+@dataclass(frozen=True)
+class ElementHandle(Handle):
+    """How the FMI 3.0 functions reach a variable, or an element of one.
+
+    Attributes:
+        name: for messages.
+        type: whose functions, ``Float64`` for example.
+        place: where it is among its variable's values.
+        size: how many values its variable has.
+        start: the variable's start values, where all are known.
+        discrete: whether it changes at events alone.
+        structural: whether it is a structural parameter.
+    """
+
+    name: str
+    type: str
+    place: int
+    size: int
+    start: tuple[float, ...] | None
+    discrete: bool
+    structural: bool
+
+
+@define(eq=False)
+class Element(ModelVariable):  # type: ignore[misc]
+    """A variable or an element of one, with types as in FMI 2.0."""
+
+    handle: ElementHandle | None = None
+    array: str = ""
+    """Name of the array that it belongs to; empty for a scalar."""
+
+
+def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
+    """The model description with a scalar variable for each element.
+
+    Args:
+        description: as fmpy reads it.
+        folder: of the unpacked FMU.
+        sizes: structural parameters that are others than the description's.
+    """
+    _add_ranges(description, folder)
+    elements: dict[int, list[Element]] = {}
+    variables: list[Element] = []
+    for variable in description.modelVariables:
+        if variable.type not in ("Binary", "Clock") and _is_used(variable):
+            scalars = list(_elements(variable, sizes))
+            variables += scalars
+            elements.setdefault(variable.valueReference, []).extend(scalars)
+
+    def known(variables: Sequence[Any] | None) -> list[Element] | None:
+        return None if variables is None else [e for v in variables for e in elements.get(v.valueReference, [])]
+
+    outputs = [
+        Unknown(variable=element, dependencies=known(unknown.dependencies))
+        for unknown in description.outputs
+        for element in elements.get(unknown.variable.valueReference, [])
+    ]
+    return evolve(description, modelVariables=variables, outputs=outputs)
+
+
+def structural_sizes(description: Any, parameters: Mapping[str, Any]) -> dict[str, int]:
+    """The structural parameters among these start values.
+
+    Raises:
+        InputError: one has a value that doesn't suit its type or range.
+    """
+    known = settable_variables(description)
+    given = {n: value for n, value in parameters.items() if n in known and _structural(known[n])}
+    return {each.name: int(each.value) for each in settings(known, given)}
+
+
+def by_elements(description: Any, parameters: Mapping[str, Any]) -> dict[str, Value]:
+    """Start values, arrays that are given as a whole element by element, structural parameters first; as they are for FMI 2.0.
+
+    Raises:
+        InputError: an array is given another number of values than it has elements.
+    """
+    elements = {each.name: each for each in description.modelVariables if isinstance(each, Element)}
+    if not elements:
+        return dict(parameters)
+    arrays: dict[str, list[str]] = {}
+    for name, element in elements.items():
+        if element.array:
+            arrays.setdefault(element.array, []).append(name)
+    single = {name: parameters[name] for name, each in elements.items() if _structural(each) and name in parameters}
+    for name, value in parameters.items():
+        names = arrays.get(name, [name])
+        values = np.asarray(value, dtype=object).ravel().tolist() if name in arrays else [value]
+        if len(values) != len(names):
+            raise InputError(
+                f"{name} is an array: give {len(names)} values, row by row, or single ones such as {names[0]}; "
+                f"got {len(values)}"
+            )
+        single |= zip(names, values, strict=True)
+    return {name: _as_stored(elements.get(name), value) for name, value in single.items()}
+
+
+def _as_stored(element: Element | None, value: Value) -> Value:
+    """A number of single precision as it will be read back."""
+    single = element is not None and element.handle is not None and element.handle.type == "Float32"
+    return float(np.float32(value)) if single and isinstance(value, int | float) else value
+
+
+def _structural(variable: Any) -> bool:
+    """Whether it is a structural parameter."""
+    return isinstance(variable, Element) and variable.handle is not None and variable.handle.structural
+
+
+def _is_used(variable: Any) -> bool:
+    """Whether it is a signal or may have a start value from outside."""
+    shown = variable.causality in ("input", "output", "parameter", "structuralParameter")
+    return shown or (variable.initial in ("exact", "approx") and variable.variability != "constant")
+
+
+def _add_ranges(description: Any, folder: Path) -> None:
+    """Ranges of unsigned integers, which fmpy leaves out, and those of the types of all integers."""
+    root = ElementTree.parse(folder / "modelDescription.xml").getroot()
+    unsigned = {each.get("name"): each for each in root.iterfind("ModelVariables/*") if each.tag.startswith("UInt")}
+    for variable in description.modelVariables:
+        if variable.name in unsigned:
+            variable.min, variable.max = (unsigned[variable.name].get(bound) for bound in ("min", "max"))
+        if "Int" in variable.type:
+            limits, stated = np.iinfo(DTYPES[variable.type]), (variable, variable.declaredType)
+            for bound, limit in (("min", limits.min), ("max", limits.max)):
+                if all(getattr(each, bound, None) is None for each in stated):
+                    setattr(variable, bound, str(limit))
+
+
+def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
+    """The variable, or one for each element of an array."""
+    shape = _shape(variable, sizes)
+    names, texts = element_names(variable.name, shape), _starts(variable, prod(shape))
+    handle = ElementHandle(
+        kind="Integer" if variable.type == "Enumeration" else _KINDS.get(variable.type, "Integer"),  # type: ignore[arg-type]
+        reference=variable.valueReference,
+        name=variable.name,
+        type="Int64" if variable.type == "Enumeration" else variable.type,
+        place=0,
+        size=prod(shape),
+        start=_numbers(variable, texts),
+        discrete=_KINDS.get(variable.type) != "Real" or variable.variability == "discrete",
+        structural=variable.causality == "structuralParameter",
+    )
+    causality = "parameter" if handle.structural else variable.causality
+    plain = asdict(variable, recurse=False) | {"type": _KINDS.get(variable.type, "Integer"), "causality": causality}
+    plain["python_type"] = plain.pop("_python_type")
+    for place, name in enumerate(names):
+        start = texts[place] if texts else None
+        array = variable.name if shape else ""
+        yield Element(
+            **(plain | {"name": name, "start": start}), handle=replace(handle, name=name, place=place), array=array
+        )
+
+
+def _shape(variable: Any, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Size in each dimension; () for a scalar."""
+    return tuple(
+        int(each.start if each.start is not None else sizes.get(each.variable.name, each.variable.start))
+        for each in variable.dimensions
+    )
+
+
+def element_names(name: str, shape: tuple[int, ...]) -> list[str]:
+    """Names of all elements, row by row; of a scalar its own."""
+    return [f"{name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(shape)] if shape else [name]
+
+
+def _starts(variable: Any, size: int) -> list[str] | None:
+    """Start values of all elements, one for all if there is only one; None where they aren't known."""
+    if variable.start is None:
+        return None
+    texts = variable.start.split() if variable.dimensions and variable.type != "String" else [variable.start]
+    texts = texts * size if len(texts) == 1 else texts
+    return texts if len(texts) == size else None
+
+
+def _numbers(variable: Any, texts: Sequence[str] | None) -> tuple[float, ...] | None:
+    """Start values as numbers."""
+    if texts is None or variable.type == "String":
+        return None
+    spelt = {"true": 1, "false": 0}
+    exact = int if "Int" in variable.type else float
+    return tuple(spelt[text] if text in spelt else exact(text) for text in texts)

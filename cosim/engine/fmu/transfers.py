@@ -1,0 +1,184 @@
+"""Transfers between an FMU's variables and numpy buffers, as calls with all arguments bound."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from ctypes import c_char_p, c_void_p
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.engine.fmu.calls import OK, WARNING, Calls, address, value_references
+from flexfmu.cosim.engine.fmu.instance import StatusCall
+from flexfmu.cosim.engine.fmu.variables import Handle, Kind, Setting, Value
+from flexfmu.cosim.engine.slave import TEXTS, RealArray
+
+DTYPES = {"Integer": np.int32, "Boolean": np.int32}
+"""Element types of the C arrays for what isn't a Real; fmi2Boolean is an int."""
+
+
+class Transfers:
+    """Calls that move values between variables of an instance and buffers.
+
+    Buffers of doubles hold all kinds of variables: integers, booleans (0 or 1) and texts (see `TEXTS`) are converted on the
+    way.
+
+    Args:
+        fmi: the FMI functions.
+        component: place of the instance's handle, looked up in every call.
+    """
+
+    def __init__(self, fmi: Calls, component: c_void_p) -> None:
+        self._fmi = fmi
+        self._component = component
+
+    def get(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
+        """A call that fills ``values`` (n,)."""
+        return _all(
+            [self._get_kind(kind, columns, references, values) for kind, columns, references in _by_kind(handles)]
+        )
+
+    def set(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
+        """A call that sets the variables from ``values`` (n,)."""
+        return _all(
+            [self._set_kind(kind, columns, references, values) for kind, columns, references in _by_kind(handles)]
+        )
+
+    def get_derivatives(
+        self, handles: Sequence[Handle], derivatives: RealArray, absent: NDArray[np.bool_] | None = None
+    ) -> StatusCall:
+        """A call that fills ``derivatives`` (orders, n), row k - 1 for order k; what isn't a Real, or is ``absent``
+        (orders, n), is left as it is."""
+        return self._derivatives("fmi2GetRealOutputDerivatives", handles, derivatives, absent)
+
+    def set_derivatives(self, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
+        """A call that sets derivatives from ``derivatives`` (orders, n); what isn't a Real is left out."""
+        return self._derivatives("fmi2SetRealInputDerivatives", handles, derivatives)
+
+    def setting(self, setting: Setting) -> StatusCall:
+        """A call that gives a variable its start value."""
+        value = setting.value
+        return self.set([setting.handle], np.array([TEXTS.code(value) if isinstance(value, str) else float(value)]))
+
+    def reading(self, setting: Setting) -> tuple[StatusCall, Callable[[], Value]]:
+        """A call that reads back what was set, and what it has read."""
+        found = np.zeros(1)
+        call = self.get([setting.handle], found)
+        if setting.handle.kind == "String":
+            return call, lambda: TEXTS.known()[int(found[0])]
+        return call, lambda: float(found[0])
+
+    def _get_kind(self, kind: Kind, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
+        """Read variables of one kind."""
+        if kind == "Real" and len(columns) == values.size:
+            return self._bind("fmi2GetReal", references, values)
+        if kind == "String":
+            return self._get_texts(columns, references, values)
+        buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
+        read = self._bind(f"fmi2Get{kind}", references, buffer)
+
+        def call() -> int:
+            status = read()
+            values[columns] = buffer
+            return status
+
+        return call
+
+    def _set_kind(self, kind: Kind, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
+        """Set variables of one kind."""
+        if kind == "Real" and len(columns) == values.size:
+            return self._bind("fmi2SetReal", references, values)
+        if kind == "String":
+            return self._set_texts(columns, references, values)
+        buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
+        write = self._bind(f"fmi2Set{kind}", references, buffer)
+
+        def call() -> int:
+            buffer[:] = np.rint(values[columns]) if kind != "Real" else values[columns]
+            return write()
+
+        return call
+
+    def _get_texts(self, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
+        """Read variables of type String, as codes."""
+        array, texts = value_references(references), (c_char_p * len(columns))()
+
+        def call() -> int:
+            status = int(self._fmi["fmi2GetString"](self._component, address(array), array.size, texts))
+            if status <= WARNING:
+                values[columns] = [TEXTS.code((text or b"").decode("utf-8", "replace")) for text in texts]
+            return status
+
+        return call
+
+    def _set_texts(self, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
+        """Set variables of type String from codes."""
+        array, texts = value_references(references), (c_char_p * len(columns))()
+
+        def call() -> int:
+            known = TEXTS.known()
+            texts[:] = [known[int(code)].encode() for code in values[columns]]
+            return int(self._fmi["fmi2SetString"](self._component, address(array), array.size, texts))
+
+        return call
+
+    def _bind(self, function: str, references: list[int], buffer: NDArray[np.generic]) -> StatusCall:
+        """The function on fixed references and a fixed buffer; keeps both alive."""
+        array = value_references(references)
+        call = partial(self._fmi[function], self._component, address(array), array.size, address(buffer))
+        return _keeping(call, array, buffer)
+
+    def _derivatives(
+        self, function: str, handles: Sequence[Handle], derivatives: RealArray, absent: NDArray[np.bool_] | None = None
+    ) -> StatusCall:
+        """All orders of all variables in one call, but for what isn't a Real or is absent."""
+        orders = np.repeat(np.arange(1, len(derivatives) + 1, dtype=np.int32), len(handles))
+        references = value_references([handle.reference for handle in handles] * len(derivatives))
+        real = np.tile([handle.kind == "Real" for handle in handles], len(derivatives))
+        if absent is not None:
+            real &= ~absent.ravel()
+        if not real.any():
+            return lambda: OK
+        if real.all():
+            return self._bind_derivatives(function, references, orders, derivatives)
+        buffer = np.zeros(int(real.sum()))
+        transfer = self._bind_derivatives(function, references[real], orders[real], buffer)
+        flat, getting = derivatives.reshape(-1), function.startswith("fmi2Get")
+
+        def call() -> int:
+            if getting:
+                status = transfer()
+                flat[real] = buffer
+                return status
+            buffer[:] = flat[real]
+            return transfer()
+
+        return call
+
+    def _bind_derivatives(
+        self, function: str, references: NDArray[np.uint32], orders: NDArray[np.int32], buffer: RealArray
+    ) -> StatusCall:
+        """The function on fixed arrays; keeps them alive."""
+        arguments = (address(references), references.size, address(orders), address(buffer))
+        return _keeping(partial(self._fmi[function], self._component, *arguments), references, orders, buffer)
+
+
+def _keeping(call: partial[int], *arrays: NDArray[np.generic]) -> StatusCall:
+    """The call, with the arrays whose addresses it holds tied to it."""
+    call.__dict__["arrays"] = arrays
+    return call
+
+
+def _by_kind(handles: Sequence[Handle]) -> list[tuple[Kind, list[int], list[int]]]:
+    """(kind, columns, value references) of the handles of each kind."""
+    kinds = dict.fromkeys(handle.kind for handle in handles)
+    columns = {kind: [i for i, handle in enumerate(handles) if handle.kind == kind] for kind in kinds}
+    return [(kind, columns[kind], [handles[i].reference for i in columns[kind]]) for kind in kinds]
+
+
+def _all(calls: Sequence[Callable[[], int]]) -> StatusCall:
+    """One call after the other; the worst status."""
+    if len(calls) == 1:
+        return calls[0]
+    return lambda: max((call() for call in calls), default=OK)

@@ -1,0 +1,111 @@
+/* The loop over communication points, see master.h: operations on fixed buffers, in the order in which they are listed.
+ * Whatever isn't an FMI call or a copy is a callback into Python, so that the numbers are those of the loop in Python. */
+#include "master.h"
+
+#include <string.h>
+
+#define FMI2_WARNING 1
+#define NO_ROLLBACK 1
+
+#if defined(_WIN32)
+#define EXPORTED __declspec(dllexport)
+#else
+#define EXPORTED __attribute__((visibility("default")))
+#endif
+
+typedef int (*values_call)(void *component, const unsigned *references, size_t count, double *values);
+typedef int (*derivatives_call)(void *component, const unsigned *references, size_t count, const int *orders,
+                                double *values);
+typedef int (*step_call)(void *component, double time, double step, int no_rollback);
+typedef int (*python_callback)(size_t point, double begin, double end);
+
+/* 0 * x is 0 for a finite x and NaN otherwise, so that the sum is 0 if all are finite; four independent sums, no branches */
+static int all_finite(const double *values, size_t count) {
+  double sums[] = {0.0, 0.0, 0.0, 0.0};
+  const size_t lanes = sizeof sums / sizeof *sums;
+  size_t i = 0;
+  for (; i + lanes <= count; i += lanes)
+    for (size_t lane = 0; lane < lanes; lane++) sums[lane] += 0.0 * values[i + lane];
+  for (; i < count; i++) sums[0] += 0.0 * values[i];
+  return sums[0] + sums[1] + sums[2] + sums[3] == 0.0;
+}
+
+static void gather(const master_operation *op) {
+  for (size_t i = 0; i < op->count; i++) op->target[op->places[i]] = op->source[op->columns[i]];
+}
+
+/* one operation; returns 0, or 1 with the status of the failure */
+static int carry_out(const master_operation *op, size_t point, double begin, double end, int *status) {
+  *status = 0;
+  switch (op->kind) {
+    case MASTER_VALUES:
+      *status = ((values_call)op->function)(*op->component, op->references, op->count, op->target);
+      return *status > FMI2_WARNING;
+    case MASTER_DERIVATIVES:
+      *status = ((derivatives_call)op->function)(*op->component, op->references, op->count, op->orders, op->target);
+      return *status > FMI2_WARNING;
+    case MASTER_STEP:
+      *status = ((step_call)op->function)(*op->component, begin, end - begin, NO_ROLLBACK);
+      return *status > FMI2_WARNING;
+    case MASTER_COPY:
+      memcpy(op->target, op->source, op->count * sizeof(double));
+      return 0;
+    case MASTER_TABLE:
+      memcpy(op->target, op->source + point * op->stride, op->count * sizeof(double));
+      return 0;
+    case MASTER_GATHER:
+      gather(op);
+      return 0;
+    case MASTER_FINITE:
+      return !all_finite(op->target, op->count);
+    default:
+      return ((python_callback)op->function)(point, begin, end);
+  }
+}
+
+/* whether an operation is carried out at this point */
+static int applies(const master_operation *op, size_t point, int jump) {
+  if (op->condition == MASTER_AT_JUMPS) return jump;
+  return op->condition == MASTER_ALWAYS || op->due[point];
+}
+
+/* the operations of a list, in order; returns 0, or 1 with the index of the failed one added to progress->operation */
+static int carry_out_all(const master_operation *list, size_t count, size_t point, double begin, double end, int jump,
+                         volatile int *active, master_progress *progress) {
+  for (size_t i = 0; i < count; i++) {
+    if (!applies(&list[i], point, jump)) continue;
+    *active = list[i].owner;
+    if (carry_out(&list[i], point, begin, end, &progress->status)) {
+      progress->operation += i;
+      return 1;
+    }
+  }
+  return 0;
+}
+
+/* copy all recorded signals into the next row */
+static void record(const master_program *program, double time, master_progress *progress) {
+  for (size_t i = 0; i < program->n_channels; i++) {
+    const master_channel *channel = &program->channels[i];
+    memcpy(channel->rows + progress->records * channel->count, channel->signals, channel->count * sizeof(double));
+  }
+  program->recorded_times[progress->records++] = time;
+}
+
+EXPORTED int master_run(const master_program *program, size_t points, master_progress *progress) {
+  while (progress->points < points) {
+    const size_t point = progress->points + 1;
+    const double begin = program->times[point - 1], end = program->times[point];
+    const int jump = program->jumps[point];
+    /* all slaves step to the point */
+    progress->operation = 0;
+    if (carry_out_all(program->advance, program->n_advance, point, begin, end, jump, program->active, progress)) return 1;
+    progress->points = point;
+    /* left limits where signals may jump, then the exchange, then right limits */
+    if (jump) record(program, end, progress);
+    progress->operation = program->n_advance;
+    if (carry_out_all(program->exchange, program->n_exchange, point, end, end, jump, program->active, progress)) return 1;
+    record(program, end, progress);
+  }
+  return 0;
+}

@@ -1,0 +1,73 @@
+/* The master's loop over communication points as a list of operations on fixed buffers.
+ *
+ * A run is prepared in Python: which slave is stepped, set and read in which order, and where the numbers are. Here the
+ * operations are carried out, point after point, with the same calls and in the same order. */
+#ifndef FLEXFMU_MASTER_H
+#define FLEXFMU_MASTER_H
+
+#include <stddef.h>
+
+/* what an operation does, and which of its fields it needs; `component` is where the handle of an FMU's instance is */
+enum {
+  MASTER_VALUES,      /* fmi2SetReal or fmi2GetReal: function, component, references, count, target */
+  MASTER_DERIVATIVES, /* fmi2SetRealInputDerivatives or fmi2GetRealOutputDerivatives: the same and orders */
+  MASTER_STEP,        /* fmi2DoStep: function, component */
+  MASTER_COPY,        /* target[0 .. count - 1] = source[..] */
+  MASTER_TABLE,       /* the same from row `point` of a table: source, stride between the rows */
+  MASTER_GATHER,      /* target[places[i]] = source[columns[i]], i < count */
+  MASTER_FINITE,      /* fails unless target[0 .. count - 1] are finite */
+  MASTER_CALL         /* a Python callback: function(point, begin, end), begin = end in an exchange */
+};
+
+/* when an operation is carried out */
+enum {
+  MASTER_ALWAYS,
+  MASTER_AT_JUMPS, /* where signals may jump */
+  MASTER_WHEN_DUE  /* where due[point] is set */
+};
+
+typedef struct {
+  int kind, condition, owner; /* owner: index of the slave that is called */
+  size_t count, stride;
+  void (*function)(void);
+  void *const *component;
+  const unsigned *references;
+  const int *orders;
+  const long long *columns, *places;
+  const double *source;
+  double *target;
+  const unsigned char *due;
+} master_operation;
+
+/* signals that are recorded: `count` doubles, copied into the next row */
+typedef struct {
+  const double *signals;
+  double *rows;
+  size_t count;
+} master_channel;
+
+/* what happens from one communication point to the next: `advance` over the step, then `exchange` at its end; recorded is
+ * after the exchange, where signals may jump also before it */
+typedef struct {
+  const master_operation *advance, *exchange;
+  size_t n_advance, n_exchange;
+  const master_channel *channels;
+  size_t n_channels;
+  const double *times;
+  const unsigned char *jumps;
+  double *recorded_times;
+  volatile int *active; /* the owner of the operation that is, or was last, carried out; another process may look at it */
+} master_program;
+
+/* how far a run has come */
+typedef struct {
+  size_t points;  /* steps that all slaves have completed */
+  size_t records; /* instants in the recording */
+  size_t operation; /* which operation failed, exchanges counted after the steps */
+  int status;       /* fmi2Status of the failure, 0 of others */
+} master_progress;
+
+/* goes on until `points` steps are completed; 0, or 1 where an operation has failed */
+int master_run(const master_program *program, size_t points, master_progress *progress);
+
+#endif

@@ -1,0 +1,52 @@
+"""The C side of the master: compiled once on a machine, loaded once in a process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ctypes import CDLL, POINTER, byref, c_int, c_size_t
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from flexfmu.cosim.engine.master.operations import CProgram, CProgress
+from flexfmu.fmu_build.cache import cached, store
+from flexfmu.fmu_build.compilation import compile_library
+from flexfmu.fmu_build.errors import BuildError
+from flexfmu.fmu_build.hashing import content_hash
+from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.toolchain import Compiler, find_compiler
+
+RunProgram = Callable[[CProgram, int, CProgress], int]
+"""Carries a program out up to a number of points; not zero where an operation has failed."""
+
+
+@cache
+def load() -> RunProgram | None:
+    """The function that carries programs out; None where it can't be compiled, for want of a compiler for example."""
+    try:
+        library = CDLL(str(_library()))
+    except (BuildError, OSError):
+        return None
+    function: Any = library.master_run
+    function.argtypes = (POINTER(CProgram), c_size_t, POINTER(CProgress))
+    function.restype = c_int
+    return lambda program, points, progress: int(function(byref(program), points, byref(progress)))
+
+
+def _library() -> Path:
+    """The shared library, in the cache under the hash of its sources and compiler."""
+    folder = files("flexfmu.cosim.engine.master").joinpath("c-master")
+    texts = {file.name: file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name[-2:] in (".c", ".h")}
+    platform = native_platform()
+    compiler = find_compiler(platform)
+    key = content_hash(part.encode() for part in (compiler.identity(), *(t for _, t in sorted(texts.items()))))
+    file = f"master/{key}{platform.suffix}"
+    return cached(file) or store(file, _compile(texts, compiler))
+
+
+def _compile(texts: dict[str, str], compiler: Compiler) -> bytes:
+    """The library's content; CasADi comes with these imports, and is needed once only."""
+    from flexfmu.fmu_build.sources import Sources
+
+    return compile_library(Sources("flexfmu_master", "", "", {}, texts, {}), compiler)

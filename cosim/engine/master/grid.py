@@ -1,0 +1,210 @@
+"""The time grid of a run: integer ticks start + n * step, with every mark landed on exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from math import lcm
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import COINCIDENT
+
+Instants = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+MAXIMUM_POINTS = 20_000_000
+"""More communication points than this are taken for a mistake in the step's unit."""
+
+
+MAXIMUM_RATIO = 1000
+"""Sample times must be p/q communication steps with q up to this: coarse enough to tell intent from chance, since a
+random number comes that near to such a fraction less than once in a million times."""
+
+RATIO_TOLERANCE = 1e-12
+"""Relative rounding of a ratio of two times that people have typed in or calculated."""
+
+SUGGESTED_RATIO = 10
+"""Largest denominator of a sample time that an error message suggests."""
+
+MAXIMUM_TICKS = 100_000
+"""Ticks in a communication step; the distance of two of them stays well above what counts as one instant."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When a slave samples: at start + offset + k * sample_time, k = 0, 1, ..
+
+    Attributes:
+        name: the slave's name.
+        sample_time: [s], above zero.
+        offset: first sample instant after the start [s], zero or positive.
+    """
+
+    name: str
+    sample_time: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class TimeGrid:
+    """Communication points of a run.
+
+    Attributes:
+        times: (N + 1,) communication points [s], strictly increasing, start and stop included.
+        marked: (N + 1,) whether the point is a mark: signals may jump there. Sample instants are marks.
+        due: for each clock (N + 1,) whether it samples at the point.
+    """
+
+    times: Instants
+    marked: Flags
+    due: tuple[Flags, ...] = ()
+
+    @cached_property
+    def largest_step(self) -> float:
+        """Longest distance of two neighbouring points [s]."""
+        return float(np.diff(self.times).max())
+
+
+def time_grid(
+    start: float,
+    stop: float,
+    step: float,
+    marks: Iterable[float] = (),
+    clocks: Sequence[Clock] = (),
+    *,
+    ticks: bool = True,
+) -> TimeGrid:
+    """Ticks start + n * step, sample instants and marks from start to stop; the last step may be shorter.
+
+    Sample instants and ticks are whole multiples of one common tick, and compared as integers: where several fall
+    together they are one point, however long the run.
+
+    Args:
+        start, stop, step: [s].
+        marks: further points to land on [s].
+        clocks: when slaves sample.
+        ticks: whether the points start + n * step belong to the grid.
+
+    Raises:
+        InputError: the step isn't positive, the stop isn't after the start, there would be far too many points, or a
+            clock and the step have no common tick.
+    """
+    if not 0.0 < step < np.inf:
+        raise InputError(f"the communication step must be above 0 s and finite, got {step:g} s")
+    if not -np.inf < start < stop < np.inf:
+        raise InputError(f"the run must end after its start, got start {start:g} s, stop {stop:g} s")
+    if (stop - start) / step > MAXIMUM_POINTS:
+        raise InputError(
+            f"a communication step of {step:g} s makes {(stop - start) / step:.3g} steps; take a larger one"
+        )
+    # regular points: ticks and sample instants
+    near = COINCIDENT * step
+    instants = [sample_instants(clock, start, stop, near) for clock in clocks]
+    regular = _regular_points(start, stop, step, clocks, instants, ticks)
+    # marks, start and end replace regular points that are near them
+    inside = [mark for mark in marks if start - near < mark < stop + near]
+    fixed = merge([start, stop, *inside], near)
+    fixed[0], fixed[-1] = start, stop
+    times = np.union1d(regular[(_distance(regular, fixed) > near) & (regular < stop)], fixed)
+    # when clocks sample, and where signals may jump
+    due = tuple(_nearest(times, each) for each in instants)
+    marked = _distance(times, np.asarray(inside)) <= near if inside else np.zeros(times.shape, dtype=np.bool_)
+    return TimeGrid(times, np.logical_or.reduce([marked, *due]), due)
+
+
+def _regular_points(
+    start: float, stop: float, step: float, clocks: Sequence[Clock], instants: Sequence[Instants], ticks: bool
+) -> Instants:
+    """Ticks and sample instants, each once; where they fall together, the tick's or the first clock's number."""
+    # a common tick of the step and all sample times
+    ratios = [(_ratio(clock, "sample time", step), _ratio(clock, "offset", step)) for clock in clocks]
+    per_step = lcm(*(ratio.denominator for pair in ratios for ratio in pair))
+    if per_step > MAXIMUM_TICKS:
+        names = ", ".join(f"{clock.name} {clock.sample_time:g} s" for clock in clocks)
+        raise InputError(
+            f"the sample times of {names} and the communication step of {step:g} s have no common tick above "
+            f"{1.0 / MAXIMUM_TICKS:g} of that step; take sample times that divide it or are multiples of it"
+        )
+    count = int((stop - start) / step + 1.0) if ticks else 0
+    # number each point in common ticks, and keep the first of equal numbers
+    numbers = [per_step * np.arange(count, dtype=np.int64)]
+    times = [start + step * np.arange(count, dtype=np.float64)]
+    for (period, first), each in zip(ratios, instants, strict=True):
+        numbers.append(int(first * per_step) + int(period * per_step) * np.arange(each.size, dtype=np.int64))
+        times.append(each)
+    _, first_of_each = np.unique(np.concatenate(numbers), return_index=True)
+    return np.concatenate(times)[first_of_each]
+
+
+def _ratio(clock: Clock, what: str, step: float) -> Fraction:
+    """The clock's sample time or offset in communication steps.
+
+    Raises:
+        InputError: it is no fraction with a denominator up to `MAXIMUM_RATIO`.
+    """
+    value = clock.offset if what == "offset" else clock.sample_time
+    exact = value / step
+    if 0.0 < exact < (1.0 - RATIO_TOLERANCE) / MAXIMUM_RATIO:
+        raise InputError(
+            f"{clock.name}: its {what} of {value:.12g} s is less than 1/{MAXIMUM_RATIO} of the communication step of "
+            f"{step:.12g} s; take at least {step / MAXIMUM_RATIO:.12g} s, or a communication step of at most "
+            f"{value * MAXIMUM_RATIO:.12g} s"
+        )
+    ratio = Fraction(exact).limit_denominator(MAXIMUM_RATIO)
+    if abs(float(ratio) - exact) <= RATIO_TOLERANCE * exact:
+        return ratio
+    below = Fraction(exact).limit_denominator(SUGGESTED_RATIO)
+    whole = max(1, round(exact)) if exact > 0.5 else Fraction(1, round(1.0 / exact))
+    fitting = " or ".join(
+        dict.fromkeys(f"{float(each) * step:.12g} s" for each in (below, Fraction(whole)) if each > 0)
+    )
+    other = value / float(whole)
+    raise InputError(
+        f"{clock.name}: its {what} of {value:.12g} s doesn't fit the communication step of {step:.12g} s, they have no "
+        f"common tick; the nearest that fit are {fitting}, or take a communication step of {other:.12g} s"
+    )
+
+
+def merge(instants: Iterable[float], near: float) -> Instants:
+    """Ascending instants, of each group of neighbours nearer than ``near`` the first."""
+    ascending = np.unique(np.fromiter(instants, dtype=np.float64))
+    return ascending[np.diff(ascending, prepend=-np.inf) > near]
+
+
+def _distance(times: Instants, marks: Instants) -> Instants:
+    """Distance of each time to the nearest mark; ``marks`` need not be sorted."""
+    ascending = np.sort(marks)
+    after = np.searchsorted(ascending, times).clip(0, ascending.size - 1)
+    before = (after - 1).clip(0)
+    distance: Instants = np.minimum(abs(ascending[after] - times), abs(ascending[before] - times))
+    return distance
+
+
+def sample_instants(clock: Clock, start: float, stop: float, near: float = 0.0) -> Instants:
+    """Instants start + offset + k * sample_time up to ``stop`` [s], or beyond it by no more than ``near``.
+
+    Raises:
+        InputError: the sample time isn't positive, the offset is negative, or there would be far too many instants.
+    """
+    if not 0.0 < clock.sample_time < np.inf or (stop - start) / clock.sample_time > MAXIMUM_POINTS:
+        raise InputError(
+            f"{clock.name}: a sample time of {clock.sample_time} s doesn't suit a run from {start} s to {stop} s"
+        )
+    if not 0.0 <= clock.offset < np.inf:
+        raise InputError(f"{clock.name}: the offset must be zero or positive, got {clock.offset} s")
+    count = max(0, int((stop - start - clock.offset + near) / clock.sample_time + 1.0))
+    return start + (clock.offset + clock.sample_time * np.arange(count, dtype=np.float64))
+
+
+def _nearest(times: Instants, instants: Instants) -> Flags:
+    """(N + 1,) which of the times are nearest to one of the instants."""
+    points: Flags = np.zeros(times.shape, dtype=np.bool_)
+    after = np.searchsorted(times, instants).clip(1, times.size - 1)
+    nearer_before = instants - times[after - 1] < times[after] - instants
+    points[after - nearer_before] = True
+    return points

@@ -1,0 +1,165 @@
+"""Solvers for loops of signals: find v with G(v) = v, where G passes the signals once round the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import RealArray
+
+Round = Callable[[RealArray], RealArray]
+"""v (n,) → G(v) (n,)."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where an iteration ended.
+
+    Attributes:
+        value: (n,) the last v that was passed round.
+        residual: (n,) G(v) - v.
+        allowed: (n,) the largest residuals that count as zero.
+        rounds: how often signals were passed round.
+    """
+
+    value: RealArray
+    residual: RealArray
+    allowed: RealArray
+    rounds: int
+
+    @property
+    def converged(self) -> bool:
+        """Whether every residual counts as zero."""
+        return bool((abs(self.residual) <= self.allowed).all())
+
+    @property
+    def worst(self) -> int:
+        """Which residual is the largest, compared with what is allowed."""
+        return int(np.argmax(abs(self.residual) / self.allowed))
+
+
+class LoopSolver(Protocol):
+    """Finds v with G(v) = v. The last v that it passes round is the solution that it returns."""
+
+    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> Solution:
+        """Iterate until the residuals count as zero, or give up.
+
+        Args:
+            around: G.
+            guess: (n,) first v.
+            scale: (n,) magnitudes seen so far, for the relative tolerance; zero where there are none yet.
+        """
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """When a residual counts as zero: at most relative * magnitude + absolute, in the signal's unit."""
+
+    relative: float = 1e-10
+    absolute: float = 1e-12
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.relative < 1.0 and 0.0 < self.absolute < np.inf):
+            raise InputError(
+                f"a loop's tolerances must be relative 0..1 and absolute > 0, got {self.relative} and {self.absolute}"
+            )
+
+    def allowed(self, scale: RealArray, *values: RealArray) -> RealArray:
+        """(n,) largest residuals that count as zero; the absolute one keeps them above zero."""
+        magnitude = np.maximum.reduce([scale, *map(abs, values)])
+        return np.asarray(self.relative * magnitude + self.absolute)
+
+
+@dataclass(frozen=True)
+class FixedPoint:
+    """v ← v + relaxation * (G(v) - v).
+
+    Converges where |1 - relaxation * (1 - g)| < 1 for every eigenvalue g of G's Jacobian: without relaxation (1) for
+    loop gains below one, with 0 < relaxation < 1 also for larger negative ones.
+
+    Args:
+        relaxation: above zero, at most one.
+        tolerance: when a residual counts as zero.
+        rounds: give up after so many.
+    """
+
+    relaxation: float = 1.0
+    tolerance: Tolerance = Tolerance()
+    rounds: int = 100
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.relaxation <= 1.0:
+            raise InputError(f"the relaxation must be above 0 and at most 1, got {self.relaxation}")
+        _check_rounds(self.rounds)
+
+    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> Solution:
+        """Iterate until the residuals count as zero, or give up."""
+        value = guess
+        for count in range(1, self.rounds + 1):
+            passed = around(value)
+            solution = Solution(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
+            if solution.converged:
+                break
+            value = value + self.relaxation * solution.residual
+        return solution
+
+
+@dataclass(frozen=True)
+class Anderson:
+    """Anderson's acceleration: a quasi-Newton method that learns the Jacobian from the last rounds.
+
+    D. G. Anderson, J. ACM 12 (1965) 547; H. F. Walker and P. Ni, SIAM J. Numer. Anal. 49 (2011) 1715, eq. (2.1).
+    A linear loop of n signals is solved in at most n + 2 rounds, whatever its gain, if depth ≥ n.
+
+    Args:
+        depth: how many of the last rounds to learn from.
+        tolerance: when a residual counts as zero.
+        rounds: give up after so many.
+    """
+
+    depth: int = 8
+    tolerance: Tolerance = Tolerance()
+    rounds: int = 50
+
+    def __post_init__(self) -> None:
+        if self.depth < 1:
+            raise InputError(f"the depth of Anderson's acceleration must be at least 1, got {self.depth}")
+        _check_rounds(self.rounds)
+
+    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> Solution:
+        """Iterate until the residuals count as zero, or give up."""
+        value = guess
+        values: list[RealArray] = []
+        residuals: list[RealArray] = []
+        for count in range(1, self.rounds + 1):
+            passed = around(value)
+            solution = Solution(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
+            if solution.converged:
+                break
+            values, residuals = [*values[-self.depth :], value], [*residuals[-self.depth :], solution.residual]
+            value = _accelerated(values, residuals, solution.allowed)
+        return solution
+
+
+def _accelerated(values: list[RealArray], residuals: list[RealArray], allowed: RealArray) -> RealArray:
+    """The next v: where the linear model through the last rounds has the smallest residual, one round on."""
+    value, residual = values[-1], residuals[-1]
+    if len(values) == 1:
+        return np.asarray(value + residual)
+    value_steps, residual_steps = np.diff(np.stack(values), axis=0).T, np.diff(np.stack(residuals), axis=0).T
+    # residuals of different units are made comparable, and the columns of different rounds well conditioned
+    weighted = residual_steps / allowed[:, None]
+    lengths = np.linalg.norm(weighted, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    share = np.linalg.lstsq(weighted / lengths, residual / allowed, rcond=None)[0] / lengths
+    return np.asarray(value + residual - (value_steps + residual_steps) @ share)
+
+
+def _check_rounds(rounds: int) -> None:
+    """At least one round."""
+    if rounds < 1:
+        raise InputError(f"a loop needs at least one round to be solved, got {rounds}")

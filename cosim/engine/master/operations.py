@@ -1,0 +1,209 @@
+"""The operations of a compiled run, and how they are handed to the C side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from ctypes import CFUNCTYPE, Structure, addressof, c_double, c_int, c_size_t, c_ubyte, c_void_p, cast
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.engine.fmu.calls import address
+from flexfmu.cosim.engine.slave import RealArray
+
+CALLBACK = CFUNCTYPE(c_int, c_size_t, c_double, c_double)
+"""A Python function that the C side calls with the index of the point, begin and end [s]; not zero to stop the run."""
+
+Failure = Callable[[int, float, float], BaseException]
+"""What went wrong, from the status, begin and end [s] of an operation that has failed."""
+
+_FIELDS = ("function", "component", "references", "orders", "columns", "places", "source", "target", "due")
+
+
+class Kind(IntEnum):
+    """What an operation does; the names of ``master.h``."""
+
+    VALUES = 0
+    DERIVATIVES = 1
+    STEP = 2
+    COPY = 3
+    TABLE = 4
+    GATHER = 5
+    FINITE = 6
+    CALL = 7
+
+
+class When(IntEnum):
+    """When an operation is carried out; the names of ``master.h``."""
+
+    ALWAYS = 0
+    AT_JUMPS = 1
+    WHEN_DUE = 2
+
+
+class COperation(Structure):
+    """``master_operation``."""
+
+    _fields_ = (
+        *((name, c_int) for name in ("kind", "condition", "owner")),
+        *((name, c_size_t) for name in ("count", "stride")),
+        *((name, c_void_p) for name in _FIELDS),
+    )
+
+
+class CChannel(Structure):
+    """``master_channel``."""
+
+    _fields_ = (("signals", c_void_p), ("rows", c_void_p), ("count", c_size_t))
+
+
+class CProgram(Structure):
+    """``master_program``."""
+
+    _fields_ = (
+        ("advance", c_void_p),
+        ("exchange", c_void_p),
+        ("n_advance", c_size_t),
+        ("n_exchange", c_size_t),
+        ("channels", c_void_p),
+        ("n_channels", c_size_t),
+        ("times", c_void_p),
+        ("jumps", c_void_p),
+        ("recorded_times", c_void_p),
+        ("active", c_void_p),
+    )
+
+
+class CProgress(Structure):
+    """``master_progress``."""
+
+    _fields_ = (("points", c_size_t), ("records", c_size_t), ("operation", c_size_t), ("status", c_int))
+
+
+@dataclass
+class Operation:
+    """One operation.
+
+    Attributes:
+        kind, when: what it does, and when.
+        owner: index of the slave that is called.
+        failure: makes the error where it fails.
+        numbers: its fields ``count`` and ``stride``, as far as it needs them.
+        addresses: its pointers, by field.
+        kept: what these point to.
+    """
+
+    kind: Kind
+    when: When
+    owner: int
+    failure: Failure
+    numbers: dict[str, int] = field(default_factory=dict)
+    addresses: dict[str, int | None] = field(default_factory=dict)
+    kept: tuple[Any, ...] = ()
+
+    def due(self, flags: NDArray[np.uint8]) -> None:
+        """Carry it out at the points that are flagged alone."""
+        self.when = When.WHEN_DUE
+        self.addresses["due"] = flags.ctypes.data_as(c_void_p).value
+        self.kept = (*self.kept, flags)
+
+
+def pack(operations: Sequence[Operation]) -> Any:
+    """The operations as a C array."""
+    packed = (COperation * max(len(operations), 1))()
+    for each, one in zip(packed, operations, strict=False):
+        each.kind, each.condition, each.owner = one.kind, one.when, one.owner
+        for name, value in {**one.numbers, **one.addresses}.items():
+            setattr(each, name, value)
+    return packed
+
+
+def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure) -> Operation:
+    """fmi2GetReal, fmi2SetReal or their derivatives with bound arguments, see `Transfers`."""
+    _, references, count, *orders, target = call.args
+    pointers = {**_reached(call), "references": references, "target": target}
+    kind = Kind.DERIVATIVES if orders else Kind.VALUES
+    more = {"orders": orders[0]} if orders else {}
+    return Operation(kind, when, owner, failure, {"count": count}, {**pointers, **more}, (call,))
+
+
+def fmi_step(call: partial[int], owner: int, failure: Failure) -> Operation:
+    """fmi2DoStep, never to go back to an earlier point."""
+    return Operation(Kind.STEP, When.ALWAYS, owner, failure, {}, _reached(call), (call,))
+
+
+def _reached(call: partial[int]) -> dict[str, int | None]:
+    """An FMI function, and where the handle of the instance is that it is bound to."""
+    return {"function": pointer(call.func), "component": addressof(call.args[0])}
+
+
+def table_row(table: RealArray, signals: RealArray, owner: int, rows: int) -> Operation:
+    """The first ``rows`` rows of ``signals`` from those of ``table`` (points, orders, n) at the point."""
+    stride = int(np.prod(table.shape[1:]))
+    numbers = {"count": rows * signals.shape[1], "stride": stride}
+    pointers: dict[str, int | None] = {"source": address(table), "target": address(signals)}
+    return Operation(Kind.TABLE, When.ALWAYS, owner, _never, numbers, pointers, (table, signals))
+
+
+def copy(source: RealArray, target: RealArray, when: When, owner: int) -> Operation:
+    """``target`` becomes ``source``; both contiguous."""
+    pointers: dict[str, int | None] = {"source": address(source), "target": address(target)}
+    return Operation(Kind.COPY, when, owner, _never, {"count": source.size}, pointers, (source, target))
+
+
+def gather(
+    source: RealArray, columns: NDArray[np.int64], target: RealArray, places: NDArray[np.int64], when: When, owner: int
+) -> Operation:
+    """``target.flat[places] = source.flat[columns]``."""
+    pointers: dict[str, int | None] = {
+        "source": address(source),
+        "columns": address(columns),
+        "target": address(target),
+        "places": address(places),
+    }
+    kept = (source, columns, target, places)
+    return Operation(Kind.GATHER, when, owner, _never, {"count": columns.size}, pointers, kept)
+
+
+def finite(signals: RealArray, when: When, owner: int, failure: Failure) -> Operation:
+    """Fails where a signal isn't finite."""
+    return Operation(
+        Kind.FINITE, when, owner, failure, {"count": signals.size}, {"target": address(signals)}, (signals,)
+    )
+
+
+def python_callback(function: Callable[[int, float, float], None], when: When, owner: int) -> Operation:
+    """A Python function; what it raises ends the run."""
+    raised: list[BaseException] = []
+
+    def guarded(point: int, begin: float, end: float) -> int:
+        try:
+            function(point, begin, end)
+        except BaseException as error:  # raised again after C has returned
+            raised.append(error)
+            return 1
+        return 0
+
+    callback = CALLBACK(guarded)
+    pointers: dict[str, int | None] = {"function": pointer(callback)}
+    return Operation(Kind.CALL, when, owner, lambda *_: raised.pop(), {}, pointers, (callback,))
+
+
+def pointer(function: Any) -> int | None:
+    """Address of a C function."""
+    address_of: int | None = cast(function, c_void_p).value
+    return address_of
+
+
+def flags(values: Sequence[bool] | NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Flags as the C side reads them."""
+    return np.array(values, dtype=c_ubyte)
+
+
+def _never(status: int, begin: float, end: float) -> BaseException:
+    """For operations that can't fail."""
+    return AssertionError(f"status {status} of an operation that can't fail")

@@ -1,0 +1,296 @@
+"""What the master holds for each slave during a run: buffers for its outputs and inputs, bound transfers, and groups
+of signals between them.
+
+Over a communication step an input follows a polynomial. It extrapolates its source's value and derivatives from the beginning
+of the step (a Taylor polynomial), or, where the source is already at the end, meets them at both ends (a Hermite polynomial).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from flexfmu.cosim.engine.binding import bind_get, bind_set, nothing
+from flexfmu.cosim.engine.errors import InputError, NotFiniteError, SlaveError
+from flexfmu.cosim.engine.hermite import hermite_derivatives
+from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
+from flexfmu.cosim.engine.master.dependencies import Connection
+from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap, TableMap
+from flexfmu.cosim.engine.master.system import System
+from flexfmu.cosim.engine.results import EVERYTHING, Selection
+from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Slave, output_order
+
+
+class OutputPort:
+    """Outputs of a slave at the current instant: those that feed others or are recorded.
+
+    Args:
+        slave: the slave.
+        coupling_order: highest derivative that another slave is fed with.
+        fed: indices of the outputs that feed others.
+        selection: what is recorded.
+
+    Attributes:
+        slave: the slave.
+        indices: (n,) the outputs.
+        signals: (orders + 1, n) values in row 0, derivatives below.
+        recorded: how many rows of ``signals`` go into the recording.
+        transfer, read_announced: calls that fill ``signals`` with what has been reached, and with what is announced.
+    """
+
+    def __init__(
+        self,
+        slave: Slave,
+        coupling_order: int,
+        fed: Collection[int] = (),
+        selection: Selection = EVERYTHING,
+    ) -> None:
+        # which outputs, and how many derivatives of them
+        outputs = [(i, each.name) for i, each in enumerate(slave.variables) if each.causality == "output"]
+        wanted = [i for i, name in outputs if i in fed or selection.keeps(f"{slave.name}.{name}")]
+        self.slave = slave
+        self.indices: Indices = np.array(wanted, np.intp)
+        self.recorded = 1 + min(output_order(slave), selection.order)
+        self.signals = np.zeros((max(self.recorded, 1 + coupling_order), self.indices.size))
+        # buffers and the calls that fill them
+        self._finite = np.ones(self.signals.shape, dtype=np.bool_)
+        self.transfer = self.read_announced = nothing
+        if self.indices.size:
+            # a slave that predicts its outputs has more derivatives at the beginning of a step than at its end
+            rows = self.recorded if isinstance(slave, PredictsOutputs) else self.signals.shape[0]
+            self.transfer = bind_get(slave, self.indices, self.signals[:rows])
+            self.read_announced = bind_get(slave, self.indices, self.signals)
+
+    def reset(self) -> None:
+        """Forget the signals of a run before."""
+        self.signals.fill(0.0)
+
+    @property
+    def reads_all(self) -> bool:
+        """Whether the slave has outputs alone."""
+        return self.indices.size == len(self.slave.variables)
+
+    def read(self, time: float) -> None:
+        """Read what the slave has reached at ``time``.
+
+        Raises:
+            NotFiniteError: an output or one of its derivatives is infinite or not a number.
+        """
+        self.transfer()
+        np.isfinite(self.signals, self._finite)
+        # eight times as fast as all()
+        if b"\0" in self._finite.tobytes():
+            raise self.not_finite(time)
+
+    def not_finite(self, time: float) -> NotFiniteError:
+        """The error that names the first offending output."""
+        order, column = np.argwhere(~np.isfinite(self.signals))[0]
+        name = self.slave.variables[self.indices[column]].name
+        what = f"der({name},{order})" if order else name
+        return NotFiniteError(self.slave.name, f"{what} became {self.signals[order, column]}", time)
+
+
+@dataclass(frozen=True)
+class Transformation:
+    """Maps of neighbouring inputs.
+
+    Attributes:
+        factor, offset: (n,) y = factor x + offset.
+        tables: those that have a table instead: which of the inputs, and the table.
+    """
+
+    factor: RealArray
+    offset: RealArray
+    tables: tuple[tuple[int, TableMap], ...] = ()
+
+    def apply(self, fed: RealArray) -> None:
+        """Transform values and derivatives (orders + 1, n) in place.
+
+        Raises:
+            InputError: a table has nothing for a value.
+        """
+        fed *= self.factor
+        fed[0] += self.offset
+        for column, table in self.tables:
+            fed[0, column] = table(fed[0, column])
+            fed[1:, column] = 0.0
+
+
+@dataclass(frozen=True)
+class SignalGroup:
+    """Outputs of one slave that feed neighbouring inputs of another.
+
+    Attributes:
+        source: port of the source.
+        columns: (n,) columns of the source's signals.
+        slots: which of the target's fed inputs they are.
+        coupling: how they get there.
+        transformation: what is done to them on the way; None for nothing.
+        jumping: which of the inputs change in jumps alone and have no mean of two values.
+    """
+
+    source: OutputPort
+    columns: Indices
+    slots: slice
+    coupling: Coupling
+    transformation: Transformation | None = None
+    jumping: Indices = field(default_factory=lambda: np.empty(0, np.intp))
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether the end of a step must be known."""
+        return self.coupling.ends is not None
+
+    @property
+    def degree(self) -> int:
+        """Highest degree of the polynomials."""
+        if self.coupling.ends is None or self.coupling.transport is Transport.AVERAGED:
+            return self.coupling.order
+        return max(self.coupling.order, 2 * self.coupling.ends + 1)
+
+    def extrapolation(self, fed: RealArray) -> Callable[[], object]:
+        """A call that puts value and derivatives at the current instant into ``fed`` (orders + 1, inputs)."""
+        rows = self.coupling.order + 1
+        signals = self.source.signals[:rows]
+        # in one piece where the group fills the whole buffer
+        whole = partial(signals.take, self.columns, 1, fed, "clip") if fed.shape == (rows, self.columns.size) else None
+        if whole is not None and self.transformation is None:
+            return whole
+
+        def extrapolate() -> None:
+            if whole is not None:
+                whole()
+            else:
+                fed[:rows, self.slots] = signals[:, self.columns]
+                fed[rows:, self.slots] = 0.0
+            self._transform(fed)
+
+        return extrapolate
+
+    def ended(self) -> RealArray:
+        """(ends + 1, n): signals that an interpolation meets at the current instant."""
+        return self.source.signals[: (self.coupling.ends or 0) + 1, self.columns]
+
+    def interpolate(self, begin: RealArray, step: float, fed: RealArray) -> None:
+        """Put the polynomial between ``begin`` and the current instant into ``fed``."""
+        fed[:, self.slots] = 0.0
+        if self.coupling.transport is Transport.AVERAGED:
+            # the mean of both ends; a discrete input keeps its value from the beginning
+            mean = 0.5 * (begin[0] + self.ended()[0])
+            mean[self.jumping] = begin[0, self.jumping]
+            fed[0, self.slots] = mean
+        else:
+            fed[: 2 * len(begin), self.slots] = hermite_derivatives(begin, self.ended(), step)
+        self._transform(fed)
+
+    def _transform(self, fed: RealArray) -> None:
+        """What is done to the signals on the way.
+
+        Raises:
+            SlaveError: the source gives a value that a table doesn't have.
+        """
+        if self.transformation is not None:
+            try:
+                self.transformation.apply(fed[:, self.slots])
+            except InputError as error:
+                raise SlaveError(self.source.slave.name, str(error)) from error
+
+
+class InputPort:
+    """The connected inputs of a slave.
+
+    Attributes:
+        slave: the slave.
+        groups: where the inputs come from.
+        fed: (orders + 1, n) values in row 0, derivatives below.
+        send: a call that hands ``fed`` to the slave.
+    """
+
+    def __init__(self, slave: Slave, indices: Indices, groups: Sequence[SignalGroup]) -> None:
+        self.slave = slave
+        self.groups = tuple(groups)
+        self.fed = np.zeros((1 + max((group.degree for group in groups), default=0), indices.size))
+        self.interpolating = tuple(group for group in groups if group.interpolates)
+        self._begins: list[RealArray] = []
+        self._indices = indices
+        self._extrapolations = [group.extrapolation(self.fed) for group in groups]
+        self.send = bind_set(slave, indices, self.fed) if groups else nothing
+
+    def reset(self) -> None:
+        """Forget the signals of a run before."""
+        self.fed.fill(0.0)
+
+    def preset(self, ready: Collection[OutputPort]) -> None:
+        """Set values before the slave is initialised, those whose sources are ready; the others keep their starts."""
+        for group, extrapolate in zip(self.groups, self._extrapolations, strict=True):
+            if group.source in ready:
+                extrapolate()
+                self.slave.set(self._indices[group.slots], self.fed[0, group.slots])
+
+    def exchange(self) -> None:
+        """Set the inputs from the outputs at the current instant."""
+        for extrapolate in self._extrapolations:
+            extrapolate()
+        self.send()
+
+    def remember(self) -> None:
+        """Keep the interpolated signals at the beginning of a step."""
+        self._begins = [group.ended() for group in self.interpolating]
+
+    def interpolate(self, step: float) -> None:
+        """Set the inputs whose sources have already been advanced over the step."""
+        for group, begin in zip(self.interpolating, self._begins, strict=True):
+            group.interpolate(begin, step, self.fed)
+        self.send()
+
+
+def wire(
+    system: System, coupled: Couplings, selection: Selection = EVERYTHING
+) -> tuple[list[InputPort], list[OutputPort]]:
+    """Ports of all slaves, in the order of `System.slaves`."""
+    outputs = [_output_port(system, i, coupled, selection) for i in range(len(system.slaves))]
+    return [_input_port(system, i, outputs, coupled) for i in range(len(system.slaves))], outputs
+
+
+def _output_port(system: System, source: int, coupled: Couplings, selection: Selection) -> OutputPort:
+    """The port of one slave, with as many derivatives as its targets take."""
+    orders = [max(each.order, each.ends or 0) for (giver, _), each in coupled.items() if giver == source]
+    fed = {each.output for each in system.connections if each.source == source}
+    return OutputPort(system.slaves[source], max(orders, default=0), fed, selection)
+
+
+def _input_port(system: System, target: int, outputs: list[OutputPort], coupled: Couplings) -> InputPort:
+    """The port of one slave, its inputs grouped by source."""
+    incoming = sorted((each for each in system.connections if each.target == target), key=lambda each: each.source)
+    groups, count = [], 0
+    for source in dict.fromkeys(each.source for each in incoming):
+        # inputs from one source are neighbours in the buffer
+        group = [each for each in incoming if each.source == source]
+        slots = slice(count, count + len(group))
+        place, variables = columns(outputs[source], group), system.slaves[target].variables
+        jumping = np.flatnonzero(
+            [variables[each.input].discrete or isinstance(each.transformation, TableMap) for each in group]
+        )
+        groups.append(
+            SignalGroup(outputs[source], place, slots, coupled[source, target], transformation(group), jumping)
+        )
+        count += len(group)
+    return InputPort(system.slaves[target], np.array([each.input for each in incoming], np.intp), groups)
+
+
+def columns(port: OutputPort, group: Sequence[Connection]) -> Indices:
+    """Columns of the port's signals that the connections start from."""
+    return np.searchsorted(port.indices, [each.output for each in group])
+
+
+def transformation(group: Sequence[Connection]) -> Transformation | None:
+    """The maps of connections, unless all of them leave the signals as they are."""
+    maps = [each.transformation for each in group]
+    if all(each == IDENTITY for each in maps):
+        return None
+    tables = tuple((column, each) for column, each in enumerate(maps) if isinstance(each, TableMap))
+    lines = [each if isinstance(each, LinearMap) else IDENTITY for each in maps]
+    return Transformation(np.array([each.factor for each in lines]), np.array([each.offset for each in lines]), tables)

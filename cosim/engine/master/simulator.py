@@ -1,0 +1,369 @@
+"""A system with its order of calls and its time grid, ready to be run again and again."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from flexfmu.cosim.engine.child_process import ChildLostError, in_child, portable
+from flexfmu.cosim.engine.errors import CostWarning, InputError, SlaveEnded, SlaveError, SlaveWarning
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel
+from flexfmu.cosim.engine.master.c_library import load
+from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop
+from flexfmu.cosim.engine.master.cost import cost, is_long
+from flexfmu.cosim.engine.master.coupling_error import CouplingError
+from flexfmu.cosim.engine.master.couplings import Transport, feedback_signals
+from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
+from flexfmu.cosim.engine.master.dependencies import Connection
+from flexfmu.cosim.engine.master.grid import MAXIMUM_RATIO, Clock, TimeGrid, time_grid
+from flexfmu.cosim.engine.master.isolation import Isolation
+from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, message_of, outcome_of, overshot
+from flexfmu.cosim.engine.master.program import can_compile
+from flexfmu.cosim.engine.master.recorder import Recorder
+from flexfmu.cosim.engine.master.repeated_steps import check_can_save, needs_rollback
+from flexfmu.cosim.engine.master.schedule import Schedule
+from flexfmu.cosim.engine.master.simulation_loop import Progress, Reached, SimulationLoop
+from flexfmu.cosim.engine.master.stability import Instability, find_alternation, find_instability
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import System
+from flexfmu.cosim.engine.results import EVERYTHING, Column, Recording, Selection
+from flexfmu.cosim.engine.slave import (
+    COINCIDENT,
+    TEXTS,
+    HasBreakpoints,
+    LimitsStep,
+    MayNeedRegularSteps,
+    Reports,
+    Sampled,
+    Slave,
+    Terminates,
+    offset,
+)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended; goes from a child process to its parent.
+
+    Attributes:
+        error: the first one, if any.
+        initialized: whether all slaves have been initialised.
+        active: name of the slave that was called last.
+        reached: how far the run came.
+        reports: slave → what it says about its run, by attribute.
+        texts: all that signals of type String have been.
+    """
+
+    error: BaseException | None
+    initialized: bool
+    active: str
+    reached: Reached
+    reports: Sequence[Mapping[str, Any]] = ()
+    texts: Sequence[str] = ()
+
+
+class Simulator:
+    """What runs of a system have in common, made once: time grid, ports, order of calls, room for the recording.
+
+    Slaves keep their sample times and breakpoints as long as the simulator is in use. Args and errors as for
+    `flexfmu.cosim.engine.master.master.simulate`.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        stop: float,
+        step: float,
+        *,
+        start: float = 0.0,
+        algorithm: Algorithm | None = None,
+        step_control: StepDoubling | None = None,
+        compiled: bool | None = None,
+        record: Selection = EVERYTHING,
+        isolation: Isolation | None = None,
+    ) -> None:
+        record.check(_outputs(system))
+        self._options: Mapping[str, Any] = {
+            "start": start,
+            "algorithm": algorithm,
+            "compiled": compiled,
+            "record": record,
+        }
+        self._system, self._step, self._control, self._selection = system, step, step_control, record
+        self._grid = _grid(system, start, stop, step, step_control is None)
+        _check_regular_steps(system, self._grid, step, step_control is not None)
+        chosen = GaussSeidel() if algorithm is None else algorithm
+        # step control judges outputs that need not be recorded
+        read = record if step_control is None else EVERYTHING
+        self._schedule = Schedule(system, self._grid, chosen, read)
+        capacity = self._grid.times.size + int(self._grid.marked.sum())
+        self._recorder = Recorder(self._schedule.outputs, capacity, shared=isolation is not None)
+        self._isolation = isolation
+        self._compiled = self._compiled_loop() if compiled is not False and step_control is None else None
+        if step_control is not None:
+            check_can_save(filter(needs_rollback, system.slaves), "step control")
+            self._coupling_error(step_control)
+        self._feedback = self._extrapolated_feedback()
+        self._loops = feedback_signals(system, sampled=True)
+        self._terminating = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Terminates)]
+        self._delays: dict[float, tuple[SignalDelay, ...]] = {}
+
+    def run(self, tolerance: float | None = None, progress: Progress | None = None) -> Simulation:
+        """Co-simulate from start to stop; see `flexfmu.cosim.engine.master.master.simulate`.
+
+        Args:
+            tolerance: relative tolerance for the slaves' own integrators; None for their default.
+            progress: called now and then with the simulated fraction.
+        """
+        steps, values = self._grid.times.size - 1, self._recorder.values
+        if self._control is None and is_long(steps, values):
+            references = sum(len(slave.variables) for _, slave, _ in self._schedule.predicting)
+            warnings.warn(cost(steps, values, references, partial(self._trial, tolerance)), CostWarning, stacklevel=2)
+        self._recorder.rewind(0)
+        if self._isolation is None:
+            return self._result(self._attempt(tolerance, progress))
+        return self._result(self._supervised(self._isolation, tolerance, progress))
+
+    def _trial(self, tolerance: float | None, steps: int) -> Simulation:
+        """The first communication steps alone."""
+        first = Simulator(self._system, float(self._grid.times[steps]), self._step, **self._options)
+        return first._result(first._attempt(tolerance, None))
+
+    def _attempt(self, tolerance: float | None, progress: Progress | None) -> Ending:
+        """A run in this process."""
+        loop = SimulationLoop(self._schedule, self._grid, self._recorder, progress, self._compiled)
+        if self._control is not None:
+            loop.control_steps(self._control, self._coupling_error(self._control), self._step)
+        error = self._completed(loop, tolerance)
+        return Ending(error, loop.initialized, self._schedule.active_name, loop.reached)
+
+    def _supervised(self, isolation: Isolation, tolerance: float | None, progress: Progress | None) -> Ending:
+        """A run in a child process, which may crash, exit or hang."""
+        active, recorder, times = self._schedule.active, self._recorder, self._grid.times
+        active.value = 0
+
+        # in the child: run, and make the ending fit to travel back
+        def attempt() -> Ending:
+            recorder.populate()
+            ending = self._attempt(tolerance, None)
+            if (error := ending.error) is not None:
+                error = portable(error, SlaveError(ending.active, f"{type(error).__name__}: {error}"))
+            reports = [each.report() if isinstance(each, Reports) else {} for each in self._system.slaves]
+            return replace(ending, error=error, reports=reports, texts=TEXTS.known())
+
+        # in the parent, now and then: what has been recorded, and who is being called; a change shows that the child lives
+        def look() -> object:
+            count = recorder.catch_up()
+            if progress is not None and count:
+                progress(float((recorder.time[count - 1] - times[0]) / (times[-1] - times[0])))
+            return count, active.value
+
+        error: BaseException
+        try:
+            ending: Ending = in_child(attempt, look, isolation.call_limit)
+            look()
+            # what slaves have changed in themselves stayed in the child: take over their reports
+            TEXTS.learn(ending.texts)
+            for slave, report in zip(self._system.slaves, ending.reports, strict=True):
+                if isinstance(slave, Reports):
+                    slave.take_report(report)
+            return ending
+        except ChildLostError as lost:
+            error = SlaveError(self._schedule.active_name, str(lost))
+        except KeyboardInterrupt as interrupted:
+            error = interrupted
+        finally:
+            recorder.catch_up()
+        return Ending(error, recorder.count > 0, self._schedule.active_name, self._recorded_so_far())
+
+    def _recorded_so_far(self) -> Reached:
+        """How far a run came that has left nothing but its recording."""
+        time = self._recorder.time[: self._recorder.count]
+        start = float(self._grid.times[0])
+        return Reached(
+            float(time[-1]) if time.size else start, int((np.diff(time) > 0.0).sum()), 0, self._grid.largest_step
+        )
+
+    def _compiled_loop(self) -> CompiledLoop | None:
+        """The loop over the points in C, where the schedule allows it and there is a compiler."""
+        if not can_compile(self._schedule) or (library := load()) is None:
+            return None
+        return CompiledLoop(library, self._schedule, self._recorder, self._grid)
+
+    def _completed(self, loop: SimulationLoop, tolerance: float | None) -> BaseException | None:
+        """Run the loop and terminate all slaves; the first error, if any."""
+        try:
+            error = _failure(lambda: loop.go(tolerance))
+            if isinstance(error, SlaveEnded):
+                self._record_end(error)
+        finally:
+            active = self._schedule.active.value
+            for index, slave in self._terminating:
+                self._schedule.active.value = index
+                failure = _failure(slave.terminate)
+                if error is None and failure is not None:
+                    error, active = failure, index
+            self._schedule.active.value = active
+        return error
+
+    def _record_end(self, ended: SlaveEnded) -> None:
+        """Record what a slave has reached that ended the run within a step, if it is alone: others are at another time."""
+        recorded = self._recorder.time[: self._recorder.count]
+        if len(self._schedule.outputs) > 1 or ended.time is None or not recorded.size or ended.time <= recorded[-1]:
+            return
+        if _failure(lambda: self._schedule.outputs[0].read(float(recorded[-1]))) is None:
+            self._recorder.append(ended.time)
+
+    def _result(self, ending: Ending) -> Simulation:
+        """Recording, outcome and delays of a run that has ended."""
+        recording = _without_absent(self._recorder.recording(), self._system.slaves)
+        _warn(recording, self._system.slaves)
+        reached, error = ending.reached, ending.error
+        # how it ended, from the error
+        outcome = outcome_of(error, ending.initialized)
+        message = message_of(error, outcome, ending.active, reached.time)
+        # an unstable coupling is the cause of whatever came in the end
+        if outcome is not Outcome.INTERRUPTED:
+            finally_ = message if error is not None else ""
+            if (unstable := self._instability(recording)) is not None:
+                outcome, message = Outcome.COUPLING_UNSTABLE, blown_up(unstable, finally_)
+            elif (unstable := self._alternation(recording)) is not None:
+                outcome, message = (
+                    Outcome.COUPLING_UNSTABLE,
+                    overshot(unstable, self._fed_by(unstable.signal), finally_),
+                )
+        error = error if outcome.is_failure else None
+        kept, delays = self._selection.of(recording), self._delays_with(reached.largest_step)
+        return Simulation(kept, outcome, message, error, reached.steps, reached.rejected, delays)
+
+    def _coupling_error(self, control: StepDoubling) -> CouplingError:
+        """Judges steps; learns in a run, so that each needs its own."""
+        span = float(self._grid.times[-1] - self._grid.times[0])
+        return CouplingError(self._system, self._schedule.outputs, self._schedule.couplings, control, span)
+
+    def _extrapolated_feedback(self) -> tuple[str, ...]:
+        """Signals that slaves feed each other, where some of them are extrapolated and may blow up."""
+        feedback, couplings = feedback_signals(self._system), self._schedule.couplings
+        transports = {couplings[each.source, each.target].transport for each in feedback}
+        return self._source_names(feedback) if Transport.EXTRAPOLATED in transports else ()
+
+    def _source_names(self, connections: Sequence[Connection]) -> tuple[str, ...]:
+        """What is passed on by these connections, each once."""
+        return tuple(dict.fromkeys(self._system.source_name(each) for each in connections))
+
+    def _instability(self, recording: Recording) -> Instability | None:
+        """The feedback signal that blew up, if any."""
+        if not self._feedback:
+            return None
+        return find_instability(recording.time, ((name, recording[name].values) for name in self._feedback))
+
+    def _alternation(self, recording: Recording) -> Instability | None:
+        """The signal of a closed loop, sampled ones included, that overshot, if any."""
+        names = self._source_names(self._loops)
+        if not names:
+            return None
+        return find_alternation(recording.time, ((name, recording[name].values) for name in names))
+
+    def _fed_by(self, signal: str) -> list[str]:
+        """Names of the slaves that a signal goes to in a closed loop."""
+        fed = [each.target for each in self._loops if self._system.source_name(each) == signal]
+        return [self._system.slaves[i].name for i in dict.fromkeys(fed)]
+
+    def _delays_with(self, step: float) -> tuple[SignalDelay, ...]:
+        """How late signals arrive, with a largest communication step [s]."""
+        if step not in self._delays:
+            self._delays = {step: signal_delays(self._system, self._schedule.couplings, step)}
+        return self._delays[step]
+
+
+def _failure(action: Callable[[], None]) -> BaseException | None:
+    """What goes wrong in an action, if anything."""
+    try:
+        action()
+    except (Exception, KeyboardInterrupt, SystemExit) as failure:
+        return failure
+    return None
+
+
+def _without_absent(recording: Recording, slaves: Sequence[Slave]) -> Recording:
+    """The recording without derivatives that FMUs didn't give."""
+    changed = {}
+    for slave in slaves:
+        for output, order in slave.absent.items() if isinstance(slave, FmuSlave) else ():
+            if (column := recording.columns.get(name := f"{slave.name}.{output}")) is not None:
+                changed[name] = Column(column.unit, column.values, column.first if order > 1 else None, None)
+    return recording.with_columns(changed) if changed else recording
+
+
+def _warn(recording: Recording, slaves: Sequence[Slave]) -> None:
+    """Warn of what slaves do differently from what they state or were asked for."""
+    for slave in slaves:
+        remarks = list(slave.remarks) if isinstance(slave, Reports) else []
+        if isinstance(slave, FmuSlave):
+            remarks += slave.absence([name for name in slave.absent if f"{slave.name}.{name}" in recording.columns])
+        for remark in remarks:
+            warnings.warn(f"{slave.name}: {remark}", SlaveWarning, stacklevel=5)
+
+
+def _grid(system: System, start: float, stop: float, step: float, ticks: bool) -> TimeGrid:
+    """The communication points."""
+    clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
+    marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
+    return time_grid(start, stop, step / _parts(system, step), marks, clocks, ticks=ticks)
+
+
+def _parts(system: System, step: float) -> int:
+    """Into how many parts a communication step [s] is divided for slaves that limit it.
+
+    Raises:
+        InputError: there would be far too many.
+    """
+    parts = 1
+    for slave in system.slaves:
+        if isinstance(slave, LimitsStep):
+            wanted = step / slave.largest_step
+            if not wanted < MAXIMUM_RATIO:
+                raise InputError(
+                    f"{slave.name} needs steps of {slave.largest_step:g} s, {wanted:.3g} of them in a communication step of "
+                    f"{step:g} s; what is that fast hardly matters: leave it out, or take a smaller step"
+                )
+            parts = max(parts, ceil(wanted - COINCIDENT))
+    return parts
+
+
+def _check_regular_steps(system: System, grid: TimeGrid, step: float, varies: bool) -> None:
+    """Slaves that can't vary their step get none but equal ones.
+
+    Raises:
+        InputError: steps differ, or step control chooses them.
+    """
+    steps = np.diff(grid.times)
+    least, largest = float(steps.min()), float(steps.max())
+    if largest - least <= COINCIDENT * largest and not varies:
+        return
+    for slave in system.slaves:
+        if isinstance(slave, MayNeedRegularSteps) and slave.needs_regular_steps and not isinstance(slave, Sampled):
+            found = f"this run lands on breakpoints, sample instants and its end in steps of {least:.6g} s to {largest:.6g} s"
+            found = "step control chooses them as they come" if varies else found
+            raise InputError(
+                f"{slave.name} takes equal communication steps alone (canHandleVariableCommunicationStepSize = false), but "
+                f"{found}; give it a sample time of its own [s]: sample_time = {step:.6g} in its table, or "
+                f"fmu_slave(path, sample_time={step:.6g})"
+            )
+
+
+def _outputs(system: System) -> list[str]:
+    """All that can be recorded."""
+    return [
+        f"{slave.name}.{variable.name}"
+        for slave in system.slaves
+        for variable in slave.variables
+        if variable.causality == "output"
+    ]

@@ -1,0 +1,258 @@
+"""Wiring: slaves and connections by name, checked, and sorted by direct feedthrough."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import chain
+
+from flexfmu.cosim.engine.errors import AlgebraicLoopError, WiringError
+from flexfmu.cosim.engine.master.dependencies import (
+    Connection,
+    Graph,
+    Variable,
+    contracted,
+    cycle,
+    declared,
+    dependencies,
+    find_loops,
+    in_one_call,
+    restricted,
+    source_of,
+    target_of,
+    tear,
+    visiting_order,
+)
+from flexfmu.cosim.engine.master.iteration import LoopSolver
+from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap
+from flexfmu.cosim.engine.slave import TAKES, Causality, Sampled, Slave, can_save, feedthrough
+
+
+@dataclass(frozen=True)
+class AlgebraicLoop:
+    """Outputs that depend on each other at the same instant.
+
+    Attributes:
+        name: the signals on the way round.
+        slaves: slaves in the order in which they are visited on a round, each as often as needed.
+        unknowns: outputs (slave, index of the variable) that are assumed at the beginning of a round.
+        solver: how the loop is solved.
+    """
+
+    name: str
+    slaves: tuple[int, ...]
+    unknowns: tuple[tuple[int, int], ...]
+    solver: LoopSolver
+
+
+@dataclass(frozen=True)
+class System:
+    """Slaves wired together.
+
+    Attributes:
+        slaves: the slaves as given.
+        connections: the connections as given, resolved.
+        exchange_order: slaves in the order in which inputs are set and outputs read at one instant, so that every
+            output is up to date when it is passed on; a slave may appear more than once. Loops are solved in their turn.
+        step_order: slaves in the order in which they are advanced over a step, sources before targets where possible.
+        delayed: connections whose target is advanced before its source: over a step their input is extrapolated from
+            the beginning of the step, unless the step is iterated.
+    """
+
+    slaves: tuple[Slave, ...]
+    connections: tuple[Connection, ...]
+    exchange_order: tuple[int | AlgebraicLoop, ...]
+    step_order: tuple[int, ...]
+    delayed: tuple[Connection, ...]
+
+    @property
+    def visits(self) -> tuple[int, ...]:
+        """Slaves in the order in which they are visited at one instant, on the way round loops too."""
+        visits: list[int] = []
+        for each in self.exchange_order:
+            visits += each.slaves if isinstance(each, AlgebraicLoop) else [each]
+        return tuple(visits)
+
+    def source_name(self, connection: Connection) -> str:
+        """The output that the connection starts from, as ``plant.y``."""
+        return _full_name(self.slaves, source_of(self.slaves, connection))
+
+    def describe(self, connection: Connection) -> str:
+        """The connection as ``plant.y -> controller.u``."""
+        return f"{self.source_name(connection)} -> {_full_name(self.slaves, target_of(self.slaves, connection))}"
+
+
+Wire = tuple[str, str] | tuple[str, str, SignalMap]
+"""``slave.output``, the ``slave.input`` that it feeds, and a map on the way, which answers for the units."""
+
+
+def connect(slaves: Sequence[Slave], connections: Iterable[Wire], *, loops: LoopSolver | None = None) -> System:
+    """Wire slaves together.
+
+    Args:
+        slaves: slaves with different names.
+        connections: pairs (``slave.output``, ``slave.input``), in equal units and of types that suit each other (see
+            `TAKES`), or triples with a linear map or a table of whole numbers.
+        loops: how to solve algebraic loops, at every instant; None to refuse them.
+
+    Raises:
+        WiringError: a name is unknown or used twice, units or types differ, a direction is wrong, an input is connected twice,
+            or a sampled slave would have to be repeated to solve a loop but can't.
+        AlgebraicLoopError: outputs depend on each other at the same instant, and there is no solver; the message names
+            the loop.
+    """
+    _check_names(slaves)
+    resolved = tuple(_resolve(slaves, *each) for each in connections)
+    _check_single_sources(slaves, resolved)
+    exchange_order = _exchange_order(slaves, resolved, loops)
+    step_order = _step_order(slaves, resolved)
+    position = {slave: i for i, slave in enumerate(step_order)}
+    delayed = tuple(each for each in resolved if position[each.source] >= position[each.target])
+    return System(tuple(slaves), resolved, exchange_order, step_order, delayed)
+
+
+def _check_names(slaves: Sequence[Slave]) -> None:
+    """Names of slaves are unique and hold no dot."""
+    names = [slave.name for slave in slaves]
+    for name in names:
+        if names.count(name) > 1:
+            raise WiringError(f"two slaves are named {name!r}; give each its own name")
+        if not name or "." in name:
+            raise WiringError(f"{name!r} can't name a slave: take a name without a dot")
+
+
+def _resolve(slaves: Sequence[Slave], source: str, target: str, way: SignalMap | None = None) -> Connection:
+    """Look up both ends of a connection."""
+    from_slave, output = _find(slaves, source, "output")
+    to_slave, receiver = _find(slaves, target, "input")
+    ends = slaves[from_slave].variables[output], slaves[to_slave].variables[receiver]
+    if ends[0].type not in TAKES[ends[1].type]:
+        raise WiringError(
+            f"types differ: {source} is {ends[0].type}, {target} {ends[1].type}, which takes {' and '.join(TAKES[ends[1].type])}; "
+            f'put a conversion between, or declare the output of a Python slave SlaveVariable(.., type="{ends[1].type}")'
+        )
+    units = slaves[from_slave].variables[output].unit, slaves[to_slave].variables[receiver].unit
+    if way is None and all(units) and units[0] != units[1]:
+        raise WiringError(f"units differ: {source} is in {units[0]}, {target} in {units[1]}; put a conversion between")
+    return Connection(from_slave, output, to_slave, receiver, way or IDENTITY)
+
+
+def _find(slaves: Sequence[Slave], full_name: str, causality: Causality) -> tuple[int, int]:
+    """Index of the slave and of the variable that ``slave.variable`` names."""
+    slave_name, _, name = full_name.partition(".")
+    index = {slave.name: i for i, slave in enumerate(slaves)}.get(slave_name)
+    if index is None:
+        known = ", ".join(slave.name for slave in slaves)
+        raise WiringError(f"{full_name!r}: there is no slave {slave_name!r}; slaves: {known}")
+    variables = slaves[index].variables
+    for i, variable in enumerate(variables):
+        if variable.name == name and variable.causality == causality:
+            return index, i
+    if any(variable.name == name for variable in variables):
+        raise WiringError(f"{full_name!r} is no {causality}; a connection leads from an output to an input")
+    candidates = [variable.name for variable in variables if variable.causality == causality]
+    hint = get_close_matches(name, candidates, n=1, cutoff=0.0)
+    raise WiringError(
+        f"{full_name!r}: no such {causality}" + (f"; did you mean {slave_name}.{hint[0]}?" if hint else "")
+    )
+
+
+def _check_single_sources(slaves: Sequence[Slave], connections: Sequence[Connection]) -> None:
+    """An input has one source."""
+    seen: set[tuple[int, int]] = set()
+    for each in connections:
+        if (each.target, each.input) in seen:
+            slave = slaves[each.target]
+            raise WiringError(f"{slave.name}.{slave.variables[each.input].name} is connected twice; keep one source")
+        seen.add((each.target, each.input))
+
+
+def _exchange_order(
+    slaves: Sequence[Slave], connections: Sequence[Connection], solver: LoopSolver | None
+) -> tuple[int | AlgebraicLoop, ...]:
+    """Slaves by direct feedthrough between their variables, and loops between them."""
+    graph = dependencies(slaves, connections)
+    rings = find_loops(graph)
+    if rings and solver is None:
+        raise _refusal(slaves, cycle(declared(slaves, connections)))
+    found = [_loop(slaves, connections, restricted(graph, ring), solver) for ring in rings if solver is not None]
+    owner = {node: node[0] for node in {*graph, *chain.from_iterable(graph.values())}}
+    owner |= {node: len(slaves) + i for i, ring in enumerate(rings) for node in ring}
+    inputs = {target_of(slaves, each) for each in connections}
+    order = visiting_order(contracted(graph, rings), owner, inputs)
+    visits = [found[i - len(slaves)] if i >= len(slaves) else i for i in order]
+    return (*visits, *_late_visits(slaves, connections, order))
+
+
+def _late_visits(slaves: Sequence[Slave], connections: Sequence[Connection], order: Sequence[int]) -> list[int]:
+    """Further visits to slaves whose inputs come from one that samples, in one call, only after their turn.
+
+    Such a slave closes a loop of sampled slaves; those among them see it one sample later.
+    """
+    last = {slave: i for i, slave in enumerate(order)}
+    late = {
+        each.target
+        for each in connections
+        if in_one_call(slaves[each.source])
+        and not in_one_call(slaves[each.target])
+        and last.get(each.target, -1) < last.get(each.source, -1)
+    }
+    return sorted(late)
+
+
+def _loop(
+    slaves: Sequence[Slave], connections: Sequence[Connection], graph: Graph, solver: LoopSolver
+) -> AlgebraicLoop:
+    """The loop of the variables in the graph, torn and sorted."""
+    name = _chain(slaves, cycle(restricted(declared(slaves, connections), graph.keys())))
+    for i in sorted({slave for slave, _ in graph}):
+        if in_one_call(slaves[i]) and not can_save(slaves[i]):
+            remedy = "let it save and restore its state, or sample in two phases (output, update)"
+            raise WiringError(f"{slaves[i].name} can't be repeated to solve the algebraic loop {name}; {remedy}")
+    torn = tear(graph, {source_of(slaves, each) for each in connections})
+    inputs = {target_of(slaves, each) for each in connections}
+    order = visiting_order(restricted(graph, graph.keys(), torn), {node: node[0] for node in graph}, inputs)
+    index = [{variable.name: k for k, variable in enumerate(slave.variables)} for slave in slaves]
+    return AlgebraicLoop(name, order, tuple((slave, index[slave][variable]) for slave, variable in torn), solver)
+
+
+def _full_name(slaves: Sequence[Slave], variable: Variable) -> str:
+    """``slave.variable``."""
+    return f"{slaves[variable[0]].name}.{variable[1]}"
+
+
+def _chain(slaves: Sequence[Slave], variables: Sequence[Variable]) -> str:
+    """Signals on their way."""
+    return " -> ".join(_full_name(slaves, each) for each in variables)
+
+
+def _refusal(slaves: Sequence[Slave], ring: Sequence[Variable]) -> AlgebraicLoopError:
+    """The error that names the loop in the direction of the signals."""
+    remedy = (
+        "put a slave with a state or a sample time into it, declare what has no direct feedthrough, "
+        'or solve it by iteration: cosimulation.loop_solver = "anderson" in a scene, connect(.., loops=Anderson()) in Python'
+    )
+    return AlgebraicLoopError(f"algebraic loop: {_chain(slaves, ring)}; {remedy}")
+
+
+def _step_order(slaves: Sequence[Slave], connections: Sequence[Connection]) -> tuple[int, ...]:
+    """Sources before targets; a loop is opened where the fewest feedthrough inputs, then inputs, are late.
+
+    What is held between samples is never late.
+    """
+    remaining = list(range(len(slaves)))
+    order: list[int] = []
+    direct = {(i, name) for i, slave in enumerate(slaves) for names in feedthrough(slave).values() for name in names}
+    stepped = [each for each in connections if not isinstance(slaves[each.source], Sampled)]
+
+    def late(slave: int) -> tuple[int, int]:
+        """Inputs of the slave whose source would be advanced after it: with direct feedthrough, and all."""
+        inputs = [each for each in stepped if each.target == slave and each.source in remaining]
+        names = [slaves[slave].variables[each.input].name for each in inputs]
+        return sum((slave, name) in direct for name in names), len(inputs)
+
+    while remaining:
+        order.append(min(remaining, key=late))
+        remaining.remove(order[-1])
+    return tuple(order)

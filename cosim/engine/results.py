@@ -1,0 +1,210 @@
+"""Results of a co-simulation: signals over time, in memory and as the CSV file that fmpy reads."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+
+from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.files import write_whole
+from flexfmu.cosim.engine.slave import RealArray
+
+
+@dataclass(frozen=True)
+class Column:
+    """One recorded signal.
+
+    Attributes:
+        unit: unit of the values, for example ``N.m``; empty when unknown.
+        values: (N,) values at the recording's times.
+        first: (N,) first time derivatives [unit/s]; None when the slave doesn't give them.
+        second: (N,) second time derivatives [unit/s²]; None when the slave doesn't give them.
+        texts: what the values stand for as numbers of its items, in a signal of type String; None for numbers.
+    """
+
+    unit: str
+    values: RealArray
+    first: RealArray | None = None
+    second: RealArray | None = None
+    texts: Sequence[str] | None = None
+
+    def text_at(self, index: int) -> str:
+        """The text that a value stands for; empty for a number that stands for none.
+
+        Raises:
+            ResultsError: the signal is no String.
+        """
+        if self.texts is None:
+            raise ResultsError("the signal has numbers, no texts; take its `values`")
+        code = int(self.values[index])
+        return self.texts[code] if 0 <= code < len(self.texts) else ""
+
+    def shown(self) -> list[str]:
+        """(N) the values as they are written: the shortest numbers that read back exactly, or texts in quotes (RFC 4180)."""
+        if self.texts is None:
+            return [*map(repr, self.values.tolist())]
+        known = ['"' + text.replace('"', '""') + '"' for text in self.texts]
+        return [known[code] if 0 <= code < len(known) else '""' for code in self.values.astype(int).tolist()]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Signals over time. An instant at which signals jump appears twice: left limit first, then right limit.
+
+    Attributes:
+        time: (N,) instants [s], not decreasing.
+        columns: name of each signal → its values; every array has the length of ``time``.
+
+    Raises:
+        ResultsError: a column's length differs from that of ``time``.
+    """
+
+    time: RealArray
+    columns: Mapping[str, Column]
+
+    def __post_init__(self) -> None:
+        shape = self.time.shape
+        for name, column in self.columns.items():
+            for values in (column.values, column.first, column.second):
+                if values is not None and values.shape != shape:
+                    raise ResultsError(f"{name!r} has {values.size} values for {self.time.size} instants")
+
+    def __getitem__(self, name: str) -> Column:
+        """The column of that name; KeyError names the closest ones."""
+        try:
+            return self.columns[name]
+        except KeyError:
+            raise KeyError(f"no signal {name!r} was recorded; there are: {', '.join(self.columns)}") from None
+
+    def smooth_pieces(self) -> Iterator[slice]:
+        """Index ranges between jumps: within each, time increases strictly and the signals are continuous.
+
+        A piece has one instant only where two jumps meet (before the first motion, for example).
+        """
+        edges = np.flatnonzero(np.diff(self.time) == 0.0) + 1
+        for begin, end in zip((0, *edges), (*edges, self.time.size), strict=True):
+            yield slice(int(begin), int(end))
+
+    def with_columns(self, columns: Mapping[str, Column]) -> Recording:
+        """The same recording with further columns."""
+        return Recording(self.time, {**self.columns, **columns})
+
+    def only(self, keeps: Callable[[str], bool]) -> Recording:
+        """The same recording with those signals alone whose names are to be kept."""
+        return Recording(self.time, {name: column for name, column in self.columns.items() if keeps(name)})
+
+    def write_csv(self, path: str | os.PathLike[str]) -> Path:
+        """Write time and values (not the derivatives) as `fmpy.util.read_csv` reads them.
+
+        Names are quoted, ``time`` comes first, values are the shortest that read back exactly. fmpy splits the header
+        at every comma, so ``der(x,2)`` is written ``der(x;2)``. Texts are written as RFC 4180 has them, in quotes, with their
+        commas, quotes (doubled) and line breaks; fmpy reads numbers alone. The file appears whole or not at all.
+
+        `fmpy.util.plot_result` plots the columns in its argument ``names``, at most 17: without names it takes the first
+        19, and plotly refuses that many rows at fmpy's spacing (fmpy 0.3.32).
+
+        Raises:
+            ResultsError: the file can't be written, with the system's reason.
+        """
+        names = [_file_name(name) for name in ("time", *self.columns)]
+        table = [Column("s", self.time).shown(), *(column.shown() for column in self.columns.values())]
+        lines = [",".join(f'"{name}"' for name in names), *map(",".join, zip(*table, strict=True))]
+        return write_whole(Path(path), "\n".join(lines) + "\n")
+
+    @classmethod
+    def read_csv(cls, path: str | os.PathLike[str]) -> Recording:
+        """Read a file that `write_csv` or fmpy wrote; such a file holds neither units nor derivatives.
+
+        Raises:
+            ResultsError: there is no such file, or it holds no table of numbers.
+        """
+        try:
+            with open(path, encoding="utf-8", newline="") as file:
+                names = [name.strip().strip('"').replace(";", ",") for name in file.readline().split(",")]
+                body = file.read()
+            table, texts, known = _with_texts(body) if '"' in body else (_numbers(body), set(), [])
+        except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
+            raise ResultsError(f"can't read {os.fspath(path)}: {error}") from error
+        if names[0] != "time" or table.shape[1] != len(names):
+            raise ResultsError(f"{os.fspath(path)} is no table of signals: its first column must be named time")
+        columns = {
+            name: Column("", table[:, i], texts=known if i in texts else None) for i, name in enumerate(names) if i
+        }
+        return cls(table[:, 0], columns)
+
+
+def _numbers(body: str) -> RealArray:
+    """The table (N, n) of lines that hold numbers alone."""
+    return np.loadtxt(body.splitlines(), delimiter=",", ndmin=2)
+
+
+def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:
+    """The table (N, n) of lines with texts in quotes, numbered as they come; in which columns they are, and all of them."""
+    rows = [row for row in csv.reader(io.StringIO(body, newline=""), quoting=csv.QUOTE_NONNUMERIC) if row]
+    texts = {i for i, cell in enumerate(rows[0]) if isinstance(cell, str)}
+    codes: dict[str, int] = {}
+    table = [
+        [codes.setdefault(cell, len(codes)) if i in texts else float(cell) for i, cell in enumerate(row)]
+        for row in rows
+    ]
+    return np.array(table, dtype=np.float64), texts, [*codes]
+
+
+def _file_name(name: str) -> str:
+    """The name of a column in the file."""
+    if any(character in name for character in ';"\n'):
+        raise ResultsError(f"the signal name {name!r} has a semicolon, quote or line break; rename it")
+    return name.replace(",", ";")
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What is recorded.
+
+    Attributes:
+        names: signals to keep, named as in the recording; None for all.
+        order: highest time derivative to keep, 0 (values alone) to 2; metrics need 2, since they are taken from the
+            continuous solution between the communication points.
+
+    Raises:
+        InputError: the order is none of these.
+    """
+
+    names: Collection[str] | None = None
+    order: int = 2
+
+    def __post_init__(self) -> None:
+        if self.order not in (0, 1, 2):
+            raise InputError(f"derivatives are recorded up to order 0, 1 or 2, got {self.order!r}")
+        if isinstance(self.names, str):
+            raise InputError(f"the signals to record must be a list of names, got the single text {self.names!r}")
+
+    def keeps(self, name: str) -> bool:
+        """Whether a signal is kept."""
+        return self.names is None or name in self.names
+
+    def of(self, recording: Recording) -> Recording:
+        """What is kept of a recording."""
+        return recording if self.names is None else recording.only(self.keeps)
+
+    def check(self, known: Collection[str]) -> None:
+        """Look for all names among those that there are.
+
+        Raises:
+            InputError: there is no such signal.
+        """
+        for name in self.names or ():
+            if name not in known:
+                near = get_close_matches(name, known, n=1, cutoff=0.0)
+                hint = f"; did you mean {near[0]!r}?" if near else ""
+                raise InputError(f"there is no signal {name!r} to record{hint}")
+
+
+EVERYTHING = Selection()

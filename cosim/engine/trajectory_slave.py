@@ -1,0 +1,269 @@
+"""A trajectory as a slave: position, velocity and acceleration references with their derivatives for the coming step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from math import factorial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.hermite import hermite_derivatives
+from flexfmu.cosim.engine.slave import COINCIDENT, Indices, RealArray, SlaveVariable
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, tabulate
+from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.trajectory import Trajectory, limits
+
+HERMITE_ORDER = 9
+"""Degree of the polynomial through value and four derivatives at both ends of a step."""
+
+ACCELERATION = len(KINDS) - 1
+"""Derivatives of this order and higher come from the polynomials of the acceleration."""
+
+TABLE_TOLERANCE = 3e-14
+"""Error of positions, velocities and accelerations relative to the largest; rounding allows a third of it."""
+
+FEW = 8
+"""So few points are looked up in a table when they are asked for again and again."""
+
+MANY = 64
+"""So many looked-up points are kept."""
+
+REFERENCES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"))
+"""Which derivative of the trajectory each reference is, with what it appends to the unit."""
+
+
+class TrajectorySlave:
+    """Streams ``<axis>.reference.position``, ``.velocity`` and ``.acceleration`` of a trajectory.
+
+    Over a communication step each reference is a polynomial: of degree 9 through value and four derivatives at both
+    ends (order 9), or the Taylor polynomial with as many derivatives as the order says (orders 0 to 8), as a tool sends
+    that knows fewer. Everything is calculated before the run, for all communication points at once and on both sides
+    of every breakpoint.
+
+    Args:
+        trajectory: what to stream; its `evaluate` gives (order + 1, N, axes).
+        axes: names of the trajectory's components.
+        unit: unit of the positions.
+        order: degree of the polynomials, 0 to 9.
+        name: name of the slave.
+
+    Attributes:
+        trajectory: what is streamed.
+    """
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        axes: Sequence[str] = ("joint1", "joint2"),
+        unit: str = "rad",
+        order: int = HERMITE_ORDER,
+        name: str = "trajectory",
+    ) -> None:
+        if not 0 <= order <= HERMITE_ORDER:
+            raise InputError(f"the order of the reference polynomials must be 0 to {HERMITE_ORDER}, got {order}")
+        self.name = name
+        self.variables = tuple(
+            SlaveVariable(f"{axis}.reference.{kind}", "output", unit + per) for kind, per in REFERENCES for axis in axes
+        )
+        self.announced_order = order
+        self.max_output_order = max(order, END_ORDER)
+        self.ends_exactly = order == HERMITE_ORDER
+        self.trajectory = trajectory
+        self._times = self._polynomials = self._ends = self._now = np.empty(0)
+        self._next = 0
+        self._seen: dict[float, tuple[RealArray, RealArray]] = {}
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Breakpoints of the trajectory [s]."""
+        return tuple(self.trajectory.breakpoints)
+
+    @property
+    def feedthrough(self) -> dict[str, tuple[str, ...]]:
+        """No inputs, no feedthrough."""
+        return {variable.name: () for variable in self.variables}
+
+    @property
+    def announced(self) -> RealArray:
+        """(N, orders, variables): the polynomial of the step that begins at each prepared point."""
+        return self._polynomials
+
+    @property
+    def ended(self) -> RealArray:
+        """(N, orders, variables): the left limits at each prepared point."""
+        return self._ends
+
+    def prepare(self, times: RealArray) -> None:
+        """Calculate the polynomials of all steps, and begin with the left limits at the first point.
+
+        Points that are those of the run before need no calculation.
+        """
+        if not np.array_equal(times, self._times):
+            self._calculate(times)
+        self._begin()
+
+    def _calculate(self, times: RealArray) -> None:
+        """The polynomials of all steps between these points."""
+        near = COINCIDENT * float(np.diff(times).max())
+        if times.size <= FEW and self._times.size:
+            self._polynomials, self._ends = self._looked_up(times, near)
+        else:
+            self._polynomials, self._ends = self._limits(self.trajectory, times, near)
+        self._times = times
+        if self.ends_exactly:
+            self._polynomials = self._hermite_polynomials(self._polynomials)
+
+    def _looked_up(self, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
+        """Limits at a few points, for a master that chooses its steps on the way and asks for the same ones again and
+        again; the trajectory's series would take as long for one of them as for a thousand."""
+        new = [time for time in times.tolist() if time not in self._seen]
+        if new:
+            if len(self._seen) > MANY:
+                self._seen.clear()
+                new = times.tolist()
+            source = self._table if self.announced_order <= END_ORDER or self.ends_exactly else self.trajectory
+            if times.size == 2:
+                # step control asks for the middle of a step next
+                new.append(float(times[0] + 0.5 * (times[1] - times[0])))
+            self._seen |= zip(new, zip(*self._limits(source, np.array(new), near), strict=True), strict=True)
+        begins, ends = zip(*(self._seen[time] for time in times.tolist()), strict=True)
+        return np.array(begins), np.array(ends)
+
+    def _limits(self, source: Trajectory, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
+        """(N, orders, variables): right limits and left limits of all references with their derivatives."""
+        first, last = self._landings(times, near)
+        jumps = np.flatnonzero(np.isin(first, self.breakpoints))
+        left = np.arange(times.size + jumps.size) >= times.size
+        order = END_ORDER if self.ends_exactly else self.max_output_order
+        both = _references(source, np.concatenate([last, first[jumps]]), left, order)
+        begins, ends = both[: times.size], both[: times.size, : END_ORDER + 1].copy()
+        ends[jumps] = both[times.size :, : END_ORDER + 1]
+        return begins, ends
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        """Begin with the left limits at the start."""
+        self._begin()
+
+    def announce(self, time: float) -> None:
+        """Change over to the polynomial of the step that begins at ``time``."""
+        if self._times[self._next] != time:
+            raise InputError(f"{self.name}: {time} s is not the communication point {self._times[self._next]} s")
+        self._now = self._polynomials[self._next]
+
+    def step(self, time: float, step: float) -> None:
+        """Go on to the left limits at the end of the step."""
+        self._next += 1
+        self._now = self._ends[self._next]
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        """There are no inputs."""
+        raise InputError(f"{self.name} has no inputs")
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        """Current references."""
+        self._now[0].take(indices, None, values, "clip")
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        """Derivatives of the current references."""
+        self._now[1 : derivatives.shape[0] + 1].take(indices, 1, derivatives, "clip")
+
+    def _begin(self) -> None:
+        """Go to the left limits at the first communication point."""
+        self._next = 0
+        self._now = self._ends[0]
+
+    def _landings(self, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
+        """Times at which left and right limits are taken: where breakpoints share a communication point, left of the
+        first and right of the last, exactly."""
+        points = np.array(self.breakpoints)
+        begin, end = points.searchsorted(times - near), points.searchsorted(times + near, "right")
+        first, last, lands = times.copy(), times.copy(), begin < end
+        first[lands], last[lands] = points[begin[lands]], points[end[lands] - 1]
+        return first, last
+
+    @cached_property
+    def _table(self) -> Trajectory:
+        """The trajectory by look-up, where it can be tabulated."""
+        try:
+            return TabulatedTrajectory(self.trajectory)
+        except ModelError:
+            return self.trajectory
+
+    def _hermite_polynomials(self, begins: RealArray) -> RealArray:
+        """(N, 10, variables): polynomial of the step that begins at each point; after the last, the Taylor polynomial."""
+        polynomials = np.zeros((self._times.size, HERMITE_ORDER + 1, len(self.variables)))
+        polynomials[-1, : END_ORDER + 1] = begins[-1]
+        left, right = begins[:-1].swapaxes(0, 1), self._ends[1:].swapaxes(0, 1)
+        polynomials[:-1] = hermite_derivatives(left, right, np.diff(self._times)[:, None]).swapaxes(0, 1)
+        return polynomials
+
+
+def _references(trajectory: Trajectory, times: RealArray, left: NDArray[np.bool_], order: int) -> RealArray:
+    """(N, order + 1, variables): one-sided limits of all references with their derivatives."""
+    jets = limits(trajectory, times, left, order + 2)
+    stacked = np.concatenate([jets[kind : kind + order + 1] for kind in range(len(REFERENCES))], axis=2)
+    return np.ascontiguousarray(stacked.swapaxes(0, 1))
+
+
+class TabulatedTrajectory:
+    """Polynomials of degree 9 between knots, as in a trajectory's FMU, for position, velocity and acceleration.
+
+    Higher derivatives are those of the acceleration's polynomials, which over a step give the same values.
+
+    Args:
+        trajectory: what to tabulate.
+
+    Attributes:
+        breakpoints: those of the trajectory [s].
+        duration: duration of the motion [s].
+
+    Raises:
+        ModelError: no table reproduces the trajectory.
+    """
+
+    highest_order = ACCELERATION + END_ORDER
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        table = tabulate(trajectory, TABLE_TOLERANCE)
+        self.breakpoints = tuple(trajectory.breakpoints)
+        self.duration = trajectory.duration
+        begins = np.flatnonzero(np.diff(table.times) > 0.0)
+        self._begins, widths = table.times[begins], np.diff(table.times)[begins]
+        jets = table.jets.swapaxes(0, 1)
+        self._polynomials = [
+            hermite_derivatives(
+                jets[k : k + END_ORDER + 1, begins], jets[k : k + END_ORDER + 1, begins + 1], widths[:, None]
+            )
+            for k in range(len(KINDS))
+        ]
+        self._rest = jets[0, [0, -1]]
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
+        """Value and time derivatives, shape (order + 1, N, axes); see `flexfmu.trajectories.Trajectory.evaluate`.
+
+        Raises:
+            InputError: the order is above 6.
+        """
+        if not 0 <= order <= self.highest_order:
+            raise InputError(f"a tabulated trajectory has derivatives of orders 0 to {self.highest_order}, got {order}")
+        times = np.atleast_1d(np.asarray(time, dtype=np.float64))
+        first, last = self.breakpoints[0], self.breakpoints[-1]
+        early, late = (times < first, times >= last) if side == "right" else (times <= first, times > last)
+        piece = np.maximum(np.searchsorted(self._begins, times, side) - 1, 0)
+        elapsed = np.minimum(times, last) - self._begins[piece]
+        # the polynomials at these points, and the powers of the time that all derivatives share
+        here = [each[:, piece] for each in self._polynomials[: order + 1]]
+        powers = np.array([elapsed**j / factorial(j) for j in range(len(here[0]))])
+        jets = np.empty((order + 1, *here[0].shape[1:]))
+        for k in range(order + 1):
+            kind = min(k, ACCELERATION)
+            terms = here[kind][k - kind :]
+            np.einsum("jn,jna->na", powers[: len(terms)], terms, out=jets[k])
+        for still, position in zip((early, late), self._rest, strict=True):
+            jets[:, still] = 0.0
+            jets[0, still] = position
+        return jets

@@ -1,0 +1,1 @@
+"""SSP files: read, run and written."""

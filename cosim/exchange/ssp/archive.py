@@ -1,0 +1,139 @@
+"""The zip archive of an SSP: files are taken from it by their relative paths, and nothing gets out of its folder."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import lzma
+import tempfile
+import zipfile
+import zlib
+from functools import cache
+from io import BytesIO
+from pathlib import Path, PurePosixPath
+from urllib.parse import unquote, urlsplit
+
+from flexfmu.cosim.exchange.ssp.structure import SspError
+
+DESCRIPTION = "SystemStructure.ssd"
+"""The system that a package stands for."""
+
+LARGEST_XML = 64_000_000
+"""Bytes of an XML file, unpacked: a thousand times what an SSD of a thousand connections needs."""
+
+LARGEST_FMU = 4_000_000_000
+"""Bytes of an FMU within the archive."""
+
+DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, EOFError, OSError, ValueError)
+"""What Python's zip reader raises at an entry that is damaged, encrypted or packed by an unknown method."""
+
+
+class SspArchive:
+    """An SSP file.
+
+    Args:
+        path: the file.
+        description: path within it of the system that is meant; a package may hold variants of its default.
+
+    Attributes:
+        description: see above.
+        variants: other systems beside it.
+
+    Raises:
+        SspError: it is missing, no zip archive, or doesn't hold that system.
+    """
+
+    def __init__(self, path: Path, description: str = DESCRIPTION) -> None:
+        self.path, self.description = path, description
+        try:
+            self._content = path.read_bytes()
+            self._archive = zipfile.ZipFile(BytesIO(self._content))
+        except OSError as error:
+            raise SspError(f"can't read {path}: {error.strerror}; check the path") from error
+        except (zipfile.BadZipFile, NotImplementedError):
+            raise SspError(f"{path} is no SSP: not a zip file; check the path or export it again") from None
+        self._entries = {entry.filename: entry for entry in self._archive.infolist()}
+        self.variants = sorted({each for each in self._entries if each.endswith(".ssd")} - {description})
+        if description not in self._entries:
+            remedy = f"take another: --ssd {self.variants[0]}" if self.variants else "export it again"
+            raise SspError(f"{path} is no SSP: it holds no {description}; {remedy}")
+
+    def label(self, file: str) -> str:
+        """A file within the archive, for errors."""
+        return f"{self.path.name}, {file}"
+
+    def read(self, file: str, where: str = "", largest: int = LARGEST_XML) -> bytes:
+        """Content of a file.
+
+        Args:
+            file: its path within the archive.
+            where: who asks, for errors.
+            largest: more bytes than these are refused.
+
+        Raises:
+            SspError: there is no such file, it is damaged or too large.
+        """
+        prefix = f"{where} names {file!r}, which" if where else self.label(file)
+        if file not in self._entries:
+            known = ", ".join(sorted(name for name in self._entries if not name.endswith("/")))
+            raise SspError(f"{prefix} isn't in {self.path.name}; it holds: {known}")
+        if self._entries[file].file_size > largest:
+            raise SspError(f"{prefix} is {self._entries[file].file_size} bytes large; at most {largest} are read")
+        try:
+            with self._archive.open(file) as stream:
+                return stream.read(largest)
+        except DAMAGED as error:
+            raise SspError(f"{prefix} can't be unpacked: {error}; export it again") from None
+
+    def resolve(self, source: str, where: str) -> str:
+        """Path within the archive of what a source attribute names.
+
+        Args:
+            source: a URI relative to the system's description.
+            where: who names it, for errors.
+
+        Raises:
+            SspError: it is no relative path, or leads out of the archive.
+        """
+        uri = urlsplit(source)
+        if uri.scheme or uri.netloc or uri.query or uri.fragment or not uri.path:
+            raise SspError(
+                f"{where} has source={source!r}; only files within the archive, resources/plant.fmu for example"
+            )
+        parts: list[str] = list(PurePosixPath(self.description).parent.parts)
+        for part in unquote(uri.path).split("/"):
+            if part == ".." and parts:
+                parts.pop()
+            elif part == "..":
+                raise SspError(f"{where} has source={source!r}, which leads out of the archive; put the file inside")
+            elif part not in ("", "."):
+                parts.append(part)
+        if uri.path.startswith("/") or any("\\" in part or "\0" in part for part in parts):
+            raise SspError(f"{where} has source={source!r}; take a path relative to {self.description}, with slashes")
+        return "/".join(parts)
+
+    def extract(self, file: str, where: str) -> Path:
+        """A copy of a file on disk, under a name of our own; gone when the process ends.
+
+        Raises:
+            SspError: as for `read`.
+        """
+        content = self.read(file, where, LARGEST_FMU)
+        path = _folder() / hashlib.sha256(content).hexdigest()[:16] / f"{_safe(PurePosixPath(file).stem)}.fmu"
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        return path
+
+
+def _safe(name: str) -> str:
+    """The name with letters, digits and underscores alone."""
+    return "".join(c if c.isalnum() else "_" for c in name)[:80] or "fmu"
+
+
+@cache
+def _folder() -> Path:
+    """Folder of all FMUs that this process has taken from archives, removed at its end."""
+    folder = tempfile.TemporaryDirectory(prefix="flexfmu-ssp-", ignore_cleanup_errors=True)
+    atexit.register(folder.cleanup)
+    return Path(folder.name)

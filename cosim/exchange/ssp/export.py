@@ -1,0 +1,200 @@
+"""A scene as one SSP file: all of its slaves as FMUs, their connections, parameters and default experiment."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flexfmu.cosim.engine.fmu.capabilities import fixed_step
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.variables import Value, typed
+from flexfmu.cosim.exchange.slave_export import ExportedSlave, ExportedSystem, Progress, export_slaves
+from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
+from flexfmu.cosim.exchange.ssp.structure import (
+    Binding,
+    Component,
+    Connection,
+    Connector,
+    Parameter,
+    ParameterSet,
+    Structure,
+    Unit,
+)
+from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, component_fmu, variable_unit
+from flexfmu.cosim.exchange.ssp.writing import ssd_xml, ssv_xml
+from flexfmu.cosim.experiment.parameters import scene_with_parameters
+from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.fmu_build.archive import pack, write_atomically
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.experiment.loop import Loop
+    from flexfmu.model.scene.schema import Scene
+
+TOOL = f"flexfmu {version('flexfmu')}"
+
+PARAMETERS = "resources/parameters.ssv"
+"""Values of all parameters of the FMUs, with hierarchical names such as ``plant.payload.mass``."""
+
+
+def export_ssp(
+    scene: Scene,
+    path: str | PathLike[str],
+    *,
+    loop: Loop | None = None,
+    platforms: Iterable[str] | None = None,
+    cache: bool = True,
+    progress: Progress = lambda text, fraction: None,
+) -> Path:
+    """Write a scene as an SSP 1.0 file: planned motion, robot, controllers, shapers and imperfections as FMUs in
+    ``resources/``, wired as `flexfmu.cosim.experiment.prepared_scene.run_scene` wires them. The same scene gives the same bytes.
+
+    Importers that exchange plain values at the communication points, as most do, agree with `run_scene` to first order in
+    the step; `flexfmu.cosim.exchange.ssp.loading.load_ssp` streams derivatives and agrees to the accuracy of the trajectory's FMU.
+
+    Args:
+        scene: the scene.
+        path: the file.
+        loop: what stands between motion and robot, instead of the scene's own sections.
+        platforms: platforms of the FMUs' binaries; this machine's when None.
+        cache: whether FMUs are taken from the cache.
+        progress: is told what is being built.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: a slave can't leave as an FMU, since it is a Python class of the user's own, or slaves can't be wired.
+        TrajectoryError: the motion is not feasible, or can't be shaped.
+        BuildError: an FMU can't be built, or the file can't be written.
+    """
+    target = Path(path)
+    loop = loop_of(scene) if loop is None else loop
+    robot = _robot(scene, loop)
+    with tempfile.TemporaryDirectory(prefix="flexfmu-") as folder:
+        system = export_slaves(robot, Path(folder), loop=loop, platforms=platforms, cache=cache, progress=progress)
+        files = {_source(slave): slave.path.read_bytes() for slave in system.slaves}
+        structure = describe(scene.name, system)
+    for binding in structure.bindings:
+        files[PARAMETERS] = ssv_xml(binding.values, TOOL)
+    write_atomically(target, pack({**files, DESCRIPTION: ssd_xml(structure, TOOL)}))
+    return target
+
+
+def _robot(scene: Scene, loop: Loop) -> Scene:
+    """The scene with the parameters that the robot has, for importers that ignore parameter sets.
+
+    Torques that hold the start pose come from the scene's own parameters, so that it stays as it is where they act.
+    """
+    holds = scene.cosimulation.drive == "torque" and not loop.controllers
+    return scene if holds else scene_with_parameters(scene, loop.parameters)
+
+
+def describe(name: str, system: ExportedSystem) -> Structure:
+    """The structure of exported slaves.
+
+    Args:
+        name: name of the system.
+        system: the slaves and their connections.
+    """
+    fmus = {slave.name: _fmu(slave, system.connections) for slave in system.slaves}
+    parameters = [each for slave in system.slaves for each in _parameters(slave, fmus[slave.name])]
+    connectors = [each for fmu in fmus.values() for each in fmu.component.connectors]
+    values = ParameterSet(f"{name} parameters", tuple(parameters), _units((each.unit for each in parameters), fmus))
+    defaults = [fmu.fmu.description.defaultExperiment for fmu in fmus.values()]
+    return Structure(
+        name=_identifier(name),
+        components=tuple(fmu.component for fmu in fmus.values()),
+        connections=tuple(Connection(_ends(source), _ends(target)) for source, target in system.connections),
+        bindings=(Binding(values, source=PARAMETERS),) if parameters else (),
+        units=_units((each.unit for each in connectors), fmus),
+        start=0.0,
+        stop=system.stop_time,
+        step=system.step,
+        tolerance=min(
+            (float(each.tolerance) for each in defaults if each is not None and each.tolerance), default=None
+        ),
+        description=f"Scene {name}: a flexible five-bar robot with its motion and what stands between them.",
+    )
+
+
+def _identifier(name: str) -> str:
+    """The name with letters, digits and underscores alone, which OMSimulator needs."""
+    found = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return f"_{found}" if found[:1].isdigit() else found
+
+
+def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> ComponentFmu:
+    """The slave's component: all of its outputs, and those inputs that are fed."""
+    fed = {_ends(target) for _, target in connections}
+    fmu = open_fmu(slave.path)
+    bare = component_fmu(Component(slave.name, _source(slave), ()), fmu)
+    shown = [
+        _connector(each, bare)
+        for each in bare.variables.values()
+        if each.causality == "output" or (slave.name, each.name) in fed
+    ]
+    facts = slave.facts
+    times = None if facts.sample_time is None else (facts.sample_time, facts.offset or 0.0)
+    stated = fmu.sampling is not None or (fixed_step(fmu), 0.0) == times
+    component = Component(
+        slave.name,
+        _source(slave),
+        tuple(shown),
+        description=facts.description,
+        sampling=None if stated else times,
+    )
+    return ComponentFmu(component, bare.fmu, bare.variables, bare.units)
+
+
+def _connector(variable: Any, fmu: ComponentFmu) -> Connector:
+    """The connector of a variable."""
+    return Connector(variable.name, variable.causality, variable.type, _unit_name(fmu, variable.name))
+
+
+def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[Parameter]:
+    """Values of the slave's real parameters, and of all else that differs from the FMU's start."""
+    started = {
+        name: float(each.start)
+        for name, each in fmu.variables.items()
+        if each.causality == "parameter" and each.type == "Real" and each.start is not None
+    }
+    values: Mapping[str, Value] = {**started, **slave.parameters}
+    return [_parameter(slave.name, name, value, fmu) for name, value in values.items()]
+
+
+def _parameter(slave: str, name: str, value: Value, fmu: ComponentFmu) -> Parameter:
+    """One value with its hierarchical name."""
+    variable = fmu.variables[name]
+    if variable.type == "Real":
+        value = float(value)
+    elif variable.type == "Integer":
+        value = typed(variable, value)
+    return Parameter(f"{slave}.{name}", variable.type, value, _unit_name(fmu, name))
+
+
+def _unit_name(fmu: ComponentFmu, name: str) -> str | None:
+    """Name of a variable's unit, None where the FMU doesn't define one."""
+    unit = variable_unit(fmu, name)
+    return unit.name if isinstance(unit, Unit) else None
+
+
+def _units(names: Iterable[str | None], fmus: Mapping[str, ComponentFmu]) -> tuple[Unit, ...]:
+    """Definitions of the units, sorted."""
+    known = {name: unit for fmu in fmus.values() for name, unit in fmu.units.items()}
+    return tuple(known[name] for name in sorted({name for name in names if name is not None}))
+
+
+def _source(slave: ExportedSlave) -> str:
+    """Path of the slave's FMU within the archive."""
+    return f"resources/{slave.name}.fmu"
+
+
+def _ends(full_name: str) -> tuple[str, str]:
+    """Names of slave and variable."""
+    slave, _, variable = full_name.partition(".")
+    return slave, variable

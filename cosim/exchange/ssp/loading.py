@@ -1,0 +1,314 @@
+"""A system from an SSP file, ready to be simulated."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from flexfmu.cosim.engine.child_process import CALL_LIMIT
+from flexfmu.cosim.engine.errors import FmuFileError, InputError
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
+from flexfmu.cosim.engine.fmu.trajectory import FmuTrajectory
+from flexfmu.cosim.engine.fmu.variables import Value
+from flexfmu.cosim.engine.master.algorithms import Algorithm
+from flexfmu.cosim.engine.master.isolation import isolation
+from flexfmu.cosim.engine.master.iteration import Anderson, LoopSolver
+from flexfmu.cosim.engine.master.linear_map import LinearMap, TableMap
+from flexfmu.cosim.engine.master.master import Progress, Simulation, simulate
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import System, connect
+from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.engine.slave import RealArray, Slave
+from flexfmu.cosim.engine.trajectory_slave import REFERENCES, TrajectorySlave
+from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
+from flexfmu.cosim.exchange.ssp.parameters import start_values
+from flexfmu.cosim.exchange.ssp.reading import read_structure
+from flexfmu.cosim.exchange.ssp.structure import Component, SspError, Structure, levels
+from flexfmu.cosim.exchange.ssp.structure import System as NestedSystem
+from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, check_connectors, component_fmu
+from flexfmu.cosim.exchange.ssp.wiring import Network, Origin, shown, wires
+
+
+@dataclass(frozen=True)
+class SspSystem:
+    """A system that an SSP file describes.
+
+    Attributes:
+        structure: what the file says.
+        system: slaves and connections.
+        start, stop: [s].
+        step: communication step [s].
+        tolerance: relative tolerance that FMUs are told; None for their own.
+        ignored: parameters in the file that fit no variable.
+        names: full name of a component → name of its slave, which holds no dot.
+        shown: full names of systems' connectors → the outputs that they show.
+        remarks: what was passed over, for the user.
+    """
+
+    structure: Structure
+    system: System
+    start: float
+    stop: float
+    step: float
+    ignored: tuple[str, ...]
+    names: Mapping[str, str]
+    shown: Mapping[str, Origin]
+    tolerance: float | None = None
+    remarks: tuple[str, ...] = ()
+
+    def simulate(
+        self,
+        *,
+        tolerance: float | None = None,
+        progress: Progress | None = None,
+        algorithm: Algorithm | None = None,
+        step_control: StepDoubling | None = None,
+        isolate: bool | None = None,
+        call_limit: float = CALL_LIMIT,
+    ) -> Simulation:
+        """Run it with `flexfmu.cosim.engine.master.master.simulate`; without a tolerance the FMUs use the file's, else their own. Results have the
+        file's names: ``inner.first.x`` for a component within a system, ``inner.y`` for a system's connector.
+
+        Args:
+            tolerance, progress, algorithm, step_control: see there.
+            isolate: whether to simulate in a child process; where other tools' FMUs take part when None.
+            call_limit: how long an FMU may stay in one call there [s].
+
+        Raises:
+            InputError: the times make no sense, or a slave would have to go back to an earlier state but can't.
+        """
+        simulation = simulate(
+            self.system,
+            self.stop,
+            self.step,
+            start=self.start,
+            tolerance=self.tolerance if tolerance is None else tolerance,
+            progress=progress,
+            algorithm=algorithm,
+            step_control=step_control,
+            isolation=isolation(isolate, self.system.slaves, call_limit, theirs=False),
+        )
+        return replace(simulation, recording=self._renamed(simulation.recording))
+
+    def _renamed(self, recording: Recording) -> Recording:
+        """Signals under the file's names, and those of systems' connectors."""
+        owners = {slave: name for name, slave in self.names.items()}
+        parts = {name: name.split(".", 1) for name in recording.columns}
+        columns = {f"{owners[slave]}.{name}": recording.columns[full] for full, (slave, name) in parts.items()}
+        for name, origin in self.shown.items():
+            source = columns.get(".".join(origin.node))
+            if source is not None:
+                columns.setdefault(name, _mapped(source, origin))
+        return Recording(recording.time, columns)
+
+
+def load_ssp(
+    path: str | PathLike[str],
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+    step: float | None = None,
+    loops: LoopSolver | None = None,
+    ssd: str = DESCRIPTION,
+    output_order: int | None = None,
+) -> SspSystem:
+    """Read an SSP file of SSP 1.0, or one of SSP 2.0 that has no more, whose components are FMUs for co-simulation.
+
+    Systems within systems are flattened. FMUs that this package made run as in the scene they come from: trajectories are streamed with all derivatives, blocks
+    are sampled at their own instants. Others are sampled where the file has an annotation with their sample time, or where
+    they can't vary their step and their default experiment has a step size; else they are stepped. Units are converted, linear transformations and parameter sets
+    applied at all levels. What the system's own input connectors feed stays at the value that a parameter set gives these, else
+    at its start value.
+
+    Args:
+        path: the file.
+        start, stop: [s]; by default what the file says, else 0 and the latest stop time that an FMU names.
+        step: communication step [s]; by default what the file says, else the smallest that an FMU names.
+        loops: how algebraic loops are solved; `Anderson` when None.
+        ssd: path within the file of the system that is meant, where it isn't the default.
+        output_order: highest derivative of outputs that FMUs are asked for, 0 for none; None for all that they give.
+
+    Raises:
+        SspError: the file is missing, broken, contradicts itself or its FMUs, or needs what this program doesn't do:
+            signal dictionaries, packages in packages, tables that are no lines on the way of a Real, calculated parameters
+            that are connected.
+        FmuFileError: an FMU is broken, of another kind, or has no binary for this platform.
+        InputError: a value is out of range, or the slaves can't be wired.
+    """
+    archive = SspArchive(Path(path), ssd)
+    structure = read_structure(archive)
+    fmus = _fmus(structure, archive)
+    remarks = _remarks(structure, fmus)
+    network = Network(structure, fmus)
+    starts = start_values(structure, fmus, network)
+    names = _names(fmus)
+    slaves = [_slave(fmu, names[name], starts.values[name], output_order) for name, fmu in fmus.items()]
+    system = connect(slaves, wires(network, fmus, names), loops=Anderson() if loops is None else loops)
+    defaults = [fmu.fmu.description.defaultExperiment for fmu in fmus.values()]
+    stops = [float(each.stopTime) for each in defaults if each is not None and each.stopTime]
+    steps = [float(each.stepSize) for each in defaults if each is not None and each.stepSize]
+    return SspSystem(
+        structure,
+        system,
+        _first(start, structure.start, 0.0),
+        _known("stop", archive, stop, structure.stop, max(stops, default=None)),
+        _known("step", archive, step, structure.step, min(steps, default=None)),
+        starts.ignored,
+        names,
+        shown(structure, network),
+        structure.tolerance,
+        tuple(dict.fromkeys([*_variants(archive), *remarks, *network.remarks])),
+    )
+
+
+def _fmus(structure: Structure, archive: SspArchive) -> dict[str, ComponentFmu]:
+    """Full name of a component → its FMU.
+
+    Raises:
+        SspError: there is none, or two elements share a name.
+        FmuFileError: an FMU can't be run.
+    """
+    fmus: dict[str, ComponentFmu] = {}
+    names: list[str] = []
+    for prefix, level in levels(structure):
+        elements: list[Component | NestedSystem] = [*level.systems, *level.components]
+        for element in elements:
+            if prefix + element.name in names:
+                raise SspError(f"{element.where}: another element has the same name; rename one")
+            names.append(prefix + element.name)
+        for component in level.components:
+            path = archive.extract(component.source, component.where)
+            with _named(component):
+                fmus[prefix + component.name] = component_fmu(component, open_fmu(path))
+    if not fmus:
+        raise SspError(f"{archive.path}: system {structure.name!r} has no components; there is nothing to run")
+    return fmus
+
+
+@contextmanager
+def _named(component: Component) -> Iterator[None]:
+    """Errors name the component and its FMU within the file.
+
+    Raises:
+        FmuFileError: again.
+        SspError: for a value that doesn't suit.
+    """
+    try:
+        yield
+    except FmuFileError as error:
+        reason = re.sub(r"^\S*/flexfmu-ssp-\S+\.fmu", component.source, str(error))
+        raise FmuFileError(f"{component.where}: {reason}") from error
+    except InputError as error:
+        raise SspError(f"{component.where}: {error}") from error
+
+
+def _remarks(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> list[str]:
+    """What of the components was passed over.
+
+    Raises:
+        SspError: a connector that is connected contradicts its FMU.
+    """
+    remarks = []
+    connected = {
+        (prefix + (element or ""), name)
+        for prefix, level in levels(structure)
+        for each in level.connections
+        for element, name in (each.start, each.end)
+    }
+    for name, fmu in fmus.items():
+        used = [each.name for each in fmu.component.connectors if (name, each.name) in connected]
+        remarks += check_connectors(fmu, used, structure.units)
+        if fmu.component.implementation == "ModelExchange":
+            remarks.append(f"{fmu.component.where} is for model exchange; its FMU's co-simulation was taken")
+    return remarks
+
+
+def _variants(archive: SspArchive) -> list[str]:
+    """Other systems in the file."""
+    others = ", ".join(each for each in archive.variants)
+    return [f"took {archive.description}; the file also holds {others} (--ssd)"] if others else []
+
+
+def _names(fmus: Mapping[str, ComponentFmu]) -> Mapping[str, str]:
+    """Full name of a component → name of its slave, which holds no dot."""
+    names: dict[str, str] = {}
+    for full in fmus:
+        name = full.replace(".", "_")
+        while name in names.values():
+            name += "_"
+        names[full] = name
+    return names
+
+
+def _mapped(column: Column, origin: Origin) -> Column:
+    """A signal as the connector at the end of its way shows it."""
+    unit = origin.unit if isinstance(origin.unit, str) else origin.unit.name
+    if isinstance(origin.way, TableMap):
+        return Column(unit, _looked_up(origin.way, column.values))
+    linear, slope = origin.way, LinearMap(origin.way.factor)
+    first, second = (None if each is None else _along(slope, each) for each in (column.first, column.second))
+    return Column(unit, _along(linear, column.values), first, second, column.texts)
+
+
+def _looked_up(table: TableMap, values: RealArray) -> RealArray:
+    """All values as a table has them, not a number where it has nothing."""
+    found: dict[float, float] = {}
+    for value in set(values.tolist()):
+        with suppress(InputError):
+            found[value] = table(value)
+    return np.array([found.get(value, np.nan) for value in values.tolist()])
+
+
+def _along(linear: LinearMap, values: RealArray) -> RealArray:
+    """All values, mapped."""
+    return linear.factor * values + linear.offset
+
+
+def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value], output_order: int | None) -> Slave:
+    """The slave that suits an FMU."""
+    if fmu.fmu.breakpoints and not parameters:
+        return _trajectory(fmu, name)
+    sample_time, offset = fmu.component.sampling or (None, 0.0)
+    path = fmu.fmu.path
+    with _named(fmu.component):
+        return fmu_slave(path, name, parameters, sample_time=sample_time, offset=offset, output_order=output_order)
+
+
+def _trajectory(fmu: ComponentFmu, name: str) -> Slave:
+    """An exported trajectory, streamed as the motion itself is."""
+    suffix = f".reference.{REFERENCES[0][0]}"
+    outputs = [each for each in fmu.variables.values() if each.causality == "output"]
+    positions = [each for each in outputs if each.name.endswith(suffix)]
+    axes = [each.name.removesuffix(suffix) for each in positions]
+    return TrajectorySlave(FmuTrajectory(fmu.fmu.path), axes, positions[0].unit or "", name=name)
+
+
+def _first(*values: float | None) -> float:
+    """The first that is known."""
+    return next(value for value in values if value is not None)
+
+
+_OPTIONS = {"stop": "--stop-time", "step": "--step"}
+"""What the file may leave open → the command's option for it."""
+
+
+def _known(what: str, archive: SspArchive, *values: float | None) -> float:
+    """The first that is known.
+
+    Raises:
+        SspError: none is.
+    """
+    known: Sequence[float] = [value for value in values if value is not None]
+    if not known:
+        raise SspError(
+            f"{archive.path} names no {what} time, nor does any FMU in it; say it: flexfmu run {_OPTIONS[what]} SECONDS, "
+            f"load_ssp(path, {what}=...)"
+        )
+    return known[0]

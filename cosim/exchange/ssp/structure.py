@@ -1,0 +1,244 @@
+"""A system structure description as data: what an SSD says, without XML and without FMUs.
+
+Names follow SSP 1.0 (Modelica Association, 2019); of SSP 2.0 there is what 1.0 has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from math import isclose
+from typing import Literal
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.variables import Value
+from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap
+from flexfmu.cosim.engine.slave import Type
+
+Kind = Literal["input", "output", "parameter", "calculatedParameter", "inout"]
+
+
+class SspError(InputError):
+    """A file isn't SSP, contradicts the standard, or asks for something that this program doesn't do."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: value in SI base units = factor * value + offset.
+
+    Attributes:
+        name: its spelling.
+        exponents: base unit → exponent, zeros left out.
+        factor, offset: see above.
+    """
+
+    name: str
+    exponents: Mapping[str, int]
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def to(self, other: Unit) -> LinearMap | None:
+        """The conversion into another unit; None if they measure different things."""
+        if dict(self.exponents) != dict(other.exponents):
+            return None
+        if isclose(self.factor, other.factor, rel_tol=1e-15) and self.offset == other.offset:
+            return IDENTITY
+        return LinearMap(self.factor / other.factor, (self.offset - other.offset) / other.factor)
+
+
+@dataclass(frozen=True)
+class ValueMap:
+    """A table from values to values: booleans, integers, or names of enumerations' items."""
+
+    pairs: tuple[tuple[Value, Value], ...]
+
+    def linear(self) -> LinearMap | None:
+        """The line through all pairs, false being 0 and true 1; None where there is none."""
+        if not self.pairs or any(isinstance(each, str) for pair in self.pairs for each in pair):
+            return None
+        points = dict.fromkeys((float(x), float(y)) for x, y in self.pairs)
+        (x0, y0), (x1, y1) = min(points), max(points)
+        slope = 0.0 if x0 == x1 else (y1 - y0) / (x1 - x0)
+        fits = all(y0 + slope * (x - x0) == y for x, y in points)
+        return LinearMap(slope, y0 - slope * x0) if fits else None
+
+
+Transformation = LinearMap | ValueMap
+
+
+@dataclass(frozen=True)
+class Connector:
+    """What an element shows to the outside.
+
+    Attributes:
+        name: name of the variable.
+        kind: direction.
+        type: its type; None for that of the FMU's variable.
+        unit: its unit; None for that of the FMU's variable.
+        where: file and line, for errors.
+    """
+
+    name: str
+    kind: Kind
+    type: Type | Literal["Binary"] | None = None
+    unit: str | None = None
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A signal path. Start and end say nothing about its direction; the connectors' kinds do.
+
+    Attributes:
+        start, end: (element, connector); element None for connectors of the system itself.
+        transformation: from source to target.
+        converts_units: whether units are converted before.
+        where: file and line, for errors.
+    """
+
+    start: tuple[str | None, str]
+    end: tuple[str | None, str]
+    transformation: Transformation = IDENTITY
+    converts_units: bool = True
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A value for a variable.
+
+    Attributes:
+        name: name of the variable, hierarchical where the set is bound to a system.
+        type: type of the value.
+        value: the value; the item's name for an enumeration.
+        unit: its unit; None for that of the variable.
+    """
+
+    name: str
+    type: Type
+    value: Value
+    unit: str | None = None
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """Values with the units that they use, and remarks on what was wrong with the file."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    units: tuple[Unit, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class MappingEntry:
+    """Which variable a value of a parameter set is for, and what is done to it on the way."""
+
+    source: str
+    target: str
+    transformation: Transformation = IDENTITY
+    converts_units: bool = True
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A parameter set applied to an element.
+
+    Attributes:
+        values: the parameter set.
+        prefix: put before all names of the set.
+        mapping: entries for the values that are used; None to use all under their own names.
+        source: file of the set within the archive; None for a set within the SSD.
+        where: file and line, for errors.
+    """
+
+    values: ParameterSet
+    prefix: str = ""
+    mapping: tuple[MappingEntry, ...] | None = None
+    source: str | None = None
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Component:
+    """An FMU in the system.
+
+    Attributes:
+        name: name of the element.
+        source: path of the FMU within the archive.
+        connectors: its variables that are connected.
+        bindings: its parameter sets, later ones first in rank.
+        description: what it is.
+        where: file and line, for errors.
+        sampling: sample time and offset [s] of an FMU that doesn't state them itself; None where the file doesn't say.
+        implementation: kind of FMU that the file asks for.
+    """
+
+    name: str
+    source: str
+    connectors: tuple[Connector, ...]
+    bindings: tuple[Binding, ...] = ()
+    description: str = ""
+    where: str = ""
+    sampling: tuple[float, float] | None = None
+    implementation: str = "CoSimulation"
+
+
+@dataclass(frozen=True)
+class System:
+    """A system within another.
+
+    Attributes:
+        name: name of the element.
+        components, connections, connectors, bindings, systems: as for `Structure`.
+        where: file and line, for errors.
+    """
+
+    name: str
+    components: tuple[Component, ...]
+    connections: tuple[Connection, ...] = ()
+    connectors: tuple[Connector, ...] = ()
+    bindings: tuple[Binding, ...] = ()
+    systems: tuple[System, ...] = ()
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A whole system.
+
+    Attributes:
+        name: name of the file's system.
+        components: its FMUs.
+        connections: who feeds whom.
+        connectors: the system's own connectors.
+        bindings: parameter sets of the system, which outrank those of its elements.
+        systems: systems within it.
+        units: units that connectors refer to.
+        start, stop: default experiment [s]; None where the file doesn't say.
+        step: communication step [s]; None where the file doesn't say.
+        tolerance: relative tolerance that FMUs are told; None where the file doesn't say.
+        description: what it is.
+    """
+
+    name: str
+    components: tuple[Component, ...]
+    connections: tuple[Connection, ...]
+    connectors: tuple[Connector, ...] = ()
+    bindings: tuple[Binding, ...] = ()
+    units: tuple[Unit, ...] = field(default=())
+    start: float | None = None
+    stop: float | None = None
+    step: float | None = None
+    description: str = ""
+    systems: tuple[System, ...] = ()
+    tolerance: float | None = None
+
+
+def levels(structure: Structure) -> Iterator[tuple[str, Structure | System]]:
+    """The system and all within it, outer ones first, with what is put before the names of their elements: ``inner.``."""
+    waiting: list[tuple[str, Structure | System]] = [("", structure)]
+    while waiting:
+        prefix, level = waiting.pop(0)
+        yield prefix, level
+        waiting += [(f"{prefix}{each.name}.", each) for each in level.systems]

@@ -1,0 +1,245 @@
+"""Where a connector's signal comes from, through systems within systems; and the connections that the master makes of it.
+
+A system's own connector passes on what reaches it from outside (inputs, parameters) or from inside (outputs). On the way
+values are converted between units, then transformed, connection by connection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+from flexfmu.cosim.engine.fmu.variables import Value
+from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap, TableMap
+from flexfmu.cosim.engine.master.system import Wire
+from flexfmu.cosim.engine.slave import TAKES
+from flexfmu.cosim.exchange.ssp.structure import (
+    Connection,
+    Connector,
+    SspError,
+    Structure,
+    System,
+    Unit,
+    ValueMap,
+    levels,
+)
+from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, conversion, unit_of
+
+Node = tuple[str, str]
+"""Full name of an element (``inner.first``; empty for the whole system) and its connector."""
+
+_TAKERS, _GIVERS = ("input", "parameter"), ("output", "calculatedParameter")
+"""Kinds of connectors that an element's values go into and come from; for a system's own ones, seen from inside, the
+other way round."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a signal comes from.
+
+    Attributes:
+        node: an FMU's output, or a system's connector that nothing feeds.
+        way: what happens on the way.
+        unit: unit that the signal arrives in; empty where nothing says.
+        where: the last connection on the way, for errors.
+    """
+
+    node: Node
+    way: SignalMap = IDENTITY
+    unit: Unit | str = ""
+    where: str = ""
+
+
+class Network:
+    """All connections of a system and those within it.
+
+    Args:
+        structure: the system.
+        fmus: full name of a component → the component with its FMU.
+
+    Attributes:
+        connectors: of all elements.
+        feeds: connector → the one that feeds it, and the connection.
+        units: name → unit that the structure defines.
+        value_units: connector → unit of the value that a parameter set gives it, where it has none itself.
+        remarks: what the user should know.
+
+    Raises:
+        SspError: an end doesn't exist, leads the wrong way, or is fed twice.
+    """
+
+    def __init__(self, structure: Structure, fmus: Mapping[str, ComponentFmu]) -> None:
+        self._fmus = fmus
+        self.units = {unit.name: unit for unit in structure.units}
+        self.value_units: dict[Node, Unit | str] = {}
+        self.remarks: list[str] = []
+        self.connectors: dict[Node, Connector] = {}
+        self.feeds: dict[Node, tuple[Node, Connection]] = {}
+        for prefix, level in levels(structure):
+            for each in level.connectors:
+                self.connectors[prefix[:-1], each.name] = each
+            for component in level.components:
+                for each in component.connectors:
+                    self.connectors[prefix + component.name, each.name] = each
+        for prefix, level in levels(structure):
+            for connection in level.connections:
+                self._add(connection, prefix, level)
+
+    def origin(self, node: Node, values: Collection[Node] | None = None) -> Origin | None:
+        """Where the connector's signal comes from; None where nothing feeds it.
+
+        Args:
+            node: the connector.
+            values: connectors of systems that have a value of their own, where only these count as origins.
+
+        Raises:
+            SspError: it comes from itself, units don't fit, or a table on the way doesn't suit the signal.
+        """
+        way = [node]
+        while way[-1] in self.feeds:
+            way.append(self.feeds[way[-1]][0])
+            if way[-1] in way[:-1]:
+                ring = " <- ".join(_full_name(each) for each in way)
+                raise SspError(f"{self.feeds[node][1].where}: connectors feed each other in a ring: {ring}; open it")
+        while values is not None and len(way) > 1 and way[-1][0] not in self._fmus and way[-1] not in values:
+            way.pop()
+        found: SignalMap = IDENTITY
+        unit = self.unit(way[-1])
+        for taker in reversed(way[:-1]):
+            connection, own = self.feeds[taker][1], self.unit(taker)
+            if connection.converts_units:
+                found = found.then(conversion(unit, own, connection.where, self.remarks))
+            found = found.then(self._map(connection, way[-1], way[0]))
+            unit = own or unit
+        return None if len(way) == 1 else Origin(way[-1], found, unit, self.feeds[node][1].where)
+
+    def unit(self, node: Node) -> Unit | str:
+        """Unit of a connector, its bare name where nothing defines it, empty where nothing says."""
+        connector = self.connectors[node]
+        if node[0] in self._fmus:
+            return unit_of(connector, self._fmus[node[0]], self.units)
+        return self.units.get(connector.unit or "", connector.unit or self.value_units.get(node, ""))
+
+    def _map(self, connection: Connection, origin: Node, end: Node) -> SignalMap:
+        """What a connection does to a signal.
+
+        Raises:
+            SspError: it has a table that is no line for a Real, or one of items that the signal doesn't have.
+        """
+        table = connection.transformation
+        if not isinstance(table, ValueMap):
+            return table
+        if (line := table.linear()) is not None:
+            return line
+        if origin[0] in self._fmus and self._fmus[origin[0]].type(origin[1]) == "Real":
+            raise SspError(
+                f"{connection.where} has a table that is no line, in which a Real can't be looked up; map it inside an FMU"
+            )
+        pairs = {
+            self._number(source, origin, connection): self._number(target, end, connection)
+            for source, target in table.pairs
+        }
+        return TableMap(tuple(pairs.items()))
+
+    def _number(self, value: Value, node: Node, connection: Connection) -> int:
+        """A value of a table, the number of an item for its name.
+
+        Raises:
+            SspError: the variable has no such item.
+        """
+        if not isinstance(value, str):
+            return int(value)
+        items = self._fmus[node[0]].items(node[1]) if node[0] in self._fmus else {}
+        if value not in items:
+            raise SspError(
+                f"{connection.where} has a table with the item {value!r}, which {_full_name(node)} doesn't have; it has: "
+                f"{', '.join(items) or 'none'}"
+            )
+        return items[value]
+
+    def _add(self, connection: Connection, prefix: str, level: Structure | System) -> None:
+        """One connection, from giver to taker."""
+        ends = [self._end(connection, *end, prefix, level) for end in (connection.start, connection.end)]
+        kinds = [self.connectors[node].kind for node in ends]
+        own = connection.start[0] is None, connection.end[0] is None
+        gives = [kind in (_TAKERS if inside else _GIVERS) for kind, inside in zip(kinds, own, strict=True)]
+        if gives.count(True) != 1 or "inout" in kinds:
+            raise SspError(f"{connection.where} joins {kinds[0]} and {kinds[1]}; connect an output and an input")
+        giver, taker = ends if gives[0] else reversed(ends)
+        if taker in self.feeds:
+            raise SspError(f"{connection.where}: {_full_name(taker)} is connected twice; keep one source")
+        self.feeds[taker] = giver, connection
+
+    def _end(
+        self, connection: Connection, element: str | None, name: str, prefix: str, level: Structure | System
+    ) -> Node:
+        """The connector that an end names.
+
+        Raises:
+            SspError: there is none.
+        """
+        elements = {each.name: each.connectors for each in level.components}
+        elements |= {each.name: each.connectors for each in level.systems}
+        if element is not None and element not in elements:
+            raise SspError(
+                f"{connection.where} names the element {element!r}, which doesn't exist{_hint(element, [*elements])}"
+            )
+        known = [each.name for each in (level.connectors if element is None else elements[element])]
+        if name not in known:
+            owner = (
+                f"the connector {name!r}, which {element!r} doesn't have"
+                if element
+                else f"the system's connector {name!r}, which doesn't exist"
+            )
+            raise SspError(f"{connection.where} names {owner}{_hint(name, known)}")
+        return (prefix[:-1] if element is None else prefix + element), name
+
+
+def wires(network: Network, fmus: Mapping[str, ComponentFmu], names: Mapping[str, str]) -> list[Wire]:
+    """Connections between components, for the master.
+
+    Args:
+        network: all connections.
+        fmus: full name of a component → the component with its FMU.
+        names: full name of a component → name of its slave.
+
+    Raises:
+        SspError: types or units don't fit, or a parameter would change during the run.
+    """
+    found: list[Wire] = []
+    for node in network.feeds:
+        origin = network.origin(node) if node[0] in fmus else None
+        if origin is None or origin.node[0] not in fmus:
+            continue
+        kinds = network.connectors[origin.node].kind, network.connectors[node].kind
+        if kinds != ("output", "input"):
+            raise SspError(
+                f"{origin.where} joins {kinds[0]} and {kinds[1]}; parameters are set before the run: use a parameter set"
+            )
+        types = [fmus[element].type(name) for element, name in (origin.node, node)]
+        if types[0] not in TAKES[types[1]]:
+            raise SspError(
+                f"{origin.where} feeds {types[1]} {_full_name(node)!r} from {types[0]} {_full_name(origin.node)!r}; convert in an FMU"
+            )
+        source, target = (f"{names[element]}.{name}" for element, name in (origin.node, node))
+        found.append((source, target, origin.way))
+    return found
+
+
+def shown(structure: Structure, network: Network) -> dict[str, Origin]:
+    """Full names of systems' connectors → where their signals come from, for the results."""
+    nodes = [(prefix[:-1], each.name) for prefix, level in levels(structure) for each in level.connectors]
+    found = {_full_name(node): network.origin(node) for node in nodes}
+    return {name: origin for name, origin in found.items() if origin is not None}
+
+
+def _full_name(node: Node) -> str:
+    """``inner.first.x``."""
+    return f"{node[0]}.{node[1]}" if node[0] else node[1]
+
+
+def _hint(name: str, known: list[str]) -> str:
+    """What may be meant."""
+    near = get_close_matches(name, known, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; there are: {', '.join(known) or 'none'}"

@@ -1,0 +1,134 @@
+"""Says whether a controlled robot has run away from its references: the loop is unstable, whatever ended the run.
+
+What the motion needs is known, so that the recorded motion can be held against it. A loop that is stable follows, or at least
+comes to rest with its references; linear growth is exponential, and its factor per sample is the loop's largest multiplier.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from math import hypot, sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flexfmu.cosim.engine.slave import RealArray
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.experiment.scene_run import Run
+
+BEYOND, BEYOND_BEFORE_FAILURE = 3.0, 1.0
+"""Error of a joint's velocity in what the motion needs, or a fall reaches, from which a run has diverged: one that came to its end, and
+one that failed."""
+
+AT_REST, ON_THE_MOVE = 0.05, 0.5
+"""The same for what grows while the references rest (below, stick-slip and beats of undamped links are at home), and for what doesn't die
+down either."""
+
+GROWTH_AT_REST, LASTING = 1.3, 0.8
+"""Least ratio of the errors in the last and the first third of the standstill, for what grows and what doesn't die down."""
+
+ONSET, FULL = 0.01, 0.5
+"""Shares of the error from which and to which its growth is measured."""
+
+ROUNDING = 1e-12
+"""By which the same instant may differ, relatively."""
+
+SATURATED = 0.05
+"""Share of the instants that a torque spends at its largest value, from which that is a limit."""
+
+INSTANTS = 500
+"""At which the planned motion is looked at for its largest velocity."""
+
+
+def divergence(run: Run) -> str | None:
+    """What grew, how fast, and what to do about it; None for a stable loop, and for runs without one.
+
+    Without the joints' recorded velocities nothing can be said.
+    """
+    columns = [run.recording.columns.get(f"joint{joint}.velocity") for joint in (1, 2)]
+    if run.scene.cosimulation.drive != "torque" or len(run.slaves) <= len(("trajectory", "plant")):
+        return None
+    if columns[0] is None or columns[1] is None or run.recording.time.size < 2:
+        return None
+    time, joints = run.recording.time, run.plan.joints
+    errors = np.stack([each.values for each in columns if each is not None], axis=1) - joints.evaluate(time, 1)[1]
+    error = abs(errors).max(axis=1)
+    peak = abs(joints.evaluate(np.linspace(0.0, joints.duration, INSTANTS), 1)[1]).max()
+    # what falls until its controller catches it is none the worse for it
+    fall = sqrt(hypot(*run.scene.effects.gravity) / run.scene.mechanism.proximal.length)
+    scale = max(float(peak), fall)
+    step, unit = _step(run)
+    found = _runaway(time, error, step, scale * (BEYOND if run.completed else BEYOND_BEFORE_FAILURE))
+    if found is None and run.completed:
+        found = _unrest(time, error, step, run.plan.stop_time - run.scene.trajectory.dwell, scale)
+    if found is None:
+        return None
+    factor, since = found
+    worst = int(error.argmax())
+    joint = 1 + int(abs(errors[worst]).argmax())
+    return (
+        f"joint{joint}.velocity is up to {error[worst]:.3g} rad/s off its reference, where the motion needs {peak:.3g} rad/s; the error "
+        f"grows {factor:.4g}-fold per {unit} of {step:g} s from {since:.6g} s on: the control loop is unstable; {_remedies(run)}"
+    )
+
+
+Growth = tuple[float, float]
+"""Factor from step to step, and since when [s]."""
+
+
+def _runaway(time: RealArray, error: RealArray, step: float, bound: float) -> Growth | None:
+    """Growth of an error (N,) to a bound, by its largest values in each step."""
+    if not error.max() > bound:
+        return None
+    starts = np.flatnonzero(np.diff(np.floor(time / step * (1.0 + ROUNDING)), prepend=-1.0))
+    sizes = np.maximum.reduceat(error, starts)
+    first, last = (int(np.argmax(sizes >= share * bound)) for share in (ONSET, FULL))
+    last = max(last, min(first + 1, sizes.size - 1))
+    factor = (sizes[last] / sizes[first]) ** (1.0 / max(last - first, 1))
+    return float(factor), float(time[starts[first]])
+
+
+def _unrest(time: RealArray, error: RealArray, step: float, begin: float, scale: float) -> Growth | None:
+    """Growth of an error (N,) through all of the standstill from ``begin`` [s] on, or what doesn't die down there."""
+    parts = [(time >= early) & (time <= late) for early, late in pairwise(np.linspace(begin, time[-1], 4))]
+    if begin >= time[-1] or not all(part.any() for part in parts):
+        return None
+    first, middle, last = (float(error[part].max()) for part in parts)
+    grows = last > AT_REST * scale and last >= GROWTH_AT_REST * first and last >= middle >= first
+    lasts = last > ON_THE_MOVE * scale and last >= LASTING * first
+    if not (grows or lasts):
+        return None
+    early, late = (float(time[part][error[part].argmax()]) for part in (parts[0], parts[-1]))
+    return (last / max(first, ROUNDING * last)) ** (step / (late - early)), early
+
+
+def _step(run: Run) -> tuple[float, str]:
+    """Length of the steps [s] in which the loop is closed, and what they are called."""
+    samples = [slave.sample_time for slave in run.slaves if slave.sample_time]
+    return (min(samples), "sample") if samples else (run.communication_step, "communication step")
+
+
+def _remedies(run: Run) -> str:
+    """What may help, in one sentence."""
+
+    def remedies() -> Iterator[str]:
+        scene, latest = run.scene, max(run.delays, key=lambda delay: delay.average, default=None)
+        yield "lower the gains, sample faster"
+        if latest is not None and latest.average > _step(run)[0]:
+            yield f"shorten the delays ({latest.average:.3g} s of {latest.connection})"
+        if not scene.effects.motor_inertia:
+            yield (
+                "give the motors their inertia (`effects.motor_inertia`), without which velocity feedback acts on next to "
+                "massless joints"
+            )
+        for joint in (1, 2):
+            torque = run.recording.columns.get(f"joint{joint}.torque")
+            limit = 0.0 if torque is None else float(abs(torque.values).max())
+            if torque is not None and limit and (abs(torque.values) > limit * (1.0 - ROUNDING)).mean() > SATURATED:
+                yield f"raise the torque limit of {limit:.3g} N.m or protect integrators against windup"
+                break
+
+    *most, last = remedies()
+    return f"{', '.join(most)}, or {last}" if most else last

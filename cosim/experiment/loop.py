@@ -1,0 +1,199 @@
+"""What stands between the planned motion and the robot: controllers, shapers and imperfections."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import Slave
+from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.experiment.shaping import APPLICATIONS, shape_joints
+from flexfmu.cosim.experiment.user_slaves import Names, as_slave
+from flexfmu.cosim.experiment.wiring import InlineBlock, inline_block
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+from flexfmu.trajectories.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+
+
+@dataclass(frozen=True)
+class Shaper:
+    """An impulse sequence and where it acts.
+
+    Attributes:
+        sequence: the impulses.
+        apply: ``joints`` (the joint references), ``path`` (the motion along the path, which keeps the path), or
+            ``sampled`` (a slave that shapes the sampled joint references).
+        sample_time: [s] of a sampled shaper; None for the others.
+        offset: its first sample [s].
+        name: name of its slave.
+
+    Raises:
+        InputError: a sampled shaper has no sample time, or another one has.
+    """
+
+    sequence: ImpulseSequence
+    apply: str = "joints"
+    sample_time: float | None = None
+    offset: float = 0.0
+    name: str = "shaper"
+
+    def __post_init__(self) -> None:
+        if self.apply not in ("joints", "path", "sampled"):
+            raise InputError(f"a shaper acts on joints, path or sampled references, got {self.apply!r}")
+        if (self.apply == "sampled") != (self.sample_time is not None):
+            raise InputError(
+                f"sample_time [s] goes with apply='sampled' alone, got {self.sample_time} s, {self.apply!r}"
+            )
+
+
+@dataclass(frozen=True)
+class PayloadError:
+    """The robot carries (1 + relative) times the scene's payload, and nothing else knows of it."""
+
+    relative: float
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What stands between the planned motion and the robot.
+
+    Attributes:
+        motion: the planned motion, shapers included: what a perfect controller would make of it.
+        driving: joint trajectory that is streamed; that of the motion but for sampled shapers.
+        controllers: slaves that output torques (or whatever the robot takes).
+        inline_blocks: slaves that signals pass.
+        connect: ``slave.input`` → source, beyond equal names.
+        parameters: parameters of the robot that differ from the scene's.
+    """
+
+    motion: MotionPlan
+    driving: Trajectory
+    controllers: tuple[Slave, ...] = ()
+    inline_blocks: tuple[InlineBlock, ...] = ()
+    connect: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Course:
+    """A motion with its shapers.
+
+    Attributes:
+        motion: with all shapers.
+        driving: joint trajectory that is streamed; that of the motion but for sampled shapers.
+        inline_blocks: the sampled shapers, and others that are slaves.
+    """
+
+    motion: MotionPlan
+    driving: Trajectory
+    inline_blocks: tuple[InlineBlock, ...] = ()
+
+
+def make_loop(
+    motion: MotionPlan,
+    controllers: Iterable[Any] = (),
+    shapers: Iterable[Any] = (),
+    imperfections: Iterable[Any] = (),
+    connect: Mapping[str, str] | None = None,
+) -> Loop:
+    """A loop of blocks, slaves, python-control systems and FMU files.
+
+    Args:
+        motion: the scene's planned motion.
+        controllers: what calculates torques from references and measurements.
+        shapers: `Shaper`, a bare `ImpulseSequence` for the joint references, or what else references may pass.
+        imperfections: what signals pass on their way, in this order, or `PayloadError`.
+        connect: ``slave.input`` → source, beyond equal names.
+
+    Raises:
+        InputError: something is of a kind that can't be a slave.
+        TrajectoryError: a shaper can't act on this motion.
+    """
+    names = Names()
+    return close_loop(shape(motion, list(shapers), names), controllers, imperfections, connect or {}, names)
+
+
+def close_loop(
+    course: Course, controllers: Iterable[Any], imperfections: Iterable[Any], connect: Mapping[str, str], names: Names
+) -> Loop:
+    """A loop about a motion whose shapers have acted; otherwise as `make_loop`.
+
+    Args:
+        course: the motion with its shapers.
+        controllers, imperfections, connect: as for `make_loop`.
+        names: names given so far.
+    """
+    acting = tuple(as_slave(each, names) for each in controllers)
+    inline_blocks, parameters = list(course.inline_blocks), dict[str, float]()
+    for each in imperfections:
+        if isinstance(each, PayloadError):
+            parameters |= _payload(course.motion, each)
+        else:
+            inline_blocks.append(inline_block(as_slave(each, names)))
+    return Loop(course.motion, course.driving, acting, tuple(inline_blocks), dict(connect), parameters)
+
+
+def shape(
+    motion: MotionPlan,
+    shapers: Sequence[Any],
+    names: Names,
+    repeat: Callable[[MotionPlan], MotionPlan] = lambda motion: motion,
+) -> Course:
+    """Let the shapers act, those along the path first, sampled ones as slaves.
+
+    Args:
+        motion: the planned motion.
+        shapers: as for `make_loop`.
+        names: names given so far.
+        repeat: repeats the motion that is streamed.
+
+    Raises:
+        InputError: something is of a kind that can't be a slave.
+        TrajectoryError: a shaper can't act on this motion.
+    """
+    if not shapers:
+        motion = repeat(motion)
+        return Course(motion, motion.joints)
+
+    # shapers that change the planned motion: along the path, then of the joints
+    chosen = [Shaper(each) if isinstance(each, ImpulseSequence) else each for each in shapers]
+    for place in ("path", "joints"):
+        for each in chosen:
+            if isinstance(each, Shaper) and each.apply == place:
+                motion = APPLICATIONS[place](motion, each.sequence)
+    motion = repeat(motion)
+    # shapers that act in the loop, sample by sample; the motion is what they make of it
+    driving, inline_blocks = motion.joints, []
+    for each in chosen:
+        if not isinstance(each, Shaper):
+            inline_blocks.append(inline_block(as_slave(each, names)))
+        elif each.sample_time is not None:
+            inline_blocks.append(_sampled_shaper(each, each.sample_time, names))
+            motion = _shaped_on_the_way(motion, each.sequence.split(each.sample_time))
+    return Course(motion, driving, tuple(inline_blocks))
+
+
+def _sampled_shaper(shaper: Shaper, sample_time: float, names: Names) -> InlineBlock:
+    """The slave of a sampled shaper."""
+    from flexfmu.cosim.control.shaper_block import shaper_block
+
+    block = shaper_block(shaper.sequence, sample_time, offset=shaper.offset, name=shaper.name)
+    return inline_block(as_slave(block, names))
+
+
+def _shaped_on_the_way(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
+    """The motion that a sampled shaper makes of the streamed one, in all its repetitions."""
+    shaped = shape_joints(motion, sequence)
+    if motion.repetition is None:
+        return shaped
+    return replace(shaped, repetition=replace(motion.repetition, once=shape_joints(motion.once, sequence)))
+
+
+def _payload(motion: MotionPlan, error: PayloadError) -> Mapping[str, float]:
+    """The payload that the robot carries."""
+    return {"payload.mass": with_payload_error(motion.scene, error.relative).payload.mass}

@@ -1,0 +1,334 @@
+"""One experiment: a scene's motion through its FMU, from the plan to the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from math import ceil, inf
+from pathlib import Path
+from typing import Any, TypedDict
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.engine.master.isolation import isolation
+from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, LoopSolver, Tolerance
+from flexfmu.cosim.engine.master.master import Progress
+from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
+from flexfmu.cosim.engine.master.simulator import Simulator
+from flexfmu.cosim.engine.master.step_control import StepDoubling
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.results import EVERYTHING, Selection
+from flexfmu.cosim.engine.slave import Sampled
+from flexfmu.cosim.experiment.divergence import divergence
+from flexfmu.cosim.experiment.loop import Loop
+from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.experiment.recording import RigidMotion, SceneRecording, slave_facts
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_run import Companion, Health, Run, Timing
+from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.system import SceneSystem, scene_system
+from flexfmu.cosim.experiment.timing import Stopwatch
+from flexfmu.model.scene import cosimulation as sections
+from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
+from flexfmu.model.scene.schema import Scene
+
+__all__ = ["Health", "Options", "PreparedScene", "Run", "Timing", "run_scene"]
+
+COMPANION_TOLERANCE = 1e-2
+"""A companion's tolerance in terms of the run's. A tenth isn't enough: errors scatter about their tolerance by as much."""
+
+COMPANION_COUPLING = 0.1
+"""The same for the tolerance of step control, whose steps grow shorter faster."""
+
+COMPANION_STEPS = 2000
+"""Least number of communication steps of a companion over the motion, or long steps would hide what both runs miss
+between them."""
+
+
+class Options(TypedDict, total=False):
+    """Keywords of `run_scene` that have nothing to do with what stands between motion and robot."""
+
+    communication_step: float | None
+    tolerance: float | None
+    input_order: int | None
+    fmu_path: Path | None
+    progress: Progress | None
+    parameters: Mapping[str, float] | None
+    initial: str | None
+    isolate: bool | None
+    call_limit: float | None
+
+
+def run_scene(
+    scene: Scene,
+    *,
+    communication_step: float | None = None,
+    tolerance: float | None = None,
+    input_order: int | None = None,
+    fmu_path: Path | None = None,
+    progress: Progress | None = None,
+    parameters: Mapping[str, float] | None = None,
+    initial: str | None = None,
+    motion: MotionPlan | None = None,
+    loop: Loop | None = None,
+    isolate: bool | None = None,
+    call_limit: float | None = None,
+) -> Run:
+    """Plan the scene's motion, build its FMU or take it from the cache, and co-simulate motion and dwell.
+
+    The scene's controllers, shapers and imperfections take part. A robot that is driven by torques and has no controller
+    gets the torques that hold its start pose.
+
+    Args:
+        scene: what to simulate.
+        communication_step: communication step [s]; the scene's own when None.
+        tolerance: relative tolerance for the FMU; the scene's own when None.
+        input_order: degree of the input polynomials, 0 (values only) to 9; None for the highest that the FMU states.
+        fmu_path: an FMU of a scene with the same effects, instead of building one; its parameters are set from this scene.
+        progress: called now and then with the simulated fraction, 0..1.
+        parameters: FMU parameters that differ from the scene's, for example ``{"payload.mass": 0.1}``.
+        initial: ``static`` or ``undeformed``; the scene's own when None.
+        motion: a motion to run instead of the scene's own with its shapers, planned from the same scene.
+        loop: what stands between motion and robot, instead of the scene's own sections; see
+            `flexfmu.cosim.experiment.closed_loop.run_loop`.
+        isolate: whether to simulate in a child process, so that a slave which crashes, exits or hangs ends the run alone (Linux
+            only); the scene's own when None. If that is open too: where FMUs of other tools or the scene's Python slaves take
+            part, but not where Python slaves come as objects, since what they change in themselves stays in the child.
+        call_limit: how long a slave may stay in one call of an isolated run [s]; the scene's own when None.
+
+    Returns:
+        The run; when a slave fails on the way, with what was recorded until then.
+
+    Raises:
+        TrajectoryError: the motion is not feasible, or can't be shaped.
+        InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
+            slaves can't be wired.
+        BuildError: the FMU can't be built (no compiler, for example).
+    """
+    prepared = PreparedScene(
+        scene,
+        communication_step=communication_step,
+        tolerance=tolerance,
+        input_order=input_order,
+        fmu_path=fmu_path,
+        initial=initial,
+        motion=motion,
+        loop=loop,
+        isolate=isolate,
+        call_limit=call_limit,
+    )
+    return prepared.run(parameters, progress)
+
+
+class PreparedScene:
+    """A scene that has been planned, built, loaded and wired, to be run again and again with other parameters.
+
+    Example:
+        ``prepared = PreparedScene(scene); runs = [prepared.run({"payload.mass": mass}) for mass in masses]``
+
+    Args and errors: as for `run_scene`; ``record`` says which signals of a run's recording to keep, with how many
+    derivatives.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        communication_step: float | None = None,
+        tolerance: float | None = None,
+        input_order: int | None = None,
+        fmu_path: Path | None = None,
+        initial: str | None = None,
+        motion: MotionPlan | None = None,
+        loop: Loop | None = None,
+        record: Selection = EVERYTHING,
+        isolate: bool | None = None,
+        call_limit: float | None = None,
+    ) -> None:
+        if scene.effects.select is not None:
+            raise InputError(
+                f"scene {scene.name} leaves the choice of effects open: run it with `flexfmu.run`, or choose first, with "
+                f"`flexfmu.cosim.choices.effects.choice.resolved(scene)`"
+            )
+        # plan
+        watch = Stopwatch()
+        section = scene.cosimulation
+        theirs, self._loop = loop is not None, loop_of(scene, motion) if loop is None else loop
+        self._stop_time = self._loop.motion.stop_time
+        planning = watch.lap()
+        # build
+        self._fmu_path = build_scene(scene).path if fmu_path is None else fmu_path
+        building = watch.lap()
+        # load and wire
+        self._parts = scene_system(scene, self._loop, self._fmu_path, initial=initial, input_order=input_order)
+        self._coupling = coupling_of(section)
+        self._system = connect(self._parts.slaves, self._parts.wiring.connections, loops=self._coupling.loops)
+        # run: step, tolerance, isolation, what is recorded
+        self._step = section.step if communication_step is None else communication_step
+        self._check_step()
+        self._tolerance = section.tolerance if tolerance is None else tolerance
+        self._isolate = section.isolate if isolate is None else isolate
+        self._call_limit = section.call_limit if call_limit is None else call_limit
+        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=theirs)
+        self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
+        self._facts = slave_facts(self._parts.slaves)
+        # made at the first run; a companion is prepared from the same arguments
+        self._simulator: Simulator | None = None
+        self._again: Mapping[str, Any] = {
+            "scene": scene,
+            "fmu_path": self._fmu_path,
+            "initial": initial,
+            "input_order": input_order,
+            "loop": self._loop,
+            "record": record,
+            "isolate": self._isolate,
+            "call_limit": self._call_limit,
+        }
+        self._times = planning, building, watch.lap()
+
+    def _check_step(self) -> None:
+        """A communication step must fit into the motion."""
+        duration = self._loop.motion.duration
+        if self._step > duration:
+            raise InputError(
+                f"the communication step of {self._step:g} s is longer than the motion of {duration:g} s: reduce "
+                f"`cosimulation.step` (--step), to {duration / 1000:.1g} s for example"
+            )
+
+    def run(self, parameters: Mapping[str, float] | None = None, progress: Progress | None = None) -> Run:
+        """Simulate motion and dwell.
+
+        Args:
+            parameters: FMU parameters that differ from the scene's in this run, for example ``{"payload.mass": 0.1}``.
+            progress: called now and then with the simulated fraction, 0..1.
+
+        Returns:
+            The run; when a slave fails on the way, with what was recorded until then.
+
+        Raises:
+            InputError: a parameter doesn't exist or is out of range.
+        """
+        parts, watch = self._parts.with_parameters(parameters or {}), Stopwatch()
+        simulation = self._ready().run(self._tolerance, progress)
+        return self._result(parts, simulation, Timing(*self._times, watch.lap()))
+
+    @property
+    def stop_time(self) -> float:
+        """When runs end [s]; the end of motion and dwell unless it is changed."""
+        return self._stop_time
+
+    @stop_time.setter
+    def stop_time(self, value: float) -> None:
+        self._stop_time, self._simulator = value, None
+
+    def _ready(self) -> Simulator:
+        """The simulator up to the present stop time."""
+        if self._simulator is None:
+            self._simulator = Simulator(
+                self._system,
+                self._stop_time,
+                self._step,
+                algorithm=self._coupling.algorithm,
+                step_control=self._coupling.step_control,
+                record=self._recording.needed,
+                isolation=self._isolation,
+            )
+        return self._simulator
+
+    def _result(self, parts: SceneSystem, simulation: Simulation, timing: Timing) -> Run:
+        """Everything about a simulated scene; where it failed, the values that suggest another unit are named too."""
+        hints = () if simulation.outcome is Outcome.COMPLETED else self._loop.motion.scene.unit_hints
+        run = Run(
+            plan=self._loop.motion,
+            recording=self._recording.of(simulation.recording, parts),
+            outcome=simulation.outcome,
+            message="; ".join((*hints, simulation.message)),
+            fmu_path=self._fmu_path,
+            communication_step=self._step,
+            tolerance=self._tolerance,
+            input_order=parts.references.announced_order,
+            health=Health(parts.plant.statistics, parts.plant.messages),
+            timing=timing,
+            slaves=self._facts,
+            delays=simulation.delays,
+            parameters=parts.changes,
+            companion=self._companion(parts.changes),
+        )
+        # a slave that fails far from where its controller should keep it isn't the cause
+        failed = run.outcome not in (Outcome.COMPLETED, Outcome.INTERRUPTED, Outcome.COUPLING_UNSTABLE)
+        if failed and (unstable := divergence(run)) is not None:
+            return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
+        return run
+
+    def _companion(self, parameters: Mapping[str, float]) -> Companion:
+        """The same with shorter communication steps, which divide this one, and tighter tolerances."""
+        samples = [slave.sample_time for slave in self._parts.slaves if isinstance(slave, Sampled)]
+        longest = min(0.5 * self._step, self._loop.motion.duration / COMPANION_STEPS, *(0.5 * each for each in samples))
+        step = self._step / ceil(self._step / longest * (1.0 - 1e-9))
+        tolerance = max(COMPANION_TOLERANCE * self._tolerance, LEAST_TOLERANCE)
+        finer = {**self._again, "communication_step": step, "tolerance": tolerance}
+        return Companion(step, tolerance, partial(_run_companion, finer, self._stop_time, dict(parameters)))
+
+    def spare_objects(self) -> None:
+        """Isolate the caller's own Python slaves too, unless isolation isn't wanted: a companion leaves them as they are."""
+        self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=False)
+
+
+def _run_companion(
+    arguments: Mapping[str, Any], stop_time: float, parameters: Mapping[str, float], progress: Progress | None = None
+) -> Run:
+    """Prepare a companion anew, with a finer fixed step or step control where the scene has these, and run it."""
+    scene = arguments["scene"]
+    section, changes = scene.cosimulation, dict[str, Any]()
+    if section.integrator_step > 0.0:
+        changes["cosimulation.integrator_step"] = 0.5 * section.integrator_step
+    if section.step_control is not None:
+        changes["cosimulation.step_control.tolerance"] = COMPANION_COUPLING * section.step_control.tolerance
+    prepared = PreparedScene(**{**arguments, "scene": scene.replace(changes) if changes else scene})
+    prepared.spare_objects()
+    prepared.stop_time = stop_time
+    return prepared.run(parameters, progress)
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """How the master couples the slaves of a scene.
+
+    Attributes:
+        algorithm: how slaves are coupled over a step.
+        loops: how algebraic loops are solved; None refuses them.
+        step_control: chooses the communication steps; None for a constant step.
+    """
+
+    algorithm: Algorithm
+    loops: LoopSolver | None
+    step_control: StepDoubling | None
+
+
+def coupling_of(section: sections.Cosimulation) -> Coupling:
+    """The coupling that a scene asks for."""
+    solver = None if section.loop_solver is None else _solver(section.loop_solver)
+    return Coupling(_algorithm(section.algorithm, solver), solver, _step_control(section.step_control))
+
+
+def _algorithm(name: str, solver: LoopSolver | None) -> Algorithm:
+    if name == "jacobi":
+        return Jacobi()
+    if name == "implicit":
+        return Implicit() if solver is None else Implicit(solver)
+    return GaussSeidel()
+
+
+def _solver(section: sections.FixedPoint | sections.Anderson) -> LoopSolver:
+    tolerance = Tolerance(relative=section.tolerance)
+    if isinstance(section, sections.FixedPoint):
+        return FixedPoint(section.relaxation, tolerance, section.iterations)
+    return Anderson(tolerance=tolerance, rounds=section.iterations)
+
+
+def _step_control(section: sections.StepControl | None) -> StepDoubling | None:
+    if section is None:
+        return None
+    largest = inf if section.maximum is None else section.maximum
+    return StepDoubling(section.tolerance, smallest=section.minimum, largest=largest)

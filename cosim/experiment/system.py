@@ -1,0 +1,115 @@
+"""The slaves of a scene and their connections: planned motion, robot, and what stands between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.fmu.variables import Value, parameter_names
+from flexfmu.cosim.engine.slave import Slave
+from flexfmu.cosim.engine.trajectory_slave import HERMITE_ORDER, TrajectorySlave
+from flexfmu.cosim.experiment.loop import Loop
+from flexfmu.cosim.experiment.parameters import holding_torques, parameters_for
+from flexfmu.cosim.experiment.wiring import Wiring, wire
+from flexfmu.fmu_build.choices import INITIAL
+from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR
+from flexfmu.model.scene.schema import Scene
+
+PLANT, REFERENCES = "plant", "trajectory"
+"""Names of the robot and of the planned motion in the system."""
+
+
+@dataclass(frozen=True)
+class SceneSystem:
+    """Slaves that are ready to be connected.
+
+    Attributes:
+        references: streams the planned motion.
+        plant: the robot.
+        others: controllers, shapers and imperfections.
+        wiring: who feeds whom.
+        changes: parameters of the robot that differ from those of the scene.
+        unfed: values of the robot's inputs where nothing feeds them.
+    """
+
+    references: TrajectorySlave
+    plant: FmuSlave
+    others: tuple[Slave, ...]
+    wiring: Wiring
+    changes: Mapping[str, float]
+    unfed: Mapping[str, float]
+
+    @property
+    def slaves(self) -> tuple[Slave, ...]:
+        """All slaves: planned motion, robot, and what stands between them."""
+        return (self.references, self.plant, *self.others)
+
+    @property
+    def constants(self) -> Mapping[str, float]:
+        """Inputs of the robot that nothing feeds, with the values that they keep."""
+        feeding = self.wiring.feeding
+        return {name: self.changes.get(name, value) for name, value in self.unfed.items() if name not in feeding}
+
+    def with_parameters(self, parameters: Mapping[str, float]) -> SceneSystem:
+        """The same slaves, the robot with further changed parameters in its next run.
+
+        Raises:
+            InputError: a parameter doesn't exist or is out of range.
+        """
+        changes = {**self.changes, **parameters}
+        self.plant.vary(changes)
+        return replace(self, changes=changes)
+
+
+def scene_system(
+    scene: Scene,
+    loop: Loop,
+    fmu_path: Path,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    initial: str | None = None,
+    input_order: int | None = None,
+) -> SceneSystem:
+    """Wire a scene's motion, its robot and what stands between them.
+
+    Args:
+        scene: the scene.
+        loop: its planned motion, controllers, shapers and imperfections.
+        fmu_path: the robot.
+        parameters: FMU parameters that differ from the scene's.
+        initial: ``static`` or ``undeformed``; the scene's own when None.
+        input_order: degree of the input polynomials; None for the highest that the FMU states.
+
+    Raises:
+        InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
+            slaves can't be wired.
+    """
+    unfed = {} if loop.controllers else holding_torques(scene)
+    settings = {**_parameters(scene, fmu_path, initial), **unfed}
+    plant = FmuSlave(fmu_path, PLANT, settings, input_order)
+    order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
+    references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
+    others = (*loop.controllers, *(inline.slave for inline in loop.inline_blocks))
+    wiring = wire(references, plant, loop.controllers, loop.inline_blocks, loop.connect)
+    parts = SceneSystem(references, plant, others, wiring, loop.parameters, unfed)
+    return parts.with_parameters(parameters or {})
+
+
+def _parameters(scene: Scene, path: Path, initial: str | None) -> dict[str, Value]:
+    """All parameters that the FMU has, from the scene."""
+    available = parameter_names(open_fmu(path).description)
+    start: dict[str, Value] = {INITIAL.name: initial or scene.cosimulation.initial}
+    return {**parameters_for(scene, available), **start, **_integrator(scene)}
+
+
+def _integrator(scene: Scene) -> dict[str, Value]:
+    """How the scene wants its FMU to integrate, where it doesn't leave that to the FMU."""
+    section, chosen = scene.cosimulation, dict[str, Value]()
+    if section.integrator != "automatic":
+        chosen[INTEGRATOR.name] = section.integrator
+    if section.integrator_step > 0.0:
+        chosen[FIXED_STEP] = section.integrator_step
+    return chosen

@@ -1,0 +1,47 @@
+"""How long something takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from time import perf_counter, process_time
+
+ENOUGH = 0.1
+"""Processor time [s] after which a trial isn't repeated any more."""
+
+MOST = 15
+"""Most repetitions of a trial."""
+
+
+class Stopwatch:
+    """Wall time from lap to lap."""
+
+    def __init__(self) -> None:
+        self._since = perf_counter()
+
+    def lap(self) -> float:
+        """Time since the last lap, or since the start [s]."""
+        last, self._since = self._since, perf_counter()
+        return self._since - last
+
+
+def fastest(run: Callable[[], object]) -> float:
+    """Processor time [s] of the fastest of several runs; the first of them warms up."""
+    return fastest_in_turns([run])[0]
+
+
+def fastest_in_turns(runs: Sequence[Callable[[], object]]) -> tuple[float, ...]:
+    """Processor times [s] of the fastest of several runs of each, for comparison: a machine is faster at one moment than at another."""
+    best = [_timed(run) for run in runs]
+    total = sum(best)
+    for _ in range(MOST):
+        if total > ENOUGH * len(runs):
+            break
+        taken = [_timed(run) for run in runs]
+        best, total = [min(pair) for pair in zip(best, taken, strict=True)], total + sum(taken)
+    return tuple(best)
+
+
+def _timed(run: Callable[[], object]) -> float:
+    begin = process_time()
+    run()
+    return process_time() - begin

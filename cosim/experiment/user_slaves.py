@@ -1,0 +1,167 @@
+"""Slaves of whatever a user has: blocks, python-control systems, FMUs, slaves, and code named by ``module:name``."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache, reduce
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from os import PathLike, fspath
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import Slave
+from flexfmu.model.scene.loop import RESERVED
+
+
+class Names:
+    """Names for slaves that can be renamed, each given once."""
+
+    def __init__(self) -> None:
+        self._given = set(RESERVED)
+
+    def __contains__(self, name: str) -> bool:
+        """Whether a slave has this name."""
+        return name in self._given
+
+    def unused(self, wanted: str) -> str:
+        """The name, or the name with a number."""
+        name, number = wanted, 1
+        while name in self._given:
+            number += 1
+            name = f"{wanted}{number}"
+        self._given.add(name)
+        return name
+
+    def chosen(self, name: str | None, default: str) -> str:
+        """The name that a user has chosen, as it is; otherwise the default, with a number where it is taken.
+
+        Raises:
+            InputError: a slave has the chosen name already.
+        """
+        if name is None:
+            return self.unused(default)
+        if name in self._given:
+            raise InputError(
+                f"the name {name!r} is taken: a slave without a name of its own is called after its kind; choose another"
+            )
+        return self.unused(name)
+
+    def of_file(self, path: str, name: str | None = None) -> str:
+        """The name that a user has chosen, or one from a file's name; errors as for `chosen`."""
+        return self.chosen(name, "".join(c if c.isalnum() else "_" for c in Path(path).stem) or "fmu")
+
+
+def as_slave(source: Any, names: Names | None = None, name: str | None = None) -> Slave:
+    """A slave from a block, a python-control system, the path of an FMU, or a slave.
+
+    The FMU of a block is sampled like the block, one that can't vary its step at the step size of its default experiment,
+    any other is stepped; `flexfmu.cosim.engine.fmu.sampled_slave.fmu_slave` makes one with a sample time.
+
+    Args:
+        source: what it is made from.
+        names: names given so far.
+        name: its name; by default what the block, file or slave is called.
+
+    Raises:
+        InputError: it is none of these, the name is taken, or the FMU can't be loaded.
+    """
+    from flexfmu.cosim.control.blocks.slave import BlockSlave
+    from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
+    from flexfmu.model.block import SymbolicBlock
+
+    names = names or Names()
+    if isinstance(source, SymbolicBlock):
+        return BlockSlave(source, names.chosen(name, source.name))
+    if type(source).__module__.partition(".")[0] == "control":
+        from flexfmu.cosim.control.controllers.from_control import control_block
+
+        return BlockSlave(control_block(source), names.chosen(name, "controller"))
+    if isinstance(source, (str, PathLike)):
+        path = fspath(source)
+        return fmu_slave(path, names.of_file(path, name))
+    if all(hasattr(source, part) for part in ("name", "variables", "initialize", "set", "get")):
+        slave: Slave = source
+        if name is not None and slave.name != name:
+            slave.name = name  # type: ignore[misc]
+        return slave
+    raise InputError(
+        f"a {type(source).__name__} can't be a slave: take a SymbolicBlock, a slave, a python-control system or an FMU's path"
+    )
+
+
+def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = ".") -> Any:
+    """What a class or function returns.
+
+    Args:
+        source: ``module:name``, for example ``my_controllers:Damper``.
+        arguments: its keyword arguments.
+        folder: where the module is looked for first; then among installed modules, then in the working directory. Modules
+            of the same name in different folders are different modules.
+
+    Raises:
+        InputError: there is no such module or name, it can't be imported, or the call fails.
+    """
+    # the module, from the folder or installed
+    module_name, _, name = source.partition(":")
+    try:
+        with _searched(Path(folder), Path.cwd()):
+            module = _module(module_name, Path(folder))
+    except SyntaxError as error:
+        raise InputError(f"{source!r}: {module_name} isn't valid Python: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise InputError(f"{source!r}: can't import {module_name}: {_described(error)}") from error
+    try:
+        found = reduce(getattr, name.split("."), module)
+    except AttributeError:
+        raise InputError(f"{source!r}: module {module_name} has no {name!r}") from None
+    # an object as it is, or what the callable returns
+    if not callable(found):
+        return found
+    try:
+        return found(**arguments)
+    except (Exception, SystemExit) as error:
+        given = ", ".join(f"{key}={value!r}" for key, value in arguments.items())
+        raise InputError(f"{source}({given}): {_described(error)}") from error
+
+
+def _described(error: Exception | SystemExit) -> str:
+    """Kind, words and place of an error in a user's code."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {error}{where}"
+
+
+def _module(name: str, folder: Path) -> ModuleType:
+    """The module of a folder, else an installed one."""
+    file = folder.resolve() / f"{name}.py"
+    return _loaded(file) if file.is_file() else import_module(name)
+
+
+@cache
+def _loaded(file: Path) -> ModuleType:
+    """The module of a file, under a name that no other has; executed once."""
+    spec = spec_from_file_location(f"{file.stem} of {file.parent}", file)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{file} is no Python file")
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@contextmanager
+def _searched(*folders: Path) -> Iterator[None]:
+    """Let modules be imported from these folders, after all others."""
+    added = [str(folder) for folder in folders]
+    sys.path.extend(added)
+    try:
+        yield
+    finally:
+        for each in added:
+            sys.path.remove(each)

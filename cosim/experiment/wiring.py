@@ -1,0 +1,310 @@
+"""Who feeds whom between trajectory, controllers, imperfections and robot: by names, unless told otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+
+from flexfmu.cosim.engine.errors import WiringError
+from flexfmu.cosim.engine.slave import Causality, Slave
+
+OPTIONAL = ".feedforward"
+"""End of the names of inputs that may stay unconnected, at their start values."""
+
+
+INPUT, SHAPED = ".input", "shaped."
+"""What a signal's name has behind it as the input of an imperfection, and before it as the output of a shaper."""
+
+
+@dataclass(frozen=True)
+class InlineBlock:
+    """A slave that signals pass: its outputs go on in the signals' place.
+
+    Attributes:
+        slave: the slave.
+        takes: name of the signal that each of its inputs takes, for example ``joint1.position``.
+        replaces: name of the signal in whose place each of its outputs goes on.
+    """
+
+    slave: Slave
+    takes: tuple[str, ...]
+    replaces: tuple[str, ...]
+
+
+def inline_block(slave: Slave) -> InlineBlock:
+    """A slave whose variables are named like the signals that pass it, as those of shapers and imperfections are:
+    ``joint1.position.input`` or ``joint1.position`` takes ``joint1.position``; ``joint1.position`` or
+    ``shaped.joint1.position`` replaces it.
+
+    Raises:
+        WiringError: the slave has no outputs.
+    """
+    outputs = _names(slave, "output")
+    if not outputs:
+        raise WiringError(f"{slave.name} has no outputs, so no signal can pass it")
+    takes = tuple(name.removesuffix(INPUT) for name in _names(slave, "input"))
+    return InlineBlock(slave, takes, tuple(name.removeprefix(SHAPED) for name in outputs))
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """Connections between slaves.
+
+    Attributes:
+        connections: pairs (``slave.output``, ``slave.input``).
+        feeding: name of an input of the robot → ``slave.output`` that feeds it in the end.
+    """
+
+    connections: tuple[tuple[str, str], ...]
+    feeding: Mapping[str, str]
+
+
+def wire(
+    references: Slave,
+    plant: Slave,
+    controllers: Sequence[Slave] = (),
+    inline_blocks: Sequence[InlineBlock] = (),
+    explicit: Mapping[str, str] | None = None,
+) -> Wiring:
+    """Connect equal names.
+
+    References pass their inline blocks (shapers, for example) and the plant's outputs theirs (encoders) on the way to the
+    controllers; what the controllers output passes its own (amplifiers) on the way to the plant. A controller's input
+    takes the signal of its name, from another controller before all others. In names, underscores stand for dots where
+    nothing else fits, since python-control allows no dots.
+
+    Args:
+        references: outputs ``joint1.reference.position`` and so on.
+        plant: the robot.
+        controllers: slaves whose inputs all have to find a source, but for those that end in ``.feedforward``.
+        inline_blocks: what signals pass, in this order.
+        explicit: ``slave.input`` → its source, ``slave.output`` or the name of a signal.
+
+    Raises:
+        WiringError: an input finds no source, a signal that shall pass an inline block doesn't exist, two controllers output
+            the same signal, one outputs what the plant itself does, nothing that they output reaches the plant, there
+            are none and nothing else takes what passes an inline block, or an explicit connection names something unknown.
+    """
+    slaves = (references, plant, *controllers, *(inline.slave for inline in inline_blocks))
+    bus = _Bus({slave.name: slave for slave in slaves}, dict(explicit or {}))
+    # references and measurements, with the inline blocks that they pass
+    waiting = list(inline_blocks)
+    for source in (references, plant):
+        bus.publish(source)
+        waiting = bus.pass_through(waiting)
+    for controller in controllers:
+        _check_roles(controller, plant)
+    # controllers, then what their outputs pass on the way to the plant
+    bus.connect_controllers(controllers)
+    bus.publish_to(plant)
+    stuck = bus.pass_through(waiting)
+    if stuck:
+        raise WiringError(_nothing_to_pass(stuck[0], bus, controllers, plant))
+    # nothing may be left over
+    wiring = bus.finished(plant)
+    if controllers and not wiring.feeding:
+        raise WiringError(_nothing_arrives(controllers, plant))
+    if not controllers:
+        _check_takers(inline_blocks, wiring)
+    return wiring
+
+
+@dataclass
+class _Bus:
+    """The signals that are available so far, and the connections made so far."""
+
+    slaves: Mapping[str, Slave]
+    explicit: dict[str, str]
+    sources: dict[str, str] = field(default_factory=dict)
+    connections: list[tuple[str, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for target in self.explicit:
+            _check_variable(self.slaves, target, "input")
+
+    def publish(self, slave: Slave) -> None:
+        """Make a slave's outputs available."""
+        self.sources |= {name: f"{slave.name}.{name}" for name in _names(slave, "output")}
+
+    def pass_through(self, inline_blocks: Iterable[InlineBlock]) -> list[InlineBlock]:
+        """Let signals pass the inline blocks whose signals exist; returns the others."""
+        waiting = []
+        for inline in inline_blocks:
+            if self.missing(inline) is None:
+                self._pass(inline)
+            else:
+                waiting.append(inline)
+        return waiting
+
+    def missing(self, inline: InlineBlock) -> str | None:
+        """A signal that an inline block takes or replaces and that isn't there, unless it is connected explicitly."""
+        name = inline.slave.name
+        taken = zip(inline.takes, _names(inline.slave, "input"), strict=True)
+        needed = [signal for signal, target in taken if f"{name}.{target}" not in self.explicit]
+        return next((signal for signal in (*needed, *inline.replaces) if signal not in self.sources), None)
+
+    def _pass(self, inline: InlineBlock) -> None:
+        """Let signals pass an inline block."""
+        name = inline.slave.name
+        for signal, target in zip(inline.takes, _names(inline.slave, "input"), strict=True):
+            chosen = self.explicit.pop(f"{name}.{target}", None)
+            self.connections.append((self.source(signal if chosen is None else chosen), f"{name}.{target}"))
+        outputs = _names(inline.slave, "output")
+        self.sources |= {signal: f"{name}.{output}" for signal, output in zip(inline.replaces, outputs, strict=True)}
+
+    def connect_controllers(self, controllers: Sequence[Slave]) -> None:
+        """Feed the controllers and make their outputs available."""
+        owners: dict[str, str] = {}
+        for controller in controllers:
+            for name in _names(controller, "output"):
+                if name in owners:
+                    raise WiringError(
+                        f"{owners[name]} and {controller.name} both output {name}; let one of them output "
+                        f"{name.rpartition('.')[0]}{OPTIONAL}, which the other adds to its own, or leave one out"
+                    )
+                owners[name] = controller.name
+        for controller in controllers:
+            for name in _names(controller, "input"):
+                self._feed(controller, name, owners)
+        self.sources |= {name: f"{owner}.{name}" for name, owner in owners.items()}
+
+    def _feed(self, controller: Slave, name: str, owners: Mapping[str, str]) -> None:
+        """Find the source of a controller's input."""
+        target = f"{controller.name}.{name}"
+        if target in self.explicit:
+            # connected explicitly, to a controller's output or to a signal
+            chosen = self.explicit.pop(target)
+            source = f"{owners[chosen]}.{chosen}" if chosen in owners else self.source(chosen)
+        elif owners.get(name, controller.name) != controller.name:
+            # another controller's output of the same name
+            source = f"{owners[name]}.{name}"
+        elif (found := self.find(name)) is not None:
+            source = found
+        elif name.endswith(OPTIONAL):
+            return
+        else:
+            raise WiringError(
+                f"{target} has no source: no signal has that name. Connect it explicitly, "
+                f'connect = {{ "{name}" = "joint1.position" }} for example; there are: {", ".join(self.sources)}'
+            )
+        self.connections.append((source, target))
+
+    def find(self, name: str) -> str | None:
+        """The source of a signal, underscores standing for dots if need be."""
+        if name in self.sources:
+            return self.sources[name]
+        return next((full for signal, full in self.sources.items() if _plain(signal) == _plain(name)), None)
+
+    def source(self, name: str) -> str:
+        """``slave.output`` of a source that a user names, with its slave or as a signal.
+
+        Raises:
+            WiringError: there is none.
+        """
+        if name.partition(".")[0] in self.slaves:
+            _check_variable(self.slaves, name, "output")
+            return name
+        found = self.find(name)
+        if found is None:
+            near = get_close_matches(name, self.sources, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(self.sources)}"
+            raise WiringError(f"there is no signal {name!r} to connect to; {hint}")
+        return found
+
+    def publish_to(self, plant: Slave) -> None:
+        """Let explicit connections to the plant stand in for signals of its inputs' names; torques may have underscores."""
+        for name in _names(plant, "input"):
+            chosen = self.explicit.pop(f"{plant.name}.{name}", None)
+            found = self.find(name) if chosen is None else self.source(chosen)
+            if found is not None:
+                self.sources[name] = found
+
+    def finished(self, plant: Slave) -> Wiring:
+        """Feed the plant."""
+        for target, source in self.explicit.items():
+            self.connections.append((self.source(source), target))
+        feeding = {name: self.sources[name] for name in _names(plant, "input") if name in self.sources}
+        own = {name: source for name, source in feeding.items() if source.partition(".")[0] != plant.name}
+        self.connections += [(source, f"{plant.name}.{name}") for name, source in own.items()]
+        return Wiring(tuple(self.connections), own)
+
+
+def _check_roles(controller: Slave, plant: Slave) -> None:
+    """A controller doesn't output what the plant outputs.
+
+    Raises:
+        WiringError: it does.
+    """
+    for name in set(_names(controller, "output")) & set(_names(plant, "output")):
+        raise WiringError(
+            f"{controller.name} outputs {name}, but so does the robot, which is driven by its motion; for a robot that "
+            'takes torques set `cosimulation.drive` = "torque"'
+        )
+
+
+def _check_takers(inline_blocks: Sequence[InlineBlock], wiring: Wiring) -> None:
+    """Something takes what passes an inline block.
+
+    Raises:
+        WiringError: nothing does.
+    """
+    feeding = {source.partition(".")[0] for source, _ in wiring.connections}
+    for inline in inline_blocks:
+        name = inline.slave.name
+        if name not in feeding:
+            raise WiringError(
+                f"{name} acts on {', '.join(inline.replaces)}, which nothing takes: add a controller, or leave {name} out"
+            )
+
+
+def _nothing_arrives(controllers: Sequence[Slave], plant: Slave) -> str:
+    """Controllers whose outputs have names that the plant doesn't know."""
+    outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
+    inputs = _names(plant, "input")
+    return (
+        f"nothing that the controllers output ({', '.join(outputs) or 'no outputs'}) reaches the robot, which takes "
+        f"{', '.join(inputs)}; give outputs these names, or connect them explicitly, "
+        f'connect = {{ "{plant.name}.{inputs[0]}" = "{outputs[0] if outputs else "mine.torque"}" }} for example'
+    )
+
+
+def _nothing_to_pass(inline: InlineBlock, bus: _Bus, controllers: Sequence[Slave], plant: Slave) -> str:
+    """Which signal an inline block misses, and what would supply it."""
+    missing = bus.missing(inline) or ""
+    outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
+    if missing in _names(plant, "input") and outputs:
+        return (
+            f"{inline.slave.name} acts on {missing}, but the controllers output {', '.join(outputs)}: call the output "
+            f'{missing}, or connect it, connect = {{ "{plant.name}.{missing}" = "{outputs[0]}" }} for example'
+        )
+    if missing.endswith(".torque"):
+        return f"{inline.slave.name} acts on {missing}, which nothing outputs: the robot needs a controller"
+    near = get_close_matches(missing, bus.sources, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(bus.sources)}"
+    return f"{inline.slave.name} acts on {missing}, which doesn't exist; {hint}"
+
+
+def _check_variable(slaves: Mapping[str, Slave], full_name: str, causality: Causality) -> None:
+    """``slave.variable`` exists.
+
+    Raises:
+        WiringError: it doesn't.
+    """
+    slave, _, name = full_name.partition(".")
+    if slave not in slaves:
+        raise WiringError(f"{full_name!r}: there is no slave {slave!r}; slaves: {', '.join(slaves)}")
+    names = _names(slaves[slave], causality)
+    if name not in names:
+        near = get_close_matches(name, names, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"it has: {', '.join(names) or 'none'}"
+        raise WiringError(f"{slave} has no {causality} {name!r}; {hint}")
+
+
+def _names(slave: Slave, causality: Causality) -> tuple[str, ...]:
+    """Names of a slave's inputs or outputs."""
+    return tuple(variable.name for variable in slave.variables if variable.causality == causality)
+
+
+def _plain(name: str) -> str:
+    return name.replace(".", "_")

@@ -1,1 +1,0 @@
-"""The master: a system of slaves, its order of calls, its time grid, and steps that keep their error."""

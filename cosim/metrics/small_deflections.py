@@ -1,0 +1,164 @@
+"""Says where a run has left the theory that its model rests on: links that deflect little against their lengths.
+
+The error of the path is estimated from the forces that the next order of the theory adds along the recorded motion: those of
+foreshortening where the scene leaves it out, and those of bending beyond it. The linear response to them is one step of
+Newton's method for the whole motion, as in `flexfmu.model.selection.estimator`. Motors are taken to move as they did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.model.scene.choice import DEFAULT_TOLERANCE
+from flexfmu.model.selection.motion_grid import MotionGrid
+from flexfmu.model.selection.response import Motion
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.experiment.scene_run import Run
+
+LARGEST_ELONGATION = 0.01
+"""Elongation relative to the length; no structural metal stretches as far without yielding."""
+
+USUAL, MOST_FOUND = (2.0, 8.0), (15.0, 50.0)
+"""The path's error in deflections over length without foreshortening, and in their squares with it: usual values, and more than was
+ever found (0.6 to 9.4 and 1 to 18, the most in undamped robots). Where the latter are within the tolerance nothing is computed; the
+former stand in where too little was recorded for an estimate."""
+
+STEP, LEAST, MOST = 5e-4, 2000, 10_000
+"""Distance of the instants at which a run is looked at [s], and limits of their number."""
+
+HOPELESS = 0.5
+"""Estimated error from which the estimate itself holds no longer."""
+
+
+def exceeded(run: Run) -> list[str]:
+    """A sentence for bending that spoils the path by more than the scene's tolerance (`DEFAULT_TOLERANCE`), and for overstretched links."""
+    return [*_bent(run), *_stretched(run)]
+
+
+def path_errors(run: Run) -> tuple[float, float]:
+    """Estimated error of the path because of large deflections, and what would remain of it with foreshortening.
+
+    Both are the largest distance between two paths over the largest distance of the path from the rigid robot's.
+
+    Raises:
+        KeyError: a coordinate or the motion of the motors wasn't recorded, or no coordinate is a state.
+    """
+    from flexfmu.model.selection.linearized_motion import LinearizedMotion
+
+    # the recorded motion of motors and links on a grid of its own
+    recording, scene = run.recording, run.robot
+    count = int(np.clip((recording.time[-1] - recording.time[0]) / STEP, LEAST, MOST))
+    time = np.linspace(recording.time[0], recording.time[-1], count)
+    joints = _motors(recording, time)
+    rests = np.concatenate([joints[[0, -1], :2], np.zeros((2, 4))], axis=1)
+    grid = MotionGrid(time, joints, rests, ((0, time.size),), float(time[-1]))
+    # the robot's equations along that motion, without and with foreshortening
+    own = LinearizedMotion(scene, grid)
+    if not own.names:
+        raise KeyError("all elastic families of the scene deflect statically")
+    short = (
+        own if scene.effects.foreshortening else LinearizedMotion(scene.replace({"effects.foreshortening": True}), grid)
+    )
+    motion = Motion(
+        *(
+            _columns(recording, time, [name.format(each) for each in own.names])
+            for name in ("{}", "der({})", "der({},2)")
+        )
+    )
+
+    def respond(load: NDArray[np.float64]) -> Motion:
+        still = scene.cosimulation.initial == "static"
+        start = np.linalg.solve(own.linear.stiffness[0], load[0]) if still else np.zeros(load.shape[1])
+        return own.linear.response(load, start)
+
+    # what is unbalanced, less what interpolation alone leaves unbalanced
+    shortened = motion + respond(own.forces(motion) - short.forces(motion))
+    ours, theirs = own.outputs(motion).position, short.outputs(shortened).position
+    exact = short.outputs(shortened + respond(-short.hardening(motion))).position
+    rigid = _columns(recording, time, [f"end_effector.reference.position.{axis}" for axis in "xy"])
+    unit = _largest(ours - rigid)
+    return _largest(exact - ours) / unit, _largest(exact - theirs) / unit
+
+
+def _bent(run: Run) -> Iterator[str]:
+    """The sentence about bending, where the path may be wrong by more than the tolerance."""
+    # a bound by the deflection alone, which is enough for most runs
+    deflection, choice = largest_deflection(run), run.scene.effects.choice
+    tolerance, short = DEFAULT_TOLERANCE if choice is None else choice.tolerance, run.robot.effects.foreshortening
+    terms = np.array([deflection**2 if short else deflection, deflection**2])
+    if terms[0] * MOST_FOUND[short] <= tolerance:
+        return
+    try:
+        with np.errstate(all="ignore"):
+            error, remaining = path_errors(run)
+        how = "the path is off by"
+    except KeyError:  # an estimate needs coordinates that are states and were recorded
+        (error, remaining), how = terms * (USUAL[short], USUAL[True]), "the path may be off by"
+    if error <= tolerance:
+        return
+    # what helps
+    remedy = "stiffen or relieve the links"
+    if not short:
+        remedy = (
+            f"set `effects.foreshortening = true`, which leaves {_percent(remaining)}"
+            if remaining <= tolerance
+            else f"`effects.foreshortening = true` would leave {_percent(remaining)}: {remedy}"
+        )
+    yield (
+        f"links bend by up to {100.0 * deflection:.2g} % of their length: {how} {_percent(error)} of the largest elastic "
+        f"deviation, more than the tolerance of {100.0 * tolerance:g} %; {remedy}"
+    )
+
+
+def _stretched(run: Run) -> Iterator[str]:
+    """A sentence for each link that stretches beyond `LARGEST_ELONGATION`."""
+    for name, relative in _relative(run, "elongation"):
+        if not relative <= LARGEST_ELONGATION:
+            yield (
+                f"{name} reaches {100.0 * relative:.3g} % of the link's length: no structural metal stretches by more than "
+                f"{100.0 * LARGEST_ELONGATION:g} % without yielding; stiffen or relieve the links"
+            )
+
+
+def largest_deflection(run: Run) -> float:
+    """Largest deflection of any link relative to its length."""
+    tips = [relative for _, relative in _relative(run, "tip_deflection")]
+    # distal links are pinned at both ends, and their first shape is largest in the middle
+    return max([*tips, *(relative for name, relative in _relative(run, "bending[1]") if name[5] == "2")], default=0.0)
+
+
+def _relative(run: Run, signal: str) -> Iterator[tuple[str, float]]:
+    """Columns of a signal of links, with their largest value relative to the link's length."""
+    mechanism = run.robot.mechanism
+    for name, column in run.recording.columns.items():
+        link, _, kind = name.partition(".")
+        if kind == signal and column.values.size:
+            length = (mechanism.proximal if link.endswith("1") else mechanism.distal).length
+            yield name, float(np.abs(column.values).max()) / length
+
+
+def _motors(recording: Recording, time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles, rates and accelerations of the motors (N, 6) at instants: measured, or else their references."""
+    own = "" if "joint1.position" in recording.columns else ".reference"
+    kinds = ("position", "velocity", "acceleration")
+    return _columns(recording, time, [f"joint{leg}{own}.{kind}" for kind in kinds for leg in (1, 2)])
+
+
+def _columns(recording: Recording, time: NDArray[np.float64], names: Sequence[str]) -> NDArray[np.float64]:
+    """Signals at instants, side by side; KeyError where one wasn't recorded."""
+    return np.stack([np.interp(time, recording.time, recording[name].values) for name in names], axis=1)
+
+
+def _largest(vectors: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(vectors, axis=1).max())
+
+
+def _percent(error: float) -> str:
+    """An error with two digits, as far as the estimate holds."""
+    return f"about {100.0 * error:.2g} %" if error < HOPELESS else f"more than {100.0 * HOPELESS:g} %"

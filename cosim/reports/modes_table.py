@@ -1,0 +1,75 @@
+"""Natural frequencies along a scene's path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import MotionPlan
+
+
+@dataclass(frozen=True)
+class ModalPose:
+    """The robot at one point of its path, motors locked.
+
+    Attributes:
+        s: fraction of the path's length, 0..1.
+        x, y: rigid end-effector position [m].
+        q11, q21: motor angles [rad], continuous along the path.
+        frequencies: undamped natural frequencies about the static equilibrium [Hz], ascending; none for a rigid robot.
+    """
+
+    s: float
+    x: float
+    y: float
+    q11: float
+    q21: float
+    frequencies: tuple[float, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as in `flexfmu modes --json`."""
+        return asdict(self) | {"frequencies": list(self.frequencies)}
+
+
+def modes_along_path(
+    plan: MotionPlan, count: int, progress: Callable[[float], None] = lambda fraction: None
+) -> list[ModalPose]:
+    """Frequencies at ``count`` points, equally spaced by arc length, start, middle and end among them.
+
+    Args:
+        plan: the planned motion of a scene.
+        count: number of poses, odd, at least 3.
+        progress: called with the finished fraction.
+
+    Raises:
+        InputError: ``count`` is even or too small.
+        EquilibriumError: the robot has no stable static equilibrium at a pose.
+    """
+    from flexfmu.model.modes import natural_frequencies
+
+    if count < 3 or count % 2 == 0:
+        raise InputError(
+            f"the number of poses must be odd and at least 3, so that the middle of the path is one; got {count}"
+        )
+    poses = []
+    fractions = np.linspace(0.0, 1.0, count)
+    for index, (s, (x, y), (q11, q21)) in enumerate(
+        zip(fractions, *_rigid_poses(plan, fractions), strict=True), start=1
+    ):
+        frequencies = tuple(float(f) for f in natural_frequencies(plan.scene, (q11, q21)))
+        poses.append(ModalPose(float(s), float(x), float(y), float(q11), float(q21), frequencies))
+        progress(index / count)
+    return poses
+
+
+def _rigid_poses(plan: MotionPlan, fractions: RealArray) -> tuple[RealArray, RealArray]:
+    """(N, 2) positions [m] and (N, 2) joint angles [rad], unwrapped, at fractions of the path's length."""
+    path = plan.along_path.path
+    x, y = path.jets(fractions * path.length, order=0)
+    joints = np.stack([joint.value for joint in plan.kinematics.joints(x, y)], axis=-1)
+    return np.stack([x.value, y.value], axis=-1), np.unwrap(joints, axis=0)

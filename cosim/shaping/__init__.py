@@ -1,1 +1,0 @@
-"""Input shapers for a scene: designed, tried, compared and recommended."""

@@ -1,0 +1,212 @@
+"""What SciPy's solvers make of the equations that an FMU is made from: the references that the suite's errors are counted from.
+Neither our integrator nor our master takes part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from flexfmu.cosim.control.blocks.code import compile_function
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.parameters import parameters_for
+from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.studies.workprec.equations import NUMBERS, BoundFunction, Symbol, joint_motion, pieces
+from flexfmu.cosim.studies.workprec.solver_trials import Method, ends
+from flexfmu.cosim.studies.workprec.trial import RunError
+from flexfmu.model.plants import build_model
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.statics import static_equilibrium
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How the six references u = [q_a, v_a, a_a] of the joints come about.
+
+    Attributes:
+        count: how many numbers say it.
+        references: (t, numbers) → u (6, 1).
+    """
+
+    count: int
+    references: Callable[[Symbol, Symbol], Symbol]
+
+
+def _held(t: Symbol, numbers: Symbol) -> Symbol:
+    return numbers
+
+
+ALONG_POLYNOMIALS = Drive(NUMBERS, joint_motion)
+"""The numbers of a `flexfmu.cosim.studies.workprec.equations.Piece`."""
+
+HELD = Drive(6, _held)
+"""u itself, constant."""
+
+
+@dataclass(frozen=True)
+class RobotEquations:
+    """dz/dt and what is compared as functions of (t, z, [numbers of the drive, d]), with z = [q_e, dq_e/dt].
+
+    Attributes:
+        n: number of elastic coordinates.
+        parameters: names of the parameters p, in the order that `derive` takes them.
+        derive: p → derived parameters d.
+        rate: → dz/dt (2 n,).
+        signals: → the outputs that were asked for.
+    """
+
+    n: int
+    parameters: tuple[str, ...]
+    derive: casadi.Function
+    rate: casadi.Function
+    signals: casadi.Function
+
+
+@lru_cache(maxsize=8)
+def robot_equations(robot: Scene, drive: Drive, signals: tuple[str, ...], compiled: bool) -> RobotEquations:
+    """The equations of a motion-driven robot, with free parameters.
+
+    Args:
+        robot: the scene; its parameters don't matter.
+        drive: what moves the joints.
+        signals: outputs that are to be compared.
+        compiled: whether to compile them, which takes a second.
+    """
+    model = build_model(robot)
+    n, given = model.degrees_of_freedom, model.functions
+    t, z = casadi.SX.sym("t"), casadi.SX.sym("z", 2 * n)
+    numbers = casadi.SX.sym("numbers", drive.count + given["derive"].numel_out(0))
+    u, d, q, v = drive.references(t, numbers[: drive.count]), numbers[drive.count :], z[:n], z[n:]
+    bias = given["residual"](q, v, casadi.SX.zeros(n), u, d)
+    rate = casadi.vertcat(v, casadi.solve(given["mass_matrix"](q, u, d), -bias))
+    outputs = given["outputs"](q, v, casadi.SX.zeros(n), u, d)
+    names = [output.name for output in model.outputs]
+    chosen = casadi.vertcat(*(outputs[names.index(name)] for name in signals))
+    made = [
+        casadi.Function(name, [t, z, numbers], [casadi.densify(casadi.cse(expression))])
+        for name, expression in (("rate", rate), ("signals", chosen))
+    ]
+    ready = [compile_function(each) if compiled else each for each in made]
+    return RobotEquations(n, tuple(p.name for p in model.parameters), given["derive"], *ready)
+
+
+FREQUENCY = 1e3
+"""Angular frequency [rad/s] by which absolute tolerances of rates exceed those of coordinates: about what these links swing at.
+Without it, solvers would chase the rounding errors of accelerations where a heavy payload meets light links."""
+
+POSITION = ("end_effector.position.x", "end_effector.position.y")
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Which of SciPy's methods, and how exact.
+
+    Attributes:
+        method: ``DOP853`` where nothing is stiff, else ``Radau``.
+        tolerance: relative; the absolute one follows from it.
+        compiled: whether the equations are compiled, which takes a second.
+    """
+
+    method: Method = "DOP853"
+    tolerance: float = 1e-10
+    compiled: bool = True
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A time in which the equations have no jump.
+
+    Attributes:
+        begin, end: [s].
+        numbers: of the drive.
+    """
+
+    begin: float
+    end: float
+    numbers: RealArray
+
+
+def positions_along(
+    robot: Scene, scene: Scene, motion: MotionPlan, instants: RealArray, solver: Solver, size: float
+) -> RealArray:
+    """End-effector positions [m] of a planned motion, shape (N, 2).
+
+    Args:
+        robot: a scene of the same effects, whose equations are taken: scenes that differ in parameters share them.
+        scene: whose parameters and start are taken.
+        motion: joint motion.
+        instants: (N,) ascending times [s] within the motion and its standstill.
+        solver: which solver.
+        size: about how far the links deflect [m]; absolute tolerances follow from it.
+
+    Raises:
+        RunError: the solver gives up.
+    """
+    equations = robot_equations(robot, ALONG_POLYNOMIALS, POSITION, solver.compiled)
+    phases = [Phase(p.begin, p.end, p.numbers) for p in pieces(motion.joints, float(instants[-1]))]
+    start = _start(scene, motion, equations.n)
+    return _follow(equations, scene, phases, start, instants, solver, size)
+
+
+def signals_of_held(
+    robot: Scene,
+    scene: Scene,
+    phases: Sequence[Phase],
+    signals: tuple[str, ...],
+    instants: RealArray,
+    solver: Solver,
+    size: float,
+) -> RealArray:
+    """Outputs of a robot that starts undeformed and at rest, with references that stay over every phase, shape (N, signals).
+
+    Args and errors: as for `positions_along`.
+    """
+    equations = robot_equations(robot, HELD, signals, solver.compiled)
+    return _follow(equations, scene, phases, np.zeros(2 * equations.n), instants, solver, size)
+
+
+def _start(scene: Scene, motion: MotionPlan, n: int) -> RealArray:
+    """z at the start (2 n,)."""
+    joints = motion.joints.evaluate(0.0, 0)[0, 0]
+    is_static = scene.cosimulation.initial == "static"
+    elastic = static_equilibrium(scene, joints).elastic if is_static else np.zeros(n)
+    return np.concatenate([elastic, np.zeros(n)])
+
+
+def _follow(
+    equations: RobotEquations,
+    scene: Scene,
+    phases: Iterable[Phase],
+    state: RealArray,
+    instants: RealArray,
+    solver: Solver,
+    size: float,
+) -> RealArray:
+    """The signals at the instants, restarted in every phase; an instant between two phases belongs to the first."""
+    values = parameters_for(scene, equations.parameters)
+    derived = equations.derive([values[name] for name in equations.parameters]).full().ravel()
+    absolute = solver.tolerance * size * np.repeat([1.0, FREQUENCY], equations.n)
+    found = []
+    for phase in phases:
+        within = instants[(instants > phase.begin) & (instants <= phase.end)]
+        numbers = np.concatenate([phase.numbers, derived])
+        rate, signals = (BoundFunction(function, numbers) for function in (equations.rate, equations.signals))
+        states = _solve(rate, phase, state, ends(within, phase.end), solver, absolute)
+        found += [signals(t, z) for t, z in zip(within, states, strict=False)]
+        state = states[-1]
+    return np.array(found)
+
+
+def _solve(
+    rate: BoundFunction, phase: Phase, state: RealArray, wanted: RealArray, solver: Solver, absolute: RealArray
+) -> RealArray:
+    """z at the wanted instants (N, 2 n)."""
+    span = phase.begin, phase.end
+    solution = solve_ivp(rate, span, state, solver.method, wanted, rtol=solver.tolerance, atol=absolute)
+    if not solution.success:
+        raise RunError(solution.message)
+    return np.asarray(solution.y.T)

@@ -1,0 +1,128 @@
+"""Ten thousand cycles in one run: whether time, energy or the closure of the mechanism drift."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.cycles import repeated
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.studies.hard.case import Check, Finding, HardCase, fmu_of, paper_robot
+from flexfmu.cosim.studies.hard.judging import LOOP_SIGNALS, soundness
+from flexfmu.cosim.studies.hard.reference import POSITION
+from flexfmu.model.numeric import numeric_model
+from flexfmu.model.scene.schema import Scene
+
+CYCLES = 10_000
+
+STEP = 1e-2
+"""Communication step [s]; references are polynomials of degree 9 over each."""
+
+DWELL = 0.02
+"""Standstill between two motions [s]: links still swing when the next one begins."""
+
+TOLERANCE = 1e-5
+"""Of the FMU's integrator."""
+
+SETTLED = 5
+"""Cycles after which all are alike: the start has died down."""
+
+SCATTER = 100.0 * TOLERANCE
+"""Largest difference of two cycles, relative: each may have errors of its own, which don't add up."""
+
+DRIFT = TOLERANCE
+"""Largest difference of the means over the first and the last half of the cycles, relative."""
+
+LEAST_DIGITS = 4.0
+"""Units in the last place by which the last instant may differ from its exact value."""
+
+
+def cases(cycles: int = CYCLES) -> Iterator[HardCase]:
+    """One, in full length or shorter."""
+    length = 2 * cycles * (paper_robot().trajectory.duration + DWELL)
+    hard = f"{length:.0f} s at tolerance {TOLERANCE:g}: rounding and the integrator's errors could add up"
+    yield HardCase(f"{cycles} cycles in one run", hard, partial(_run, cycles))
+
+
+def _run(cycles: int) -> Finding:
+    """Every cycle against the first settled one, at every breakpoint."""
+    run = many_cycles(cycles)
+    if not run.completed:
+        return Finding(run.message, soundness(run))
+    index = _marks(run, cycles)
+    positions = np.stack([run.recording[name].values for name in POSITION], axis=-1)[index]
+    rigid = run.plan.task.evaluate(run.recording.time[index[0]], 0, "left")[0]
+    size = float(np.linalg.norm(positions[SETTLED] - rigid, axis=-1).max())
+    energy = link_energy(run, index.ravel()).reshape(index.shape)
+    checks = (
+        _time_error(run, cycles),
+        *_drift("position", positions / size),
+        *_drift("energy", energy[..., np.newaxis] / np.abs(energy).max()),
+        *soundness(run),
+    )
+    steps = run.health.statistics["steps"]
+    return Finding(f"{run.message}; {steps} steps of the integrator, all cycles alike", checks)
+
+
+def many_cycles(cycles: int) -> Run:
+    """Motion there and back, again and again."""
+    scene = _scene()
+    states = numeric_model(scene).names
+    kept = {*LOOP_SIGNALS, *states, *(f"der({name})" for name in states)}
+    prepared = PreparedScene(
+        scene,
+        fmu_path=fmu_of(paper_robot()),
+        communication_step=STEP,
+        tolerance=TOLERANCE,
+        motion=repeated(plan(scene), cycles),
+        record=Selection(kept, 0),
+    )
+    return prepared.run()
+
+
+def _scene() -> Scene:
+    return paper_robot().replace({"trajectory.dwell": DWELL})
+
+
+def _marks(run: Run, cycles: int) -> NDArray[np.intp]:
+    """(cycles, marks) where the recording has the left limits at the breakpoints of each cycle but for its first one."""
+    points = np.array(run.plan.joints.breakpoints)[1:]
+    return np.searchsorted(run.recording.time, np.append(points, run.plan.stop_time)).reshape(cycles, -1)
+
+
+def _time_error(run: Run, cycles: int) -> Check:
+    """Last instant against exact arithmetic."""
+    exact = 2 * cycles * (Fraction(run.plan.once.duration) + Fraction(DWELL))
+    last = float(run.recording.time[-1])
+    return Check("time off by", float(abs(Fraction(last) - exact)), LEAST_DIGITS * float(np.spacing(last)), "s")
+
+
+def link_energy(run: Run, index: NDArray[np.intp]) -> RealArray:
+    """(N,) what the links have more than straight ones at rest, with the joints locked where they are [J]."""
+    model = numeric_model(run.scene)
+    columns = run.recording.columns
+    angles = [columns[f"joint{leg}.reference.position"].values[index] for leg in (1, 2)]
+    u = np.vstack([*angles, np.zeros((4, index.size))])
+    q, v = (np.stack([columns[form.format(name)].values[index] for name in model.names]) for form in ("{}", "der({})"))
+    at_all = model.energy.map(index.size)
+    bent, straight = (np.asarray(at_all(x, w, u)).sum(axis=0) for x, w in ((q, v), (0.0 * q, 0.0 * v)))
+    return np.asarray(bent - straight)
+
+
+def _drift(name: str, values: RealArray) -> tuple[Check, Check]:
+    """How cycles differ, and whether they differ more and more; values (cycles, marks, any), relative."""
+    settled = values[SETTLED:]
+    halves = np.array_split(settled, 2)
+    drift = np.abs(halves[1].mean(axis=0) - halves[0].mean(axis=0)).max()
+    return (
+        Check(f"{name} of cycles differs by", float(np.abs(settled - settled[0]).max()), SCATTER),
+        Check(f"{name} drifts by", float(drift), DRIFT),
+    )

@@ -1,0 +1,192 @@
+"""Towards the type-2 singularity, in which the distal links lie in one line and the payload swings free."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from math import sqrt
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike
+
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.studies.hard.case import ALLOWED, Check, Finding, HardCase, paper_robot, run_case
+from flexfmu.cosim.studies.hard.judging import error_against, loop_geometry, not_finite, off_branch, soundness
+from flexfmu.cosim.studies.hard.reference import Solver
+from flexfmu.model.kinematics import RigidKinematics
+from flexfmu.model.plant_functions import MINIMUM_SINE
+from flexfmu.model.scene.mechanism import Mechanism
+from flexfmu.model.scene.schema import Scene
+from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Jet
+from flexfmu.trajectories.joint import InverseKinematics, JointTrajectory, Margin
+
+PROFILE = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+"""Fraction of the way over the fraction of the duration: rates, accelerations and jerks vanish at both ends."""
+
+
+@dataclass(frozen=True)
+class StraightLine:
+    """Implements `flexfmu.trajectories.Trajectory`.
+
+    Attributes:
+        start, end: x and y [m].
+        duration: [s].
+    """
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    duration: float
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Beginning and end [s]."""
+        return (0.0, self.duration)
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
+        """(order + 1, N, 2) position [m] and its time derivatives."""
+        instants = np.atleast_1d(np.asarray(time, dtype=np.float64))
+        right = side == "right"
+        moves = (
+            (instants >= 0.0) & (instants < self.duration) if right else (instants > 0.0) & (instants <= self.duration)
+        )
+        fraction = np.clip(instants / self.duration, 0.0, 1.0)
+        ways = [PROFILE.deriv(k)(fraction) / self.duration**k for k in range(order + 1)]
+        travelled = np.stack([ways[0], *(np.where(moves, way, 0.0) for way in ways[1:])])
+        motion = travelled[:, :, np.newaxis] * np.subtract(self.end, self.start)
+        motion[0] += self.start
+        return np.asarray(motion)
+
+
+@dataclass(frozen=True)
+class Unguarded:
+    """Inverse kinematics without the margins that planning keeps, as a careless controller has."""
+
+    kinematics: RigidKinematics
+
+    def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
+        """Those of the guarded one."""
+        return self.kinematics.joints(x, y)
+
+    def margins(self, position: RealArray) -> tuple[Margin, ...]:
+        """None at all."""
+        return ()
+
+
+def straight_motion(
+    base: MotionPlan,
+    scene: Scene,
+    line: StraightLine,
+    guard: Callable[[RigidKinematics], InverseKinematics] = lambda kinematics: kinematics,
+) -> MotionPlan:
+    """A plan with the line in place of the scene's path.
+
+    Args:
+        base: a plan; what has to do with its path is replaced.
+        scene: whose mechanism moves.
+        line: the motion.
+        guard: what to make of the inverse kinematics, for example `Unguarded`.
+
+    Raises:
+        TrajectoryError: the line leaves the workspace or comes too near to a singularity.
+    """
+    kinematics = RigidKinematics(scene.mechanism)
+    joints = JointTrajectory(line, guard(kinematics))
+    return replace(base, scene=scene, kinematics=kinematics, task=line, joints=joints)
+
+
+START = (0.02, -0.14)
+"""Where the motion starts [m]: the end effector hangs below the elbows, off the middle, so that its stop makes it swing."""
+
+DURATION, DWELL = 0.3, 0.2
+
+REFERENCE = Solver("DOP853", 1e-10)
+
+NAMED = ("end_effector.position.x", "end_effector.position.y", "type-2 singularity", " s the ")
+"""What the status of a stopped run has to name: pose, measure, time."""
+
+HALF_DISTANCES = (100, 20, 5, 1)
+"""Of the elbows at the end of the motion [mm]."""
+
+
+def cases() -> Iterator[HardCase]:
+    """One for each half-distance."""
+    for half in HALF_DISTANCES:
+        sine = _sine(paper_robot().mechanism, 1e-3 * half)
+        hard = f"distal links cross at a sine of {sine:.2g} at the end of the motion; 6 kg swing there"
+        yield HardCase(f"elbows {half} mm from the middle", hard, partial(_approach, 1e-3 * half))
+
+
+@lru_cache(maxsize=1)
+def hanging_robot() -> Scene:
+    """The paper's robot with the end effector below its elbows."""
+    return paper_robot().replace(
+        {
+            "mechanism.assembly_mode": "right",
+            "trajectory.start": START,
+            "trajectory.duration": DURATION,
+            "trajectory.dwell": DWELL,
+        }
+    )
+
+
+def pose(mechanism: Mechanism, half_distance: float) -> tuple[float, float]:
+    """Where the end effector hangs [m] in the middle with the elbows so far from it on both sides [m]."""
+    across = mechanism.base_half_distance - half_distance
+    elbow = sqrt(mechanism.proximal.length**2 - across**2)
+    return 0.0, elbow - sqrt(mechanism.distal.length**2 - half_distance**2)
+
+
+def _sine(mechanism: Mechanism, half_distance: float) -> float:
+    ratio = half_distance / mechanism.distal.length
+    return 2.0 * ratio * sqrt(1.0 - ratio**2)
+
+
+def motion_to(half_distance: float, guarded: bool) -> MotionPlan:
+    """From `START` straight to the pose.
+
+    Raises:
+        TrajectoryError: the planner keeps away from it.
+    """
+    robot = hanging_robot()
+    line = StraightLine(START, pose(robot.mechanism, half_distance), DURATION)
+    keep = (lambda kinematics: kinematics) if guarded else Unguarded
+    return straight_motion(plan(paper_robot()), robot, line, keep)
+
+
+def approach(half_distance: float) -> Run:
+    """Run it whatever the planner says."""
+    return run_case(hanging_robot(), motion=motion_to(half_distance, guarded=False))
+
+
+def _approach(half_distance: float) -> Finding:
+    """Finished runs are compared with SciPy's; stopped ones have to say where and why."""
+    run, planner = approach(half_distance), _planner(half_distance)
+    happened = f"{planner}{run.message}"
+    if run.completed:
+        return Finding(happened, (error_against(run, hanging_robot(), REFERENCE, ALLOWED), *soundness(run)))
+    geometry = loop_geometry(run.scene.mechanism, run.recording)
+    unnamed = sum(part not in run.message for part in NAMED)
+    checks = (
+        Check("outcomes other than a failed step", float(run.outcome is not Outcome.STEP_FAILED), 0.0),
+        Check("pose, measure or time not named", float(unnamed), 0.0),
+        Check("least sine overrun", max(0.0, MINIMUM_SINE - float(geometry.sine.min())), 0.0),
+        not_finite(run.recording),
+        off_branch(geometry.sine),
+    )
+    return Finding(happened, checks)
+
+
+def _planner(half_distance: float) -> str:
+    """What planning says, where it refuses."""
+    try:
+        motion_to(half_distance, guarded=True)
+    except TrajectoryError as refusal:
+        return f"the planner refuses: {refusal}. Run nevertheless: "
+    return ""

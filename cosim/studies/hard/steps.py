@@ -1,0 +1,211 @@
+"""Communication steps of extreme length, references that jump from one to the next, and a controller whose gain is too high for its step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
+from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.studies.hard.case import ALLOWED, STEP, TOLERANCE, Check, Finding, HardCase, fmu_of, paper_robot
+from flexfmu.cosim.studies.hard.judging import ERROR, NOT_FINITE, not_finite
+from flexfmu.cosim.studies.hard.reference import Phase, Solver, signals_of_held
+from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.schema import Scene
+
+SIGNALS = ("end_effector.position.x", "end_effector.position.y", "link11.tip_deflection", "link21.tip_deflection")
+"""Outputs that are compared; all lengths [m]."""
+
+REFERENCES = tuple(
+    f"joint{leg}.reference.{kind}" for kind in ("position", "velocity", "acceleration") for leg in (1, 2)
+)
+"""Inputs, in the order of u = [q_a, v_a, a_a]."""
+
+SOLVER = Solver("DOP853", 1e-10)
+
+
+DAMPING = 0.01
+"""Ratio of the links' modal damping: little, so that vibrations last."""
+
+
+@dataclass(frozen=True)
+class HeldRun:
+    """The paper's robot, little damped, from links that are straight and at rest.
+
+    Attributes:
+        times: (N + 1,) communication points [s]; the first is 0.
+        references: (N, 6) u over each step.
+    """
+
+    times: RealArray
+    references: RealArray
+
+    def outputs(self) -> RealArray:
+        """(N, signals) of the FMU at the ends of the steps.
+
+        Raises:
+            SlaveError: the FMU fails.
+        """
+        plant = FmuSlave(fmu_of(paper_robot()), "plant", {"initial": "undeformed", "damping.ratio": DAMPING})
+        inputs, outputs = (_indices(plant.variables, names) for names in (REFERENCES, SIGNALS))
+        found = np.empty((self.times.size - 1, outputs.size))
+        plant.set(inputs, self.references[0])
+        try:
+            plant.initialize(0.0, float(self.times[-1]), TOLERANCE)
+            for n, (begin, end) in enumerate(pairwise(self.times.tolist())):
+                plant.set(inputs, self.references[n])
+                plant.step(begin, end - begin)
+                plant.get(outputs, found[n])
+        finally:
+            plant.terminate()
+        return found
+
+    def reference(self, size: float) -> RealArray:
+        """(N, signals) by SciPy; ``size`` is about how far links deflect [m]."""
+        damped = paper_robot().replace({"effects.damping.ratio": DAMPING})
+        return signals_of_held(paper_robot(), damped, self._phases(), SIGNALS, self.times[1:], SOLVER, size)
+
+    def _phases(self) -> list[Phase]:
+        """Times over which the references stay; each instant belongs to the one that ends there."""
+        changes = np.flatnonzero(np.any(np.diff(self.references, axis=0) != 0.0, axis=1)) + 1
+        edges = [0, *changes.tolist(), self.times.size - 1]
+        return [Phase(float(self.times[a]), float(self.times[b]), self.references[a]) for a, b in pairwise(edges)]
+
+
+def start_references() -> RealArray:
+    """u (6,) of the paper's start pose, locked."""
+    robot = paper_robot()
+    return np.concatenate([motor_angles(robot.mechanism, robot.trajectory.start), np.zeros(4)])
+
+
+def _indices(variables: Sequence[SlaveVariable], names: Sequence[str]) -> NDArray[np.intp]:
+    known = [variable.name for variable in variables]
+    return np.array([known.index(name) for name in names], dtype=np.intp)
+
+
+TINY, TINY_STEPS = 1e-9, 10_000
+"""Length [s] and number of the shortest steps."""
+
+JUMP = 0.02
+"""Of joint angles [rad]: no motor turns that far in no time."""
+
+ACCELERATION = 200.0
+"""Of joints [rad/s2], that comes and goes at once."""
+
+
+def step_cases() -> Iterator[HardCase]:
+    """1 ns, 1 s, jumps."""
+    tiny = f"{TINY_STEPS} steps: links bend by 0.5 nm; 1 ns is 2e-5 of the shortest period"
+    huge = "18 800 periods of the fastest mode in one communication step"
+    jumps = f"joint angles jump by {1e3 * JUMP:g} mrad, accelerations by {ACCELERATION:g} rad/s2, in steps of 1 ms that know no derivatives"
+    yield HardCase("steps of 1 ns", tiny, partial(_run_held, tiny_steps))
+    yield HardCase("a step of 1 s", huge, partial(_run_held, huge_step))
+    yield HardCase("inputs that jump", jumps, partial(_run_held, jumping_inputs))
+
+
+def tiny_steps() -> HeldRun:
+    """Straight links begin to bend under the weight."""
+    times = TINY * np.arange(TINY_STEPS + 1, dtype=np.float64)
+    return HeldRun(times, np.tile(start_references(), (TINY_STEPS, 1)))
+
+
+def huge_step() -> HeldRun:
+    """Free vibration under the weight."""
+    return HeldRun(np.array([0.0, 1.0]), start_references()[np.newaxis])
+
+
+def jumping_inputs() -> HeldRun:
+    """Angles jump forth and back, then accelerations, in steps of 1 ms."""
+    references = np.tile(start_references(), (60, 1))
+    references[10:30, :2] += JUMP, -JUMP
+    references[20:40, 4:] += ACCELERATION, -ACCELERATION
+    return HeldRun(1e-3 * np.arange(61, dtype=np.float64), references)
+
+
+def _run_held(make: Callable[[], HeldRun]) -> Finding:
+    """Against SciPy, each signal relative to its own range."""
+    run = make()
+    found = run.outputs()
+    size = float(np.abs(found[:, 2:]).max())
+    expected = run.reference(size)
+    error = float((np.abs(found - expected)[:, 2:].max(axis=0) / np.abs(expected[:, 2:]).max(axis=0)).max())
+    position = float(np.abs(found - expected)[:, :2].max()) / size
+    bent = f"all of {len(found)} made; links bend by up to {size:.2g} m"
+    checks = (
+        Check(f"{ERROR} (DOP853)", error, ALLOWED),
+        Check("error of the end effector", position, ALLOWED),
+        Check(NOT_FINITE, float(np.count_nonzero(~np.isfinite(found))), 0.0),
+    )
+    return Finding(bent, checks)
+
+
+INERTIA = 0.1
+"""Of each motor [kg.m2]."""
+
+PROPORTIONAL, DERIVATIVE = 1e4, 300.0
+"""Gains [N.m/rad], [N.m.s/rad]."""
+
+SHORT_STEP = 1e-4
+"""Step and sample time [s] at which the same gains are right."""
+
+STABILITY_STEPS = (STEP, SHORT_STEP)
+
+TRACKING = 0.05
+"""Largest error of the joints [rad] of a loop that is stable: a tenth of what they move."""
+
+NAMED = ("unstable", "plant", "pd", " s: ")
+"""What the status has to name: what is wrong, between whom, since when."""
+
+
+def gain_cases() -> Iterator[HardCase]:
+    """One."""
+    overshoot = DERIVATIVE * STEP / INERTIA
+    hard = f"a velocity error is over-corrected {overshoot:.0f}-fold in every step of {1e3 * STEP:g} ms"
+    yield HardCase("gain too high, coupled by Jacobi", hard, _unstable)
+
+
+def controlled_robot(step: float) -> Scene:
+    """Robot with motors and PD controller, side by side."""
+    controller = {"kind": "pd", "proportional": PROPORTIONAL, "derivative": DERIVATIVE, "sample_time": step}
+    return paper_robot().replace(
+        {
+            "cosimulation.drive": "torque",
+            "cosimulation.algorithm": "jacobi",
+            "cosimulation.step": step,
+            "effects.motor_inertia": INERTIA,
+            "effects.proximal_bending": 1,
+            "effects.distal_axial": 1,
+            "controller": [controller],
+        }
+    )
+
+
+def _unstable() -> Finding:
+    """Reported as what it is, and cured by what the report says."""
+    run, cured = (
+        run_scene(controlled_robot(step), fmu_path=fmu_of(controlled_robot(STEP))) for step in STABILITY_STEPS
+    )
+    unnamed = sum(part not in run.message for part in NAMED)
+    checks = (
+        Check("outcomes other than an unstable coupling", float(run.outcome is not Outcome.COUPLING_UNSTABLE), 0.0),
+        Check("slaves or time not named", float(unnamed), 0.0),
+        not_finite(run.recording),
+        Check(f"tracking error in steps of {1e3 * SHORT_STEP:g} ms", _tracking_error(cured), TRACKING, "rad"),
+    )
+    return Finding(run.message, checks)
+
+
+def _tracking_error(run: Run) -> float:
+    """Largest [rad]; NaN for a run that didn't reach its end."""
+    if not run.completed:
+        return float("nan")
+    names = ((f"joint{leg}.position", f"joint{leg}.reference.position") for leg in (1, 2))
+    return max(float(np.abs(run.recording[a].values - run.recording[b].values).max()) for a, b in names)

@@ -1,0 +1,171 @@
+"""All hard cases, what running them shows, and their results as text: a table for the terminal, Markdown, and plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from math import isfinite
+from typing import Any
+
+from rich.table import Column, Table
+from rich.text import Text
+
+from flexfmu.cosim.engine.errors import CosimError, InputError
+from flexfmu.cosim.reports.summary import versions
+from flexfmu.cosim.reports.text import markdown_table, titled_table
+from flexfmu.cosim.studies.hard import repetition, singularity, sticking
+from flexfmu.cosim.studies.hard.case import Check, Finding, HardCase
+from flexfmu.cosim.studies.hard.extremes import motion_cases, parameter_cases, stiffness_cases
+from flexfmu.cosim.studies.hard.steps import gain_cases, step_cases
+from flexfmu.model.scene.errors import EquilibriumError
+from flexfmu.trajectories.errors import TrajectoryError
+
+FAMILIES: tuple[Callable[[], Iterable[HardCase]], ...] = (
+    singularity.cases,
+    stiffness_cases,
+    parameter_cases,
+    motion_cases,
+    step_cases,
+    sticking.cases,
+    gain_cases,
+    repetition.cases,
+)
+"""What makes the cases, in the order of the table."""
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """A case with what happened.
+
+    Attributes:
+        case: what was run.
+        finding: what was found.
+    """
+
+    case: HardCase
+    finding: Finding
+
+
+def hard_cases(only: Sequence[str] = ()) -> tuple[HardCase, ...]:
+    """The cases in the order of the table.
+
+    Args:
+        only: parts of the names of those that are wanted; all when empty.
+
+    Raises:
+        InputError: no case has such a name.
+    """
+    cases = tuple(chain.from_iterable(family() for family in FAMILIES))
+    for part in only:
+        if not any(_has(case, part) for case in cases):
+            raise InputError(
+                f"no hard case has {part!r} in its name; there are: {'; '.join(case.name for case in cases)}"
+            )
+    return tuple(case for case in cases if not only or any(_has(case, part) for part in only))
+
+
+def run_cases(cases: Iterable[HardCase], announce: Callable[[str], object]) -> list[CaseResult]:
+    """Run them one after the other; a case that can't be run has failed.
+
+    Args:
+        cases: which.
+        announce: called with the name of each case.
+
+    Raises:
+        BuildError: an FMU can't be built.
+    """
+    results = []
+    for case in cases:
+        announce(case.name)
+        results.append(CaseResult(case, _finding(case)))
+    return results
+
+
+def _finding(case: HardCase) -> Finding:
+    try:
+        return case.run()
+    except (CosimError, EquilibriumError, TrajectoryError) as failure:
+        return Finding(f"{type(failure).__name__}: {failure}", ())
+
+
+def _has(case: HardCase, part: str) -> bool:
+    return part.casefold() in case.name.casefold()
+
+
+COLUMNS = ("case", "what makes it hard", "what happened", "verdict")
+
+INTRODUCTION = """# Hard cases
+
+Made by `flexfmu workprec --hard`, which runs every case and ends with status 1 if one of them fails.
+
+Errors are the largest distance of the end effector from what SciPy's DOP853, Radau or LSODA, tight enough not to show, make of the
+same equations (neither our integrator nor our master), relative to what elasticity does in that case; ten times the tolerance of
+1e-7 that the FMUs get is allowed. The closure residual is recomputed from joint angles, deflections and end effector. "Off the branch" are instants at which the
+end effector isn't on the side of the elbows where it started. Each figure stands with the limit it was held to."""
+
+
+def terminal_table(results: Sequence[CaseResult]) -> Table:
+    """One line for each case."""
+    shares = zip(COLUMNS, (3, 4, 8, 1), strict=True)
+    columns = (Column(name, ratio=ratio, min_width=7, overflow="fold") for name, ratio in shares)
+    table = titled_table("Hard cases", *columns, expand=True)
+    for result in results:
+        table.add_row(*(Text(cell) for cell in row(result)))
+    return table
+
+
+def row(result: CaseResult) -> tuple[str, ...]:
+    """Cells of a case."""
+    happened = f"{result.finding.happened}. {figures(result.finding)}"
+    return result.case.name, result.case.hard, happened, "passed" if result.finding.passed else "FAILED"
+
+
+def figures(finding: Finding) -> str:
+    """What was measured; values that must be zero and are, in one list."""
+    zero = [check.name for check in finding.checks if check.value == 0.0]
+    others = [_figure(check) for check in finding.checks if check.value != 0.0]
+    return "; ".join([*others, *([f"none or zero: {', '.join(zero)}"] if zero else [])])
+
+
+def _figure(check: Check) -> str:
+    unit = f" {check.unit}" if check.unit else ""
+    return f"{check.name} {check.value:.2g}{unit} ({'<=' if check.passed else 'NOT <='} {check.limit:.2g})"
+
+
+def conclusion(results: Sequence[CaseResult]) -> str:
+    """One sentence."""
+    failed = [result.case.name for result in results if not result.finding.passed]
+    if failed:
+        return f"{len(failed)} of {len(results)} hard cases failed: {', '.join(failed)}."
+    return f"All {len(results)} hard cases passed."
+
+
+def markdown(results: Sequence[CaseResult]) -> str:
+    """Introduction, table and conclusion."""
+    rows = [[cell.replace("|", "\\|").replace("*", "\\*") for cell in row(result)] for result in results]
+    table = markdown_table(COLUMNS, (":--",) * len(COLUMNS), rows)
+    return "\n\n".join([INTRODUCTION, table, conclusion(results)]) + "\n"
+
+
+def data(results: Sequence[CaseResult]) -> dict[str, Any]:
+    """Everything for machines; a value that is no finite number is null."""
+    return {
+        "passed": all(result.finding.passed for result in results),
+        "cases": [
+            {
+                "name": result.case.name,
+                "hard": result.case.hard,
+                "happened": result.finding.happened,
+                "passed": result.finding.passed,
+                "checks": [_check_data(check) for check in result.finding.checks],
+            }
+            for result in results
+        ],
+        "versions": versions(),
+    }
+
+
+def _check_data(check: Check) -> dict[str, Any]:
+    value = check.value if isfinite(check.value) else None
+    return {"name": check.name, "value": value, "limit": check.limit, "unit": check.unit, "passed": check.passed}

@@ -1,0 +1,207 @@
+"""`flexfmu paper`: compute every table and figure, and write them as they become ready."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+
+from matplotlib.figure import Figure as Drawing
+
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.files import RESULTS, OutputFolder
+from flexfmu.cosim.reports.figure_style import save, style
+from flexfmu.cosim.reports.summary import versions
+from flexfmu.cosim.studies.paper import motions, path_figures, spectra
+from flexfmu.cosim.studies.paper.comparison import Evaluate, compare
+from flexfmu.cosim.studies.paper.reference import printed_table, printed_tables, source
+from flexfmu.cosim.studies.paper.report import Figure, PaperReport, write_report
+from flexfmu.cosim.studies.paper.result_figures import overview, path_errors
+from flexfmu.cosim.studies.paper.simulations import (
+    Case,
+    Simulation,
+    simulate,
+    simulated_cases,
+    simulation_evaluators,
+    write_simulations,
+)
+
+Draw = Callable[[], Drawing]
+
+TRAJECTORY_FIGURES: tuple[tuple[Figure, Draw], ...] = (
+    (
+        Figure("figure-06", "Figure 6", "The three blends overlaid, d = e = 25 mm."),
+        path_figures.blends,
+    ),
+    (
+        Figure("figure-07", "Figure 7", "The motion profiles for a cycle time of 1 s."),
+        path_figures.motion_profiles,
+    ),
+    (
+        Figure(
+            "figure-08",
+            "Figure 8",
+            "Joint motion on the Lamé path with the seventh-degree polynomial in 1 s, and the power spectral density "
+            "of the joint accelerations for all motion profiles (4 s window: motion, then standstill; bold: mean over 5 Hz).",
+        ),
+        spectra.joint_motion,
+    ),
+    (
+        Figure("figure-09", "Figure 9", "The path, the mechanism at its start, middle and end, and the workspace."),
+        path_figures.placement,
+    ),
+    (
+        Figure("figure-10", "Figure 10", "Spectral content of the polynomial on the Lamé path for three cycle times."),
+        spectra.cycle_times,
+    ),
+    (
+        Figure("figure-11", "Figure 11", "Spectral content of the same motion in 1 s for three lengths of the blends."),
+        spectra.blend_lengths,
+    ),
+)
+"""Figures that need no simulation."""
+
+PATH_ERRORS = Figure(
+    "figure-12",
+    "Figure 12",
+    "Path-tracking error of the end effector with the payload of 6 kg, over the motion of 0.43 s and the dwell.",
+)
+
+OVERVIEW = Figure(
+    "overview",
+    "Overview",
+    "The flexible five-bar robot on its pick-and-place path, the error that its elasticity leaves, "
+    "and the 72 figures of Tables 7 and 9 beside those computed through the FMU.",
+    folder="",
+)
+
+
+def draw_figure(figure: Figure, draw: Draw, folder: Path) -> None:
+    """Draw a figure and write it as PNG and SVG into the report's folder.
+
+    Raises:
+        ResultsError: the folder can't be written.
+    """
+    stem = folder / figure.file("")
+    try:
+        with style():
+            save(draw(), stem)
+    except OSError as error:
+        raise ResultsError(
+            f"can't write {stem}: {error.strerror or error}; choose another folder or free some space"
+        ) from error
+
+
+DEFAULT_FOLDER = RESULTS / "paper"
+"""Where the results go unless the user says otherwise."""
+
+TRAJECTORY_TABLES = ("table-02", "table-05", "table-06")
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the finished fraction, 0..1."""
+
+
+def run_paper(out: Path = DEFAULT_FOLDER, *, progress: Progress | None = None) -> PaperReport:
+    """Run the paper's experiment and write tables and figures.
+
+    Everything is written as soon as it is known: a run that is interrupted leaves what it has computed so far.
+    ``out`` gets ``report.html``, ``paper.md``, ``paper.json``, ``tables/*.csv``, ``simulations.csv`` (every metric of
+    every simulation), ``figures/*.png|svg`` and ``overview.png|svg``.
+
+    Args:
+        out: folder of the results, made if it isn't there.
+        progress: called with what is being done and the finished fraction.
+
+    Returns:
+        The report: `to_markdown()`, `to_json()`, and `flexfmu.cosim.studies.paper.report.print_report` for a terminal.
+
+    Raises:
+        PaperError: a simulation failed.
+        ResultsError: ``out`` can't be written.
+        BuildError: the FMU can't be built (no compiler, for example).
+    """
+    OutputFolder(out).prepare()
+    report = PaperReport(source(), versions=versions())
+    for name, stage in STAGES.items():
+        started = perf_counter()
+        report = stage(report, out, progress or _silent)
+        report = replace(report, timing={**report.timing, name: perf_counter() - started})
+        write_report(report, out)
+    return report
+
+
+def _trajectory_tables(report: PaperReport, out: Path, progress: Progress) -> PaperReport:
+    progress("tables of the trajectories", 0.0)
+    evaluate = motions.motion_evaluators()
+    return replace(report, tables=tuple(compare(printed_table(key), evaluate) for key in TRAJECTORY_TABLES))
+
+
+def _trajectory_figures(report: PaperReport, out: Path, progress: Progress) -> PaperReport:
+    for index, (figure, draw) in enumerate(TRAJECTORY_FIGURES):
+        progress(figure.label, 0.10 + 0.02 * index)
+        draw_figure(figure, draw, out)
+        report = replace(report, figures=(*report.figures, figure))
+    return report
+
+
+def _frequencies(report: PaperReport, out: Path, progress: Progress) -> PaperReport:
+    progress("natural frequencies along the path", 0.25)
+    table = compare(printed_table("frequencies"), motions.frequency_evaluators())
+    return replace(report, tables=(*report.tables, table))
+
+
+def _simulations(report: PaperReport, out: Path, progress: Progress) -> PaperReport:
+    tables = [table for table in printed_tables() if table.scene]
+    simulations = run_cases(simulated_cases(tables), out, progress)
+    compared = (compare(table, _simulated_evaluators(table.scene, simulations)) for table in tables)
+    report = replace(report, tables=(*report.tables, *compared), versions=versions(_fmu(simulations)))
+    return _simulation_figures(report, simulations, out, progress)
+
+
+def run_cases(cases: Sequence[Case], out: Path, progress: Progress) -> Mapping[Case, Simulation]:
+    """Simulate the cases, and write ``simulations.csv`` after each of them.
+
+    Raises:
+        PaperError, ResultsError, BuildError: as `run_paper`.
+    """
+    done: dict[Case, Simulation] = {}
+    progress("building the FMU", 0.30)
+    for simulation in simulate(cases):
+        done[simulation.case] = simulation
+        write_simulations(done.values(), out)
+        progress(f"simulated {', '.join(simulation.case)}", 0.30 + 0.65 * len(done) / len(cases))
+    return done
+
+
+def _fmu(simulations: Mapping[Case, Simulation]) -> Path:
+    """The FMU that served all simulations."""
+    return next(iter(simulations.values())).fmu_path
+
+
+def _simulated_evaluators(scene: str, simulations: Mapping[Case, Simulation]) -> Mapping[str, Evaluate]:
+    return {**motions.motion_evaluators(), **simulation_evaluators(simulations, scene)}
+
+
+def _simulation_figures(
+    report: PaperReport, simulations: Mapping[Case, Simulation], out: Path, progress: Progress
+) -> PaperReport:
+    progress(PATH_ERRORS.label, 0.95)
+    draw_figure(PATH_ERRORS, lambda: path_errors(simulations), out)
+    progress(OVERVIEW.label, 0.97)
+    draw_figure(OVERVIEW, lambda: overview(simulations, report.tables), out)
+    progress("done", 1.0)
+    return replace(report, figures=(*report.figures, PATH_ERRORS), overview=OVERVIEW)
+
+
+def _silent(what: str, fraction: float) -> None:
+    """Progress that isn't shown."""
+
+
+STAGES: Mapping[str, Callable[[PaperReport, Path, Progress], PaperReport]] = {
+    "trajectory tables": _trajectory_tables,
+    "trajectory figures": _trajectory_figures,
+    "frequencies": _frequencies,
+    "simulations": _simulations,
+}
+"""The parts of the experiment in their order; each adds to the report."""

@@ -1,0 +1,237 @@
+"""Printed and computed figures side by side, cell by cell, and how many of them agree how closely."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
+
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.studies.paper.reference import PrintedQuantity, PrintedTable, Remark, Verdict
+
+Evaluate = Callable[[str, str], float]
+"""Computed value [SI] of a cell from its row's and its column's label."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One figure of the paper beside the computed one, both in the quantity's unit.
+
+    Attributes:
+        printed: the figure as printed.
+        computed: the computed figure.
+        remarks: what has to be said about this cell.
+    """
+
+    row: str
+    column: str
+    printed: str
+    computed: float
+    remarks: tuple[Remark, ...]
+
+    @property
+    def relative_error(self) -> float:
+        """Computed / printed - 1."""
+        return self.computed / float(self.printed) - 1.0
+
+    @property
+    def decimals(self) -> int:
+        """Number of printed decimals."""
+        exponent = Decimal(self.printed).as_tuple().exponent
+        return max(0, -exponent) if isinstance(exponent, int) else 0
+
+    @property
+    def agrees_to_the_digits(self) -> bool:
+        """True where the computed figure, rounded like the printed one, is the printed one."""
+        return abs(self.computed - float(self.printed)) <= 0.5000001 * 10.0**-self.decimals
+
+    @property
+    def believable(self) -> bool:
+        """False where the printed figure can't be right."""
+        return all(remark.verdict is not Verdict.MISPRINT for remark in self.remarks)
+
+    def rounded(self) -> str:
+        """The computed figure with one more decimal than printed."""
+        return f"{self.computed:.{self.decimals + 1}f}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The cell for JSON; ``paper`` and ``computed`` in the quantity's unit."""
+        return {
+            "row": self.row,
+            "column": self.column,
+            "paper": float(self.printed),
+            "printed": self.printed,
+            "computed": self.computed,
+            "relative_error": self.relative_error,
+            "agrees_to_the_digits": self.agrees_to_the_digits,
+            "believable": self.believable,
+            "remarks": [{"verdict": remark.verdict.value, "text": remark.text} for remark in self.remarks],
+        }
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A printed quantity with its cells, row by row."""
+
+    quantity: PrintedQuantity
+    cells: tuple[Cell, ...]
+
+    def cell(self, row: str, column: str) -> Cell:
+        """The cell of a row and a column.
+
+        Raises:
+            KeyError: no such cell.
+        """
+        for cell in self.cells:
+            if (cell.row, cell.column) == (row, column):
+                return cell
+        raise KeyError((row, column))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The quantity and its cells for JSON."""
+        return {
+            "name": self.quantity.name,
+            "metric": self.quantity.metric,
+            "unit": self.quantity.unit,
+            "meaning": self.quantity.meaning,
+            "cells": [cell.to_dict() for cell in self.cells],
+        }
+
+
+@dataclass(frozen=True)
+class ComparisonTable:
+    """A table of the paper with all its quantities computed."""
+
+    printed: PrintedTable
+    comparisons: tuple[Comparison, ...]
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """The cells of all quantities."""
+        return tuple(cell for comparison in self.comparisons for cell in comparison.cells)
+
+    def comparison(self, metric: str) -> Comparison:
+        """The comparison of a quantity by its metric's name.
+
+        Raises:
+            KeyError: the table doesn't have it.
+        """
+        for comparison in self.comparisons:
+            if comparison.quantity.metric == metric:
+                return comparison
+        raise KeyError(metric)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The table for JSON."""
+        return {
+            "key": self.printed.key,
+            "label": self.printed.label,
+            "title": self.printed.title,
+            "scene": self.printed.scene or None,
+            "remarks": list(self.printed.remarks),
+            "quantities": [comparison.to_dict() for comparison in self.comparisons],
+        }
+
+
+def compare(table: PrintedTable, evaluate: Mapping[str, Evaluate]) -> ComparisonTable:
+    """Compute every cell of a table.
+
+    Args:
+        table: the printed table.
+        evaluate: for each metric of the table, the function that computes its cells in SI units.
+
+    Raises:
+        ResultsError: a computed figure is not finite.
+    """
+    return ComparisonTable(
+        table,
+        tuple(
+            Comparison(quantity, _cells(table, quantity, evaluate[quantity.metric])) for quantity in table.quantities
+        ),
+    )
+
+
+def _cells(table: PrintedTable, quantity: PrintedQuantity, evaluate: Evaluate) -> tuple[Cell, ...]:
+    return tuple(
+        Cell(
+            row=row,
+            column=column,
+            printed=printed,
+            computed=_finite(
+                quantity.scale * evaluate(row, column), f"{table.label}, {quantity.name}, {row}, {column}"
+            ),
+            remarks=tuple(remark for remark in quantity.remarks if remark.concerns(row, column)),
+        )
+        for row, figures in zip(quantity.rows, quantity.values, strict=True)
+        for column, printed in zip(quantity.columns, figures, strict=True)
+    )
+
+
+def _finite(value: float, where: str) -> float:
+    if not math.isfinite(value):
+        raise ResultsError(f"{where}: the computed figure is {value}; look at the simulation's results")
+    return value
+
+
+BOUNDS = (0.001, 0.005, 0.01, 0.035, 0.10)
+"""Relative errors within which cells are counted: 0.1 %, 0.5 %, 1 %, 3.5 % and 10 %."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Count of the cells whose relative error stays within each of `BOUNDS`.
+
+    Attributes:
+        compared: number of cells whose printed figure can be right.
+        within: number of these within each bound.
+        to_the_digits: number of these equal to the printed figure when rounded like it.
+        misprinted: number of further cells whose printed figure can't be right.
+    """
+
+    compared: int
+    within: tuple[int, ...]
+    to_the_digits: int
+    misprinted: int
+
+    def sentence(self) -> str:
+        """The counts in one sentence."""
+        if not self.compared:
+            return f"{_count_of_cells(self.misprinted)} misprinted."
+        more = f"; {_count_of_cells(self.misprinted)} misprinted and not counted" if self.misprinted else ""
+        return f"{self._counts()}{more}."
+
+    def _counts(self) -> str:
+        steps = [
+            f"{count} within {100 * bound:g} %"
+            for previous, count, bound in zip((0, *self.within), self.within, BOUNDS, strict=False)
+            if count > previous
+        ]
+        steps = steps or ["none within 10 %"]
+        return f"Of {self.compared} cells, {', '.join(steps)} ({self.to_the_digits} to the printed digits)"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The counts for JSON."""
+        return {
+            "compared": self.compared,
+            "within": {f"{bound:g}": count for bound, count in zip(BOUNDS, self.within, strict=True)},
+            "to_the_digits": self.to_the_digits,
+            "misprinted": self.misprinted,
+        }
+
+
+def count_agreement(cells: Iterable[Cell]) -> Agreement:
+    """Count how closely cells agree; cells whose printed figure can't be right are only counted as such."""
+    cells = tuple(cells)
+    believable = [cell for cell in cells if cell.believable]
+    return Agreement(
+        compared=len(believable),
+        within=tuple(sum(abs(cell.relative_error) <= bound for cell in believable) for bound in BOUNDS),
+        to_the_digits=sum(cell.agrees_to_the_digits for cell in believable),
+        misprinted=len(cells) - len(believable),
+    )
+
+
+def _count_of_cells(count: int) -> str:
+    return "1 cell is" if count == 1 else f"{count} cells are"

@@ -1,0 +1,178 @@
+"""Figures of the paths and profiles: blends (Fig. 6), motion profiles (Fig. 7), placement in the workspace (Fig. 9), with the
+mechanism to scale."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
+from matplotlib.patches import Circle, Polygon
+
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.reports.figure_style import GREY, INK, PALE, draw
+from flexfmu.cosim.studies.paper.motions import smooth_pieces
+from flexfmu.cosim.studies.paper.simulations import trajectory_scene
+from flexfmu.trajectories.profiles import Profile
+
+PROFILE_COLOURS: Mapping[str, str] = {
+    "7th order polynomial": "#0b5fa5",
+    "Bang-bang": "#d1495b",
+    "1/4 Trapezoidal": "#2a9d6f",
+    "1/8 Trapezoidal": "#e09f1f",
+}
+"""Label of a motion profile → colour; distinct for colour-blind readers in lightness too."""
+
+CURVE_COLOURS: Mapping[str, str] = {"Lamé": "#0b5fa5", "Clothoid": "#d1495b", "Polar": "#2a9d6f"}
+"""Label of a curve → colour."""
+
+SEQUENCE = ("#0b5fa5", "#d1495b", "#2a9d6f")
+"""Colours of lines that differ in a number (cycle times, blend lengths)."""
+
+
+MILLI = 1e3
+"""Drawings are in mm."""
+
+
+def pose(motion: MotionPlan, time: float) -> RealArray:
+    """Base 1, elbow 1, end effector, elbow 2, base 2 at a time of the motion, (5, 2) [m]."""
+    mechanism = motion.scene.mechanism
+    end_effector = motion.task.evaluate(np.array([time]), order=0)[0, 0]
+    angles = motion.joints.evaluate(np.array([time]), order=0)[0, 0]
+    bases = mechanism.base_half_distance * np.array([[-1.0, 0.0], [1.0, 0.0]])
+    elbows = bases + mechanism.proximal.length * np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.stack([bases[0], elbows[0], end_effector, elbows[1], bases[1]])
+
+
+def draw_mechanism(axes: Axes, motion: MotionPlan, time: float, *, opacity: float = 1.0) -> None:
+    """Draw the robot at a time of the motion [s], the links as thick as they are."""
+    points = MILLI * pose(motion, time)
+    mechanism = motion.scene.mechanism
+    for (start, end), diameter in zip(
+        ((points[0], points[1]), (points[4], points[3]), (points[1], points[2]), (points[3], points[2])),
+        (mechanism.proximal.diameter,) * 2 + (mechanism.distal.diameter,) * 2,
+        strict=True,
+    ):
+        axes.add_patch(_rod(start, end, MILLI * diameter, opacity))
+    for point in points:
+        axes.add_patch(Circle((point[0], point[1]), 7.0, facecolor="white", edgecolor=INK, alpha=opacity, zorder=4))
+
+
+def draw_bases(axes: Axes, motion: MotionPlan) -> None:
+    """Mark the two motors."""
+    half = MILLI * motion.scene.mechanism.base_half_distance
+    for x, name in ((-half, "motor 1"), (half, "motor 2")):
+        axes.add_patch(Circle((x, 0.0), 24.0, facecolor=PALE, edgecolor=INK, zorder=1))
+        axes.annotate(name, (x, -30.0), ha="center", va="top", fontsize=8, color=INK)
+
+
+def draw_workspace(axes: Axes, motion: MotionPlan) -> None:
+    """Fill what both legs reach and outline it."""
+    mechanism = motion.scene.mechanism
+    long = mechanism.proximal.length + mechanism.distal.length
+    short = abs(mechanism.distal.length - mechanism.proximal.length)
+    half = mechanism.base_half_distance
+    x, y = np.meshgrid(np.linspace(-1.05 * long, 1.05 * long, 601), np.linspace(-1.05 * long, 1.05 * long, 601))
+    distances = [np.hypot(x - base, y) for base in (-half, half)]
+    margin = np.min([np.minimum(long - distance, distance - short) for distance in distances], axis=0)
+    axes.contourf(MILLI * x, MILLI * y, margin, levels=[0.0, np.inf], colors=[PALE], alpha=0.6)
+    axes.contour(MILLI * x, MILLI * y, margin, levels=[0.0], colors=[GREY], linewidths=1.2)
+
+
+def _rod(start: RealArray, end: RealArray, diameter: float, opacity: float) -> Polygon:
+    """A rod with round ends from start to end [mm]."""
+    direction = np.arctan2(end[1] - start[1], end[0] - start[0])
+    angles = direction + np.linspace(0.5 * np.pi, 1.5 * np.pi, 25)
+    half_circle = 0.5 * diameter * np.column_stack([np.cos(angles), np.sin(angles)])
+    outline = np.concatenate([start + half_circle, end - half_circle])
+    return Polygon(outline, facecolor="#c3ccd5", edgecolor=INK, linewidth=0.9, alpha=opacity, zorder=3)
+
+
+def draw_path(axes: Axes, motion: MotionPlan) -> None:
+    """Draw the path with its start and end marked."""
+    path = MILLI * np.concatenate([derivatives[0] for _, derivatives in smooth_pieces(motion.task, 201, order=0)])
+    axes.plot(path[:, 0], path[:, 1], color=SEQUENCE[1], linewidth=2.0, zorder=6)
+    axes.plot(*path[0], "o", color=SEQUENCE[1], markersize=6, zorder=6)
+    axes.plot(*path[-1], "s", color=SEQUENCE[1], markersize=6, zorder=6)
+    for point, text in ((path[0], "start"), (path[-1], "end")):
+        axes.annotate(text, point, xytext=(0, 8), textcoords="offset points", ha="center", fontsize=8, color=INK)
+
+
+POLYNOMIAL = "7th order polynomial"
+
+SHOWN = 28.0
+"""Part of the crossing shown beside the corner [mm]."""
+
+PIECE = 401
+"""RealArray drawn between two breakpoints."""
+
+
+def blends() -> Drawing:
+    """Fig. 6: the three blends of 25 mm overlaid, in the corner that they round."""
+    drawing = draw(5.2, 4.6)
+    axes = drawing.add_subplot()
+    for curve, colour in CURVE_COLOURS.items():
+        x, y = _corner(curve)
+        axes.plot(x, y, color=colour, label=curve)
+    axes.plot([0.0, 0.0, SHOWN], [-25.0, 0.0, 0.0], color=GREY, linestyle=":", linewidth=1.2, label="sharp corner")
+    axes.set(
+        xlabel="along the crossing [mm]",
+        ylabel="along the lift [mm]",
+        aspect="equal",
+        title="Blends with d = e = 25 mm",
+    )
+    axes.legend(loc="lower right")
+    return drawing
+
+
+def motion_profiles() -> Drawing:
+    """Fig. 7: fraction of the path, its rate and its second derivative for a cycle time of 1 s."""
+    drawing = draw(6.4, 6.6)
+    panels = drawing.subplots(3, 1, sharex=True)
+    for label, colour in PROFILE_COLOURS.items():
+        task = plan(trajectory_scene(label, "Lamé")).along_path
+        time, derivatives = _profile(task.profile, task.duration)
+        for panel, values in zip(panels, derivatives, strict=True):
+            panel.plot(time, values, color=colour, label=label)
+    for panel, unit in zip(panels, ("position s", "velocity ds/dt [1/s]", "acceleration d²s/dt² [1/s²]"), strict=True):
+        panel.set_ylabel(unit)
+    panels[0].set_title("Motion profiles for a cycle time of 1 s")
+    panels[0].legend(loc="upper left")
+    panels[-1].set_xlabel("time [s]")
+    return drawing
+
+
+def _profile(profile: Profile, duration: float) -> tuple[RealArray, RealArray]:
+    """Times (N,) [s], and the fraction of the path with two derivatives (3, N), jumps with both their sides."""
+    etas = [np.linspace(piece.start, piece.end, PIECE) for piece in profile.pieces]
+    jets = [piece.jet(eta, 2).rescale(1.0 / duration) for piece, eta in zip(profile.pieces, etas, strict=True)]
+    return duration * np.concatenate(etas), np.concatenate([jet.derivatives() for jet in jets], axis=1)
+
+
+def _corner(curve: str) -> tuple[RealArray, RealArray]:
+    """The path around its first corner, which is the origin: along the crossing and along the lift [mm]."""
+    motion = plan(trajectory_scene(POLYNOMIAL, curve))
+    section = motion.scene.trajectory
+    lift = np.array(section.lift) / np.hypot(*section.lift)
+    path = np.concatenate([derivatives[0] for _, derivatives in smooth_pieces(motion.task, PIECE, order=0)])
+    offset = MILLI * (path - np.array(section.start) - section.height * lift)
+    crossing = np.abs(offset @ np.array([-lift[1], lift[0]]))
+    near = crossing <= SHOWN
+    return crossing[near], (offset @ lift)[near]
+
+
+def placement() -> Drawing:
+    """Fig. 9: the path in the workspace, with the mechanism at the start, the middle and the end of the motion."""
+    drawing = draw(7.4, 6.6)
+    axes = drawing.add_subplot()
+    motion = plan(trajectory_scene(POLYNOMIAL, "Lamé"))
+    draw_workspace(axes, motion)
+    for time, opacity in ((0.0, 1.0), (0.5 * motion.duration, 0.35), (motion.duration, 0.15)):
+        draw_mechanism(axes, motion, time, opacity=opacity)
+    draw_bases(axes, motion)
+    draw_path(axes, motion)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", title="The path in the workspace")
+    axes.annotate("reached by both legs", (0.0, 480.0), ha="center", fontsize=8.5, color=GREY)
+    return drawing

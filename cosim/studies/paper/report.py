@@ -1,0 +1,158 @@
+"""The result of `flexfmu paper`: tables beside the printed ones, and figures; as files, one offline page, and on a terminal."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined
+from rich.console import Console
+from rich.text import Text
+
+from flexfmu.cosim.engine.files import OutputFolder
+from flexfmu.cosim.studies.paper.comparison import Agreement, ComparisonTable, count_agreement
+from flexfmu.cosim.studies.paper.reference import Source
+from flexfmu.cosim.studies.paper.tables import lay_out, print_page, table_to_csv, table_to_markdown
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawn figure.
+
+    Attributes:
+        key: file name without suffix, for example ``figure-06``.
+        label, caption: for example ``Figure 6`` and one sentence.
+        folder: folder of its files within the report's folder; empty for that folder itself.
+    """
+
+    key: str
+    label: str
+    caption: str
+    folder: str = "figures"
+
+    def file(self, suffix: str) -> str:
+        """Path of the figure's file within the report's folder; ``suffix`` is ``.png`` or ``.svg``."""
+        return f"{self.folder}/{self.key}{suffix}" if self.folder else f"{self.key}{suffix}"
+
+
+@dataclass(frozen=True)
+class PaperReport:
+    """What has been computed, which may be a part of it while the command is running.
+
+    Attributes:
+        source: the paper.
+        tables: comparisons in the order of the report.
+        figures: the figures drawn, in the order of the report.
+        overview: one picture that sums it up.
+        timing: wall-clock time of the parts in seconds.
+        versions: what it was computed with: packages, platform, compiler; None where unknown.
+    """
+
+    source: Source
+    tables: tuple[ComparisonTable, ...] = ()
+    figures: tuple[Figure, ...] = ()
+    overview: Figure | None = None
+    timing: Mapping[str, float] = field(default_factory=dict)
+    versions: Mapping[str, str | None] = field(default_factory=dict)
+
+    def table(self, key: str) -> ComparisonTable:
+        """A table by the key of its data file, for example ``table-07``.
+
+        Raises:
+            KeyError: it has not been computed.
+        """
+        for table in self.tables:
+            if table.printed.key == key:
+                return table
+        raise KeyError(key)
+
+    @property
+    def agreement(self) -> Agreement:
+        """The agreement over all tables."""
+        return count_agreement(cell for table in self.tables for cell in table.cells)
+
+    def summary(self) -> str:
+        """The agreement over all tables in one sentence."""
+        return f"All tables: {self.agreement.sentence()}"
+
+    def to_markdown(self) -> str:
+        """The whole report; figures are referred to by their relative paths."""
+        head = ["# The paper's experiment, printed and computed", f"Printed figures: {self.source.citation}."]
+        remarks = "\n".join(f"- {remark}" for remark in self.source.remarks)
+        tables = [table_to_markdown(lay_out(table)) for table in self.tables]
+        figures = [f"![{figure.label}. {figure.caption}]({figure.file('.png')})" for figure in self.figures]
+        return "\n\n".join([*head, remarks, f"**{self.summary()}**", *tables, *figures]).rstrip() + "\n"
+
+    def to_json(self) -> str:
+        """The whole report for machines; figures in the unit of their quantity."""
+        return json.dumps(self.to_dict(), ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The whole report as plain data."""
+        return {
+            "source": {"citation": self.source.citation, "doi": self.source.doi, "url": self.source.url},
+            "remarks": list(self.source.remarks),
+            "agreement": self.agreement.to_dict(),
+            "tables": [table.to_dict() for table in self.tables],
+            "figures": [{"key": f.key, "label": f.label, "caption": f.caption} for f in self.figures],
+            "timing": dict(self.timing),
+            "versions": dict(self.versions),
+        }
+
+
+def report_to_html(report: PaperReport, folder: Path) -> str:
+    """Render the report.
+
+    Args:
+        report: what has been computed.
+        folder: where its figures have been written.
+    """
+    template = files("flexfmu.cosim.studies.paper").joinpath("data", "report.html.j2").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(template).render(
+        source=report.source,
+        summary=report.summary(),
+        pages=[lay_out(table) for table in report.tables],
+        figures=[_embedded(figure, folder) for figure in report.figures],
+        overview=_embedded(report.overview, folder) if report.overview else None,
+        timing=report.timing,
+        versions=report.versions,
+    )
+
+
+def _embedded(figure: Figure, folder: Path) -> dict[str, Any]:
+    """The figure with its SVG file as a data URL: identifiers of different figures can't clash."""
+    data = base64.b64encode((folder / figure.file(".svg")).read_bytes()).decode("ascii")
+    return {
+        "key": figure.key,
+        "label": figure.label,
+        "caption": figure.caption,
+        "image": f"data:image/svg+xml;base64,{data}",
+    }
+
+
+def write_report(report: PaperReport, folder: Path) -> None:
+    """Write what is known of the report: page, Markdown, JSON, and every table as CSV.
+
+    Raises:
+        ResultsError: the folder can't be written.
+    """
+    for table in report.tables:
+        OutputFolder(folder / "tables").write(f"{table.printed.key}.csv", table_to_csv(table))
+    OutputFolder(folder).write("paper.md", report.to_markdown())
+    OutputFolder(folder).write("paper.json", report.to_json())
+    OutputFolder(folder).write("report.html", report_to_html(report, folder))
+
+
+def print_report(report: PaperReport, console: Console) -> None:
+    """Print every table of a report, its footnotes and the summary."""
+    console.print(Text(report.source.citation, style="italic"))
+    for table in report.tables:
+        print_page(lay_out(table), console)
+    console.print()
+    console.print(Text(report.summary(), style="bold"))

@@ -1,0 +1,254 @@
+"""A comparison as a page of texts, marks and footnotes; and that page as Markdown, on a terminal, and as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from enum import Enum
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from flexfmu.cosim.reports.text import markdown_table
+from flexfmu.cosim.studies.paper.comparison import Cell, Comparison, ComparisonTable, count_agreement
+from flexfmu.cosim.studies.paper.reference import Remark
+
+CLOSE, NEAR = 0.005, 0.035
+"""Relative errors up to which a cell is graded close (the bound of torque and deflection) and near (RMS errors)."""
+
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+class Grade(Enum):
+    """How a cell is coloured."""
+
+    CLOSE = "close"
+    NEAR = "near"
+    FAR = "far"
+    MISPRINT = "misprint"
+
+
+@dataclass(frozen=True)
+class CellText:
+    """A cell as texts: the paper's figure, the computed one, the relative error, the footnotes' marks."""
+
+    paper: str
+    computed: str
+    difference: str
+    marks: str
+    grade: Grade
+
+
+@dataclass(frozen=True)
+class Block:
+    """A quantity: heading with unit and marks, meaning, columns, rows of label and cells."""
+
+    name: str
+    unit: str
+    marks: str
+    meaning: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[CellText, ...]], ...]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A table of the paper, ready to be laid out.
+
+    Attributes:
+        key, label, title: as in `PrintedTable`.
+        remarks: what holds for the whole table.
+        blocks: its quantities.
+        footnotes: mark and text, in the order of the marks.
+        summary: the agreement in one sentence.
+    """
+
+    key: str
+    label: str
+    title: str
+    remarks: tuple[str, ...]
+    blocks: tuple[Block, ...]
+    footnotes: tuple[tuple[str, str], ...]
+    summary: str
+
+
+def lay_out(table: ComparisonTable) -> Page:
+    """Turn a comparison into texts with numbered footnotes."""
+    remarks = tuple(remark for comparison in table.comparisons for remark in comparison.quantity.remarks)
+    return Page(
+        key=table.printed.key,
+        label=table.printed.label,
+        title=table.printed.title,
+        remarks=table.printed.remarks,
+        blocks=tuple(_block(comparison, remarks) for comparison in table.comparisons),
+        footnotes=tuple((_mark([index]), _footnote(remark)) for index, remark in enumerate(remarks, 1)),
+        summary=count_agreement(table.cells).sentence(),
+    )
+
+
+def percentage(relative: float) -> str:
+    """A relative error as text with sign: two decimals below 10 %, none above 1000 %."""
+    value = 100 * relative
+    decimals = 2 if abs(value) < 9.995 else 1 if abs(value) < 999.5 else 0
+    return f"{value:+.{decimals}f}\N{NO-BREAK SPACE}%".replace("-", "\N{MINUS SIGN}")
+
+
+def _block(comparison: Comparison, remarks: tuple[Remark, ...]) -> Block:
+    quantity = comparison.quantity
+    return Block(
+        name=quantity.name,
+        unit=quantity.unit,
+        marks=_marks([remark for remark in quantity.remarks if _is_general(remark)], remarks),
+        meaning=quantity.meaning,
+        columns=quantity.columns,
+        rows=tuple(
+            (row, tuple(_cell(comparison.cell(row, column), remarks) for column in quantity.columns))
+            for row in quantity.rows
+        ),
+    )
+
+
+def _cell(cell: Cell, remarks: tuple[Remark, ...]) -> CellText:
+    return CellText(
+        paper=cell.printed,
+        computed=cell.rounded(),
+        difference=percentage(cell.relative_error),
+        marks=_marks([remark for remark in cell.remarks if not _is_general(remark)], remarks),
+        grade=_grade(cell),
+    )
+
+
+def _grade(cell: Cell) -> Grade:
+    if not cell.believable:
+        return Grade.MISPRINT
+    if abs(cell.relative_error) <= CLOSE or cell.agrees_to_the_digits:
+        return Grade.CLOSE
+    return Grade.NEAR if abs(cell.relative_error) <= NEAR else Grade.FAR
+
+
+def _is_general(remark: Remark) -> bool:
+    """A remark on all cells of a quantity is marked at its heading."""
+    return not remark.rows and not remark.columns
+
+
+def _marks(chosen: list[Remark], remarks: tuple[Remark, ...]) -> str:
+    # by identity: two quantities may carry remarks of the same wording
+    return _mark([index for index, remark in enumerate(remarks, 1) if any(remark is other for other in chosen)])
+
+
+def _mark(indices: list[int]) -> str:
+    return " ".join(str(index) for index in indices).translate(_SUPERSCRIPTS)
+
+
+def _footnote(remark: Remark) -> str:
+    return f"{remark.verdict.value.capitalize()}: {remark.text}"
+
+
+def table_to_markdown(page: Page) -> str:
+    """One table of the paper: every cell as paper → computed (relative error)."""
+    parts = [f"## {page.label}. {page.title}", *page.remarks, *(_block_to_markdown(block) for block in page.blocks)]
+    if page.footnotes:
+        parts.append("\n".join(f"- {mark} {text}" for mark, text in page.footnotes))
+    return "\n\n".join([*parts, f"**{page.summary}**"]) + "\n"
+
+
+def _block_to_markdown(block: Block) -> str:
+    lines = [
+        f"**{block.name}** [{block.unit}]{block.marks}: {block.meaning}; paper → computed (relative error)",
+        "",
+        markdown_table(
+            ["", *block.columns],
+            ["---", *("---:" for _ in block.columns)],
+            [[label, *(_cell_to_markdown(cell) for cell in cells)] for label, cells in block.rows],
+        ),
+    ]
+    return "\n".join(lines)
+
+
+def _cell_to_markdown(cell: CellText) -> str:
+    paper = f"~~{cell.paper}~~" if cell.grade is Grade.MISPRINT else cell.paper
+    return f"{paper} → **{cell.computed}** ({cell.difference}){cell.marks}"
+
+
+_COLOURS = {Grade.CLOSE: "green", Grade.NEAR: "yellow", Grade.FAR: "red", Grade.MISPRINT: "bright_black"}
+
+
+def print_page(page: Page, console: Console) -> None:
+    """Print one table of the paper."""
+    console.print()
+    console.print(Text(f"{page.label}. {page.title}", style="bold"))
+    for remark in page.remarks:
+        console.print(Text(remark, style="italic"))
+    for block in page.blocks:
+        console.print(_block_to_rich(block))
+    for mark, text in page.footnotes:
+        console.print(Text(f"{mark} {text}", style="dim"))
+    console.print(Text(page.summary, style="bold"))
+
+
+def _block_to_rich(block: Block) -> Table:
+    title = Text(f"{block.name} [{block.unit}]{block.marks}: paper → computed", style="italic")
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
+    table.add_column("")
+    for column in block.columns:
+        table.add_column(column, justify="right")
+    for label, cells in block.rows:
+        table.add_row(label, *(_cell_to_rich(cell) for cell in cells))
+    return table
+
+
+def _cell_to_rich(cell: CellText) -> Text:
+    difference = cell.difference.replace("\N{NO-BREAK SPACE}", "")  # rich would break the line there
+    return Text.assemble(
+        (cell.paper, "strike" if cell.grade is Grade.MISPRINT else ""),
+        " → ",
+        (cell.computed, "bold"),
+        (f" ({difference}){cell.marks or ' '}", _COLOURS[cell.grade]),
+    )
+
+
+CSV_COLUMNS = (
+    "table",
+    "quantity",
+    "metric",
+    "unit",
+    "row",
+    "column",
+    "paper",
+    "computed",
+    "relative_error",
+    "agrees_to_the_digits",
+    "believable",
+    "remarks",
+)
+
+
+def table_to_csv(table: ComparisonTable) -> str:
+    """All cells of a table with `CSV_COLUMNS` as the first line; figures in the quantity's unit."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for comparison in table.comparisons:
+        writer.writerows(_csv_line(table, comparison, cell) for cell in comparison.cells)
+    return text.getvalue()
+
+
+def _csv_line(table: ComparisonTable, comparison: Comparison, cell: Cell) -> list[str]:
+    quantity = comparison.quantity
+    return [
+        table.printed.label,
+        quantity.name,
+        quantity.metric,
+        quantity.unit,
+        cell.row,
+        cell.column,
+        cell.printed,
+        f"{cell.computed:.9g}",
+        f"{cell.relative_error:.3e}",
+        str(cell.agrees_to_the_digits).lower(),
+        str(cell.believable).lower(),
+        " ".join(f"{remark.verdict.value}: {remark.text}" for remark in cell.remarks),
+    ]

@@ -1,0 +1,1 @@
+"""What accuracy costs in time: integrators, formulations, effects, communication steps, and other tools."""

@@ -1,0 +1,265 @@
+"""Work-precision diagrams: error to the right, time upwards, a line for each method, failures as crosses; as pictures, and as an
+offline page on which every point shows its setting, error, time and work."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+from matplotlib.ticker import LogFormatter
+
+from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.reports.figure_style import GREY, draw, save, style
+from flexfmu.cosim.studies.workprec.study import FAMILIES, Study, sentence
+from flexfmu.cosim.studies.workprec.trial import Trial
+
+FONT_SIZE = 5.5
+
+PLACES = (
+    (3.0, 3.0, "left", "bottom"),
+    (-3.0, 3.0, "right", "bottom"),
+    (3.0, -3.0, "left", "top"),
+    (-3.0, -3.0, "right", "top"),
+    (0.0, 5.0, "center", "bottom"),
+    (0.0, -5.0, "center", "top"),
+    (6.0, 0.0, "left", "center"),
+    (-6.0, 0.0, "right", "center"),
+    (0.0, 12.0, "center", "bottom"),
+    (0.0, -12.0, "center", "top"),
+)
+"""Where a label may stand: from its point [pt], and which side or corner of the text is there; the usual place first."""
+
+CLEARANCE = 2.0
+"""Around every point [px]."""
+
+Box = tuple[float, float, float, float]
+"""Left, bottom, right, top [px]."""
+
+
+def label_points(axes: Axes, points: RealArray, texts: Iterable[str]) -> None:
+    """Write a text beside each of the points, shape (n, 2), in the usual place."""
+    x, y, across, upright = PLACES[0]
+    for point, text in zip(points, texts, strict=True):
+        axes.annotate(
+            text, point, (x, y), textcoords="offset points", ha=across, va=upright, fontsize=FONT_SIZE, color=GREY
+        )
+
+
+def keep_apart(figure: Figure) -> None:
+    """Move the labels of all diagrams where they cover neither each other nor points nor legend, and few lines.
+
+    A label for which there is no such place is left out; tables have all settings.
+    """
+    figure.draw_without_rendering()  # sizes are known from here on
+    for axes in figure.axes:
+        taken = []
+        if (legend := axes.get_legend()) is not None:
+            taken.append(_box(legend))
+            legend.set_loc(tuple(axes.transAxes.inverted().transform(taken[0][:2])))  # it would follow the labels
+        points, lines = _drawn(axes)
+        taken += [(x - CLEARANCE, y - CLEARANCE, x + CLEARANCE, y + CLEARANCE) for x, y in points]
+        for label in [each for each in axes.texts if isinstance(each, Annotation)]:
+            box = _move(label, _box(axes), taken, lines)
+            label.set_visible(box is not None)
+            taken += [box] if box is not None else []
+
+
+def _move(label: Annotation, frame: Box, taken: Sequence[Box], lines: RealArray) -> Box | None:
+    """Put a label where it crosses the fewest lines, the usual place first; None where every place is taken."""
+    free = []
+    for place in PLACES:
+        _put(label, place)
+        box = _box(label)
+        inside = box[0] >= frame[0] and box[1] >= frame[1] and box[2] <= frame[2] and box[3] <= frame[3]
+        if inside and not any(_overlap(box, other) for other in taken):
+            free.append((_count(lines, box), place, box))
+    if not free:
+        return None
+    _, place, box = min(free, key=lambda each: each[0])
+    _put(label, place)
+    return box
+
+
+def _put(label: Annotation, place: tuple[float, float, str, str]) -> None:
+    x, y, across, upright = place
+    label.xyann = (x, y)
+    label.set(ha=across, va=upright)
+
+
+def _box(artist: Any) -> Box:
+    """What an artist covers."""
+    return tuple(artist.get_window_extent().extents)
+
+
+def _overlap(one: Box, other: Box) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+
+
+def _count(points: RealArray, box: Box) -> int:
+    """How many points, shape (n, 2), lie within a box."""
+    return int(np.count_nonzero(((points > box[:2]) & (points < box[2:])).all(axis=1)))
+
+
+def _drawn(axes: Axes) -> tuple[RealArray, RealArray]:
+    """All points of the lines, and places along the lines, each of shape (n, 2) [px]."""
+    points, places = [np.empty((0, 2))], [np.empty((0, 2))]
+    for line in axes.lines:
+        corners = line.get_transform().transform(np.column_stack(line.get_data()).astype(float))
+        points.append(corners)
+        for start, end in pairwise(corners):
+            shares = np.linspace(0.0, 1.0, 1 + int(np.hypot(*(end - start))))[:, np.newaxis]
+            places.append((1.0 - shares) * start + shares * end)
+    return np.concatenate(points), np.concatenate(places)
+
+
+TITLES = {
+    "integrators": "Integrators over their tolerance or step",
+    "communication": "Communication step, by degree of the inputs",
+    "algorithms": "Coupling algorithms over the communication step",
+    "effects": "Effects left out (error against all of them)",
+    "formulations": "Formulations, SciPy's Radau",
+    "tools": "Other tools, and the fastest of ours",
+}
+"""Family → title of its diagram."""
+
+
+class PlainNumbers(LogFormatter):
+    """0.1, 10 and 20 instead of powers of ten, as many as there is room for; one for each axis, whose range it follows."""
+
+    def __init__(self) -> None:
+        super().__init__(labelOnlyBase=False, minor_thresholds=(2.0, 0.5))
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+FLOOR = 1e-12
+"""Errors below are drawn here: the references agree no better."""
+
+
+def save_figures(study: Study, folder: Path) -> list[str]:
+    """Write ``workprec.png`` with all diagrams and one picture for each family; the names.
+
+    Raises:
+        ResultsError: the folder can't be written.
+    """
+    names = [name for name in FAMILIES if study.family(name)]
+    try:
+        with style():
+            for name in names:
+                figure = draw(6.6, 4.8)
+                draw_family(figure.subplots(), study, name)
+                keep_apart(figure)
+                save(figure, folder / f"workprec-{name}")
+            figure = _all(study, names)
+            keep_apart(figure)
+            save(figure, folder / "workprec")
+    except OSError as error:
+        reason = error.strerror or error
+        raise ResultsError(f"can't write to {folder}: {reason}; choose another folder or free some space") from error
+    return names
+
+
+def _all(study: Study, names: Sequence[str]) -> Figure:
+    """All diagrams beside each other."""
+    rows = max(1, (len(names) + 1) // 2)
+    figure = draw(13.0, 4.8 * rows)
+    axes = np.atleast_1d(figure.subplots(rows, 2, squeeze=False).ravel())
+    for place, name in zip(axes, names, strict=False):
+        draw_family(place, study, name)
+    for place in axes[len(names) :]:
+        place.set_axis_off()
+    return figure
+
+
+def lines_of(study: Study, name: str) -> dict[str, list[Trial]]:
+    """Line → its trials."""
+    trials = study.family(name)
+    return {line: [each for each in trials if each.line == line] for line in dict.fromkeys(t.line for t in trials)}
+
+
+def draw_family(axes: Axes, study: Study, name: str) -> None:
+    """One diagram."""
+    # a line for each method; failures as crosses at the right
+    lines = lines_of(study, name)
+    colours = colormaps["turbo"](np.linspace(0.03, 0.97, max(len(lines), 2)))
+    for colour, (line, trials) in zip(colours, lines.items(), strict=False):
+        good = [each for each in trials if not each.failed]
+        failed = len(trials) - len(good)
+        points = np.array([(max(each.error or 0.0, FLOOR), 1e3 * (each.time or 0.0)) for each in good]).reshape(-1, 2)
+        label = line + (f" ({failed} failed)" if failed else "")
+        axes.plot(points[:, 0], points[:, 1], "o-", color=colour, markersize=3.5, label=label)
+        label_points(axes, points, [each.label for each in good])
+        if failed:
+            axes.plot([1.0] * failed, np.linspace(0.06, 0.2, failed), "x", color=colour, transform=axes.transAxes)
+    # axes, and real time at the right
+    axes.set(xscale="log", yscale="log", xlabel="error, relative to what elasticity does", ylabel="time [ms]")
+    axes.yaxis.set_major_formatter(PlainNumbers())
+    axes.yaxis.set_minor_formatter(PlainNumbers())
+    axes.set_title(TITLES[name], fontsize=10)
+    axes.legend(fontsize=6.5)
+    factor = axes.secondary_yaxis(
+        "right",
+        functions=(
+            lambda ms: 1e3 * study.duration / np.maximum(ms, 1e-9),
+            lambda f: 1e3 * study.duration / np.maximum(f, 1e-9),
+        ),
+    )
+    factor.yaxis.set_major_formatter(PlainNumbers())
+    factor.yaxis.set_minor_formatter(PlainNumbers())
+    factor.set_ylabel("times real time")
+
+
+def html(study: Study) -> str:
+    """The page; the drawing library is inside, nothing is fetched."""
+    import plotly.io as pio
+
+    names = [name for name in FAMILIES if study.family(name)]
+    parts = [
+        pio.to_html(_figure(study, name), include_plotlyjs=i == 0, full_html=False) for i, name in enumerate(names)
+    ]
+    title = f"Work and precision: {study.scene.name}"
+    head = f'<meta charset="utf-8"><title>{title}</title><style>body{{font-family:sans-serif;margin:2rem}}</style>'
+    return f"<!doctype html><html lang=en><head>{head}</head><body><h1>{title}</h1><p>{sentence(study)}</p>{''.join(parts)}</body></html>"
+
+
+def _figure(study: Study, name: str) -> Any:
+    import plotly.graph_objects as go
+
+    figure = go.Figure()
+    for line, trials in lines_of(study, name).items():
+        # what was measured
+        good = [each for each in trials if not each.failed]
+        figure.add_scatter(
+            x=[max(each.error or 0.0, FLOOR) for each in good],
+            y=[1e3 * (each.time or 0.0) for each in good],
+            text=[each.label for each in good],
+            customdata=[[study.duration / (each.time or 1.0), each.note] for each in good],
+            hovertemplate="%{text}: error %{x:.2e}, %{y:.3g} ms, %{customdata[0]:.3g} x real time<br>%{customdata[1]}",
+            mode="lines+markers",
+            name=line,
+        )
+        # what failed, at real time and an error of 1
+        failed = [each for each in trials if each.failed]
+        if failed:
+            figure.add_scatter(
+                x=[1.0] * len(failed),
+                y=[1e3 * study.duration] * len(failed),
+                text=[f"{each.label}: {each.note}" for each in failed],
+                hovertemplate="failed: %{text}",
+                mode="markers",
+                marker={"symbol": "x"},
+                name=f"{line}, failed",
+            )
+    axes = {"xaxis_title": "error, relative to what elasticity does", "yaxis_title": "time [ms]"}
+    figure.update_layout(title=TITLES[name], xaxis_type="log", yaxis_type="log", template="plotly_white", **axes)
+    figure.update_xaxes(exponentformat="e", dtick=1)
+    return figure

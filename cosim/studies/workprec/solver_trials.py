@@ -1,0 +1,257 @@
+"""Trials with other solvers on the same equations, compiled: SciPy's, and SUNDIALS through CasADi; and with another formulation of
+the same robot: all coordinates with multipliers (index 1), with and without Baumgarte's stabilisation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, Literal
+
+import casadi
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from flexfmu.cosim.control.blocks.code import compile_function
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.timing import fastest
+from flexfmu.cosim.studies.workprec.equations import (
+    NUMBERS,
+    BoundFunction,
+    Equations,
+    Piece,
+    equations,
+    joint_motion,
+    pieces,
+)
+from flexfmu.cosim.studies.workprec.fmu_trials import Announce
+from flexfmu.cosim.studies.workprec.trial import Curve, RunError, Subject, Trial, sweep
+from flexfmu.model.multipliers import PASSIVE, ConstrainedModel, constrained_model
+
+Method = Literal["Radau", "BDF", "LSODA", "DOP853"]
+
+SCIPY: tuple[Method, ...] = ("Radau", "BDF", "LSODA", "DOP853")
+IMPLICIT: tuple[Method, ...] = ("Radau", "BDF", "LSODA")
+"""Those that take a Jacobian."""
+
+TOLERANCES = tuple(float(f"1e-{digits}") for digits in range(2, 13))
+"""Relative tolerances from which a sweep takes as many as it needs."""
+
+ABSOLUTE = 1e-4
+"""Absolute tolerance of an elastic coordinate relative to the relative one, in its own magnitude [m]: 0.1 mm is what links
+of this size bend."""
+
+
+def scipy_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[Trial]:
+    """SciPy's solvers with the exact Jacobian, restarted at every breakpoint, positions at the instants of comparison."""
+    system, parts = system_of(subject)
+    for method in SCIPY:
+
+        def trial(tolerance: float, method: Method = method) -> Trial:
+            announce(f"SciPy {method}, tolerance {tolerance:.0e}")
+            run = scipy_run(subject, system, parts, method, tolerance)
+            return solver_trial(subject, f"SciPy {method}", f"{tolerance:.0e}", run)
+
+        yield from sweep(TOLERANCES, trial, ours)
+
+
+def sundials_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[Trial]:
+    """CVODES through CasADi, rate and exact Jacobian compiled, restarted at every breakpoint."""
+    system, parts = system_of(subject)
+
+    def trial(tolerance: float) -> Trial:
+        announce(f"CasADi cvodes, tolerance {tolerance:.0e}")
+        run = _sundials(subject, system, parts, "cvodes", tolerance)
+        return solver_trial(subject, "CasADi cvodes", f"{tolerance:.0e}", run)
+
+    yield from sweep(TOLERANCES, trial, ours)
+
+
+def system_of(subject: Subject) -> tuple[Equations, tuple[Piece, ...]]:
+    """Equations and motion of a motion-driven scene."""
+    q1, q2 = subject.motion.joints.evaluate(0.0, 0)[0, 0]
+    return equations(subject.scene, (float(q1), float(q2))), pieces(subject.motion.joints, subject.stop)
+
+
+def solver_trial(subject: Subject, line: str, label: str, run: Callable[[], RealArray]) -> Trial:
+    """One run of a solver: (N, 2) positions at the instants of comparison."""
+    try:
+        error = subject.error(run())
+    except (RunError, RuntimeError, ValueError) as failure:
+        return Trial("tools", line, label, None, None, " ".join(str(failure).split()))
+    return Trial("tools", line, label, error, fastest(run))
+
+
+def independent_reference(subject: Subject, tolerance: float = 1e-11) -> RealArray:
+    """(N, 2) positions [m] by DOP853, which shares neither integrator nor master with ours."""
+    system, parts = system_of(subject)
+    return scipy_run(subject, system, parts, "DOP853", tolerance)()
+
+
+def compared(subject: Subject, piece: Piece) -> RealArray:
+    """Instants of comparison that belong to a piece, its beginning but not its end; the very last one to the last."""
+    is_last = piece.end >= subject.stop * (1.0 - 1e-12)
+    up_to = np.inf if is_last else piece.end
+    return np.minimum(subject.instants[(subject.instants >= piece.begin) & (subject.instants < up_to)], piece.end)
+
+
+def ends(instants: RealArray, end: float) -> RealArray:
+    """The instants and the end of the piece, each once."""
+    return instants if instants.size and instants[-1] == end else np.append(instants, end)
+
+
+def scipy_run(
+    subject: Subject,
+    system: Equations,
+    parts: tuple[Piece, ...],
+    method: Method,
+    tolerance: float,
+    exact_jacobian: bool = True,
+) -> Callable[[], RealArray]:
+    """A run of one of SciPy's methods: (N, 2) positions [m] at the instants of comparison.
+
+    Args:
+        subject, system, parts: what is simulated.
+        method: name of the method.
+        tolerance: relative tolerance.
+        exact_jacobian: False for SciPy's own finite differences.
+    """
+    # functions of each piece, bound once
+    rates = [system.bound(piece.numbers) for piece in parts]
+    has_jacobian = exact_jacobian and method in IMPLICIT
+    extra: list[dict[str, Any]] = [
+        {"jac": system.bound_jacobian(piece.numbers)} if has_jacobian else {} for piece in parts
+    ]
+    positions = [BoundFunction(system.position, piece.numbers) for piece in parts]
+
+    def run() -> RealArray:
+        state, found = system.start, []
+        # the solver starts anew at each piece, where derivatives of the motion jump
+        for piece, rate, position, options in zip(parts, rates, positions, extra, strict=True):
+            instants = compared(subject, piece)
+            wanted = ends(instants, piece.end)
+            solution = solve_ivp(
+                rate,
+                (piece.begin, piece.end),
+                state,
+                method,
+                wanted,
+                rtol=tolerance,
+                atol=ABSOLUTE * tolerance,
+                **options,
+            )
+            if not solution.success:
+                raise RunError(solution.message)
+            found += [position(t, z) for t, z in zip(instants, solution.y.T, strict=False)]
+            state = solution.y[:, -1]
+        return np.array(found)
+
+    return run
+
+
+def _sundials(
+    subject: Subject, system: Equations, parts: tuple[Piece, ...], plugin: str, tolerance: float
+) -> Callable[[], RealArray]:
+    t, z, p = casadi.MX.sym("t"), casadi.MX.sym("z", 2 * system.n), casadi.MX.sym("p", NUMBERS)
+    problem = {"t": t, "x": z, "p": p, "ode": system.rate(t, z, p)}
+    options = {"reltol": tolerance, "abstol": ABSOLUTE * tolerance, "max_num_steps": 1_000_000}
+    # an integrator for each piece, whose times CasADi wants beforehand
+    solvers = []
+    for piece in parts:
+        instants = compared(subject, piece)
+        solver = casadi.integrator("run", plugin, problem, piece.begin, ends(instants, piece.end).tolist(), options)
+        position = BoundFunction(system.position, piece.numbers)
+        solvers.append((piece.numbers, instants, solver, position))
+
+    def run() -> RealArray:
+        state, found = system.start, []
+        for numbers, instants, solver, position in solvers:
+            states = solver(x0=state, p=numbers)["xf"].full()
+            found += [position(t, z) for t, z in zip(instants, states.T, strict=False)]
+            state = states[:, -1]
+        return np.array(found)
+
+    return run
+
+
+SOLVER: Method = "Radau"
+FORMULATION_TOLERANCES = (1e-3, 1e-5, 1e-7)
+
+RATES = {"index 1": 0.0, "index 1, Baumgarte 100/s": 100.0}
+"""Line → rate of the stabilisation [1/s]."""
+
+
+def formulation_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
+    """SciPy's Radau on every formulation; notes have the largest violation of the constraints."""
+    system, parts = system_of(subject)
+    for tolerance in FORMULATION_TOLERANCES:
+        announce(f"minimal coordinates, {SOLVER}, tolerance {tolerance:.0e}")
+        run = scipy_run(subject, system, parts, SOLVER, tolerance, exact_jacobian=False)  # nor have the others one
+        label = f"{tolerance:.0e}"
+        yield Trial("formulations", "minimal coordinates", label, subject.error(run()), fastest(run), "no constraints")
+    model = constrained_model(subject.scene)
+    for line, rate in RATES.items():
+        function = compile_function(index_one(model, rate))
+        for tolerance in FORMULATION_TOLERANCES:
+            announce(f"{line}, {SOLVER}, tolerance {tolerance:.0e}")
+            yield _index_one_trial(subject, model, function, parts, line, tolerance)
+
+
+def index_one(model: ConstrainedModel, rate: float) -> casadi.Function:
+    """(t, z, piece) → dz/dt for z = [q, dq/dt] with all 10 + n coordinates, motors driven by the planned motion."""
+    size = 10 + model.n
+    t, z, piece = casadi.MX.sym("t"), casadi.MX.sym("z", 2 * size), casadi.MX.sym("piece", NUMBERS)
+    q, v = z[:size], z[size:]
+    psi = model.jacobian(q)
+    motors = casadi.horzcat(casadi.DM.eye(2), casadi.DM.zeros(2, size - 2))
+    rows = casadi.vertcat(psi, motors)
+    drift = model.curvature(q, v) + 2.0 * rate * (psi @ v) + rate**2 * model.constraints(q)
+    matrix = casadi.blockcat([[model.mass_matrix(q), rows.T], [rows, casadi.DM.zeros(PASSIVE + 2, PASSIVE + 2)]])
+    known = casadi.vertcat(-model.bias(q, v), -drift, joint_motion(t, piece)[4:])
+    acceleration = casadi.solve(matrix, known, "qr")[:size]
+    return casadi.Function("index_one", [t, z, piece], [casadi.densify(casadi.vertcat(v, acceleration))])
+
+
+def _index_one_trial(
+    subject: Subject,
+    model: ConstrainedModel,
+    function: casadi.Function,
+    parts: tuple[Piece, ...],
+    line: str,
+    tolerance: float,
+) -> Trial:
+    run = _index_one_run(subject, model, function, parts, tolerance)
+    label = f"{tolerance:.0e}"
+    try:
+        states = run()
+    except (RunError, ValueError) as failure:
+        return Trial("formulations", line, label, None, None, " ".join(str(failure).split()))
+    size = 10 + model.n
+    violation = max(float(np.abs(model.constraints(state[:size]).full()).max()) for state in states)
+    note = f"constraints violated by up to {violation:.1e} m"
+    return Trial("formulations", line, label, subject.error(states[:, size - 2 : size]), fastest(run), note)
+
+
+def _index_one_run(
+    subject: Subject, model: ConstrainedModel, function: casadi.Function, parts: tuple[Piece, ...], tolerance: float
+) -> Callable[[], RealArray]:
+    rates = [BoundFunction(function, piece.numbers) for piece in parts]
+    joints = subject.motion.joints.evaluate(0.0, 0)[0, 0]
+    elastic, still = system_of(subject)[0].start[: model.n], np.zeros(model.n)
+    start = np.concatenate([part.full().ravel() for part in model.assembled(joints, elastic, np.zeros(2), still)])
+
+    def run() -> RealArray:
+        """(N, 2 (10 + n)) states at the instants of comparison."""
+        state, found = start, []
+        for piece, rate in zip(parts, rates, strict=True):
+            instants = compared(subject, piece)
+            span, wanted = (piece.begin, piece.end), ends(instants, piece.end)
+            with np.errstate(
+                over="ignore"
+            ):  # SciPy's finite difference by a coordinate that nothing depends on grows without bound
+                solution = solve_ivp(rate, span, state, SOLVER, wanted, rtol=tolerance, atol=ABSOLUTE * tolerance)
+            if not solution.success:
+                raise RunError(solution.message)
+            found.append(solution.y.T[: instants.size])
+            state = solution.y[:, -1]
+        return np.concatenate(found)
+
+    return run

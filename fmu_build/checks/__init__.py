@@ -1,1 +1,0 @@
-"""What an FMU is checked for, each kind of check in a file of its own."""

@@ -1,0 +1,1 @@
+"""Judges anybody's FMU: archive, description, binaries and behaviour."""

@@ -1,0 +1,179 @@
+"""A short life of an FMU in a process of its own; what it finds goes to a file, line by line, as it is found.
+
+python -m flexfmu.fmu_build.validation.child PARENT FOLDER REPORT CALL_LIMIT PACE KIND:CHECK [KIND:CHECK...]
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TextIO
+
+from fmpy.fmi1 import FMICallException
+from fmpy.model_description import read_model_description
+
+from flexfmu.fmu_build.validation.catalogue import CHECKS
+from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, NoMoreInstancesError, OnlyOnceError
+from flexfmu.fmu_build.validation.instance import Watch, announce
+from flexfmu.fmu_build.validation.life import Check, disturbances, surroundings
+
+LOOK = 0.1
+"""How often the watcher looks [s]."""
+
+
+def main() -> None:
+    """Run the checks that the command line names."""
+    parent, folder, report, limit, pace, *jobs = sys.argv[1:]
+    with Path(report).open("a", encoding="utf-8", buffering=1) as file:
+        watched = (file, float(limit), Path(folder).parent, int(parent))
+        threading.Thread(target=_watch, args=watched, daemon=True).start()
+        description = read_model_description(folder, validate=False)
+        fmus = {kind.name: FmuUnderTest(description, Path(folder), kind, float(pace)) for kind in Kind}
+        standard = [os.dup(number) for number in range(3)]
+        before = surroundings(Path(folder))
+        for job in jobs:
+            kind, name = job.split(":")
+            announce("")
+            _say(file, begin=job)
+            try:
+                for finding in _findings(name, CHECKS[name], fmus[kind], before, standard):
+                    _say(file, finding=asdict(finding))
+            except NoMoreInstancesError as error:
+                _say(file, exhausted=str(error))
+                break
+            _say(file, pace=fmus[kind].pace)
+        _say(file, end=True)
+
+
+def _say(file: TextIO, **line: Any) -> None:
+    file.write(json.dumps(line) + "\n")
+
+
+def _watch(file: TextIO, limit: float, home: Path, parent: int) -> None:
+    """End this process and all that it has started when a call doesn't return, or when nobody waits for it any more."""
+    while True:
+        time.sleep(LOOK)
+        call, since = Watch.call, Watch.since
+        orphaned = os.name == "posix" and os.getppid() != parent
+        if orphaned:
+            shutil.rmtree(home, ignore_errors=True)
+        if call and time.monotonic() - since > limit:
+            _say(file, hang=call)
+            orphaned = True
+        if orphaned:
+            if os.name == "posix":
+                os.killpg(0, signal.SIGKILL)
+            os._exit(1)
+
+
+def _findings(
+    name: str, check: Check, fmu: FmuUnderTest, before: dict[str, Any], standard: list[int]
+) -> Iterator[Finding]:
+    """What a check finds, failed FMI calls and what it did to the process included.
+
+    Args:
+        name: the check's.
+        check: what is tried.
+        fmu: the FMU.
+        before: what the process looked like.
+        standard: copies of standard input, output and error.
+    """
+    printed, folder = _printed(), Path.cwd()
+    try:
+        yield from check(fmu)
+    except OnlyOnceError:
+        return
+    except NoMoreInstancesError as error:
+        raise NoMoreInstancesError(_with_messages(error, fmu)) from error
+    except Exception as error:  # any failed FMI call is a finding, not the end of the validation
+        severity = Severity.WARNING if name == "calls" else Severity.ERROR
+        what, remedy = _explained(error)
+        yield Finding(name, _with_messages(what, fmu), remedy, severity)
+    finally:
+        fmu.messages.clear()
+        yield from _closed(standard)
+        yield from disturbances(before, surroundings(fmu.folder))
+        yield from _new_output(printed)
+        os.chdir(folder)
+        yield from _new_files()
+
+
+def _with_messages(error: Exception | str, fmu: FmuUnderTest) -> str:
+    """A failure in a line, with what the FMU has logged last."""
+    logged = f" ({'; '.join(dict.fromkeys(fmu.messages[-2:]))})" if fmu.messages else ""
+    return " ".join(f"{error}{logged}".split())
+
+
+_STATUS = {
+    2: ("fmi2Discard", "give the value, or return fmi2Error where it can't be had"),
+    3: ("fmi2Error", "the call is legal here: carry it out, and log what goes wrong"),
+    4: ("fmi2Fatal", "keep fmi2Fatal for what no instance in the process survives"),
+    5: ("fmi2Pending", "return fmi2Pending from fmi2DoStep alone, and claim canRunAsynchronuously"),
+}
+"""Status → its name, and what to do where a call ought to succeed."""
+
+
+def _explained(error: Exception) -> tuple[str, str]:
+    """An exception in words of the standard, and the remedy."""
+    if isinstance(error, FMICallException):
+        name, remedy = _STATUS.get(
+            error.status, (f"the status {error.status}, which there is not", "return a fmi2Status")
+        )
+        return f"{error.function} returns {name}", remedy
+    return str(error), getattr(error, "remedy", "the call is legal here: carry it out")
+
+
+def _closed(standard: list[int]) -> Iterator[Finding]:
+    """A finding about standard input, output and error if the FMU has closed them; they are opened again."""
+    names = ("input", "output", "error")
+    for number, (name, copy) in enumerate(zip(names, standard, strict=True)):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.dup2(copy, number)
+            message = f"the FMU closes standard {name}, which belongs to the importing tool"
+            yield Finding("process", message, "leave it open", Severity.WARNING)
+
+
+def _printed() -> int:
+    """Bytes on standard output so far."""
+    ctypes.CDLL(None).fflush(None)
+    return os.fstat(1).st_size
+
+
+def _new_output(before: int) -> Iterator[Finding]:
+    """A finding about what an FMU prints."""
+    now = _printed()
+    if now > before:
+        text = os.pread(1, min(now - before, 200), before).decode(errors="replace").strip().splitlines()
+        message = "the FMU prints to standard output" + (f": {text[0]!r}" if text else "")
+        yield Finding(
+            "process", message, "log through the callback: the importing tool's output is its own", Severity.WARNING
+        )
+
+
+def _new_files() -> Iterator[Finding]:
+    """A finding about files that an FMU leaves in the working directory, which is empty at the start."""
+    for path in sorted(Path.cwd().iterdir()):
+        yield Finding(
+            "process",
+            f"{path.name} is left in the working directory",
+            "write where the importing tool says, or nowhere",
+            Severity.WARNING,
+            path.name,
+        )
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,146 @@
+"""Dependencies that the model structure declares, against what changes when something is changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, size_of
+
+Vector = NDArray[np.float64]
+
+SHARE = 0.01
+"""How far knowns are moved, relative to their size."""
+
+INFLUENCE = 1e-6
+"""Change of an unknown, relative to its size, that is no rounding and no tolerance of an inner iteration."""
+
+MOST_KNOWNS = 100
+
+_LINEAR = {"constant", "fixed", "tunable", "discrete"}
+"""Kinds of dependencies that are a factor."""
+
+
+def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Nothing depends on what it is not declared to depend on, and a constant factor is one."""
+    structure = fmu.description
+    unknowns = [*(structure.outputs or ())]
+    if fmu.kind is Kind.EXCHANGE:
+        unknowns += structure.derivatives or ()
+    inputs, told, done = fmu.inputs, set[str](), 0
+    if fmu.kind is Kind.COSIMULATION:  # in model exchange discrete ones are set at events alone
+        inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
+    with fmu.instance("dependencies") as instance:
+
+        def set_input(known: Any, value: Vector) -> None:
+            instance.set([known], value)
+
+        def set_state(known: Any, value: Vector) -> None:
+            x = instance.continuous_states()
+            x[fmu.states.index(known)] = value[0]
+            instance.set_continuous_states(x)
+
+        instance.initialize()
+        for instant in (min(fmu.steps, 3), fmu.steps // 2, fmu.steps):
+            instance.advance(done, instant)
+            done = max(done, instant)
+            if instance.finished:
+                return
+            yield from _violations(unknowns, inputs, instance, set_input, told)
+            if fmu.kind is Kind.EXCHANGE:
+                yield from _violations(unknowns, fmu.states, instance, set_state, told)
+
+
+def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """The same in Initialization Mode, for parameters, inputs and exact starts."""
+    unknowns = fmu.description.initialUnknowns or ()
+    knowns = [variable for variable in fmu.settable("parameter", "input", "output", "local") if variable.type == "Real"]
+    with fmu.instance("initial_dependencies") as instance:
+        instance.enter_initialization()
+
+        def set_known(known: Any, value: Vector) -> None:
+            instance.set([known], value)
+
+        for finding in _violations(unknowns, knowns, instance, set_known, set()):
+            yield Finding(
+                finding.check,
+                f"in Initialization Mode {finding.message}",
+                "declare it in InitialUnknowns",
+                Severity.WARNING,
+                finding.subject,
+            )
+
+
+def _violations(
+    unknowns: Sequence[Any],
+    knowns: Sequence[Any],
+    instance: Any,
+    set_known: Callable[[Any, Vector], None],
+    told: set[str],
+) -> Iterator[Finding]:
+    """Findings about unknowns that change with a known other than declared, but for those that have been ``told``."""
+    declared = [unknown for unknown in unknowns if unknown.dependencies is not None and unknown.variable.type == "Real"]
+    if not declared:
+        return
+    variables = [unknown.variable for unknown in declared]
+    sizes = np.array([size_of(variable) for variable in variables])
+    for known in knowns[:MOST_KNOWNS]:
+        answers = _answers(variables, known, instance, set_known)
+        if answers is None:
+            continue
+        base, up, down, steps = answers
+        scale = np.maximum(np.abs(base), sizes)
+        change = np.abs(up - base) / scale
+        bend = (
+            np.abs((up - base) * steps[1] - (down - base) * steps[0]) / np.maximum(np.abs(steps).max(), 1e-300) / scale
+        )
+        for n, unknown in enumerate(declared):
+            name = unknown.variable.name
+            if name in told or unknown.variable is known or unknown.variable.valueReference == known.valueReference:
+                continue
+            listed = [dependency.valueReference for dependency in unknown.dependencies]
+            if known.valueReference not in listed:
+                if change[n] > INFLUENCE:
+                    told.add(name)
+                    yield Finding(
+                        "dependencies of variables",
+                        f"{name} changes with {known.name}, which its dependencies don't name",
+                        "declare it in ModelStructure: loops are found by it",
+                        subject=name,
+                    )
+                continue
+            kind = unknown.dependenciesKind[listed.index(known.valueReference)] if unknown.dependenciesKind else ""
+            if kind in _LINEAR and bend[n] > INFLUENCE + 1e-4 * change[n]:
+                told.add(name)
+                yield Finding(
+                    "dependencies of variables",
+                    f"{name} is no linear function of {known.name}, which its dependenciesKind {kind} says",
+                    "declare it as dependent",
+                    subject=name,
+                )
+
+
+def _answers(
+    variables: Sequence[Any], known: Any, instance: Any, set_known: Callable[[Any, Vector], None]
+) -> tuple[Vector, Vector, Vector, Vector] | None:
+    """Unknowns as they are and with the known moved up and down, and the two steps; None where that can't be told."""
+    try:
+        value = instance.get([known])
+        step = SHARE * max(size_of(known), abs(float(value[0])))
+        base = instance.get(variables)
+        ends, steps = [], []
+        for sign in (1.0, -1.0):
+            set_known(known, value + sign * step)
+            ends.append(instance.get(variables))
+            steps.append(sign * step)
+        set_known(known, value)
+        again = instance.get(variables)
+    except Exception:  # fmpy's own kinds of errors: the known can't be set here, or not to this
+        return None
+    if not np.allclose(base, again, rtol=1e-9, atol=0.0) or not np.isfinite([base, *ends]).all():
+        return None
+    return base, ends[0], ends[1], np.array(steps)

@@ -1,0 +1,358 @@
+"""Derivatives that the FMU gives, against differences of what it computes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from fmpy.fmi1 import FMICallException
+from numpy.typing import NDArray
+
+from flexfmu.fmu_build.validation.finding import Finding
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, moved, size_of
+from flexfmu.fmu_build.validation.steps import KICK, kicked_states
+
+Vector = NDArray[np.float64]
+
+DIFFERENCES = (1e-5, 1e-4)
+"""Steps of the difference quotients relative to a variable's size: rounding and truncation are about equal."""
+
+DIRECTIONAL_TOLERANCE = 1e-4
+"""What directional derivatives may be off, relative to the largest; difference quotients are good to 1e-6 or so."""
+
+SEED_TOLERANCE = 1e-3
+"""What derivatives along several knowns may be off, relative to the sum of all contributions: some FMUs take differences."""
+
+NEGLIGIBLE = 1e-5
+"""Influence on an unknown, relative to its size, below which difference quotients are rounding errors."""
+
+MOST_POINTS = 60
+"""Communication points at which output derivatives are compared."""
+
+PARTS = (1, 8, 64, 512, 4096)
+"""Parts of a communication step between these points: as many as fast vibrations need to be resolved."""
+
+RESOLVED = 0.1
+"""How much a difference quotient over two steps may differ from the one over one, where the step is short enough to judge
+derivatives by it."""
+
+OUTPUT_TOLERANCE = 0.02
+"""Factor by which derivatives may be off."""
+
+SMALL = 1e-9
+"""Uncertainty of values relative to the variable's size: what a solver's absolute tolerance may leave."""
+
+BEGIN = 10
+"""Communication steps that are made before."""
+
+LEAST_POINTS = 8
+"""Points that have to be resolved to say anything."""
+
+STAYS = 0.5
+"""Part of a contradiction that is left with smaller steps where it is no matter of the solver's steps."""
+
+
+def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """fmi2GetDirectionalDerivative against central differences of two sizes, input by input and state by state."""
+    if not fmu.element.providesDirectionalDerivative:
+        return
+    with fmu.instance("directional") as instance:
+        if fmu.kind is Kind.COSIMULATION:
+            instance.enter_initialization()
+        else:
+            instance.initialize()
+            instance.advance(0, 1)
+        unknowns, knowns = _unknowns(fmu), [*fmu.inputs, *_states(fmu)]
+        if not unknowns or not knowns or instance.finished:
+            return
+        matrix = np.column_stack([instance.directional(unknowns, [known], np.ones(1)) for known in knowns])
+        seeded = [(seed, instance.directional(unknowns, knowns, seed)) for seed in _seeds(len(knowns))]
+        fine, coarse = (
+            np.column_stack([_difference(fmu, instance, unknowns, known, step) for known in knowns])
+            for step in DIFFERENCES
+        )
+    # an output that is the state itself: some tools leave its derivative out, and no tool needs it
+    same = [[unknown.valueReference == known.valueReference for known in knowns] for unknown in unknowns]
+    wrong = list(_compare(unknowns, knowns, np.where(same, fine, matrix), fine, coarse))
+    yield from wrong or _not_linear(unknowns, knowns, matrix, seeded)
+
+
+def _listed(items: Iterable[str]) -> str:
+    """The first few of them."""
+    first = list(islice(items, 5))
+    return ", ".join(first[:4]) + ", ..." * (len(first) > 4)
+
+
+def _seeds(knowns: int) -> Iterator[Vector]:
+    """Seeds that are neither 0 nor 1: all knowns together, then some of them."""
+    seed = 1.5 + np.cos(np.arange(knowns))
+    yield from (seed, -0.5 * seed, np.where(np.arange(knowns) % 2, 0.0, -2.5))
+
+
+def _not_linear(
+    unknowns: Sequence[Any], knowns: Sequence[Any], matrix: Vector, seeded: list[tuple[Vector, Vector]]
+) -> Iterator[Finding]:
+    """A finding if derivatives along several knowns aren't the sum of those along each, times its seed."""
+    for seed, given in seeded:
+        expected, scale = matrix @ seed, np.abs(matrix) @ np.abs(seed)
+        apart = np.abs(given - expected)
+        apart = np.where(np.isfinite(apart), apart, np.inf) / np.maximum(scale, 1e-300)
+        row = int(np.argmax(apart))
+        if apart[row] > SEED_TOLERANCE:
+            yield Finding(
+                "directional derivatives",
+                f"the derivative of {unknowns[row].name} along {_listed(known.name for known in knowns)} with the seeds "
+                f"{_listed(f'{s:.3g}' for s in seed)} is {given[row]:.6g}, the sum of "
+                f"those along each is {expected[row]:.6g}",
+                "multiply by dvKnown and add up",
+            )
+            return
+
+
+def _unknowns(fmu: FmuUnderTest) -> list[Any]:
+    """Outputs, and for model exchange the states' derivatives."""
+    if fmu.kind is Kind.COSIMULATION:
+        return fmu.smooth_outputs
+    derivatives = [unknown.variable for unknown in fmu.description.derivatives or ()]
+    return [*derivatives, *fmu.smooth_outputs]
+
+
+def _states(fmu: FmuUnderTest) -> list[Any]:
+    if fmu.kind is Kind.COSIMULATION:
+        return []
+    return [unknown.variable.derivative for unknown in fmu.description.derivatives or ()]
+
+
+def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known: Any, share: float) -> Vector:
+    """Central difference quotient of all unknowns."""
+    states = _states(fmu)
+    value = instance.get([known])
+    step = share * max(size_of(known), abs(float(value[0])))
+    ends = []
+    for sign in (1.0, -1.0):
+        _set(instance, states, known, value + sign * step)
+        ends.append(np.asarray(instance.get(unknowns)))
+    _set(instance, states, known, value)
+    return np.asarray((ends[0] - ends[1]) / (2.0 * step))
+
+
+def _set(instance: Any, states: Sequence[Any], known: Any, value: Vector) -> None:
+    """Set an input, or a state, which goes with all the others."""
+    if known not in states:
+        instance.set([known], value)
+        return
+    x = instance.continuous_states()
+    x[states.index(known)] = value[0]
+    instance.set_continuous_states(x)
+
+
+def _compare(
+    unknowns: Sequence[Any], knowns: Sequence[Any], matrix: Vector, differences: Vector, coarse: Vector
+) -> Iterator[Finding]:
+    """A finding about the worst entry, each measured by the largest of its row in units of the known's size.
+
+    Where differences of two sizes disagree they can't tell: at kinks, and where an inner iteration leaves its tolerance.
+    """
+    sizes = np.array([size_of(known) for known in knowns])
+    apart, unsure = np.abs(matrix - differences) * sizes, np.abs(coarse - differences) * sizes
+    floor = NEGLIGIBLE * np.array([[size_of(unknown)] for unknown in unknowns])
+    scale = np.maximum((np.abs(differences) * sizes).max(axis=1, keepdims=True), floor)
+    apart = np.where(np.isfinite(apart), np.maximum(apart - 2.0 * unsure, 0.0) / scale, np.inf)
+    row, column = map(int, np.unravel_index(int(np.argmax(apart)), apart.shape))
+    if apart[row, column] > DIRECTIONAL_TOLERANCE:
+        yield Finding(
+            "directional derivatives",
+            f"d {unknowns[row].name} / d {knowns[column].name} is {matrix[row, column]:.6g}, differences give "
+            f"{differences[row, column]:.6g}",
+            "correct fmi2GetDirectionalDerivative, or don't claim providesDirectionalDerivative",
+        )
+
+
+def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Each order of an output's derivative against differences of the order below."""
+    most = int(fmu.element.maxOutputDerivativeOrder or 0) if fmu.kind is Kind.COSIMULATION else 0
+    if not most or not fmu.smooth_outputs:
+        return
+    references = [variable.valueReference for variable in fmu.smooth_outputs]
+    yield from _no_number_at_start(fmu, references, most)
+
+    def jet(instance: Any) -> list[Any]:
+        orders = ([order] * len(references) for order in range(1, most + 1))
+        given = [instance.library.getRealOutputDerivatives(references, order) for order in orders]
+        return [instance.get(fmu.smooth_outputs), *given]
+
+    found = _contradiction(fmu, jet, np.array([size_of(variable) for variable in fmu.smooth_outputs]))
+    if found is not None:
+        name = fmu.smooth_outputs[found.column].name
+        is_number = bool(np.isfinite(found.given))
+        against = f", differences give {found.differences:.5g}" if is_number else ""
+        remedy = "correct fmi2GetRealOutputDerivatives" if is_number else "return fmi2Error where there is none"
+        yield Finding(
+            "output derivatives",
+            f"derivative {found.order} of {name} is {found.given:.5g} at {found.time:.6g} s{against}",
+            f"{remedy}, or claim a lower maxOutputDerivativeOrder",
+        )
+
+
+def _no_number_at_start(fmu: FmuUnderTest, references: list[int], most: int) -> Iterator[Finding]:
+    """A finding if a derivative is NaN or infinite right after the initialisation; the FMU may refuse to give one there."""
+    with fmu.instance("first_derivatives") as instance:
+        instance.initialize()
+        for order in range(1, most + 1):
+            try:
+                given = instance.library.getRealOutputDerivatives(references, [order] * len(references))
+            except FMICallException:
+                return
+            for variable, value in zip(fmu.smooth_outputs, given, strict=True):
+                if not np.isfinite(value):
+                    yield Finding(
+                        "output derivatives",
+                        f"derivative {order} of {variable.name} is {value:.5g} right after the initialisation",
+                        "return fmi2Error where there is none, or claim a lower maxOutputDerivativeOrder",
+                        subject=variable.name,
+                    )
+
+
+def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """In co-simulation a variable goes as the one that is declared as its derivative says, all through the step."""
+    pairs = [(v.derivative, v) for v in fmu.description.modelVariables if v.derivative is not None and v.type == "Real"]
+    if fmu.kind is not Kind.COSIMULATION or not pairs:
+        return
+    with suppress(FMICallException):  # where the FMU refuses to tell derivatives there is nothing to compare
+        found = _contradiction(
+            fmu,
+            lambda instance: [instance.get([pair[which] for pair in pairs]) for which in (0, 1)],
+            np.array([size_of(state) for state, _ in pairs]),
+        )
+        if found is not None and np.isfinite(found.given):
+            state, rate = pairs[found.column]
+            yield Finding(
+                "rates",
+                f"{state.name} changes by {found.differences:.5g} a second at {found.time:.6g} s, its derivative {rate.name} is "
+                f"{found.given:.5g}",
+                "integrate over the whole step, or correct the derivative",
+            )
+
+
+@dataclass(frozen=True)
+class _Contradiction:
+    """A derivative that isn't what differences of the order below say."""
+
+    order: int
+    column: int
+    time: float
+    given: float
+    differences: float
+
+
+def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Vector) -> _Contradiction | None:
+    """The first derivative that is contradicted by differences, over steps of two sizes: of one size they may alias.
+
+    The step is refined until differences resolve what happens; what no step resolves is not judged.
+
+    Args:
+        fmu: the FMU, for co-simulation.
+        jet: values and their derivatives of an instance, orders from 0, each of shape (columns,).
+        size: order of magnitude of each column.
+    """
+    suspect = np.zeros(0)  # by how much derivatives are off at the coarser step
+    for parts in PARTS if fmu.has_variable_step else PARTS[:1]:
+        step = fmu.step / parts
+        jets = _jets(fmu, jet, parts)
+        if len(jets) < LEAST_POINTS + 4:
+            return None
+        if not np.isfinite(jets).all():
+            point, order, column = map(int, np.argwhere(~np.isfinite(jets))[0])
+            return _Contradiction(
+                order,
+                column,
+                fmu.start + _begin(fmu) * fmu.step + (point + 1) * step,
+                jets[point, order, column],
+                np.nan,
+            )
+        given, differences, clear = _comparison(jets, step, fmu.accuracy, size)
+        lag = 0.0
+        if not fmu.has_variable_step:
+            # a method of first order follows the derivative of the step's beginning; smaller steps would tell that apart
+            lag = 0.5 * np.abs(given[2:] - given[:-2]).max(axis=0) / np.abs(differences).max(axis=0).clip(1e-300)
+            # a vibration that differences alias is faster than they tell
+            clear = clear & (np.abs(given).max(axis=0) <= 3.0 * np.abs(differences).max(axis=0))
+        by = _discrepancy(given, differences, clear, lag)
+        if not fmu.has_variable_step:
+            suspect = by
+        # what gets less with the step is the solver's
+        if suspect.size and (stays := (by > 0.0) & (suspect > 0.0) & (by >= STAYS * suspect)).any():
+            order, column = map(int, np.argwhere(stays)[0])
+            n = int(np.argmax(np.where(clear, np.abs(differences), -1.0)[:, order, column]))
+            time = fmu.start + _begin(fmu) * fmu.step + (n + 3) * step
+            return _Contradiction(order + 1, column, time, given[n, order, column], differences[n, order, column])
+        suspect = by
+    return None
+
+
+def _comparison(jets: Vector, step: float, accuracy: float, size: Vector) -> tuple[Vector, Vector, NDArray[np.bool_]]:
+    """Derivatives given, central differences of fourth order, and where these resolve them; shape (points - 4, orders, columns)."""
+    lower, given = jets[:, :-1], jets[2:-2, 1:]
+    near = (lower[3:-1] - lower[1:-3]) / (2.0 * step)
+    wide = (lower[4:] - lower[:-4]) / (4.0 * step)
+    differences = (4.0 * near - wide) / 3.0
+    noise = (accuracy * np.abs(lower).max(axis=0) + SMALL * size) / step
+    scale = np.maximum(np.abs(differences), np.abs(differences).max(axis=0) * 1e-2)
+    moves = (np.diff(lower, axis=0) != 0.0).mean(
+        axis=0
+    ) > 0.9  # an FMU with a larger step of its own stands still at times
+    return given, differences, moves & (np.abs(near - wide) <= RESOLVED * scale) & (noise <= RESOLVED * scale)
+
+
+def _discrepancy(given: Vector, differences: Vector, clear: NDArray[np.bool_], slack: Any) -> Vector:
+    """How far derivatives are off by a factor or on average, relative to the differences; 0 where no more than by chance.
+
+    A solver's tolerance makes the higher derivatives of vibrations noisy, which leaves factor and average alone.
+
+    Args:
+        given: shape (points, orders, columns).
+        differences: the same.
+        clear: points to look at, the same shape.
+        slack: what they may be off beside `OUTPUT_TOLERANCE`, shape (orders, columns) or a number.
+    """
+    count = clear.sum(axis=0)
+    enough = (count >= LEAST_POINTS) & (clear.mean(axis=0) >= 0.5)
+    given, differences = (np.where(clear, each, 0.0) for each in (given, differences))
+    power = (differences**2).sum(axis=0).clip(1e-300)
+    largest = np.abs(differences).max(axis=0).clip(1e-150)
+    factor = (given * differences).sum(axis=0) / power
+    chance = 3.0 / np.sqrt(count.clip(1))
+    rest = np.sqrt(((given - factor * differences) ** 2).sum(axis=0) / power)
+    mean = (given - differences).sum(axis=0) / count.clip(1) / largest
+    spread = np.sqrt(((given - differences) ** 2).sum(axis=0) / count.clip(1)) / largest
+    wrong = np.where(np.abs(factor - 1.0) > OUTPUT_TOLERANCE + slack + chance * rest, np.abs(factor - 1.0), 0.0)
+    shifted = np.where(np.abs(mean) > 2.0 * OUTPUT_TOLERANCE + slack + chance * spread, np.abs(mean), 0.0)
+    return np.where(enough, np.maximum(wrong, shifted), 0.0)
+
+
+def _begin(fmu: FmuUnderTest) -> int:
+    """Communication steps before the first point: from rest, derivatives are in proportion to the time since then."""
+    return min(BEGIN, fmu.steps // 4)
+
+
+def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> Vector:
+    """Values and their derivatives after steps of a size, shape (points, orders + 1, columns).
+
+    Inputs stay as they are, so that nothing jumps.
+    """
+    jets: list[list[Any]] = []
+    begin = _begin(fmu)
+    with fmu.instance("derivatives") as instance:
+        instance.initialize(kicked_states(fmu))
+        instance.set(fmu.inputs, np.array([moved(variable, KICK) for variable in fmu.inputs]))
+        if not all(instance.step(n) for n in range(begin)):
+            return np.array(jets)
+        for n in range(MOST_POINTS if fmu.has_variable_step else min(fmu.steps - begin, MOST_POINTS)):
+            if not instance.step(begin + n / parts, parts):
+                break
+            jets.append(jet(instance))
+    return np.array(jets)

@@ -1,0 +1,298 @@
+"""What the model description says of itself."""
+
+from __future__ import annotations
+
+import keyword
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from fmpy.model_description import read_model_description
+from fmpy.validation import validate_fmu as validate_by_fmpy
+
+from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.unit_check import check_units
+
+_NUMBERS = {"Real", "Integer", "Enumeration"}
+_SETTABLE = {"input", "parameter"}
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_STUMBLES = {"list index out of range", "'NoneType' object has no attribute 'get'"}
+"""Exceptions of Python that fmpy passes on as problems."""
+
+_UNREADABLE = "fmpy cannot read modelDescription.xml"
+_ENCODING = re.compile(rb"""<\?xml[^>]*encoding\s*=\s*["']([^"']+)""")
+
+
+def fmi_version(content: bytes) -> str:
+    """The attribute fmiVersion of a modelDescription.xml, empty where there is none."""
+    match = re.search(rb"""<fmiModelDescription[^>]*?\sfmiVersion\s*=\s*["']([^"']*)""", content, re.DOTALL)
+    return match.group(1).decode(errors="replace") if match else ""
+
+
+def read_description(path: Path) -> tuple[Any | None, list[Finding]]:
+    """The description as fmpy reads it, None where it cannot; and what fmpy's rules find."""
+    findings = [_broken(problem) for problem in validate_by_fmpy(str(path)) if "contains a backslash" not in problem]
+    # where fmpy stumbles, what is wrong is found below; this stays if nothing is
+    stumbled = [problem for problem in findings if problem.message in _STUMBLES]
+    findings = [problem for problem in findings if problem not in stumbled]
+    findings += [_broken(f"{_UNREADABLE}: {problem.message}") for problem in stumbled[:1]]
+    try:
+        return read_model_description(str(path), validate=False), findings
+    except Exception as error:  # whatever fmpy and lxml make of a broken description
+        return None, findings or [_broken(str(error))]
+
+
+def is_stumble(finding: Finding) -> bool:
+    """Whether it says no more than that fmpy stumbled."""
+    return finding.message.startswith(_UNREADABLE)
+
+
+def check_description(content: bytes) -> Iterator[Finding]:
+    """Findings that fmpy's rules leave out.
+
+    Args:
+        content: modelDescription.xml.
+    """
+    encoding = _ENCODING.match(content)
+    if encoding and encoding[1].lower() not in (b"utf-8", b"utf8", b"us-ascii"):
+        message = f"modelDescription.xml is encoded as {encoding[1].decode(errors='replace')}"
+        yield Finding("model description", message, "use UTF-8", Severity.WARNING)
+    if b"<!DOCTYPE" in content:
+        message = "modelDescription.xml has a document type (<!DOCTYPE ...>), which tools refuse for safety"
+        yield Finding("model description", message, "leave it out", Severity.WARNING)
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, LookupError, ValueError):  # fmpy's rules have told
+        return
+    yield from _check_root(root)
+    yield from _check_experiment(root)
+    try:
+        yield from check_units(root)
+    except ValueError as error:  # the schema wants numbers
+        yield Finding("units", " ".join(str(error).split()), "give numbers")
+    variables = root.findall("ModelVariables/ScalarVariable")
+    for variable in variables:
+        yield from _check_numbers(variable, root)
+    yield from _check_names(variables)
+    yield from _check_references(variables)
+    yield from _check_structure(root, variables)
+
+
+def interfaces(description: Any) -> list[Any]:
+    """The elements CoSimulation and ModelExchange that are there."""
+    return [element for element in (description.coSimulation, description.modelExchange) if element is not None]
+
+
+def _check_root(root: Element) -> Iterator[Finding]:
+    """Identity, interfaces and names that must not be there twice."""
+    if not root.get("guid"):
+        yield Finding(
+            "guid",
+            "the attribute guid is empty",
+            "it ties description and binary together: generate one",
+            section="2.2.1",
+        )
+    elements = [element for kind in ("CoSimulation", "ModelExchange") for element in root.findall(kind)]
+    if not elements:
+        yield _broken("there is neither a CoSimulation nor a ModelExchange element")
+    for element in elements:
+        section = "4.3.1" if element.tag == "CoSimulation" else "3.3.1"
+        identifier = element.get("modelIdentifier", "")
+        if not _IDENTIFIER.fullmatch(identifier) or keyword.iskeyword(identifier):
+            message = f'the modelIdentifier "{identifier}" is no name of the language C'
+            yield Finding("model description", message, "use letters, digits and _", section=section)
+        if element.get("canSerializeFMUstate") == "true" and element.get("canGetAndSetFMUstate") != "true":
+            message = f"{element.tag} has canSerializeFMUstate without canGetAndSetFMUstate"
+            yield Finding("model description", message, "claim both, or none", Severity.WARNING, section=section)
+    for path in (
+        "UnitDefinitions/Unit",
+        "TypeDefinitions/SimpleType",
+        "LogCategories/Category",
+        "VendorAnnotations/Tool",
+    ):
+        for name, count in Counter(element.get("name", "") for element in root.iterfind(path)).items():
+            if count > 1:
+                yield _broken(f'{path} "{name}" is there {count} times', Severity.WARNING)
+    date = root.get("generationDateAndTime")
+    if date is not None:
+        try:
+            datetime.fromisoformat(date)
+        except ValueError:
+            yield _broken(f'generationDateAndTime "{date}" is no date like 2026-01-31T12:00:00Z', Severity.WARNING)
+
+
+def _check_experiment(root: Element) -> Iterator[Finding]:
+    """Whether the default experiment can be run."""
+    experiment = root.find("DefaultExperiment")
+    if experiment is None:
+        return
+    numbers = {name: _number(experiment.get(name), None) for name in ("startTime", "stopTime", "stepSize", "tolerance")}
+    start, stop = numbers["startTime"] or 0.0, numbers["stopTime"]
+    for name, value in numbers.items():
+        if value is not None and not math.isfinite(value):
+            yield _experiment(f"{name} is {value}")
+    if stop is not None and not stop > start:
+        yield _experiment(f"stopTime {stop:g} s is not after startTime {start:g} s")
+    for name in ("stepSize", "tolerance"):
+        if numbers[name] is not None and not numbers[name] > 0.0:
+            yield _experiment(f"{name} is {numbers[name]:g}, not above 0")
+    if (
+        stop is not None
+        and numbers["stepSize"] is not None
+        and numbers["stepSize"] > (stop - start) * (1.0 + 1e-9) > 0.0
+    ):
+        yield _experiment(
+            f"stepSize {numbers['stepSize']:g} s is longer than the whole experiment of {stop - start:g} s"
+        )
+
+
+def _experiment(message: str) -> Finding:
+    return Finding("experiment", message, "correct DefaultExperiment: tools run it as it is")
+
+
+def _check_numbers(variable: Element, root: Element) -> Iterator[Finding]:
+    """Range, start and nominal of a variable against each other, its type's among them."""
+    name, kind = variable.get("name", ""), next((child for child in variable if child.tag != "Annotations"), None)
+    if variable.get("causality") in ("input", "independent") and variable.get("initial") is not None:
+        message = f"{name} has initial although it is an {variable.get('causality')}"
+        yield Finding("start value", message, "leave initial out", subject=name)
+    if kind is None:
+        return
+    declared = _declared_type(kind, root)
+    if kind.get("declaredType") and declared is None:
+        message = f'{name} has the type "{kind.get("declaredType")}", which is not defined as {kind.tag}'
+        yield Finding("model description", message, "define it in TypeDefinitions", subject=name, section="2.2.3")
+    if kind.tag not in _NUMBERS:
+        return
+    text = {
+        key: kind.get(key, declared.get(key) if declared is not None else None) for key in ("min", "max", "nominal")
+    }
+    low, high = _number(text["min"], -math.inf), _number(text["max"], math.inf)
+    start = _number(kind.get("start"), None)
+    if low > high:
+        yield Finding("range", f"{name} has min {low:g} above max {high:g}", "exchange them", subject=name)
+    if start is not None and not math.isfinite(start):
+        yield Finding("start value", f"{name} starts at {start}", "give a finite start value", subject=name)
+    elif start is not None and not low <= start <= high:
+        message = f"{name} starts at {start}, outside {low} to {high}"
+        yield Finding("start value", message, "correct start, min or max", subject=name)
+    items = [int(item.get("value", "0")) for item in declared.iterfind("Item")] if declared is not None else []
+    if kind.tag == "Enumeration" and start is not None and items and start not in items:
+        message = f"{name} starts at {start:g}, its type has {', '.join(map(str, items))}"
+        yield Finding("start value", message, "start with one of the items", subject=name)
+    if len(set(items)) < len(items):
+        message = f"the type of {name} has items with the same value"
+        yield Finding("model description", message, "give each its own", subject=name, section="2.2.3")
+    if not _number(text["nominal"], 1.0) > 0.0:
+        message = f"{name} has nominal {text['nominal']}"
+        yield Finding("nominal", message, "give its order of magnitude, above 0", Severity.WARNING, name)
+
+
+def _check_names(variables: list[Element]) -> Iterator[Finding]:
+    """Names are there, and the time is there once."""
+    for number, variable in enumerate(variables, 1):
+        if not variable.get("name", "").strip():
+            message = f"variable {number} has an empty name"
+            yield Finding("model description", message, "give each a name", section="2.2.7")
+    times = [variable.get("name", "") for variable in variables if variable.get("causality") == "independent"]
+    if len(times) > 1:
+        message = f'{" and ".join(times[:3])} all have causality="independent"'
+        yield Finding("model description", message, "leave one: the time", subject=times[0], section="2.2.7")
+
+
+def _declared_type(kind: Element, root: Element) -> Element | None:
+    """The definition of a variable's type, if it is one of its kind."""
+    name = kind.get("declaredType")
+    types = (each for each in root.iterfind("TypeDefinitions/SimpleType") if name and each.get("name") == name)
+    return next((child for each in types for child in each if child.tag == kind.tag), None)
+
+
+def _check_references(variables: list[Element]) -> Iterator[Finding]:
+    """Variables of one base type that share a value reference are aliases: one value, one unit, set in one way."""
+    aliases: dict[tuple[str, str], list[tuple[Element, Element]]] = {}
+    for variable in variables:
+        for kind in variable:
+            base = "Integer" if kind.tag == "Enumeration" else kind.tag
+            if base != "Annotations":
+                aliases.setdefault((base, variable.get("valueReference", "")), []).append((variable, kind))
+    for (_, reference), group in aliases.items():
+        if len(group) < 2:
+            continue
+        names = " and ".join(variable.get("name", "") for variable, _ in group[:3])
+        settable = [variable for variable, _ in group if variable.get("causality") in _SETTABLE]
+        constant = [variable for variable, _ in group if variable.get("variability") == "constant"]
+        problem = ""
+        if len(settable) > 1:
+            names = " and ".join(variable.get("name", "") for variable in settable[:3])
+            problem = "can be set independently"
+        elif constant and len(constant) < len(group):
+            problem = "are constant and not constant"
+        elif len({kind.get("unit") for _, kind in group if kind.get("unit")}) > 1:
+            problem = "have different units"
+        if problem:
+            message = f"{names} share the value reference {reference} but {problem}"
+            yield Finding("value reference", message, "give each its own, or make them aliases", subject=names)
+
+
+def _check_structure(root: Element, variables: list[Element]) -> Iterator[Finding]:
+    """Indices of the model structure and of derivatives."""
+    for part in ("Outputs", "Derivatives", "InitialUnknowns"):
+        unknowns = root.findall(f"ModelStructure/{part}/Unknown")
+        for index, count in Counter(unknown.get("index", "") for unknown in unknowns).items():
+            if count > 1:
+                yield _structure(f"{part} lists the index {index} {count} times", "list it once")
+        for unknown in unknowns:
+            for index in [unknown.get("index", ""), *(unknown.get("dependencies") or "").split()]:
+                if not index.isdigit() or not 1 <= int(index) <= len(variables):
+                    yield _structure(f"{part} refers to variable {index} of {len(variables)}", "count from 1")
+    states: dict[str, Element] = {}
+    derived = {kind.get("derivative") for variable in variables for kind in variable if kind.tag == "Real"}
+    listed = {unknown.get("index") for unknown in root.iterfind("ModelStructure/Derivatives/Unknown")}
+    for number, variable in enumerate(variables, 1):
+        real = next((kind for kind in variable if kind.tag == "Real"), None)
+        of = real.get("derivative") if real is not None else None
+        if real is not None and real.get("reinit") == "true" and str(number) not in derived:
+            name = variable.get("name", "")
+            message = f'{name} has reinit="true" but is no continuous-time state'
+            yield Finding("model description", message, "leave reinit out", subject=name, section="2.2.7")
+        if of is None:
+            continue
+        name = variable.get("name", "")
+        state = variables[int(of) - 1] if of.isdigit() and 1 <= int(of) <= len(variables) else None
+        if state is None or int(of) == number or state.find("Real") is None:
+            message = f"{name} is the derivative of variable {of}, which is no other Real"
+            yield _structure(message, "give the index of the state, from 1", name)
+        elif state.get("variability", "continuous") != "continuous":
+            yield _structure(
+                f"{name} is the derivative of {state.get('name')}, which is not continuous", "correct it", name
+            )
+        elif of in states and str(number) in listed:
+            other = states[of].get("name", "")
+            yield _structure(f"{name} and {other} are derivatives of the same state", "list one of them", name)
+        elif str(number) in listed:
+            states[of] = variable
+
+
+def _structure(message: str, remedy: str, subject: str = "") -> Finding:
+    return Finding("model description", message, remedy, subject=subject, section="2.2.8")
+
+
+def _number(text: str | None, default: Any) -> Any:
+    if text is None:
+        return default
+    try:
+        return float(text)
+    except ValueError:  # fmpy's rules have told
+        return default
+
+
+def _broken(problem: str, severity: Severity = Severity.ERROR) -> Finding:
+    quoted = re.search(r'"([^"]+)"', problem)
+    subject = quoted[1] if quoted else ""
+    return Finding("model description", " ".join(problem.split()), "correct modelDescription.xml", severity, subject)

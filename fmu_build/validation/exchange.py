@@ -1,0 +1,299 @@
+"""What holds for model exchange alone, and between the two interfaces of one FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import redirect_stdout, suppress
+from dataclasses import replace
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy.fmi1 import FMICallException
+from numpy.typing import NDArray
+
+from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, moved, size_of, start_of
+
+Rows = NDArray[np.float64]
+
+AGREEMENT = 0.01
+"""What co-simulation and model exchange may differ, relative to how far an output moves: most solvers do better."""
+
+WRONG = 0.05
+"""The same, above which no solver is to blame unless smaller steps help."""
+
+POOR = 0.03
+"""The same for a solver that gets better with smaller steps."""
+
+INTEGRATION_TOLERANCE = 1e-8
+POINTS = 100
+"""Communication steps over which the two interfaces are compared."""
+
+LONGEST = 5.0
+"""Longest time for one integration [s]."""
+
+KICK = 0.05
+"""Change of starts and inputs, relative to their size, that sets the model in motion."""
+
+LEAST_MOTION = 1e-4
+"""Motion of an output, relative to its size, below which solvers' tolerances are seen."""
+
+EULER = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+"""Parts of a communication step with which an FMU may integrate by Euler's method."""
+
+EXPLAINED = 0.2
+"""Part of the difference that may be left where Euler's method explains it."""
+
+STAYS = 0.7
+"""Part of the difference that is left with smaller communication steps where it is no matter of the solver's steps."""
+
+STEPS = 6
+"""Steps after which states and event indicators are looked at."""
+
+_TINY = 1e-9
+_WANDER = 1e-4
+
+
+def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """The right-hand side is a function: back at the same states it has the same value, to the last bit."""
+    if fmu.kind is not Kind.EXCHANGE:
+        return
+    with fmu.instance("pure") as instance:
+        instance.initialize()
+        if not instance.states or instance.finished:
+            return
+        x = instance.continuous_states()
+        first = instance.derivatives()
+        instance.set_continuous_states(x * (1.0 + 1e-3) + 1e-6)
+        instance.derivatives()
+        instance.set_continuous_states(x)
+        second = instance.derivatives()
+    if not np.array_equal(first, second, equal_nan=True):
+        yield Finding(
+            "derivatives",
+            f"the states' derivatives differ by {np.nanmax(np.abs(first - second)):.3g} after a look at other states",
+            "they must depend on time, states and inputs alone",
+        )
+
+
+def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """States, their derivatives and nominals are those of the variables that ModelStructure lists, in its order."""
+    if fmu.kind is not Kind.EXCHANGE or not fmu.states:
+        return
+    rates = [unknown.variable for unknown in fmu.description.derivatives]
+    with fmu.instance("states") as instance:
+        instance.initialize()
+        if instance.finished:
+            return
+        x = instance.continuous_states()
+        kicked = x + KICK * np.array([size_of(variable) for variable in fmu.states]) * (1.0 + 0.1 * np.arange(x.size))
+        instance.set_continuous_states(kicked)
+        pairs = (
+            ("fmi2GetContinuousStates", "what fmi2SetContinuousStates has set", instance.continuous_states(), kicked),
+            (
+                "fmi2GetContinuousStates",
+                "fmi2GetReal of the state",
+                instance.continuous_states(),
+                instance.get(fmu.states),
+            ),
+            ("fmi2GetDerivatives", "fmi2GetReal of the derivative", instance.derivatives(), instance.get(rates)),
+        )
+        nominals = instance.nominals()
+    for function, other, values, expected in pairs:
+        apart = np.abs(values - expected) > _TINY * np.maximum(np.abs(values), np.abs(expected))
+        if apart.any():
+            n = int(np.argmax(apart))
+            message = f"{function} gives {values[n]:.9g} for {fmu.states[n].name}, {other} {expected[n]:.9g}"
+            yield Finding("states", message, "keep to the order of ModelStructure/Derivatives")
+            return
+    if not (nominals > 0.0).all():
+        n = int(np.argmin(nominals > 0.0))
+        message = f"fmi2GetNominalsOfContinuousStates gives {nominals[n]:g} for {fmu.states[n].name}"
+        yield Finding("states", message, "a nominal is above 0")
+
+
+def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """fmi2CompletedIntegratorStep leaves the states as they are: what changes them is an event."""
+    if fmu.kind is not Kind.EXCHANGE or not fmu.states:
+        return
+    with fmu.instance("integrator_step") as instance:
+        instance.initialize()
+        for n in range(1, STEPS + 1):
+            if instance.finished or fmu.start + n * fmu.step >= instance.next_event:
+                return
+            instance.library.setTime(fmu.start + n * fmu.step)
+            x = instance.continuous_states()
+            x += _WANDER * np.maximum(np.abs(x), 1e-3)
+            instance.set_continuous_states(x)
+            instance.derivatives()
+            x = instance.continuous_states()
+            event, instance.finished = instance.library.completedIntegratorStep()
+            if event or instance.finished:
+                return
+            apart = np.abs(instance.continuous_states() - x)
+            if (apart > _TINY * np.maximum(np.abs(x), 1e-6)).any():
+                k = int(np.argmax(apart))
+                message = f"fmi2CompletedIntegratorStep changes {fmu.states[k].name} by {apart[k]:.3g} without an event"
+                yield Finding("integrator steps", message, "set enterEventMode, and change states in Event Mode")
+                return
+
+
+def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """As many event indicators as the description has, all of them numbers, the same at each call, also after events."""
+    count = int(fmu.description.numberOfEventIndicators or 0)
+    if fmu.kind is not Kind.EXCHANGE or not count:
+        return
+    with fmu.instance("event_indicators") as instance:
+        instance.initialize()
+        for n in range(STEPS):
+            if instance.finished:
+                return
+            try:
+                z, again = instance.event_indicators(), instance.event_indicators()
+            except FMICallException as error:
+                message = (
+                    f"fmi2GetEventIndicators of {count}, which is numberOfEventIndicators, gives status {error.status}"
+                )
+                yield Finding("event indicators", message, "give them all, or correct numberOfEventIndicators")
+                return
+            alike = np.isfinite(z) & np.isclose(z, again, rtol=1e-3, atol=1e-6)
+            if not alike.all():
+                k = int(np.argmin(alike))
+                message = f"event indicator {k + 1} is {z[k]:.6g}, at a second call {again[k]:.6g}"
+                yield Finding("event indicators", message, "they must depend on time, states and inputs alone")
+                return
+            if n % 2:  # an event of the importing tool
+                instance.library.enterEventMode()
+                instance.handle_events()
+            else:
+                instance.advance(n, n + 1)
+
+
+def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Set in motion by other starts and inputs, co-simulation goes where CVODE takes model exchange.
+
+    What differs as it does with Euler's method is left to the FMU's choice of a solver.
+    """
+    if fmu.kind is not Kind.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
+        return
+    for starts, inputs in _kicks(fmu):
+        try:
+            exchange = _integrated(fmu, starts, inputs)
+            slaves = [_stepped(fmu, starts, inputs, parts) for parts in _parts(fmu)]
+        except Exception:  # fmpy's and CVODE's: the model can't be run from here
+            continue
+        rows = min(map(len, (exchange, *slaves)))
+        if rows < 3:
+            continue
+        exchange, whole, split = (each[:rows] for each in (exchange, slaves[0], slaves[-1]))
+        apart, finer = _apart(fmu, exchange, whole), _apart(fmu, exchange, split)
+        # what gets less with the step is the solver's, who may be poor but not that poor
+        apart = np.where((finer > AGREEMENT) & (finer > STAYS * apart) | (apart > POOR), apart, 0.0)
+        if apart.max() > AGREEMENT:  # what a tighter tolerance changes is CVODE's
+            tighter = _integrated(fmu, starts, inputs, 0.01 * INTEGRATION_TOLERANCE)
+            unsure = _apart(fmu, exchange, tighter[:rows]) if len(tighter) >= rows else apart
+            apart = np.where(apart > 3.0 * unsure, apart, 0.0)
+        worst = int(np.argmax(apart))
+        if apart[worst] > AGREEMENT and not _is_euler(fmu, starts, inputs, whole, exchange):
+            yield Finding(
+                "interfaces",
+                f"{fmu.smooth_outputs[worst].name} differs by {apart[worst]:.1%} of its motion between model exchange, "
+                f"integrated by CVODE, and co-simulation",
+                "both have to solve the same equations over the whole step",
+                Severity.ERROR if apart[worst] > WRONG and finer[worst] > STAYS * apart[worst] else Severity.WARNING,
+            )
+            return
+
+
+def _parts(fmu: FmuUnderTest) -> tuple[int, ...]:
+    """Into how many parts communication steps are split, where co-simulation allows that."""
+    return (1, 4) if fmu.description.coSimulation.canHandleVariableCommunicationStepSize else (1,)
+
+
+def _kicks(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], Rows]]:
+    """Other starts of the states with inputs at their starts, then other inputs; then all as it is."""
+    states = {v: moved(v, KICK) for v in fmu.states if v in fmu.settable("output", "local")}
+    still = np.array([start_of(variable) for variable in fmu.inputs])
+    if states:
+        yield states, still
+    if fmu.inputs:
+        yield {}, np.array([moved(variable, KICK) for variable in fmu.inputs])
+    yield {}, still
+
+
+def _apart(fmu: FmuUnderTest, first: Rows, second: Rows) -> Rows:
+    """Median difference of each output relative to how far it moves, shape (outputs,)."""
+    motion = np.maximum(np.ptp(first, axis=0), np.ptp(second, axis=0))
+    size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
+    enough = motion > LEAST_MOTION * np.maximum(size, np.abs(first).max(axis=0))
+    return np.where(enough, np.median(np.abs(first - second), axis=0) / np.where(enough, motion, 1.0), 0.0)
+
+
+def _integrated(
+    fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, tolerance: float = INTEGRATION_TOLERANCE
+) -> Rows:
+    """Outputs after each step by fmpy's CVODE with constant inputs."""
+    steps = min(fmu.steps, POINTS)
+    stop = fmu.start + steps * fmu.step
+    signals = np.zeros(2, dtype=[("time", "f8"), *((variable.name, "f8") for variable in fmu.inputs)])
+    signals["time"] = (fmu.start, stop)
+    for variable, value in zip(fmu.inputs, inputs, strict=True):
+        signals[variable.name] = value
+    with redirect_stdout(None):  # fmpy tells of inputs that it isn't given
+        result = _simulate(fmu, starts, signals, stop, tolerance)
+    return np.column_stack([result[variable.name] for variable in fmu.smooth_outputs])[1:]
+
+
+def _simulate(fmu: FmuUnderTest, starts: dict[Any, float], signals: Any, stop: float, tolerance: float) -> Any:
+    return fmpy.simulate_fmu(
+        str(fmu.folder),
+        fmi_type="ModelExchange",
+        validate=False,
+        model_description=fmu.description,
+        start_time=fmu.start,
+        stop_time=stop,
+        output_interval=fmu.step,
+        solver="CVode",
+        relative_tolerance=tolerance,
+        record_events=False,
+        start_values={variable.name: value for variable, value in starts.items()},
+        input=signals if fmu.inputs else None,
+        output=[variable.name for variable in fmu.smooth_outputs],
+        timeout=LONGEST,
+    )
+
+
+def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, parts: int) -> Rows:
+    """Outputs of co-simulation after each step with constant inputs."""
+    slave = replace(fmu, kind=Kind.COSIMULATION, _library=None)
+    rows = []
+    with slave.instance("stepped") as instance:
+        instance.initialize(starts | dict(zip(fmu.inputs, inputs, strict=True)))
+        for n in range(min(fmu.steps, POINTS)):
+            if not all(instance.step(n + part / parts, parts) for part in range(parts)):
+                break
+            rows.append(instance.get(fmu.smooth_outputs))
+    return np.array(rows)
+
+
+def _is_euler(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, slave: Rows, exact: Rows) -> bool:
+    """Whether Euler's method with some step gives what co-simulation gives."""
+    steps = [fmu.step / parts for parts in EULER]
+    steps += [step for step in (1e-2, 1e-3, 1e-4) if fmu.step / 100 <= step < fmu.step]
+    for step in steps:
+        parts = round(fmu.step / step)
+        rows = []
+        with suppress(FMICallException), fmu.instance("euler") as instance:
+            instance.initialize(starts | dict(zip(fmu.inputs, inputs, strict=True)))
+            for n in range(len(slave) * parts):
+                instance.set_continuous_states(instance.continuous_states() + step * instance.derivatives())
+                instance.library.setTime(fmu.start + (n + 1) * step)
+                if (n + 1) % parts == 0:
+                    rows.append(instance.get(fmu.smooth_outputs))
+        if len(rows) < len(slave):
+            continue
+        euler, truth = (_apart(fmu, np.array(each), slave).max() for each in (rows, exact))
+        if euler < EXPLAINED * truth:
+            return True
+    return False

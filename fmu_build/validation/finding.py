@@ -1,0 +1,137 @@
+"""Results of validation, put together and in order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+
+class Severity(StrEnum):
+    """How bad it is."""
+
+    ERROR = "error"
+    """The FMU breaks the standard, or does not do what it claims."""
+    WARNING = "warning"
+    """Some tools or machines will stumble over it."""
+    NOTE = "note"
+    """Something that could not be checked here."""
+
+
+SECTIONS = {
+    "instantiation": "2.1.5",
+    "simulation": "4.2.2",
+    "model description": "2.2",
+    "archive": "2.3",
+    "binary": "2.3",
+    "guid": "2.1.5",
+    "start value": "2.2.7",
+    "parameters": "2.1.7",
+    "repeatability": "2.1.6",
+    "reset": "2.1.6",
+    "several variables": "2.1.7",
+    "reading": "2.1.7",
+    "instances": "2.1.5",
+    "state": "2.1.8",
+    "inputs in the state": "2.1.8",
+    "serialisation": "2.1.8",
+    "derivatives": "3.2.2",
+    "states": "3.2.1",
+    "integrator steps": "3.2.2",
+    "event indicators": "3.2.2",
+    "interfaces": "4.1",
+    "rates": "2.2.7",
+    "dependencies of variables": "2.2.8",
+    "directional derivatives": "2.1.9",
+    "output derivatives": "4.2.1",
+    "input derivatives": "4.2.1",
+    "variable step": "4.2.2",
+    "time": "2.2.7",
+    "value reference": "2.2.7",
+    "range": "2.2.7",
+    "units": "2.2.2",
+    "nominal": "2.2.7",
+    "experiment": "2.2.5",
+    "resource location": "2.1.5",
+    "memory": "2.1.5",
+    "calls": "2.1.3",
+    "process": "2.1.5",
+    "sources": "2.3",
+    "dependencies": "2.3",
+}
+"""Name of the check → section of FMI 2.0.4 that it is about; what spoils more comes first."""
+
+NAMES_SHOWN = 4
+"""Names of further variables or files in a line that stands for many findings."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something wrong with an FMU, or the same thing with many of its variables or files.
+
+    Attributes:
+        check: what was looked at, for example ``binary``.
+        message: where and what: one sentence with the value found.
+        remedy: what would be right, or what to do.
+        severity: how bad it is.
+        subject: variable or file that it is about, if there is one.
+        section: section of FMI 2.0.4, or of another standard by its name; by default the one of the check.
+        others: subjects of further findings of the same kind, or names of checks that end in the same way.
+    """
+
+    check: str
+    message: str
+    remedy: str = ""
+    severity: Severity = Severity.ERROR
+    subject: str = ""
+    section: str = ""
+    others: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.section:
+            object.__setattr__(self, "section", SECTIONS.get(self.check, ""))
+
+    def __str__(self) -> str:
+        names = ", ".join(self.others[:NAMES_SHOWN]) + (", ..." if len(self.others) > NAMES_SHOWN else "")
+        more = f" (and {len(self.others)} more: {names})" if self.others else ""
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        standard = "" if self.section.startswith("FMI") else "FMI 2.0.4, "
+        section = f" [{standard}{self.section}]" if self.section else ""
+        return f"{self.severity}: {self.check}: {self.message}{more}{remedy}{section}"
+
+
+def ranked(findings: Iterable[Finding]) -> list[Finding]:
+    """One finding for all that say the same of different variables or files; errors first, then by what they spoil."""
+    groups: dict[object, list[Finding]] = {}
+    for finding in dict.fromkeys(findings):
+        groups.setdefault(_kind(finding), []).append(finding)
+    alike = [_joined(group, [each.subject or each.message for each in group[1:]]) for group in groups.values()]
+    checks, severities = list(SECTIONS), list(Severity)
+    alike.sort(
+        key=lambda finding: (
+            severities.index(finding.severity),
+            checks.index(finding.check) if finding.check in checks else len(checks),
+        )
+    )
+    # one cause may end several checks
+    causes: dict[object, list[Finding]] = {}
+    for finding in alike:
+        causes.setdefault((finding.severity, finding.message), []).append(finding)
+    return [_joined(group, [each.check for each in group[1:]]) for group in causes.values()]
+
+
+def _joined(group: list[Finding], others: list[str]) -> Finding:
+    """The first finding, with the names of the others."""
+    return replace(group[0], others=group[0].others + tuple(others))
+
+
+_DIFFERING = re.compile(r"""'[^']*'|"[^"]*"|\b(True|False|nan|inf)\b|[-+]?\d+(\.\d*)?([eE][-+]?\d+)?""")
+"""Values in a message: quoted texts, words for values, numbers."""
+
+
+def _kind(finding: Finding) -> object:
+    """What findings have in common that differ by their subject and by values alone."""
+    subject = rf"(?<!\w){re.escape(finding.subject)}(?!\w)"
+    message = re.sub(subject, "#", finding.message) if finding.subject else finding.message
+    return finding.check, finding.severity, finding.remedy, finding.section, _DIFFERING.sub("#", message)

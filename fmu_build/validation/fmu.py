@@ -1,0 +1,355 @@
+"""An FMU under test: its default experiment, the variables to look at, and instances of it on request."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from copy import copy
+from ctypes import byref
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fmpy import fmi2
+from fmpy.logging import addLoggerProxy
+from numpy.typing import NDArray
+
+from flexfmu.fmu_build.validation.instance import (
+    GUARD,
+    CosimulationInstance,
+    ExchangeInstance,
+    FMU2ModelLibrary,
+    FMU2SlaveLibrary,
+    Instance,
+    MisbehaviourError,
+)
+
+_DEFAULT_STEPS = 500
+"""Communication steps of an FMU that proposes no step size."""
+
+MOST_STEPS = 300
+"""Communication steps that a run has, but for the one over the whole default experiment."""
+
+SECONDS_A_RUN = 1.0
+"""What a run of so many steps may take; of a slow FMU fewer are made [s]."""
+
+EXCITATION = 1e-3
+"""Amplitude of what is added to the inputs' start values, relative to their size: small enough for any model."""
+
+SOLVER_TOLERANCE = 1e-6
+"""Relative tolerance that a solver is thought to have, unless the default experiment has a larger one."""
+
+_MOST_LOCALS = 100
+
+_made, _alive = Counter[Path](), Counter[Path]()
+"""Folder of an FMU → how many instances this process has made so far, and has now, of both interfaces."""
+
+_NUMBERS = {"Real", "Integer", "Enumeration", "Boolean"}
+
+
+class Kind(Enum):
+    """The two interfaces of FMI 2.0."""
+
+    COSIMULATION = "co-simulation"
+    EXCHANGE = "model exchange"
+
+
+class OnlyOnceError(Exception):
+    """A second instance in a process, of an FMU that allows one."""
+
+
+class NoMoreInstancesError(RuntimeError):
+    """An instance that isn't made although all earlier ones of the process have been freed."""
+
+
+@dataclass
+class FmuUnderTest:
+    """An extracted FMU with its default experiment; collects what its instances log and allocate.
+
+    Attributes:
+        description: model description as fmpy reads it.
+        folder: the extracted FMU.
+        kind: the interface under test.
+        pace: how long a communication step takes, where that is known [s].
+        messages: log messages of all instances so far.
+        memory: what instances got through the callbacks and have not given back, address → block with its guards.
+        misuse: what they did wrong with it.
+    """
+
+    description: Any
+    folder: Path
+    kind: Kind
+    pace: float = 0.0
+    messages: list[str] = field(default_factory=list)
+    memory: dict[int, Any] = field(default_factory=dict)
+    misuse: list[str] = field(default_factory=list)
+    _instances: int = 0
+    _library: Any = None
+    _kept_callbacks: Any = None
+    _functions: Any = None
+
+    def __post_init__(self) -> None:
+        experiment = self.description.defaultExperiment
+        self.start = _time(experiment, "startTime") or 0.0
+        stop = _time(experiment, "stopTime") or 0.0
+        if stop <= self.start:
+            stop = self.start + 1.0
+        step = _time(experiment, "stepSize") or 0.0
+        self.step = step if step > 0.0 else (stop - self.start) / _DEFAULT_STEPS
+        self.all_steps = max(1, round((stop - self.start) / self.step))
+        self.stop = max(stop, self.start + self.all_steps * self.step)
+        self.tolerance = _time(experiment, "tolerance")
+        self.accuracy = max(self.tolerance or 0.0, SOLVER_TOLERANCE)
+        self.outputs = self._variables("output", types=_NUMBERS) or self._variables("local")[:_MOST_LOCALS]
+        self.inputs = self._variables("input", variability="continuous")
+
+    @property
+    def steps(self) -> int:
+        """Communication steps of a run: of a slow FMU few."""
+        affordable = int(SECONDS_A_RUN / self.pace) if self.pace else MOST_STEPS
+        return min(self.all_steps, MOST_STEPS, max(affordable, 4))
+
+    @property
+    def element(self) -> Any:
+        """The description's element of this interface."""
+        description = self.description
+        return description.coSimulation if self.kind is Kind.COSIMULATION else description.modelExchange
+
+    @property
+    def can_save(self) -> bool:
+        """Whether states can be saved and restored."""
+        return bool(self.element.canGetAndSetFMUstate)
+
+    @property
+    def can_serialize(self) -> bool:
+        """Whether saved states can be turned into bytes."""
+        return self.can_save and bool(self.element.canSerializeFMUstate)
+
+    @property
+    def is_single(self) -> bool:
+        """Whether a process may have one instance only."""
+        return bool(self.element.canBeInstantiatedOnlyOncePerProcess)
+
+    @property
+    def has_variable_step(self) -> bool:
+        """Whether a communication step of any size may be made."""
+        return self.kind is Kind.COSIMULATION and bool(self.element.canHandleVariableCommunicationStepSize)
+
+    def input_values(self, n: int, size: float = 1.0) -> NDArray[np.float64]:
+        """Inputs at step ``n``: their starts, and a little more that changes from step to step; shape (inputs,)."""
+        return np.array(
+            [
+                within(
+                    variable, start_of(variable) + size * EXCITATION * size_of(variable) * math.sin(0.1 * (n + 7.0 * k))
+                )
+                for k, variable in enumerate(self.inputs)
+            ]
+        )
+
+    @property
+    def smooth_outputs(self) -> list[Any]:
+        """Recorded variables that change continuously: those that solvers can be judged by."""
+        return [variable for variable in self.outputs if is_smooth(variable)]
+
+    @property
+    def states(self) -> list[Any]:
+        """Variables of the continuous states, in their order."""
+        return [unknown.variable.derivative for unknown in self.description.derivatives or ()]
+
+    def settable(self, *causalities: str) -> list[Any]:
+        """Variables of these causalities with an exact start, which may be set before the initialisation."""
+        return [
+            variable
+            for variable in self.description.modelVariables
+            if variable.causality in causalities
+            and variable.variability != "constant"
+            and (variable.initial == "exact" or variable.causality == "input")
+            and start_value(variable) is not None
+        ]
+
+    @property
+    def resource_uri(self) -> str:
+        """Where the resources are, as a file URI."""
+        return (self.folder / "resources").absolute().as_uri()
+
+    @contextmanager
+    def instance(self, name: str, guid: str | None = None, uri: str | None = None) -> Iterator[Any]:
+        """An instance that is freed at the end; ``guid`` and ``uri`` replace the right ones.
+
+        The library stays loaded, as it does in most masters.
+
+        Raises:
+            OnlyOnceError: the FMU allows one instance a process, and there was one.
+            NoMoreInstancesError: fmi2Instantiate returns nothing, but did return instances before.
+            MisbehaviourError: fmi2Instantiate returns nothing.
+            Exception: as fmpy does, if the library cannot be loaded.
+        """
+        if self.is_single and self._instances:
+            raise OnlyOnceError
+        self._instances += 1
+        is_slave = self.kind is Kind.COSIMULATION
+        library: Any = copy(self.library())
+        library.callbacks = self._callbacks()
+        library.component = library.fmi2Instantiate(
+            name.encode(),
+            fmi2.fmi2CoSimulation if is_slave else fmi2.fmi2ModelExchange,
+            (guid or self.description.guid).encode(),
+            (uri or self.resource_uri).encode(),
+            byref(library.callbacks),
+            fmi2.fmi2False,
+            fmi2.fmi2False,
+        )
+        if library.component is None and guid is uri is None and _made[self.folder] and not _alive[self.folder]:
+            raise NoMoreInstancesError(
+                f"fmi2Instantiate returns no instance in a process that has made and freed {_made[self.folder]}"
+            )
+        if library.component is None:
+            raise MisbehaviourError("fmi2Instantiate returns no instance", "log why, or give one")
+        _made[self.folder] += 1
+        _alive[self.folder] += 1
+        instance: Instance = (CosimulationInstance if is_slave else ExchangeInstance)(self, library)
+        try:
+            yield instance
+        finally:
+            _alive[self.folder] -= 1
+            library.fmi2FreeInstance(library.component)
+
+    def library(self) -> Any:
+        """The loaded library.
+
+        Raises:
+            Exception: as fmpy does, if it cannot be loaded.
+        """
+        if self._library is None:
+            self._library = (FMU2SlaveLibrary if self.kind is Kind.COSIMULATION else FMU2ModelLibrary)(
+                guid=self.description.guid,
+                modelIdentifier=self.element.modelIdentifier,
+                unzipDirectory=str(self.folder),
+                instanceName="validated",
+            )
+        return self._library
+
+    def _variables(self, causality: str, variability: str | None = None, types: set[str] | None = None) -> list[Any]:
+        return [
+            variable
+            for variable in self.description.modelVariables
+            if variable.type in (types or {"Real"})
+            and variable.causality == causality
+            and variability in (None, variable.variability or "continuous")
+        ]
+
+    def _callbacks(self) -> Any:
+        """The callbacks of all instances: they have to live as long as these."""
+        if self._kept_callbacks is None:
+            self._kept_callbacks = self._new_callbacks()
+        return self._kept_callbacks
+
+    def _new_callbacks(self) -> Any:
+        def log(_environment: int, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
+            self.messages.append((message or b"").decode(errors="replace"))
+
+        def allocate(count: int, size: int) -> int | None:
+            block = ctypes.create_string_buffer(GUARD + bytes(count * size) + GUARD, count * size + 2 * len(GUARD))
+            address = ctypes.addressof(block) + len(GUARD)
+            self.memory[address] = block
+            return address
+
+        def free(address: int | None) -> None:
+            block = self.memory.pop(address or 0, None)
+            if block is None and address:
+                self.misuse.append("gives back through freeMemory what allocateMemory has not given")
+            elif block is not None and not is_guarded(block):
+                self.misuse.append(f"writes beyond a block of {len(block) - 2 * len(GUARD)} bytes")
+
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(allocate)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+        with suppress(Exception):  # puts arguments into messages, where fmpy has it for this platform
+            self._functions = callbacks.logger, callbacks.allocateMemory, callbacks.freeMemory
+            addLoggerProxy(byref(callbacks))
+        return callbacks
+
+
+def is_guarded(block: Any) -> bool:
+    """Whether the guards of a block are as they were."""
+    content = bytes(memoryview(block))
+    return content.startswith(GUARD) and content.endswith(GUARD)
+
+
+def _time(experiment: Any, key: str) -> float | None:
+    value = getattr(experiment, key, None)
+    return None if value is None else float(value)
+
+
+def is_smooth(variable: Any) -> bool:
+    """Whether it is a Real that changes continuously."""
+    return variable.type == "Real" and (variable.variability or "continuous") == "continuous"
+
+
+def attribute(variable: Any, name: str) -> float | None:
+    """The number min, max or nominal of a variable or of its type; None where there is none."""
+    for owner in (variable, variable.declaredType):
+        text = getattr(owner, name, None)
+        if text is not None:
+            with suppress(ValueError):
+                return float(text)
+    return None
+
+
+def start_value(variable: Any) -> Any | None:
+    """The start value as a number, bool or text; None where there is none, or none that can be read."""
+    text = variable.start
+    if text is None or variable.type == "String":
+        return text
+    with suppress(ValueError):
+        if variable.type == "Boolean":
+            return {"true": True, "1": True, "false": False, "0": False}.get(str(text).strip())
+        return float(text) if variable.type == "Real" else int(float(text))
+    return None
+
+
+def start_of(variable: Any) -> float:
+    """The start value of a Real, 0 where there is none."""
+    value = start_value(variable)
+    return float(value) if value is not None and math.isfinite(value) else 0.0
+
+
+def size_of(variable: Any) -> float:
+    """Order of magnitude of a variable: its nominal, its start, or 1."""
+    return abs(attribute(variable, "nominal") or 0.0) or abs(start_of(variable)) or 1.0
+
+
+def within(variable: Any, value: float) -> float:
+    """The value, or the bound of the variable that it is beyond."""
+    low, high = attribute(variable, "min"), attribute(variable, "max")
+    return min(max(value, -math.inf if low is None else low), math.inf if high is None else high)
+
+
+def moved(variable: Any, share: float) -> float:
+    """Another value of a Real than its start, by a share of its size, within its bounds."""
+    start = start_of(variable)
+    up = within(variable, start + share * size_of(variable))
+    return up if up != start else within(variable, start - share * size_of(variable))
+
+
+def other_value(variable: Any, share: float = 0.0213) -> Any | None:
+    """Another value than the start, of the variable's type, a Real by a share of its size; None where there may be none."""
+    start = start_value(variable)
+    if variable.type == "Real":
+        value = moved(variable, share)
+        return value if value != start else None
+    if variable.type == "Boolean":
+        return not start
+    if variable.type == "String":
+        return f"{start}x"
+    if variable.type == "Enumeration":
+        items = [int(item.value) for item in (variable.declaredType.items if variable.declaredType else None) or ()]
+        return next((item for item in items if item != start), None)
+    value = int(within(variable, int(start or 0) + 1))
+    return value if value != start else None

@@ -1,0 +1,330 @@
+"""Birth, names and death of an instance; what it does to the process that it lives in."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import locale
+import os
+import platform
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import monotonic
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from fmpy.fmi1 import FMICallException
+
+from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, NoMoreInstancesError, OnlyOnceError, attribute, is_guarded
+from flexfmu.fmu_build.validation.instance import Watch, announce
+
+Check = Callable[[FmuUnderTest], Iterator[Finding]]
+"""Tries one thing with an FMU and yields what it finds. A failed FMI call may raise."""
+
+WHOLE_RUN = 5.0
+"""Longest time for the run over the whole default experiment [s]."""
+
+LAG = 0.2
+"""Part of the default experiment that the independent variable may be behind."""
+
+MORE_SAVINGS = 4
+"""How often a state is saved again in the memory of the one before."""
+
+LIVES = 12
+"""Instances that are made and freed to see whether memory is lost."""
+
+_ROUNDING = {0: "nearest", 0x400: "downwards", 0x800: "upwards", 0xC00: "towards zero"}
+"""Names of what fegetround returns on x86."""
+
+_OUTSIDE = 1e-6
+"""How far an output may leave its range, relative to its largest value: rounding."""
+
+
+def instantiates(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """An instance can be made, and the binary speaks FMI 2.0; nothing else makes sense without."""
+    with fmu.instance("version") as instance:
+        version, types = instance.version()
+    if (version, types) != ("2.0", "default"):
+        message = f"the binary says version {version}, types platform {types}"
+        yield Finding("instantiation", message, "say 2.0 and default", section="2.1.4")
+
+
+def refuses_wrong_guid(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """A binary must not run with somebody else's description."""
+    with suppress(RuntimeError), fmu.instance("wrong_guid", guid="{00000000-0000-0000-0000-000000000000}"):
+        yield Finding("guid", "fmi2Instantiate accepts a wrong GUID", "compare it with the one of the description")
+
+
+def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """The resources may lie anywhere, and RFC 3986 and RFC 8089 allow to say so in several ways."""
+    path = quote(str(fmu.folder / "resources"))
+    with TemporaryDirectory(prefix="with space ") as home:
+        copy = shutil.copytree(fmu.folder / "resources", Path(home) / "resources", dirs_exist_ok=True)
+        tries = (  # the standard wants the first three; the others are ways in which tools write them
+            (f"file://{path}", "", Severity.ERROR),
+            (f"file:{path}", "the authority may be left out", Severity.ERROR),
+            (f"file://{quote(str(copy))}", "decode percent signs", Severity.ERROR),
+            (f"file://{path}/", "ignore a slash at the end", Severity.WARNING),
+            (f"file://localhost{path}", "localhost is this machine (RFC 8089)", Severity.WARNING),
+        )
+        for uri, remedy, severity in tries:
+            shown = uri.replace(str(fmu.folder), "/FOLDER").replace(quote(home), "/with%20space")
+            announce(shown)
+            problem = _starts_with(fmu, uri)
+            if problem is not None:
+                message = f"with {shown} the FMU fails: {problem}"
+                yield Finding("resource location", message, remedy or "take the resources from there", severity)
+
+
+def _starts_with(fmu: FmuUnderTest, uri: str) -> str | None:
+    """What goes wrong up to the first step with this resource location."""
+    try:
+        with fmu.instance("uri", uri=uri) as instance:
+            instance.initialize()
+    except (OnlyOnceError, NoMoreInstancesError):
+        raise
+    except Exception as error:  # fmpy's own kinds of errors
+        return " ".join(str(error).split())
+    return None
+
+
+def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """The whole default experiment gives numbers, within their ranges; also tells how fast the FMU is."""
+    Watch.calls.clear()
+    Watch.warnings.clear()
+    with fmu.instance("finite") as instance:
+        instance.initialize()
+        yield from _beyond_bounds(fmu, instance)
+        begin, rows, done = monotonic(), [], 0
+        while done < fmu.all_steps and monotonic() - begin < WHOLE_RUN and not instance.finished:
+            rows.append(instance.advance(done, min(done + 10, fmu.all_steps), size=0.0))
+            done += len(rows[-1])
+        fmu.pace = (monotonic() - begin) / max(done, 1)
+        if not instance.finished:
+            yield from _check_time(fmu, instance, fmu.start + done * fmu.step)
+            instance.library.terminate()
+    for function in ("fmi2DoStep", "fmi2GetDerivatives", "fmi2GetReal"):
+        if Watch.warnings[function] > 0.5 * Watch.calls[function]:
+            logged = f": {fmu.messages[-1]}" if fmu.messages else ""
+            often = f"in {Watch.warnings[function]} of {Watch.calls[function]} calls"
+            message = " ".join(f"{function} returns fmi2Warning {often}{logged}".split())
+            yield Finding("simulation", message, "keep fmi2Warning for what is unusual", Severity.NOTE)
+    if done < fmu.all_steps and not instance.finished:
+        until, end = (fmu.start + n * fmu.step for n in (done, fmu.all_steps))
+        message = f"simulated to {until:.6g} s of {end:.6g} s: a step of {fmu.step:g} s takes {fmu.pace:.2g} s"
+        yield Finding("simulation", message, "what comes later was not checked", Severity.NOTE)
+    if rows:
+        yield from _judged(fmu, np.vstack(rows))
+
+
+def _check_time(fmu: FmuUnderTest, instance: Any, expected: float) -> Iterator[Finding]:
+    """The independent variable is the time; an FMU with a step of its own may be a part of it behind."""
+    times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
+    value = float(instance.get(times)[0]) if times else expected
+    if not abs(value - expected) <= 1.5 * fmu.step + LAG * (fmu.stop - fmu.start):
+        message = f"{times[0].name} is {value:.9g} s after a run to {expected:.9g} s"
+        yield Finding("time", message, "give the time of the communication point", Severity.WARNING, times[0].name)
+
+
+def _judged(fmu: FmuUnderTest, rows: Any) -> Iterator[Finding]:
+    """Values that are no numbers, or outside what the description promises."""
+    names = [variable.name for variable in fmu.outputs]
+    first = rows.shape[1] - len(names)
+    bad = ~np.isfinite(rows)
+    for column in np.flatnonzero(bad.any(axis=0)):
+        row = int(np.argmax(bad[:, column]))
+        what = names[column - first] if column >= first else f"derivative {column + 1}"
+        message = f"{what} is {rows[row, column]} at {fmu.start + (row + 1) * fmu.step:.6g} s"
+        yield Finding("simulation", message, "give a number, or return fmi2Error", subject=what)
+    for variable, values in zip(fmu.outputs, rows[:, first:].T, strict=True):
+        low, high = attribute(variable, "min"), attribute(variable, "max")
+        room = _OUTSIDE * float(np.abs(values).max(initial=0.0))
+        for bound, outside in (
+            (low, low is not None and values < low - room),
+            (high, high is not None and values > high + room),
+        ):
+            if np.any(outside):
+                n = int(np.argmax(outside))
+                yield Finding(
+                    "range",
+                    f"{variable.name} is {values[n]:.6g} at {fmu.start + (n + 1) * fmu.step:.6g} s, beyond its bound {bound:g}",
+                    "correct min and max, or the value",
+                    Severity.WARNING,
+                    variable.name,
+                )
+        if variable.type == "Boolean" and not np.isin(values, (0.0, 1.0)).all():
+            yield Finding(
+                "range", f"{variable.name} is neither fmi2True nor fmi2False", "give 1 or 0", subject=variable.name
+            )
+
+
+def _beyond_bounds(fmu: FmuUnderTest, instance: Any) -> Iterator[Finding]:
+    """Local variables and parameters that start outside their own range; of outputs the whole run is looked at."""
+    for variable in fmu.description.modelVariables:
+        low, high = attribute(variable, "min"), attribute(variable, "max")
+        if variable.type not in ("Real", "Integer") or variable in fmu.outputs or (low is None and high is None):
+            continue
+        with suppress(FMICallException):
+            value = float(instance.read([variable])[0])
+            room = _OUTSIDE * abs(value)
+            if (low is not None and value < low - room) or (high is not None and value > high + room):
+                bound = low if low is not None and value < low else high
+                message = f"{variable.name} is {value:.6g} after the initialisation, beyond its bound {bound:g}"
+                yield Finding("range", message, "correct min and max, or the value", Severity.WARNING, variable.name)
+
+
+def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """What was allocated is free again when the last instance is, and nothing beside it was touched."""
+    fmu.memory.clear()
+    fmu.misuse.clear()
+    _live(fmu)
+    for misuse in dict.fromkeys(fmu.misuse):
+        yield Finding("memory", f"the FMU {misuse}", "run it under AddressSanitizer")
+    if any(not is_guarded(block) for block in fmu.memory.values()):
+        yield Finding("memory", "the FMU writes beyond a block of allocateMemory", "run it under AddressSanitizer")
+    if fmu.memory:
+        message = f"fmi2FreeInstance leaves {len(fmu.memory)} blocks of allocateMemory behind"
+        yield Finding("memory", message, "free them all", Severity.WARNING)
+    lost = _lost_bytes(fmu)
+    if lost and not fmu.memory:
+        message = f"each instance leaves {lost} bytes of malloc behind"
+        yield Finding("memory", message, "free in fmi2FreeInstance what was allocated", Severity.WARNING)
+    if lost or fmu.memory or not fmu.can_save:
+        return
+    lost = _lost_bytes(fmu, savings=1)
+    again = _lost_bytes(fmu, savings=1 + MORE_SAVINGS) - lost
+    if lost:
+        message, remedy = f"fmi2FreeFMUstate leaves {lost} bytes of a state behind", "free all of it"
+        yield Finding("memory", message, remedy, Severity.WARNING, section="2.1.8")
+    if again >= MORE_SAVINGS:
+        message = f"fmi2GetFMUstate leaves {again // MORE_SAVINGS} bytes behind where it is given a state to use again"
+        yield Finding("memory", message, "use its memory, or free it", Severity.WARNING, section="2.1.8")
+
+
+def _live(fmu: FmuUnderTest, savings: int = 0) -> None:
+    """Some steps, after which the state is saved so many times in the same memory."""
+    with fmu.instance("memory") as instance:
+        instance.initialize()
+        instance.advance(0, min(fmu.steps, 5 if savings else 20))
+        state = None
+        for _ in range(savings):
+            state = instance.save(state)
+        if state is not None:
+            instance.discard(state)
+
+
+def _lost_bytes(fmu: FmuUnderTest, savings: int = 0) -> int:
+    """What a life costs in memory that is never given back; only glibc tells."""
+    libc = ctypes.CDLL(None)
+    if not hasattr(libc, "mallinfo2") or fmu.pace * 20 * LIVES > WHOLE_RUN:
+        return 0
+    libc.mallinfo2.restype = _MallocInfo
+    used = []
+    gc.collect()
+    gc.disable()
+    try:
+        for _ in range(LIVES):
+            fmu.memory.clear()
+            fmu.messages.clear()
+            _live(fmu, savings)
+            info = libc.mallinfo2()
+            used.append(info.uordblks + info.hblkhd)
+    finally:
+        gc.enable()
+    grown = np.diff(used[LIVES // 3 :])
+    return int(np.median(grown)) if (grown > 0).all() else 0
+
+
+class _MallocInfo(ctypes.Structure):
+    """struct mallinfo2 of glibc."""
+
+    _fields_ = [
+        (name, ctypes.c_size_t)
+        for name in [
+            "arena",
+            "ordblks",
+            "smblks",
+            "hblks",
+            "hblkhd",
+            "usmblks",
+            "fsmblks",
+            "uordblks",
+            "fordblks",
+            "keepcost",
+        ]
+    ]
+
+
+def surroundings(fmu: Path) -> dict[str, Any]:
+    """What an FMU shares with the process that it runs in, and has to leave alone.
+
+    Args:
+        fmu: the folder in which it is.
+    """
+    seen: dict[str, Any] = {
+        "working directory": os.getcwd(),
+        "locale for numbers": locale.setlocale(locale.LC_NUMERIC),
+        "rounding of numbers": float(np.float64(1.0) / np.float64(3.0)) + float(np.float64(-1.0) / np.float64(3.0)),
+        "treatment of denormal numbers": bool(np.float64(5e-324) * np.float64(1.0)),
+        "resources": {
+            str(path.relative_to(fmu)): path.stat().st_mtime_ns
+            for path in (fmu / "resources").rglob("*")
+            if path.is_file()
+        },
+    }
+    if os.name == "posix":
+        libc = ctypes.CDLL(None)
+        seen["rounding of numbers"] = libc.fegetround() if hasattr(libc, "fegetround") else 0
+        seen["environment"] = _environment(libc)
+        seen["mask of new files"] = os.umask(0)
+        os.umask(seen["mask of new files"])
+    status = Path("/proc/self/status")
+    if status.exists():
+        lines = (
+            line.split(":", 1) for line in status.read_text().splitlines() if line.startswith(("SigCgt", "SigIgn"))
+        )
+        seen["signal handlers"] = [value.strip() for _, value in lines]
+        seen["open files"] = len(os.listdir("/proc/self/fd"))
+    return seen
+
+
+def _environment(libc: Any) -> dict[bytes, bytes]:
+    """The environment as C code sees it."""
+    pointer = ctypes.POINTER(ctypes.c_char_p).in_dll(libc, "environ")
+    entries: list[bytes] = []
+    while pointer and (entry := pointer[len(entries)]) is not None:
+        entries.append(entry)
+    return dict(entry.partition(b"=")[::2] for entry in entries)
+
+
+def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Finding]:
+    """Findings about what an FMU has changed in its process; what is told is taken out of ``before``."""
+    for what, old in list(before.items()):
+        new = after[what]
+        if new != old:
+            del before[what]
+        if what == "open files" and new > old:
+            yield _disturbance("leaves files open", "close them")
+        elif what == "resources" and new != old:
+            names = sorted(name for name in {*old, *new} if old.get(name) != new.get(name))
+            message = f"the FMU writes into its resources: {', '.join(names[:3])}"
+            remedy = "write elsewhere: they may be read-only, and other instances use them"
+            yield Finding("process", message, remedy, Severity.WARNING)
+        elif what == "environment" and new != old:
+            names = sorted(name.decode(errors="replace") for name in {*old, *new} if old.get(name) != new.get(name))
+            yield _disturbance(f"changes the environment: {', '.join(names)}", "leave it alone")
+        elif what != "open files" and new != old:
+            shown = {"mask of new files": f"{new:#05o}" if isinstance(new, int) else ""}
+            if what == "rounding of numbers" and platform.machine() in ("x86_64", "AMD64"):
+                shown[what] = _ROUNDING.get(new, str(new))
+            change = "" if what == "signal handlers" else f" to {shown.get(what, new)}"
+            yield _disturbance(f"changes the {what}{change}", "restore it before each FMI call returns")
+
+
+def _disturbance(what: str, remedy: str) -> Finding:
+    return Finding("process", f"the FMU {what}, which belongs to the importing tool", remedy, Severity.WARNING)

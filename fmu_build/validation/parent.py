@@ -1,0 +1,208 @@
+"""Runs the checks that may crash or hang in child processes, and goes on after the one that did."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import monotonic, sleep
+from typing import Any
+
+from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.instance import TRY
+
+CALL_SHARE = 0.2
+"""Part of the time limit that one FMI call may take."""
+
+MOST_HANGS = 2
+"""Calls that don't return after which nothing more is tried with an interface."""
+
+LOOK = 0.02
+"""How often the end of a process is looked for [s]."""
+
+_INSTANTIATION = "instantiation"
+
+_AS_MANY = "a process may make as many as it wants, unless canBeInstantiatedOnlyOncePerProcess"
+
+
+@dataclass
+class _Outcome:
+    """What a child process has reported; `again`: the check it got to must begin anew in another process."""
+
+    begun: str = ""
+    found: list[tuple[str, Finding]] = field(default_factory=list)
+    pace: float = 0.0
+    problem: Finding | None = None
+    hangs: bool = False
+    again: bool = False
+
+
+def check_in_child(folder: Path, jobs: Sequence[str], together: bool, limit: float) -> dict[str, list[Finding]]:
+    """Findings of the checks by interface, also of those that end or block their process.
+
+    Args:
+        folder: the extracted FMU.
+        jobs: ``KIND:CHECK``, in their order.
+        together: whether one process may run several checks.
+        limit: longest time for all of them [s].
+    """
+    end = monotonic() + limit
+    findings: dict[str, list[Finding]] = {job.split(":")[0]: [] for job in jobs}
+    remaining, pace, hangs = list(jobs), 0.0, Counter[str]()
+    while remaining:
+        if monotonic() > end:
+            _add(
+                findings,
+                remaining[0].split(":")[0],
+                _not_checked(remaining, f"the time limit of {limit:.3g} s is over"),
+            )
+            break
+        outcome = _run(folder, remaining if together else remaining[:1], pace, end - monotonic(), CALL_SHARE * limit)
+        pace = outcome.pace or pace
+        for kind, finding in outcome.found:
+            _add(findings, kind, finding)
+        kind = outcome.begun.split(":")[0]
+        if outcome.problem is not None:
+            _add(findings, kind, outcome.problem)
+            hangs[kind] += outcome.hangs
+        remaining = remaining[remaining.index(outcome.begun) + (not outcome.again) :]
+        if any(
+            finding.check == _INSTANTIATION for finding in findings[kind]
+        ):  # without an instance nothing else makes sense
+            remaining = [job for job in remaining if not job.startswith(kind)]
+        if hangs[kind] == MOST_HANGS and (rest := [job for job in remaining if job.startswith(kind)]):
+            _add(findings, kind, _not_checked(rest, f"{MOST_HANGS} calls did not return"))
+            remaining = [job for job in remaining if job not in rest]
+    return findings
+
+
+def _add(findings: dict[str, list[Finding]], kind: str, finding: Finding) -> None:
+    """Keep a finding; without an instance nothing else counts, and one process that has no more says it for all."""
+    instanceless = any(known.check == _INSTANTIATION for known in findings[kind])
+    if not instanceless and not any(finding.remedy == _AS_MANY == known.remedy for known in findings[kind]):
+        findings[kind].append(finding)
+
+
+def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit: float) -> _Outcome:
+    """Run a child: the check it got to, what it found, and how it ended if not as it should."""
+    with TemporaryDirectory(prefix="flexfmu-validate-", dir=folder.parent) as home:
+        report = Path(home) / "report"
+        module = "flexfmu.fmu_build.validation.child"
+        numbers = [repr(call_limit), repr(pace)]
+        command = [sys.executable, "-m", module, str(os.getpid()), str(folder), str(report), *numbers, *jobs]
+        status, last = _end_of(command, Path(home), timeout)
+        outcome, lines = _Outcome(begun=jobs[0]), list(_lines(report))
+    if not lines and status:
+        raise RuntimeError(f"the process that checks FMUs ends with status {status} before it begins: {last}")
+    before = 0
+    for line in lines:
+        outcome.pace = line.get("pace", outcome.pace)
+        if "begin" in line:
+            outcome.begun, before = line["begin"], len(outcome.found)
+        if "finding" in line:
+            outcome.found.append((outcome.begun.split(":")[0], _finding(line["finding"])))
+        if "exhausted" in line:
+            # an FMU that counts its instances: what comes next needs a process that has made none
+            kind, check = outcome.begun.split(":")
+            outcome.again = outcome.begun != jobs[0]
+            del outcome.found[before if outcome.again else len(outcome.found) :]
+            outcome.found.append((kind, Finding("instances", line["exhausted"], _AS_MANY, Severity.WARNING)))
+            if not outcome.again:
+                message = f"{check} not finished: it makes more instances than the FMU allows in a process"
+                outcome.found.append((kind, Finding(check, message, severity=Severity.NOTE)))
+    if not any("end" in line for line in lines):
+        hang = next((line["hang"] for line in lines if "hang" in line), None)
+        outcome.hangs = hang is not None
+        outcome.problem = _problem(outcome.begun.split(":")[1], status, last, hang, timeout, call_limit)
+    elif status:
+        outcome.problem = _problem("memory", status, last, None, timeout, call_limit)
+    return outcome
+
+
+def _problem(check: str, status: int | None, last: str, hang: str | None, timeout: float, call_limit: float) -> Finding:
+    """What is wrong with the way in which the process ended."""
+    severity = Severity.WARNING if check == "calls" else Severity.ERROR
+    if hang is not None:
+        message = f"{hang} did not return within {call_limit:.3g} s"
+        return Finding(check, message, "every FMI call has to return; --time-limit gives more time", severity)
+    if status is None:
+        message = f"not finished when the time limit was over, {timeout:.3g} s after its process had begun"
+        return Finding(check, message, "--time-limit gives more", Severity.NOTE)
+    if status == 0:
+        return Finding(check, "the FMU ended the process that ran it", "an FMU must not call exit", severity)
+    how = f"signal {-status}" if status < 0 else f"exit status {status}"
+    message = f"the process that ran the FMU ended with {how}: {last}"
+    return Finding(check, message, "an FMU must never end its process", severity)
+
+
+def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | None, str]:
+    """Exit status of the process, None if it takes too long, and its last line; all that it started ends with it."""
+    (folder / "work").mkdir()
+    with (folder / "stdout").open("w+b") as stdout, (folder / "stderr").open("w+b") as stderr:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=stdout,
+            stderr=stderr,
+            cwd=folder / "work",
+            start_new_session=os.name == "posix",
+        )
+        try:
+            status = _wait(process, max(timeout, 1.0))
+        finally:
+            _kill(process)
+        stderr.seek(0)
+        lines = stderr.read().decode(errors="replace").strip().splitlines()
+    last = next((line for line in reversed(lines) if not line.startswith(TRY)), "no message")
+    tried = next((line.removeprefix(TRY) for line in reversed(lines) if line.startswith(TRY)), "")
+    return status, f"{last} ({tried})" if tried else last
+
+
+def _wait(process: subprocess.Popen[bytes], timeout: float) -> int | None:
+    """Exit status, None if it takes too long; the process stays a zombie, so that its number isn't given to another one."""
+    if os.name != "posix":
+        with suppress(subprocess.TimeoutExpired):
+            return process.wait(timeout)
+        return None
+    end = monotonic() + timeout
+    while (ended := os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is None:
+        if monotonic() > end:
+            return None
+        sleep(LOOK)
+    return ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End the process and its group."""
+    if os.name == "posix":
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
+    process.wait()
+
+
+def _lines(report: Path) -> Iterator[dict[str, Any]]:
+    """Complete lines of the report; a crash may have cut the last one."""
+    if report.exists():
+        for line in report.read_text(encoding="utf-8").splitlines(keepends=True):
+            if line.endswith("\n"):
+                yield json.loads(line)
+
+
+def _finding(line: dict[str, Any]) -> Finding:
+    return Finding(**(line | {"severity": Severity(line["severity"]), "others": tuple(line["others"])}))
+
+
+def _not_checked(jobs: list[str], why: str) -> Finding:
+    names = ", ".join(dict.fromkeys(job.split(":")[1] for job in jobs))
+    message = f"{names} not checked: {why}"
+    return Finding("simulation", message, "--time-limit gives more", Severity.NOTE)

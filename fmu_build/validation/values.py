@@ -1,0 +1,180 @@
+"""Whether variables have the values that the description or the importing tool gives them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from flexfmu.fmu_build.validation.finding import Finding, Severity
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, other_value, size_of, start_value
+
+MOST_TOGETHER = 200
+"""Variables that are set and read in one call."""
+
+PRECISION = 1e-9
+"""What is left of a number in double precision that is converted to and fro; single precision leaves 6e-8."""
+
+CLOSE = 1e-6
+"""Difference of two numbers relative to their size that is but the rounding of a printed number."""
+
+
+def starts_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Variables with an exact start have it, in Initialization Mode or after it: events may come in between."""
+    variables = [
+        variable
+        for variable in fmu.description.modelVariables
+        if (variable.initial == "exact" or variable.causality == "input" or variable.variability == "constant")
+        and start_value(variable) is not None
+    ]
+    if not variables:
+        return
+    with fmu.instance("starts") as instance:
+        instance.enter_initialization()
+        early = _read(instance, variables)
+        instance.library.exitInitializationMode()
+        late = _read(instance, variables)
+    for variable, *seen in zip(variables, early, late, strict=True):
+        start, got = start_value(variable), [value for value in seen if value is not None]
+        if got and not any(_is_close(variable, value, start) for value in got):
+            message = f"{variable.name} is {_shown(variable, got[-1])} at the start, the description says {start!r}"
+            yield Finding("start value", message, "start with what the description says", subject=variable.name)
+
+
+def _read(instance: Any, variables: Sequence[Any]) -> list[Any]:
+    """Values one by one, None where the FMU refuses to tell."""
+    values: list[Any] = []
+    for variable in variables:
+        try:
+            values += instance.read([variable])
+        except Exception:  # fmpy's own kinds of errors
+            values.append(None)
+    return values
+
+
+def _is_close(variable: Any, value: Any, expected: Any) -> bool:
+    if variable.type == "Real":
+        return math.isclose(value, expected, rel_tol=CLOSE, abs_tol=CLOSE * size_of(variable) * 1e-3)
+    return bool(value == expected)
+
+
+def _shown(variable: Any, value: Any) -> str:
+    if variable.type == "Boolean":
+        return repr(bool(value)) if value in (0, 1) else f"{value}, neither fmi2True nor fmi2False,"
+    return f"{value:.9g}" if variable.type == "Real" else repr(value)
+
+
+def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Parameters and inputs keep what is set before the initialisation, and forget it at a reset."""
+    changes = {variable: other_value(variable) for variable in fmu.settable("parameter", "input")}
+    changes = {variable: value for variable, value in changes.items() if value is not None}
+    numbers = {variable: value for variable, value in changes.items() if variable.type == "Real"}
+    others = {variable: value for variable, value in changes.items() if variable.type != "Real"}
+    for group in (numbers, others):
+        if not group:
+            continue
+        with fmu.instance("parameters") as instance:
+            kept = _kept(instance, group)
+            if kept is None:  # the FMU can't run with these values, and says so
+                continue
+            for variable, value in kept.items():
+                if not _is_close(variable, value, group[variable]):
+                    yield _forgotten(variable, value, group[variable], "after the initialisation, it was set to")
+                elif variable.type == "Real" and not math.isclose(
+                    value, float(group[variable] or 0.0), rel_tol=PRECISION
+                ):
+                    message = (
+                        f"{variable.name} is {value!r} after the initialisation, it was set to {group[variable]!r}"
+                    )
+                    remedy = "keep it in double precision"
+                    yield Finding("parameters", message, remedy, Severity.WARNING, variable.name)
+            instance.reset()
+            instance.enter_initialization()
+            instance.library.exitInitializationMode()
+            for variable, value in zip(kept, _read(instance, list(kept)), strict=True):
+                start = start_value(variable)
+                stays = value is not None and _is_close(variable, value, group[variable])
+                if stays and not _is_close(variable, value, start):
+                    yield _forgotten(variable, value, start, "after fmi2Reset, its start is", "reset")
+
+
+def _kept(instance: Any, changes: dict[Any, Any], variables: Sequence[Any] | None = None) -> dict[Any, Any] | None:
+    """Values after the initialisation of what was set before, or of other variables; None if that fails."""
+    try:
+        instance.enter_initialization(changes)
+        instance.library.exitInitializationMode()
+    except Exception:  # fmpy's own kinds of errors
+        return None
+    wanted = list(changes) if variables is None else variables
+    values = zip(wanted, _read(instance, wanted), strict=True)
+    return {variable: value for variable, value in values if value is not None}
+
+
+def _forgotten(variable: Any, value: Any, expected: Any, when: str, check: str = "parameters") -> Finding:
+    message = f"{variable.name} is {_shown(variable, value)} {when} {expected!r}"
+    return Finding(check, message, "keep what fmi2SetXXX sets until fmi2Reset", subject=variable.name)
+
+
+def one_call_does_what_several_do(fmu: FmuUnderTest) -> Iterator[Finding]:
+    """Several variables are set and read in one call, in another order than the description's, as they are one by one."""
+    for kind in ("Real", "Integer", "Enumeration", "Boolean", "String"):
+        yield from _read_together(fmu, kind)
+        yield from _set_together(fmu, kind)
+
+
+def _read_together(fmu: FmuUnderTest, kind: str) -> Iterator[Finding]:
+    """A finding about a variable that has another value where several are read."""
+    with fmu.instance("read_together") as instance:
+        instance.initialize()
+        variables = _shuffled([v for v in fmu.description.modelVariables if v.type == kind])
+        single = _read(instance, variables)
+        readable = [n for n, value in enumerate(single) if value is not None]
+        if len(readable) < 2:
+            return
+        together = instance.read([variables[n] for n in readable])
+        again = _read(instance, [variables[n] for n in readable])
+    for n, value, last in zip(readable, together, again, strict=True):
+        if _differs(variables[n], single[n], value) and not _differs(variables[n], single[n], last):
+            yield _together(variables[n], "read", single[n], value)
+
+
+def _set_together(fmu: FmuUnderTest, kind: str) -> Iterator[Finding]:
+    """The same about one that gets another value where several are set."""
+    changes = {
+        v: other_value(v, 0.013 + 0.001 * n) for n, v in enumerate(_shuffled(fmu.settable("parameter", "input")))
+    }
+    changes = {variable: value for variable, value in changes.items() if variable.type == kind and value is not None}
+    if len(changes) < 2:
+        return
+    with fmu.instance("set_one_by_one") as instance:
+        single = _kept(instance, changes)
+    if not single:
+        return
+    with fmu.instance("set_together") as instance:
+        instance.write_together(list(changes), list(changes.values()))
+        together = _kept(instance, {}, list(single))
+    for variable, value in (together or {}).items():
+        if _differs(variable, single[variable], value):
+            yield _together(variable, "set", single[variable], value)
+
+
+def _shuffled(variables: Sequence[Any]) -> list[Any]:
+    """Some of the variables, each value reference once, in no order."""
+    single = list({(v.type, v.valueReference): v for v in variables}.values())[:MOST_TOGETHER]
+    return sorted(single, key=lambda variable: crc32(variable.name.encode()))
+
+
+def _differs(variable: Any, one: Any, other: Any) -> bool:
+    """Whether two values of a variable are not the same."""
+    if variable.type != "Real":
+        return bool(one != other)
+    return not np.isclose(one, other, rtol=CLOSE, atol=CLOSE * size_of(variable) * 1e-3, equal_nan=True)
+
+
+def _together(variable: Any, done: str, one: Any, other: Any) -> Finding:
+    message = f"{variable.name} is {_shown(variable, other)} where several variables are {done} in one call, "
+    message += f"{_shown(variable, one)} where it is {done} alone"
+    return Finding("several variables", message, "take value n for value reference n", subject=variable.name)

@@ -1,0 +1,58 @@
+"""A choice of effects in words, for people and for the documentation of what was built."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import EffectNote
+
+_FAMILIES: Mapping[str, str] = {
+    "proximal_bending": "proximal bending",
+    "proximal_axial": "proximal axial",
+    "distal_bending": "distal bending",
+    "distal_axial": "distal axial",
+}
+
+
+def percent(value: float) -> str:
+    """A relative error for people: two digits, and no more than is worth reading."""
+    if value >= 0.1:
+        return f"{100.0 * value:.0f} %"
+    return "0" if value == 0.0 else f"{100.0 * value:.2g} %" if value >= 1e-6 else "< 0.0001 %"
+
+
+def set_text(scene: Scene) -> str:
+    """A scene's elastic effects in words."""
+    effects = scene.effects
+    found = [
+        f"{word} {getattr(effects, key)}{' static' if key in effects.quasi_static else ''}"
+        for key, word in _FAMILIES.items()
+        if getattr(effects, key)
+    ]
+    found += ["shear and rotary inertia"] if effects.beam == "timoshenko" else []
+    found += ["foreshortening"] if effects.foreshortening else []
+    return ", ".join(found) or "rigid links"
+
+
+def choice_sentence(scene: Scene) -> str:
+    """What was chosen, in one line; empty where the scene chose its effects itself."""
+    choice = scene.effects.choice
+    if choice is None:
+        return ""
+    errors = ", ".join(f"{name} {percent(value)}" for name, value in zip(choice.of, choice.error, strict=True))
+    return f"effects chosen for {percent(choice.tolerance)}: {set_text(scene)} (estimated errors: {errors})"
+
+
+def choice_notes(scene: Scene) -> tuple[EffectNote, ...]:
+    """The note on an automatic choice in a model's documentation; none where the scene chose its effects itself."""
+    choice = scene.effects.choice
+    if choice is None:
+        return ()
+    left_out = ", ".join(
+        f"{each.effect} ({each.change}) {percent(max(each.contribution))}" for each in choice.effects if not each.chosen
+    )
+    sentence = choice_sentence(scene)
+    return (
+        EffectNote("choice of effects", f"{sentence[0].upper()}{sentence[1:]}. Left out: {left_out or 'nothing'}."),
+    )

@@ -1,0 +1,83 @@
+"""Working and assembly modes of the rigid five-bar mechanism as plain numbers; needs nothing but the scene's lengths."""
+
+from __future__ import annotations
+
+import math
+
+from flexfmu.model.scene.mechanism import Mechanism
+
+WORKING_MODES: dict[str, tuple[int, int]] = {
+    "elbows-out": (+1, -1),
+    "elbows-in": (-1, +1),
+    "left": (+1, +1),
+    "right": (-1, -1),
+}
+"""Signs of acos in q_1 = angle(X - B_1) ± acos(..), q_2 = angle(X - B_2) ± acos(..)."""
+
+Point = tuple[float, float]
+
+
+def bases(mechanism: Mechanism) -> tuple[Point, Point]:
+    """The two fixed joints B_1 and B_2 [m]."""
+    a = mechanism.base_half_distance
+    return (-a, 0.0), (a, 0.0)
+
+
+def motor_angle(base: Point, position: Point, proximal: float, distal: float, sign: int) -> float:
+    """The motor angle [rad] of one leg for an end-effector position, lengths in m.
+
+    Raises:
+        ValueError: the leg can't reach the position.
+    """
+    dx, dy = position[0] - base[0], position[1] - base[1]
+    distance = math.hypot(dx, dy)
+    nearest, farthest = abs(proximal - distal), proximal + distal
+    if not nearest < distance < farthest:
+        raise ValueError(
+            f"the position ({position[0]}, {position[1]}) m is {distance:.6g} m from the base at ({base[0]}, {base[1]}) m, "
+            f"but a leg reaches {nearest:.6g} to {farthest:.6g} m: move the path or change the link lengths"
+        )
+    cosine = (proximal**2 + distance**2 - distal**2) / (2.0 * proximal * distance)
+    return math.atan2(dy, dx) + sign * math.acos(cosine)
+
+
+def elbow(base: Point, angle: float, proximal: float) -> Point:
+    """The elbow of one leg for a motor angle [rad], lengths in m."""
+    return base[0] + proximal * math.cos(angle), base[1] + proximal * math.sin(angle)
+
+
+def motor_angles(mechanism: Mechanism, position: Point) -> tuple[float, float]:
+    """Motor angles (q11, q21) [rad] that put the end effector at `position` [m] in the working mode.
+
+    Raises:
+        ValueError: a leg can't reach the position.
+    """
+    lengths = mechanism.proximal.length, mechanism.distal.length
+    (base1, base2), (sign1, sign2) = bases(mechanism), WORKING_MODES[mechanism.working_mode]
+    return motor_angle(base1, position, *lengths, sign1), motor_angle(base2, position, *lengths, sign2)
+
+
+def elbows(mechanism: Mechanism, position: Point) -> tuple[Point, Point]:
+    """Elbow points [m] for an end-effector position [m]; raises like `motor_angles`."""
+    (base1, base2), (angle1, angle2) = bases(mechanism), motor_angles(mechanism, position)
+    return elbow(base1, angle1, mechanism.proximal.length), elbow(base2, angle2, mechanism.proximal.length)
+
+
+def assembly_side(elbow1: Point, elbow2: Point, position: Point) -> float:
+    """Positive where the position lies left of the directed line elbow 1 → elbow 2, negative where right [m²]."""
+    (x1, y1), (x2, y2) = elbow1, elbow2
+    return (x2 - x1) * (position[1] - y1) - (y2 - y1) * (position[0] - x1)
+
+
+def check_start_pose(mechanism: Mechanism, start: Point) -> None:
+    """Refuse modes that contradict each other at the start pose.
+
+    Raises:
+        ValueError: the start can't be reached, or the assembly mode is the other one there.
+    """
+    actual = "left" if assembly_side(*elbows(mechanism, start), start) > 0.0 else "right"
+    if actual != mechanism.assembly_mode:
+        raise ValueError(
+            f"`mechanism.assembly_mode` must be '{actual}' for `working_mode` = '{mechanism.working_mode}' at the start pose "
+            f"({start[0]}, {start[1]}) m, got '{mechanism.assembly_mode}'"
+        )

@@ -1,0 +1,149 @@
+"""Sections of the scene file for controllers: `[[controller]]` tables, whose `kind` decides which keys they have."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field
+
+from flexfmu.model.scene.loop import FmuSection, PythonSection, SampledSection
+from flexfmu.model.scene.section import (
+    NotNegative,
+    NotNegativePerJoint,
+    Positive,
+    PositivePerJoint,
+    SecondsOrZero,
+    Section,
+    as_tuple,
+    named_kind,
+    quantity,
+)
+
+Matrix = Annotated[tuple[Annotated[tuple[float, ...], BeforeValidator(as_tuple)], ...], BeforeValidator(as_tuple)]
+Names = Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
+TorqueLimit = Annotated[PositivePerJoint | None, quantity("N.m")]
+
+
+class PdSection(SampledSection):
+    """Torque = proportional * position error + derivative * velocity error."""
+
+    kind: Literal["pd"]
+    proportional: Annotated[NotNegativePerJoint, quantity("N.m/rad")]
+    derivative: Annotated[NotNegativePerJoint, quantity("N.m.s/rad")]
+    torque_limit: TorqueLimit = None
+
+
+class Clamping(Section):
+    """The integral is held where it would drive the torque further into its limit."""
+
+    kind: Literal["clamping"] = "clamping"
+
+
+class BackCalculation(Section):
+    """The integral follows what the limit takes away, with the time constant `tracking_time`."""
+
+    kind: Literal["back-calculation"]
+    tracking_time: SecondsOrZero
+
+
+class Unprotected(Section):
+    """The integral winds up."""
+
+    kind: Literal["none"]
+
+
+AntiWindup = Annotated[
+    Clamping | BackCalculation | Unprotected, BeforeValidator(named_kind), Field(discriminator="kind")
+]
+
+
+class PidSection(SampledSection):
+    """PID from the measured angles; `anti_windup` says what the integral does at the torque limit: "clamping", "none" or
+    `{ kind = "back-calculation", tracking_time = 0.01 }`."""
+
+    kind: Literal["pid"]
+    proportional: Annotated[NotNegativePerJoint, quantity("N.m/rad")]
+    integral: Annotated[NotNegativePerJoint, quantity("N.m/(rad.s)")]
+    derivative: Annotated[NotNegativePerJoint, quantity("N.m.s/rad")]
+    filter_time: Annotated[NotNegativePerJoint, quantity("s")] = (0.0, 0.0)
+    setpoint_weight: float = 1.0
+    derivative_weight: float = 1.0
+    torque_limit: TorqueLimit = None
+    anti_windup: AntiWindup = Clamping()
+
+
+class ComputedTorqueSection(SampledSection):
+    """Rigid inverse dynamics of the reference acceleration with PD correction; `payload` is the mass that it reckons
+    with, the scene's own by default."""
+
+    kind: Literal["computed-torque"]
+    proportional: Annotated[NotNegativePerJoint, quantity("1/s2")]
+    derivative: Annotated[NotNegativePerJoint, quantity("1/s")]
+    payload: Annotated[NotNegative | None, quantity("kg")] = None
+    torque_limit: TorqueLimit = None
+
+
+class FeedforwardSection(SampledSection):
+    """Rigid inverse dynamics of the reference motion, added to the torque of another controller."""
+
+    kind: Literal["feedforward"]
+    payload: Annotated[NotNegative | None, quantity("kg")] = None
+
+
+class LearningSection(SampledSection):
+    """P-type iterative learning: the motion is made there and back `cycles` times, and from cycle to cycle a torque is
+    learned that another controller adds to its own: `gain` times the position error `lead` samples later.
+
+    `forgetting` is the share of the learned torque that each cycle loses. The standstill between two motions is the scene's
+    dwell, lengthened so that a cycle is a whole number of samples.
+    """
+
+    kind: Literal["learning"]
+    gain: Annotated[NotNegativePerJoint, quantity("N.m/rad")]
+    cycles: Annotated[int, quantity("cycles", ge=1, le=1000)]
+    lead: Annotated[int, quantity("samples", ge=0)] = 1
+    forgetting: Annotated[float, quantity("1", ge=0.0, lt=1.0)] = 0.0
+
+
+class StateFeedbackSection(SampledSection):
+    """Linear-quadratic regulator with a Kalman filter, designed on the robot linearised at a pose.
+
+    The cost is the mean of (position error / position_error)² + (velocity error / velocity_error)² + (torque deviation /
+    torque_deviation)² over both joints; the filter expects torque noise and measurement noise of these standard
+    deviations.
+    """
+
+    kind: Literal["state-feedback"]
+    pose: Literal["start", "middle", "end"] = "end"
+    position_error: Annotated[PositivePerJoint, quantity("rad")] = (1e-3, 1e-3)
+    velocity_error: Annotated[PositivePerJoint, quantity("rad/s")] = (0.1, 0.1)
+    torque_deviation: Annotated[PositivePerJoint, quantity("N.m")] = (10.0, 10.0)
+    torque_noise: Annotated[Positive, quantity("N.m")] = 1.0
+    measurement_noise: Annotated[Positive, quantity("rad")] = 1e-5
+    torque_limit: TorqueLimit = None
+
+
+class StateSpaceSection(SampledSection):
+    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k with signals named like those of the robot."""
+
+    kind: Literal["state-space"]
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix | None = None
+    inputs: Names
+    outputs: Names
+
+
+ControllerSection = Annotated[
+    PdSection
+    | PidSection
+    | ComputedTorqueSection
+    | FeedforwardSection
+    | LearningSection
+    | StateFeedbackSection
+    | StateSpaceSection
+    | PythonSection
+    | FmuSection,
+    Field(discriminator="kind"),
+]

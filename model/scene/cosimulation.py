@@ -1,0 +1,84 @@
+"""The section of the scene file that says how a scene is run."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, named_kind, quantity
+
+Tolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
+
+LEAST_TOLERANCE = 1e-12
+"""Smallest relative tolerance of the FMU: below it the steps that it asks for are those of rounding errors, so that all give the
+same result."""
+
+
+def _achievable(tolerance: float) -> float:
+    if tolerance < LEAST_TOLERANCE:
+        raise ValueError(
+            f"must be at least {LEAST_TOLERANCE:g}, got {tolerance:g}: below, rounding errors decide and the result stays the same"
+        )
+    return tolerance
+
+
+FmuTolerance = Annotated[float, AfterValidator(_achievable), quantity("1", le=0.1)]
+
+
+class StepControl(Section):
+    """Communication steps chosen on the way, so that the error of the coupling over the whole run stays below `tolerance`
+    times the signals' magnitudes; `step` is the first one."""
+
+    tolerance: Tolerance
+    minimum: Seconds | None = None
+    maximum: Seconds | None = None
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.minimum is not None and self.maximum is not None and self.minimum > self.maximum:
+            raise ValueError(f"`minimum` must be at most `maximum` = {self.maximum} s, got {self.minimum} s")
+        return self
+
+
+class FixedPoint(Section):
+    """Signals are passed round until they stay; `relaxation` below 1 helps where they grow."""
+
+    kind: Literal["fixed-point"]
+    tolerance: Tolerance = 1e-10
+    iterations: Annotated[int, quantity("iterations", ge=1, le=100_000)] = 100
+    relaxation: Annotated[float, quantity("1", gt=0.0, le=1.0)] = 1.0
+
+
+class Anderson(Section):
+    """A quasi-Newton method that learns from the last iterations."""
+
+    kind: Literal["anderson"]
+    tolerance: Tolerance = 1e-10
+    iterations: Annotated[int, quantity("iterations", ge=1, le=100_000)] = 50
+
+
+LoopSolver = Annotated[FixedPoint | Anderson, Field(discriminator="kind"), BeforeValidator(named_kind)]
+
+
+class Cosimulation(Section):
+    """How the scene is run.
+
+    `integrator` is the FMU's method, `integrator_step` its fixed step; 0 lets the tolerance choose the steps.
+    `algorithm` couples the slaves over a communication step. `loop_solver` solves algebraic loops, which are refused without
+    one, and the implicit coupling. `isolate` runs the slaves in a child process; left out, where code from elsewhere takes
+    part. `call_limit` is how long a slave may stay in one call there.
+    """
+
+    drive: Literal["motion", "torque"] = "motion"
+    step: Seconds
+    tolerance: FmuTolerance
+    initial: Literal["static", "undeformed"] = "static"
+    integrator: Literal["automatic", "gauss2", "gauss3", "gauss4", "radau3", "dopri5", "rk4"] = "automatic"
+    integrator_step: SecondsOrZero = 0.0
+    settling_band: Annotated[float, quantity("m", gt=0.0)] = 1e-5
+    algorithm: Literal["gauss-seidel", "jacobi", "implicit"] = "gauss-seidel"
+    step_control: StepControl | None = None
+    loop_solver: LoopSolver | None = None
+    isolate: bool | None = None
+    call_limit: Seconds = 60.0

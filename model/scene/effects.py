@@ -1,0 +1,167 @@
+"""The section `effects`: which physics the model contains."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self, get_args
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from flexfmu.model.scene.choice import Choice, ChoiceTolerance, MeasureNames, contradictions
+from flexfmu.model.scene.section import Section, as_tuple, named_kind, quantity
+
+MAXIMUM_MODES = 40
+"""Largest number of modes of one family; far above what the 1e-10 orthogonality of the shapes has been tested for."""
+
+ModeCount = Annotated[int, quantity("modes", ge=0, le=MAXIMUM_MODES)]
+
+
+class NoDamping(Section):
+    """No structural damping."""
+
+    kind: Literal["none"] = "none"
+
+
+class ModalDamping(Section):
+    """C_ii = 2 ratio sqrt(K_ii M_ii) for every mode of every link, with the link's own modal mass and stiffness."""
+
+    kind: Literal["modal"]
+    ratio: Annotated[float, quantity("1", ge=0.0, lt=1.0)]
+
+
+class StiffnessDamping(Section):
+    """C = time * K on the elastic coordinates."""
+
+    kind: Literal["stiffness"]
+    time: Annotated[float, quantity("s", ge=0.0)]
+
+
+class MassDamping(Section):
+    """C = rate * M on the elastic coordinates, with the link's own modal mass M."""
+
+    kind: Literal["mass"]
+    rate: Annotated[float, quantity("1/s", ge=0.0)]
+
+
+class RayleighDamping(Section):
+    """C = rate * M + time * K on the elastic coordinates, with the link's own modal mass M."""
+
+    kind: Literal["rayleigh"]
+    rate: Annotated[float, quantity("1/s", ge=0.0)]
+    time: Annotated[float, quantity("s", ge=0.0)]
+
+
+Damping = Annotated[
+    NoDamping | ModalDamping | StiffnessDamping | MassDamping | RayleighDamping,
+    BeforeValidator(named_kind),
+    Field(discriminator="kind"),
+]
+
+
+class SmoothFriction(Section):
+    """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor that turns with w."""
+
+    kind: Literal["smooth"] = "smooth"
+    viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
+    coulomb: Annotated[float, quantity("N.m", ge=0.0)] = 0.0
+    velocity: Annotated[float, quantity("rad/s", gt=0.0)] = 0.01
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is any friction."""
+        return bool(self.viscous or self.coulomb)
+
+
+class Stiction(Section):
+    """Friction that holds a motor up to the torque `breakaway`, `coulomb` by default, and slips with `coulomb`.
+
+    With a Stribeck velocity w_s it falls smoothly, coulomb + (breakaway - coulomb) exp(-(w / w_s)²), else at once.
+    """
+
+    kind: Literal["stiction"]
+    viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
+    coulomb: Annotated[float, quantity("N.m", ge=0.0)] = 0.0
+    breakaway: Annotated[float, quantity("N.m", ge=0.0)] | None = None
+    stribeck_velocity: Annotated[float, quantity("rad/s", gt=0.0)] | None = None
+
+    @property
+    def holding(self) -> float:
+        """Largest torque [N m] that holds a motor."""
+        return self.coulomb if self.breakaway is None else self.breakaway
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is any friction."""
+        return bool(self.viscous or self.holding)
+
+    @model_validator(mode="after")
+    def _holds_more_than_it_brakes(self) -> Self:
+        if self.holding < self.coulomb:
+            raise ValueError(
+                f"`breakaway` must be at least `coulomb` = {self.coulomb} N.m, got {self.breakaway} N.m: "
+                "a motor at rest is held by no less friction than one that turns"
+            )
+        return self
+
+
+def _smooth_by_default(value: Any) -> Any:
+    return {"kind": "smooth", **value} if isinstance(value, dict) else value
+
+
+JointFriction = Annotated[SmoothFriction | Stiction, BeforeValidator(_smooth_by_default), Field(discriminator="kind")]
+
+
+class Transmission(Section):
+    """Elastic transmission between each motor and its proximal link."""
+
+    stiffness: Annotated[float, quantity("N.m/rad", gt=0.0)]
+    damping: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
+
+
+FamilyName = Literal["proximal_bending", "proximal_axial", "distal_bending", "distal_axial"]
+CHOOSABLE = (*get_args(FamilyName), "beam", "foreshortening", "quasi_static")
+"""Keys of `effects` that `select = "auto"` chooses; the others are given by the robot."""
+
+
+class Effects(Section):
+    """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code.
+
+    With `select = "auto"` the elastic effects are chosen: as few as keep the metrics in `of` within `tolerance`.
+    """
+
+    gravity: Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m/s2")]
+    basis: Literal["assumed-modes", "craig-bampton"]
+    proximal_bending: ModeCount = 0
+    proximal_axial: ModeCount = 0
+    distal_bending: ModeCount = 0
+    distal_axial: ModeCount = 0
+    beam: Literal["euler-bernoulli", "timoshenko"] = "euler-bernoulli"
+    foreshortening: bool = False
+    quasi_static: Annotated[tuple[FamilyName, ...], BeforeValidator(as_tuple)] = ()
+    damping: Damping = NoDamping()
+    motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0
+    joint_friction: JointFriction = SmoothFriction()
+    transmission: Transmission | None = None
+    reactions: bool = False
+    select: Literal["auto"] | None = None
+    tolerance: ChoiceTolerance | None = None
+    of: MeasureNames | None = None
+    choice: Choice | None = None
+
+    @model_validator(mode="after")
+    def _choice_is_free(self) -> Self:
+        switched_on = tuple(key for key in CHOOSABLE if getattr(self, key) != type(self).model_fields[key].default)
+        given = {"tolerance": self.tolerance, "of": self.of}
+        for sentence in contradictions(self.select, given, self.basis, switched_on):
+            raise ValueError(sentence)
+        return self
+
+    @model_validator(mode="after")
+    def _static_families_have_modes(self) -> Self:
+        for family in self.quasi_static:
+            if self.quasi_static.count(family) > 1:
+                raise ValueError(f"`quasi_static` names {family} twice: once is enough")
+            if not getattr(self, family):
+                raise ValueError(
+                    f"`quasi_static` names {family}, which has no modes: give `{family}` at least 1, or take it from the list"
+                )
+        return self

@@ -1,0 +1,67 @@
+"""Scene files and shipped scenes: reading TOML."""
+
+from __future__ import annotations
+
+import tomllib
+import warnings
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from flexfmu.model.scene.errors import SceneError, SceneWarning
+from flexfmu.model.scene.messages import listed
+from flexfmu.model.scene.schema import Scene, parse_scene
+
+
+def shipped_scenes() -> tuple[str, ...]:
+    """Names of the scenes that come with the package, sorted."""
+    return tuple(
+        sorted(entry.name.removesuffix(".toml") for entry in _scene_folder().iterdir() if entry.name.endswith(".toml"))
+    )
+
+
+def load_scene(source: str | Path) -> Scene:
+    """Read a scene from a TOML file or by the name of a shipped scene.
+
+    Args:
+        source: path of a scene file, or a name out of `shipped_scenes`.
+
+    Warns:
+        SceneWarning: a value suggests another unit, see `Scene.unit_hints`.
+
+    Raises:
+        SceneError: no such scene, not TOML, or a key or value that can't be right.
+    """
+    text, label, folder = read_scene_text(source)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"not a TOML file: {error} ({label})") from error
+    scene = parse_scene(data, label, folder)
+    for hint in scene.unit_hints:
+        warnings.warn(f"{hint} ({label})", SceneWarning, stacklevel=2)
+    return scene
+
+
+def _scene_folder() -> Any:
+    return files("flexfmu.model.scene").joinpath("scenes")
+
+
+def read_scene_text(source: str | Path) -> tuple[str, str, Path | None]:
+    """Text, name for messages, and folder of a scene file; no folder for a shipped scene.
+
+    Raises:
+        SceneError: there is no such scene, or it can't be read.
+    """
+    path = Path(source)
+    if path.suffix != ".toml" and str(source) in shipped_scenes():
+        return _scene_folder().joinpath(f"{source}.toml").read_text(encoding="utf-8"), f"shipped scene {source}", None
+    try:
+        return path.read_text(encoding="utf-8"), str(path), path.resolve().parent
+    except FileNotFoundError:
+        raise SceneError(
+            f"no scene file '{source}': give a path, or one of the shipped scenes {listed(shipped_scenes())}"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise SceneError(f"cannot read scene file '{source}': {reason}") from None

@@ -1,0 +1,192 @@
+"""Sections of the scene file for imperfections: `[[imperfection]]` tables, whose `kind` decides which keys they have."""
+
+from __future__ import annotations
+
+from operator import lt
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from flexfmu.model.scene.loop import FmuSection, LoopSection, PythonSection
+from flexfmu.model.scene.section import (
+    NotNegativePerJoint,
+    Positive,
+    PositivePerJoint,
+    Seconds,
+    SecondsOrZero,
+    Section,
+    for_both,
+    named_kind,
+    quantity,
+)
+
+NumberPerJoint = Annotated[tuple[float, float], BeforeValidator(for_both)]
+
+
+class SignalSection(LoopSection):
+    """Something that signals of both joints pass: the motors' torques, the measured positions or velocities, or the
+    references (all of them where it delays, the positions alone otherwise).
+
+    The sample time is that of the first controller with one, else the communication step; a lag needs none.
+    """
+
+    signal: Literal["torque", "position", "velocity", "reference"]
+    sample_time: Annotated[Positive | None, quantity("s")] = None
+    offset: SecondsOrZero = 0.0
+
+
+class SaturationSection(SignalSection):
+    """The signal within ± `limit`, or from `lower` to `upper`, in its own unit."""
+
+    kind: Literal["saturation"]
+    signal: Literal["torque", "position", "velocity", "reference"] = "torque"
+    limit: PositivePerJoint | None = None
+    lower: NumberPerJoint | None = None
+    upper: NumberPerJoint | None = None
+
+    @model_validator(mode="after")
+    def _one_kind_of_limits(self) -> Self:
+        two_sided = self.lower is not None and self.upper is not None
+        if (self.limit is None) != two_sided or (self.lower is None) != (self.upper is None):
+            raise ValueError("give either `limit`, which holds both ways, or `lower` and `upper`")
+        if self.lower is not None and self.upper is not None and not all(map(lt, self.lower, self.upper)):
+            raise ValueError(f"`lower` must be below `upper`, got {list(self.lower)} and {list(self.upper)}")
+        return self
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Lower and upper limits of both joints."""
+        if self.lower is not None and self.upper is not None:
+            return self.lower, self.upper
+        first, second = self.limit or (0.0, 0.0)
+        return (-first, -second), (first, second)
+
+
+class RateLimitSection(SignalSection):
+    """The signal changes by no more than `rate`, in its own unit per second; it falls no faster than `falling_rate`, which is
+    `rate` by default."""
+
+    kind: Literal["rate-limit"]
+    signal: Literal["torque", "position", "velocity", "reference"] = "torque"
+    rate: PositivePerJoint
+    falling_rate: PositivePerJoint | None = None
+
+
+class Linear(Section):
+    """On the straight line between two samples."""
+
+    kind: Literal["linear"] = "linear"
+
+
+class Lagrange(Section):
+    """On the polynomial through `order` + 1 samples."""
+
+    kind: Literal["lagrange"]
+    order: Annotated[int, quantity("1", ge=1, le=10)]
+
+
+class Thiran(Section):
+    """By an all-pass of this order, which changes no amplitude."""
+
+    kind: Literal["thiran"]
+    order: Annotated[int, quantity("1", ge=1, le=10)]
+
+
+Interpolation = Annotated[Linear | Lagrange | Thiran, BeforeValidator(named_kind), Field(discriminator="kind")]
+
+
+class DelaySection(SignalSection):
+    """The signal as it was `time` ago; for fractions of a sample `interpolation` is "linear",
+    `{ kind = "lagrange", order = 3 }` or `{ kind = "thiran", order = 2 }`."""
+
+    kind: Literal["delay"]
+    signal: Literal["torque", "position", "velocity", "reference"] = "torque"
+    time: SecondsOrZero
+    interpolation: Interpolation = Linear()
+
+
+class QuantisationSection(SignalSection):
+    """The signal rounded to multiples of `resolution`, in its own unit, as an encoder does."""
+
+    kind: Literal["quantisation"]
+    signal: Literal["torque", "position", "velocity", "reference"] = "position"
+    resolution: PositivePerJoint
+
+
+class EncoderSection(LoopSection):
+    """Incremental encoders of both joints: the angle to the nearest of `counts_per_turn`, the velocity from the change over
+    `window` samples."""
+
+    kind: Literal["encoder"]
+    counts_per_turn: Annotated[float, quantity("1", ge=1.0)]
+    window: Annotated[int, quantity("samples", ge=1)] = 1
+    sample_time: Annotated[Positive | None, quantity("s")] = None
+    offset: SecondsOrZero = 0.0
+
+
+class NoiseSection(SignalSection):
+    """White noise in the signal's unit: normal with a `standard_deviation`, or uniform within ± `half_width`.
+
+    The numbers follow from `seed`, the section's name and the signal. Sections without a name of their own are called
+    `noise`, `noise2` and so on, in the order of the file, so that each has random numbers of its own.
+    """
+
+    kind: Literal["noise"]
+    signal: Literal["torque", "position", "velocity", "reference"] = "position"
+    standard_deviation: NotNegativePerJoint | None = None
+    half_width: NotNegativePerJoint | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**20)] = 0
+
+    @model_validator(mode="after")
+    def _one_distribution(self) -> Self:
+        if (self.standard_deviation is None) == (self.half_width is None):
+            raise ValueError("give either `standard_deviation`, for normal noise, or `half_width`, for uniform noise")
+        return self
+
+
+class JitterSection(SignalSection):
+    """Samples taken up to `time` late at random; `seed` and names as for noise (`jitter`, `jitter2` and so on)."""
+
+    kind: Literal["jitter"]
+    signal: Literal["torque", "position", "velocity", "reference"] = "position"
+    time: Seconds
+    seed: Annotated[int, Field(ge=0, lt=2**20)] = 0
+
+
+class LagSection(SignalSection):
+    """First-order lag, as a current loop has it: in continuous time, or with a `sample_time` at these instants."""
+
+    kind: Literal["lag"]
+    signal: Literal["torque", "position", "velocity", "reference"] = "torque"
+    time_constant: Seconds
+
+    @model_validator(mode="after")
+    def _offset_has_a_sample_time(self) -> Self:
+        if self.offset and self.sample_time is None:
+            raise ValueError(
+                f"an `offset` of {self.offset:g} s needs a `sample_time` in s; leave both out for continuous time"
+            )
+        return self
+
+
+class PayloadErrorSection(Section):
+    """The robot carries (1 + relative) times the scene's payload, and nothing else knows of it."""
+
+    kind: Literal["payload-error"]
+    relative: Annotated[float, quantity("1", ge=-1.0)]
+
+
+ImperfectionSection = Annotated[
+    SaturationSection
+    | RateLimitSection
+    | DelaySection
+    | QuantisationSection
+    | EncoderSection
+    | NoiseSection
+    | JitterSection
+    | LagSection
+    | PayloadErrorSection
+    | PythonSection
+    | FmuSection,
+    Field(discriminator="kind"),
+]

@@ -1,0 +1,54 @@
+"""Sections of the scene file about the robot's parts: links, material, mechanism and payload."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import model_validator
+
+from flexfmu.model.scene.section import Section, quantity
+
+Length = Annotated[float, quantity("m", gt=0.0)]
+LengthOrZero = Annotated[float, quantity("m", ge=0.0)]
+
+
+class Link(Section):
+    """A round rod; `inner_diameter` makes it a tube."""
+
+    length: Length
+    diameter: Length
+    inner_diameter: LengthOrZero = 0.0
+
+    @model_validator(mode="after")
+    def _tube_has_a_wall(self) -> Self:
+        if self.inner_diameter >= self.diameter:
+            raise ValueError(
+                f"`inner_diameter` must be below `diameter` = {self.diameter} m, got {self.inner_diameter} m"
+            )
+        return self
+
+
+class Material(Section):
+    """Linear elastic material of all links."""
+
+    density: Annotated[float, quantity("kg/m3", gt=0.0)]
+    youngs_modulus: Annotated[float, quantity("Pa", gt=0.0)]
+    poissons_ratio: Annotated[float, quantity("1", gt=-1.0, le=0.5)] = 0.33
+
+
+class Mechanism(Section):
+    """The five-bar mechanism: bases at (-base_half_distance, 0) and (+base_half_distance, 0), leg 1 at the negative side."""
+
+    base_half_distance: Length
+    working_mode: Literal["elbows-out", "elbows-in", "left", "right"]
+    assembly_mode: Literal["left", "right"]
+    proximal: Link
+    distal: Link
+    material: Material
+
+
+class Payload(Section):
+    """Point mass at the end effector, and rotary inertia that turns with link 12; zero leaves each out of the model."""
+
+    mass: Annotated[float, quantity("kg", ge=0.0)]
+    inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0

@@ -1,0 +1,145 @@
+"""Every mistake in a scene file as one sentence with key, value, unit and remedy."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel
+
+from flexfmu.model.scene.array_example import array_example
+
+
+def listed(names: Any) -> str:
+    """Names in backquotes, with commas."""
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def sentence(error: dict[str, Any], root: type[BaseModel]) -> str:
+    """One sentence for one of pydantic's errors in the section ``root``."""
+    keys, model, unit = _locate(error["loc"], root)
+    key = ".".join(keys)
+    unit_text = "" if unit in ("", "1") else f" {unit}"
+    kind, context = error["type"], error.get("ctx", {})
+    if kind == "missing":
+        return f"`{key}` is missing: add it{f' (in {unit})' if unit_text else _one_of(_annotation(model, keys))}"
+    if kind == "extra_forbidden":
+        return _unknown_key(keys, model)
+    if kind == "value_error":
+        return f"{f'in `{key}`: ' if key else ''}{context['error']}"
+    if kind == "tuple_type" and any(_sections(_annotation(model, keys))):
+        return _list_of_tables(key, error["input"])
+    if kind in _BOUNDS:
+        return f"`{key}` must be {_BOUNDS[kind].format(**context)}{unit_text}, got {error['input']!r}{unit_text}"
+    if kind == "union_tag_invalid":
+        return f"`{key}.kind` must be one of {context['expected_tags']}, got {error['input'].get('kind')!r}"
+    if kind == "union_tag_not_found":
+        return f"`{key}.kind` must be one of {_tags(_annotation(model, keys))}, but is missing"
+    if kind in _FORMS:
+        form = _FORMS[kind].format(**context, example=array_example(model, keys[-1]) if keys else "")
+        return f"`{key}` must be {form}{f' in {unit}' if unit_text else ''}, got {_as_toml(error['input'])}"
+    return f"`{key}` {_plain(error['msg'])}{f' in {unit}' if unit_text else ''}, got {error['input']!r}"
+
+
+_FORMS = {
+    "tuple_type": "an array like {example}",
+    "bool_type": "true or false",
+    "too_long": "an array of {max_length} values",
+    "model_type": "a table like {{ key = value }}",
+    "model_attributes_type": "a table like {{ key = value }}",
+    "dict_type": "a table like {{ key = value }}",
+    "string_type": "a text in quotes",
+    "string_too_short": "a text that is not empty",
+    "string_pattern_mismatch": "made of letters, digits and the signs that suit it (pattern {pattern})",
+}
+"""Pydantic's types of errors → what the scene file should have there."""
+
+_BOUNDS = {
+    "greater_than": "above {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "below {lt}",
+    "less_than_equal": "at most {le}",
+}
+
+
+def _annotation(model: type[BaseModel] | None, keys: list[str]) -> Any:
+    """Type of a section's key, the last one; None where it has no such key."""
+    field = model.model_fields.get(keys[-1].partition("[")[0]) if model is not None and keys else None
+    return None if field is None else field.annotation
+
+
+def _one_of(annotation: Any) -> str:
+    """The words of which a key takes one; empty where it takes something else."""
+    words = get_args(annotation) if get_origin(annotation) is Literal else ()
+    return f", one of {', '.join(map(repr, words))}" if words else ""
+
+
+def _tags(annotation: Any) -> str:
+    """All kinds of the section that a key holds."""
+    kinds = [kind for model in _sections(annotation) for kind in get_args(model.model_fields["kind"].annotation)]
+    return ", ".join(map(repr, kinds))
+
+
+def _list_of_tables(key: str, value: Any) -> str:
+    """What is wrong where several tables should be."""
+    if isinstance(value, dict):
+        return f"`{key}` is a list of tables: write [[{key}]] instead of [{key}]"
+    return f"`{key}` is a list of tables: write [[{key}]] and the keys below it, got {value!r}"
+
+
+def _as_toml(value: Any) -> str:
+    """A value as it stands in the scene file, where vectors are arrays."""
+    return repr(list(value)) if isinstance(value, tuple) else repr(value)
+
+
+def _plain(message: str) -> str:
+    """Pydantic's sentence as the end of ours: `Input should be a valid number` → `must be a valid number`."""
+    return message.replace("Input should be", "must be").replace("Field required", "is missing")
+
+
+def _locate(location: tuple[Any, ...], root: type[BaseModel]) -> tuple[list[str], type[BaseModel] | None, str]:
+    """Keys of the scene file, the section that holds the last one, and the unit, for one of pydantic's locations."""
+    keys: list[str] = []
+    variants: list[type[BaseModel]] = [root]
+    holder: type[BaseModel] | None = root
+    unit = ""
+    for part in location:
+        model = variants[0] if len(variants) == 1 else None
+        field = model.model_fields.get(part) if model is not None and isinstance(part, str) else None
+        if field is not None:
+            keys.append(str(part))
+            holder = model
+            extra = field.json_schema_extra
+            unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+            variants = list(_sections(field.annotation))
+        elif isinstance(part, int):
+            keys[-1] += f"[{part}]"
+        elif (chosen := _variant(variants, part)) is not None:
+            variants, holder = [chosen], chosen
+        else:
+            keys.append(str(part))
+            holder, variants = model, []
+    return keys, holder, unit
+
+
+def _sections(annotation: Any) -> Iterator[type[BaseModel]]:
+    """All kinds of sections that a field may hold, one or many of them."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _sections(part)
+
+
+def _variant(variants: list[type[BaseModel]], tag: Any) -> type[BaseModel] | None:
+    """The one of several sections whose `kind` may be `tag`."""
+    if len(variants) < 2:
+        return None
+    return next((model for model in variants if tag in get_args(model.model_fields["kind"].annotation)), None)
+
+
+def _unknown_key(keys: list[str], model: type[BaseModel] | None) -> str:
+    known = list(model.model_fields) if model is not None else []
+    close = difflib.get_close_matches(keys[-1], known, n=1)
+    remedy = f"did you mean `{close[0]}`?" if close else f"known keys here: {listed(known)}"
+    return f"`{'.'.join(keys)}` is not a known key: {remedy}"

@@ -1,0 +1,165 @@
+"""The scene: everything that a simulation depends on, as frozen sections that mirror the TOML file (SI units, rad)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
+
+from flexfmu.model.scene.assembly import check_start_pose
+from flexfmu.model.scene.choice import fill_in
+from flexfmu.model.scene.controllers import ControllerSection
+from flexfmu.model.scene.cosimulation import Cosimulation
+from flexfmu.model.scene.effects import Effects
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.imperfections import ImperfectionSection
+from flexfmu.model.scene.loop import FOLDER
+from flexfmu.model.scene.mechanism import Mechanism, Payload
+from flexfmu.model.scene.messages import sentence
+from flexfmu.model.scene.motion import TrajectorySection
+from flexfmu.model.scene.section import Section, as_tuple
+from flexfmu.model.scene.shapers import ShaperSection
+
+LARGEST_LENGTH, LEAST_DENSITY, LEAST_MODULUS = 10.0, 100.0, 1e8
+"""Beyond these [m, kg/m3, Pa] a value suggests another unit: no robot has such links, no structural material is so light
+or so soft."""
+
+
+class Scene(Section):
+    """A complete scene. `flexfmu.model.scene.file.load_scene` reads one from a TOML file.
+
+    Example:
+        ``scene.replace({"payload.mass": 0.1, "trajectory.duration": 0.30})`` is the same scene with two values changed.
+    """
+
+    name: Annotated[str, Field(min_length=1, pattern=r"^[\w.+-]*\w[\w.+-]*$")]
+    mechanism: Mechanism
+    payload: Payload
+    effects: Effects
+    trajectory: TrajectorySection
+    cosimulation: Cosimulation
+    controller: Annotated[tuple[ControllerSection, ...], BeforeValidator(as_tuple)] = ()
+    shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_tuple)] = ()
+    imperfection: Annotated[tuple[ImperfectionSection, ...], BeforeValidator(as_tuple)] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_for_choice(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or not {"effects", "cosimulation"} <= data.keys():
+            return data
+        effects, cosimulation = fill_in(data["effects"], data["cosimulation"])
+        return {**data, "effects": effects, "cosimulation": cosimulation}
+
+    @model_validator(mode="after")
+    def _residual_needs_a_dwell(self) -> Self:
+        for name in self.effects.of or ():
+            if name.startswith("residual") and not self.trajectory.dwell:
+                raise ValueError(
+                    f"`effects.of` names {name}, but `trajectory.dwell` is 0 s: give a dwell, or remove {name}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        tables = (("controller", self.controller), ("shaper", self.shaper), ("imperfection", self.imperfection))
+        owners: dict[str, str] = {}
+        for key, sections in tables:
+            for index, section in enumerate(sections):
+                name, place = getattr(section, "name", None), f"`{key}[{index}].name`"
+                if name is not None and owners.setdefault(name, place) != place:
+                    raise ValueError(f"{owners[name]} and {place} are both {name!r}: give each a name of its own")
+        return self
+
+    @model_validator(mode="after")
+    def _transmission_has_a_motor(self) -> Self:
+        effects = self.effects
+        if effects.transmission is not None and self.cosimulation.drive == "torque" and not effects.motor_inertia:
+            raise ValueError(
+                "`effects.transmission` needs `effects.motor_inertia` above 0 kg.m2 where torques drive the robot: a motor "
+                "without inertia behind a spring has no equation of motion; give the inertia, or leave the transmission out"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _modes_agree_with_start_pose(self) -> Self:
+        try:
+            check_start_pose(self.mechanism, self.trajectory.start)
+        except ValueError as error:
+            raise ValueError("; ".join((str(error), *self.unit_hints))) from None
+        return self
+
+    @property
+    def unit_hints(self) -> tuple[str, ...]:
+        """A sentence for each value that suggests another unit, millimetres or GPa for example; none for usual robots.
+
+        They are hints, not errors: soft materials and huge mechanisms can be meant.
+        """
+        mechanism, path = self.mechanism, self.trajectory
+        links = {"proximal": mechanism.proximal, "distal": mechanism.distal}
+        lengths = {f"mechanism.{name}.length": link.length for name, link in links.items()}
+        lengths |= {"mechanism.base_half_distance": mechanism.base_half_distance}
+        lengths |= {"trajectory.height": path.height, "trajectory.width": path.width}
+        hints = [
+            f"`{key}` = {value:g} m is above {LARGEST_LENGTH:g} m: lengths are in m, millimetres are 1e-3 m"
+            for key, value in lengths.items()
+            if value > LARGEST_LENGTH
+        ]
+        hints += [
+            f"`mechanism.{name}.diameter` = {link.diameter:g} m is above half the length, {link.length:g} m: diameters are "
+            f"in m, millimetres are 1e-3 m"
+            for name, link in links.items()
+            if link.diameter > 0.5 * link.length
+        ]
+        material = mechanism.material
+        if material.density < LEAST_DENSITY:
+            hints.append(
+                f"`mechanism.material.density` = {material.density:g} kg/m3 is below {LEAST_DENSITY:g} kg/m3: 1 g/cm3 is "
+                f"1000 kg/m3"
+            )
+        if material.youngs_modulus < LEAST_MODULUS:
+            hints.append(
+                f"`mechanism.material.youngs_modulus` = {material.youngs_modulus:g} Pa is below 1e8 Pa: it is "
+                f"in Pa, 1 GPa is 1e9 Pa"
+            )
+        return tuple(hints)
+
+    def replace(self, changes: dict[str, Any]) -> Scene:
+        """The scene with values changed by dotted keys, validated anew.
+
+        Args:
+            changes: dotted key of the scene file → new value (a section may be given as a dict).
+
+        Raises:
+            SceneError: a key is unknown or a value out of range.
+        """
+        data = self.model_dump(exclude_none=True)
+        for key, value in changes.items():
+            *parents, last = key.split(".")
+            section = data
+            for parent in parents:
+                section = section.setdefault(parent, {})
+                if not isinstance(section, dict):
+                    raise SceneError(
+                        f"scene {self.name} has no key {key}: {parent} is the value {section!r}, not a section"
+                    )
+            section[last] = value
+        return parse_scene(data, source=f"scene {self.name}")
+
+
+def parse_scene(data: dict[str, Any], source: str, folder: Path | None = None) -> Scene:
+    """A validated scene from plain data.
+
+    Args:
+        data: sections and keys.
+        source: names the origin in messages.
+        folder: what paths in the scene count from; None leaves them as they are.
+
+    Raises:
+        SceneError: names each wrong key with its value, unit and remedy.
+    """
+    try:
+        return Scene.model_validate(data, context={FOLDER: folder})
+    except ValidationError as error:
+        sentences = [sentence(dict(details), Scene) for details in error.errors()]
+        raise SceneError(f"{'; '.join(sentences)} ({source})") from None

@@ -1,0 +1,184 @@
+"""A robot along its planned motion: matrices of small elastic motions at every instant, and what it does exactly."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import interp1d
+
+from flexfmu.model.numeric import numeric_model
+from flexfmu.model.scene.effects import Effects
+from flexfmu.model.scene.schema import Scene
+from flexfmu.model.selection.motion_grid import MotionGrid
+from flexfmu.model.selection.response import LinearSystem, Motion
+from flexfmu.trajectories.jets import RealArray
+
+Indices = NDArray[np.intp]
+
+MATRICES_EVERY = 8
+"""Instants from one evaluation of the matrices to the next; they follow the pose, which changes slowly."""
+
+NEWTON_STEPS = 3
+"""Steps to a static equilibrium: small deflections need no more, see `flexfmu.model.statics`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """What a robot does at N instants: end effector [m, m/s, m/s²] and torques [N m], each (N, 2)."""
+
+    position: RealArray
+    velocity: RealArray
+    acceleration: RealArray
+    torque: RealArray
+
+
+class LinearizedMotion:
+    """The robot of a scene along a motion.
+
+    Args:
+        scene: with all effects that are looked at.
+        grid: instants of the motion.
+
+    Attributes:
+        names: of all coordinates.
+    """
+
+    def __init__(self, scene: Scene, grid: MotionGrid) -> None:
+        self._model = numeric_model(scene)
+        self.names, self._joints = self._model.names, grid.joints.T
+        self._scene, self._grid = scene, grid
+
+    @cached_property
+    def linear(self) -> LinearSystem:
+        """Matrices of small motions about the undeformed robot."""
+        return _linear_system(self._scene, self._grid)
+
+    @cached_property
+    def load(self) -> RealArray:
+        """Forces on the undeformed robot (N, n)."""
+        rest = np.zeros((self._grid.time.size, self._model.n))
+        return -self.forces(Motion(rest, rest, rest))
+
+    def coordinates(self, effects: Effects, *, static: bool = False) -> Indices:
+        """Indices of the coordinates that are states with such effects, or of those that deflect statically."""
+        return np.array(
+            [i for i, name in enumerate(self._model.names) if _belongs(name, effects, static)], dtype=np.intp
+        )
+
+    def response(self, states: Indices, start: RealArray) -> Motion:
+        """Elastic motion in linear approximation (N, n), with `states` alone moving, from rest at `start`."""
+        return self._respond(states, self.load, start)
+
+    def corrected(self, motion: Motion, states: Indices) -> Motion:
+        """A motion with the linear response to the forces that it leaves unbalanced, from its own start."""
+        return motion + self._respond(states, -self.forces(motion), np.zeros(states.size))
+
+    def _respond(self, states: Indices, load: RealArray, start: RealArray) -> Motion:
+        part = self.linear.restricted(states).response(load[:, states], start)
+        return Motion(*(self._spread(values, states) for values in (part.position, part.velocity, part.acceleration)))
+
+    def deflections(self, motion: Motion, statics: Indices) -> RealArray:
+        """Static deflections of some coordinates under what a motion of the others puts on them (N, n)."""
+        force = self.forces(motion)[:, statics]
+        stiffness = self.linear.stiffness[np.ix_(np.arange(len(force)), statics, statics)]
+        return self._spread(
+            -np.asarray(np.linalg.solve(stiffness, force[..., None]), dtype=np.float64)[..., 0], statics
+        )
+
+    def equilibrium(self, rest: RealArray, states: Indices) -> RealArray:
+        """Static deflection of some coordinates (m,) at a standstill u = [q_a, 0, 0]."""
+        return self._static(rest, np.zeros(self._model.n), states)[states]
+
+    def rest_position(self, rest: RealArray, states: Indices, statics: Indices) -> RealArray:
+        """End effector in the static equilibrium at a standstill (2,) [m]."""
+        q, zeros = self._static(rest, np.zeros(self._model.n), states), np.zeros(self._model.n)
+        q = self._static(rest, q, statics)
+        return np.asarray(self._model.motion(q, zeros, zeros, rest)[0].full()).ravel()
+
+    def _static(self, rest: RealArray, q: RealArray, free: Indices) -> RealArray:
+        """Deflections (n,) with some coordinates in equilibrium and the others as they are in `q`."""
+        found, zeros = q.copy(), np.zeros(self._model.n)
+        for _ in range(NEWTON_STEPS if free.size else 0):
+            stiffness = self._model.static_stiffness(found, rest).full()[np.ix_(free, free)]
+            force = self._model.elastic_forces(found, zeros, zeros, rest).full().ravel()[free]
+            found[free] -= np.linalg.solve(stiffness, force)
+        return found
+
+    def _spread(self, values: RealArray, at: Indices) -> RealArray:
+        """Values (N, m) of some coordinates among zeros (N, n)."""
+        result = np.zeros((values.shape[0], self._model.n))
+        result[:, at] = values
+        return result
+
+    def forces(self, motion: Motion) -> RealArray:
+        """Forces that all coordinates need for a motion (N, n)."""
+        function = self._model.elastic_forces.map(motion.position.shape[0])
+        return _full([function(*self._arguments(motion))])[0].T
+
+    def hardening(self, motion: Motion) -> RealArray:
+        """Forces of bending beyond linear theory (N, n), which no set of effects contains."""
+        function = self._model.hardening.map(motion.position.shape[0])
+        return _full([function(motion.position.T)])[0].T
+
+    def outputs(self, motion: Motion) -> Outputs:
+        """End effector and torques of a motion."""
+        function = self._model.motion.map(motion.position.shape[0])
+        return Outputs(*(result.T for result in _full(function(*self._arguments(motion)))))
+
+    def _arguments(self, motion: Motion) -> tuple[RealArray, ...]:
+        return motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
+
+
+def _linear_system(scene: Scene, grid: MotionGrid) -> LinearSystem:
+    """Matrices along the motion, straight lines between every few instants."""
+    coarse = np.concatenate([_some(a, b) for a, b in grid.spans])
+    count, n = coarse.size, numeric_model(scene).n
+    found = _full(_matrices(scene).map(count)(grid.joints[coarse].T))
+    matrices = [matrix.reshape(n, count, n).transpose(1, 0, 2) for matrix in found]
+    # instants at jumps are different ones at the same time, so that the index is what is interpolated along
+    between = interp1d(coarse, np.stack(matrices), axis=1)(np.arange(grid.time.size))
+    return LinearSystem(between[0], between[1], between[2], grid.spans, grid.steps)
+
+
+def _some(a: int, b: int) -> Indices:
+    """Some of the indices a..b-1, both ends included."""
+    return np.unique(np.linspace(a, b - 1, (b - a) // MATRICES_EVERY + 2).round().astype(np.intp))
+
+
+def _full(results: Iterable[casadi.DM]) -> list[RealArray]:
+    """CasADi's matrices as arrays."""
+    return [np.asarray(result.full()) for result in results]
+
+
+@lru_cache(maxsize=16)
+def _matrices(scene: Scene) -> casadi.Function:
+    """u → mass, damping and stiffness matrix of small motions about the undeformed robot, (n, n) each."""
+    model = numeric_model(scene)
+    q, v, a = (casadi.SX.sym(name, model.n) for name in "qva")
+    u = casadi.SX.sym("u", 6)
+    force = model.elastic_forces(q, v, a, u)
+    state, rest = casadi.vertcat(q, v, a), casadi.SX.zeros(3 * model.n)
+    results = [casadi.substitute(casadi.jacobian(force, x), state, rest) for x in (a, v, q)]
+    dense = [casadi.densify(result) for result in casadi.cse(results)]
+    return casadi.Function("matrices", [u], dense)
+
+
+_NAME = re.compile(r"link(?P<leg>\d)(?P<link>\d)\.(?P<direction>\w+)\[(?P<mode>\d+)\]")
+
+
+def _belongs(name: str, effects: Effects, static: bool) -> bool:
+    """Whether a coordinate like ``link11.bending[1]`` is a state, or deflects statically, with such effects.
+
+    What belongs to no link (twists of the transmissions) isn't chosen and always a state.
+    """
+    match = _NAME.fullmatch(name)
+    if match is None:
+        return not static
+    family = f"{'proximal' if match['link'] == '1' else 'distal'}_{match['direction']}"
+    return int(match["mode"]) <= getattr(effects, family) and (family in effects.quasi_static) is static

@@ -1,0 +1,173 @@
+"""The rooms of the house: what each may know, no circles, and imports at the top."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+ROOMS = (
+    "trajectories",
+    "model.scene",
+    "model",
+    "model.selection",
+    "model.finite_elements",
+    "fmu_build",
+    "fmu_build.validation",
+    "cosim.engine",
+    "cosim.control",
+    "cosim.experiment",
+    "cosim.metrics",
+    "cosim.reports",
+    "cosim.choices",
+    "cosim.exchange",
+    "cosim.studies",
+    "cosim.cli",
+)
+"""From the bottom up; a room in cosim may know all before it, but for what `UNKNOWN` says."""
+
+UNKNOWN: Mapping[str, tuple[str, ...]] = {
+    "trajectories": (),
+    "model.scene": ("trajectories",),
+    "model.finite_elements": ("model.selection",),
+    "fmu_build": ("model.scene", "model.selection", "model.finite_elements"),
+    "fmu_build.validation": ("trajectories", "model.scene", "model", "model.selection", "model.finite_elements"),
+    "cosim.engine": ("model.scene", "model", "model.selection", "model.finite_elements"),
+}
+"""Room → rooms below it that it must not know."""
+
+TYPES = ("model.symbolic", "model.block", "model.drawing")
+"""All that `fmu_build` knows of the model: the types of what it is given."""
+
+OPTIONAL = ("control", "exudyn", "plotly")
+"""Libraries that a user may not have or seldom needs: they may be imported within functions."""
+
+HEAVY = (*OPTIONAL, "casadi", "matplotlib", "fmpy", "lief")
+"""What a light module may put off loading, by an import within a function of what needs it."""
+
+
+@dataclass(frozen=True)
+class Module:
+    """A module below `flexfmu`, with the modules and packages that it imports: at the top, within functions, for types alone."""
+
+    name: str
+    top: set[str] = field(default_factory=set)
+    late: set[str] = field(default_factory=set)
+    types: set[str] = field(default_factory=set)
+
+    @property
+    def known(self) -> set[str]:
+        """Modules of flexfmu that it imports anywhere."""
+        return {each for each in self.top | self.late | self.types if not each.startswith("!")}
+
+
+def _imported(node: ast.AST, names: set[str]) -> Iterator[str]:
+    """Modules of flexfmu that a statement imports, below `flexfmu`; others with "!" before the name of the library."""
+    if isinstance(node, ast.Import):
+        yield from (f"!{each.name.partition('.')[0]}" for each in node.names)
+    elif isinstance(node, ast.ImportFrom) and node.module is not None:
+        top, _, base = node.module.partition(".")
+        if top != "flexfmu":
+            yield f"!{top}"
+            return
+        for each in node.names:
+            full = f"{base}.{each.name}".lstrip(".")
+            yield full if full in names else base
+
+
+def _read(path: Path, name: str, names: set[str]) -> Module:
+    """The imports of one file."""
+    module = Module(name)
+
+    def visit(node: ast.AST, kind: set[str]) -> None:
+        kind.update(_imported(node, names))
+        for child in ast.iter_child_nodes(node):
+            inside = isinstance(node, ast.FunctionDef | ast.Lambda)
+            for_types = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+            visit(child, module.late if inside else module.types if for_types else kind)
+
+    visit(ast.parse(path.read_text(encoding="utf-8")), module.top)
+    return module
+
+
+@pytest.fixture(scope="module")
+def modules() -> Mapping[str, Module]:
+    """All modules by name, packages by that of their folder."""
+    paths = [path for top in ("trajectories", "model", "fmu_build", "cosim") for path in (ROOT / top).rglob("*.py")]
+    named = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
+    return {name: _read(path, name, set(named)) for name, path in named.items()}
+
+
+def _room(module: str) -> str | None:
+    """The innermost room of a module; None for the package `cosim` itself."""
+    return max((room for room in ROOMS if f"{module}.".startswith(f"{room}.")), key=len, default=None)
+
+
+def test_every_module_has_a_room(modules: Mapping[str, Module]) -> None:
+    """A new folder needs a place in the order."""
+    assert [name for name in modules if _room(name) is None] == ["cosim"]
+
+
+def test_every_room_says_what_it_is_for() -> None:
+    """The docstring of its `__init__.py` is its charter."""
+    for folder in {
+        path.parent for top in ("trajectories", "model", "fmu_build", "cosim") for path in (ROOT / top).rglob("*.py")
+    }:
+        charter = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
+        assert len(charter or "") > 20, folder
+
+
+def test_imports_run_one_way(modules: Mapping[str, Module]) -> None:
+    """From room to room, whoever needs something from above gets it passed in."""
+    wrong = []
+    for module in modules.values():
+        room = _room(module.name)
+        if room is None:
+            continue
+        for known in module.known:
+            other = _room(known)
+            if other is None or other == room or (room == "fmu_build" and known in TYPES):
+                continue
+            may_not = UNKNOWN.get(room, ())
+            if ROOMS.index(other) > ROOMS.index(room) or other in may_not or (room == "fmu_build" and other == "model"):
+                wrong.append(f"{module.name} imports {known}")
+    assert wrong == []
+
+
+def test_no_circles_between_files(modules: Mapping[str, Module]) -> None:
+    """Neither at the top nor within functions nor for types."""
+    try:
+        TopologicalSorter({name: module.known - {name} for name, module in modules.items()}).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_imports_stand_at_the_top(modules: Mapping[str, Module]) -> None:
+    """But for the command line's, and for what a heavy library is kept out by: a run of a cached FMU needs no CasADi."""
+
+    def needs(libraries: tuple[str, ...], name: str, seen: set[str]) -> bool:
+        """Whether the import of a module, or a library with "!" before its name, loads one of these."""
+        if name.startswith("!"):
+            return name[1:] in libraries
+        if name in seen or name not in modules:
+            return False
+        seen.add(name)
+        return any(needs(libraries, each, seen) for each in modules[name].top)
+
+    def may_wait(late: str, module: Module) -> bool:
+        light = not any(needs(HEAVY, each, {module.name}) for each in module.top)
+        return (light and needs(HEAVY, late, set())) or needs(OPTIONAL, late, set())
+
+    wrong = [
+        f"{module.name} imports {late} within a function"
+        for module in modules.values()
+        for late in module.late
+        if _room(module.name) != "cosim.cli" and not may_wait(late, module)
+    ]
+    assert wrong == []
