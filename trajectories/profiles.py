@@ -157,7 +157,10 @@ def time_at(profile: Profile, fraction: float) -> float:
     def excess(eta: float) -> float:
         return pieces[bisect_right(starts, eta)].value(eta) - fraction
 
-    return float(brentq(excess, 0.0, 1.0, xtol=1e-17, rtol=4 * np.finfo(float).eps))
+    eta = float(brentq(excess, 0.0, 1.0, xtol=1e-17, rtol=4 * np.finfo(float).eps))
+    # one Newton step, since brentq stops within a few roundings of the root
+    value, slope = evaluate_profile(profile, eta, 1).derivatives()[:, 0]
+    return eta - float((value - fraction) / slope)
 
 
 @cache
