@@ -15,7 +15,7 @@ from flexfmu.fmu_build.picture import block_picture
 if TYPE_CHECKING:
     from flexfmu.fmu_build.naming import Naming
     from flexfmu.fmu_build.sources import Sources
-    from flexfmu.model.block import SymbolicBlock
+    from flexfmu.model.symbolic import SymbolicBlock
 
 DEFAULT_SAMPLES = 1000
 """Length of the default experiment in samples."""

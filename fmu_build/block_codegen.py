@@ -18,7 +18,7 @@ from flexfmu.fmu_build.codegen import (
 )
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.templating import render
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 SAMPLE_FILE = function_file("sample")
 _TEMPLATE = "block_description.c.j2"

@@ -12,7 +12,7 @@ from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.interface import FmiVariable, Interface, Unknown, check_names, real_variable
 from flexfmu.fmu_build.picture import FINE_PEN, PAGE_SIZE, block_picture
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 SAMPLES = "statistics.samples"
 """Name of the counter, the only Integer variable."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.fmu_build.picture import Picture
-from flexfmu.model.drawing import Point
+from flexfmu.model.symbolic import Point
 
 ICON_FILE = "model.png"
 """Where the standard wants it."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import cos, hypot, pi, sin
 from typing import Literal
 
-from flexfmu.model.drawing import Drawing, Point
+from flexfmu.model.symbolic import Drawing, Point
 
 FONT_SIZE = 15.0
 """Of the labels [px]."""

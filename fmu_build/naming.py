@@ -24,8 +24,7 @@ from flexfmu.fmu_build.errors import ModelError
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.interface import Interface
-    from flexfmu.model.block import SymbolicBlock
-    from flexfmu.model.symbolic import SymbolicModel, Variable
+    from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel, Variable
 
 Naming = Literal["structured", "flat"]
 """How variables are named; FMI's attribute ``variableNamingConvention``."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import ceil, hypot
 
 from flexfmu.fmu_build.labels import ROOM, Label, Stamp, place_labels
-from flexfmu.model.drawing import Drawing, Part, Point
+from flexfmu.model.symbolic import Drawing, Part, Point
 
 COLOURS: dict[Part, str] = {
     "proximal": "#1f3a5f",

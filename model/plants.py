@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from flexfmu.model.choice_text import choice_notes
-from flexfmu.model.drawing import Bar, Drawing, Spot
 from flexfmu.model.motion_driven import motion_driven_plant
 from flexfmu.model.scene.assembly import bases, elbows
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.symbolic import SymbolicModel
+from flexfmu.model.symbolic import Bar, Drawing, Spot, SymbolicModel
 from flexfmu.model.torque_driven import torque_driven_plant
 
 

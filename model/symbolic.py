@@ -1,22 +1,29 @@
-"""A symbolic model: the equations of a plant as CasADi functions, with the variables that a user sees.
+"""What the code generator takes: a plant or a block as equations (CasADi functions) with the variables that a user sees.
 
-The equations are of second order in ``n`` unknown coordinates ``y`` (motion-driven plant: the elastic coordinates;
-torque-driven plant: actuated and elastic coordinates)::
+A plant is of second order in ``n`` unknown coordinates ``y`` (motion-driven plant: the elastic coordinates; torque-driven plant:
+actuated and elastic coordinates)::
 
     r(y, y', y'', u, d) = M(y, u, d) y'' + b(y, y', u, d) = 0
 
-with the inputs ``u`` and the derived parameters ``d``, which follow from the FMI parameters ``p`` once.
+with the inputs ``u`` and the derived values ``d``, which follow from the FMI parameters ``p`` once.
+
+A block is a discrete-time system: a controller, shaper or imperfection, from which both its Python slave and its FMU are made,
+so that they give the same numbers. At its sample instants t_k = offset + k * sample_time it reads its inputs u, outputs y and
+updates its states x::
+
+    y_k = output(x_k, u_k, p)        x_{k+1} = update(x_k, u_k, p)
+
+and keeps y until the next instant.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
 
-import casadi
-
-from flexfmu.model.drawing import Drawing
+if TYPE_CHECKING:  # these types are light: whoever only passes them on doesn't load CasADi
+    import casadi
 
 Causality = Literal["input", "parameter", "output"]
 
@@ -101,6 +108,45 @@ class EffectNote:
     contributes: tuple[str, ...] = ()
 
 
+Point = tuple[float, float]
+Part = Literal["proximal", "distal", "motor", "joint", "end effector"]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A link.
+
+    Attributes:
+        name: as the variables call it.
+        part: which kind of link.
+        start, end: its ends [m].
+        diameter: [m].
+    """
+
+    name: str
+    part: Part
+    start: Point
+    end: Point
+    diameter: float
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A point with a name, [m]."""
+
+    name: str
+    part: Part
+    position: Point
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A mechanism in its start pose, for whoever wants to draw it."""
+
+    bars: tuple[Bar, ...]
+    spots: tuple[Spot, ...]
+
+
 @dataclass(frozen=True)
 class SymbolicModel:
     """A plant as equations and variables; a pure value that `flexfmu.fmu_build` turns into C.
@@ -151,3 +197,34 @@ class SymbolicModel:
     def degrees_of_freedom(self) -> int:
         """Number of unknown coordinates n."""
         return len(self.unknowns)
+
+
+@dataclass(frozen=True)
+class SymbolicBlock:
+    """A block as equations and variables; a pure value.
+
+    Attributes:
+        name: model name.
+        description: one sentence.
+        sample_time: [s], above zero.
+        offset: first sample instant [s], zero or positive.
+        inputs, outputs, parameters: variables in the order of u, y and p.
+        states: start values of the states x.
+        output: CasADi function (x, u, p) → y, all dense column vectors.
+        update: CasADi function (x, u, p) → next x.
+        feedthrough: for each output the names of the inputs that it depends on at the same instant.
+        latency: for outputs that are delayed on purpose by how much they lag at low frequency [s], without the hold.
+    """
+
+    name: str
+    description: str
+    sample_time: float
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    output: casadi.Function
+    update: casadi.Function
+    parameters: tuple[Variable, ...] = ()
+    states: tuple[float, ...] = ()
+    offset: float = 0.0
+    feedthrough: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    latency: Mapping[str, float] = field(default_factory=dict)

@@ -42,7 +42,7 @@ UNKNOWN: Mapping[str, tuple[str, ...]] = {
 }
 """Room → rooms below it that it must not know."""
 
-TYPES = ("model.symbolic", "model.block", "model.drawing")
+TYPES = ("model.symbolic",)
 """All that `fmu_build` knows of the model: the types of what it is given."""
 
 OPTIONAL = ("control", "exudyn", "plotly")

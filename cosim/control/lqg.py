@@ -17,10 +17,10 @@ from flexfmu.cosim.control.controllers.state_feedback import (
 )
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.linear import linearize, operating_point
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicBlock
 
 POSITIONS = ("joint1.position", "joint2.position")
 RATES = ("joint1.velocity", "joint2.velocity")

@@ -12,8 +12,7 @@ import numpy as np
 from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import check_sampling
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 LONGEST_LINE = 20_000

@@ -205,7 +205,7 @@ def _check_exportable(slave: Slave) -> None:
     if not isinstance(slave, (FmuSlave, SampledFmu, FmuTask, BlockSlave, TrajectorySlave)):
         raise InputError(
             f"slave {slave.name!r} is a {type(slave).__name__} in Python and can't leave as an FMU; make it a SymbolicBlock "
-            "(flexfmu.model.block) or a python-control system, or name the other slaves to export"
+            "(flexfmu.model.symbolic) or a python-control system, or name the other slaves to export"
         )
 
 

@@ -16,12 +16,12 @@ from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.section_blocks import controller_block, imperfection_block
 from flexfmu.cosim.experiment.user_slaves import Names, as_slave, from_source
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.modes import damped_modes
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, LoopSection, PythonSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.shapers import ImpulseShaperSection, SpecifiedInsensitivitySection
+from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.shapers.catalogue import design
 from flexfmu.trajectories.shapers.oscillator import Oscillator
 from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity

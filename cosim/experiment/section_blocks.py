@@ -27,9 +27,9 @@ from flexfmu.cosim.control.imperfections.saturation import saturation
 from flexfmu.cosim.control.lqg import LqgWeights, lqg
 from flexfmu.cosim.experiment.cycles import samples_in_a_cycle
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene import controllers, imperfections
+from flexfmu.model.symbolic import SymbolicBlock
 
 
 def controller_block(section: Any, motion: MotionPlan) -> SymbolicBlock:

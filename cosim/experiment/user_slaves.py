@@ -17,6 +17,7 @@ from typing import Any
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.model.scene.loop import RESERVED
+from flexfmu.model.symbolic import SymbolicBlock
 
 
 class Names:
@@ -73,7 +74,6 @@ def as_slave(source: Any, names: Names | None = None, name: str | None = None) -
     """
     from flexfmu.cosim.control.blocks.slave import BlockSlave
     from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
-    from flexfmu.model.block import SymbolicBlock
 
     names = names or Names()
     if isinstance(source, SymbolicBlock):

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
 Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]

@@ -26,8 +26,7 @@ from flexfmu.cosim.engine.slave import (
     SlaveVariable,
 )
 from flexfmu.fmu_build.errors import BuildError
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 GAIN = Variable("gain", "1", "Gain", "parameter", 2.0, minimum=0.0, maximum=10.0)
 

@@ -20,9 +20,9 @@ from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.fmu_build.block_codegen import sample_function
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
 Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]

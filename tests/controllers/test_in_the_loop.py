@@ -25,10 +25,10 @@ from flexfmu.cosim.engine.master.master import Outcome, simulate
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
 from flexfmu.fmu_build.block_build import build_block_fmu
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.linear import linearize, operating_point
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
 

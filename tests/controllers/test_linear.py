@@ -16,8 +16,8 @@ from flexfmu.cosim.control.blocks.code import COMPILED_FROM, block_function
 from flexfmu.cosim.control.controllers.from_control import control_block, dotted, from_control, realise
 from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.linear import signal_label
+from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
 Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]

@@ -16,7 +16,7 @@ from flexfmu.cosim.control.controllers.limits import Limits, symmetric
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
 Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]

@@ -21,7 +21,7 @@ from flexfmu.cosim.control.controllers.state_feedback import (
     static_feedforward,
 )
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
 

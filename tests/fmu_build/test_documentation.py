@@ -16,11 +16,10 @@ from flexfmu.fmu_build.description import plant_description
 from flexfmu.fmu_build.documentation import PICTURE_SIZE, documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.icon import png
-from flexfmu.model.drawing import Point
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.symbolic import SymbolicModel
+from flexfmu.model.symbolic import Point, SymbolicModel
 
 VOID = {"meta", "br", "hr", "img", "input", "link"}
 

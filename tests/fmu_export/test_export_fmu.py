@@ -26,8 +26,7 @@ from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
 from flexfmu.fmu_build.validation.steps import interpolates_inputs
 from flexfmu.fmu_build.validation.validate import validate_fmu
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 from flexfmu.trajectories.profiles import BangBang
 
 Export = Callable[..., Any]

@@ -20,7 +20,7 @@ from flexfmu.cosim.control.imperfections.quantisation import encoder
 from flexfmu.cosim.control.shaper_block import shaper_block
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.fmu_build.validation.validate import validate_fmu
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 COUNT = 200
 """Samples: four stages of the source, five cycles of what learns, and more than the memory of what delays."""

@@ -22,7 +22,7 @@ from flexfmu.cosim.control.imperfections.saturation import saturation
 from flexfmu.cosim.control.imperfections.variables import per_second
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.system import connect
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 H = 1e-3
 POSITIONS = joint_channels("position", (0.25, 2.5))

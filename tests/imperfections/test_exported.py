@@ -17,7 +17,7 @@ from flexfmu.cosim.control.imperfections.delay import whole_delay
 from flexfmu.cosim.control.imperfections.jitter import jitter
 from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
 from flexfmu.fmu_build.block_build import build_block_fmu
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 H = 1e-3
 POSITIONS = joint_channels("position", (0.4, -0.6))

@@ -15,7 +15,7 @@ from flexfmu.cosim.control.imperfections.channels import Channel, joint_channels
 from flexfmu.cosim.control.imperfections.noise import gaussian_noise, uniform_noise
 from flexfmu.cosim.control.imperfections.random_streams import JUMP, MODULI, MULTIPLIERS, start_states
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 H = 2.5e-4
 POSITIONS = joint_channels("position")

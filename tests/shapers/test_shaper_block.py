@@ -9,8 +9,8 @@ import pytest
 from flexfmu.cosim.control.shaper_block import JOINT_REFERENCES, ShapedSignal, shaper_block
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, ShapedTrajectory, design
 
 MODE = Oscillator(58.0, 0.02)

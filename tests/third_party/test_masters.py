@@ -16,8 +16,8 @@ from export_support.kinds import KINDS, motion, seen_late, signals_of, source
 from third_party_support.agreement import ROUNDING, TOOLS, SharedRun, Tool, apart, exact, shared_run, tool
 
 from flexfmu.fmu_build.block_build import build_block_fmu
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.symbolic import SymbolicBlock
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ from flexfmu.fmu_build.hashing import content_hash
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import Sources, elementary_sources
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, find_compiler
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 COMPILED_FROM = 200
 """Blocks of at least this many operations are compiled unless told otherwise.

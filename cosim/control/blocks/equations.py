@@ -11,8 +11,7 @@ import casadi
 
 from flexfmu.cosim.control.blocks.slave import check_variables
 from flexfmu.cosim.engine.slave import check_sampling
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 Vector = Any
 """A CasADi column vector, SX or MX."""

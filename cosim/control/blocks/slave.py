@@ -13,8 +13,7 @@ from flexfmu.cosim.engine.binding import Copy, is_range
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
 from flexfmu.fmu_build.block_codegen import check_block
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
 class BlockSlave:

@@ -19,8 +19,7 @@ from flexfmu.cosim.control.controllers.joints import (
 )
 from flexfmu.cosim.control.controllers.limits import Limits, saturate
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
 def computed_torque(

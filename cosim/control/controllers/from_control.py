@@ -15,7 +15,7 @@ from scipy.signal import cont2discrete
 from flexfmu.cosim.control.controllers.linear_system import LinearSystem, Signal, state_space
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 Method = Literal["zoh", "foh", "tustin", "euler", "backward"]
 """Discretisations: hold of order zero, exact for held inputs; hold of order one (triangle), exact for inputs linear between

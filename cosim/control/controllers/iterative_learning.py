@@ -19,7 +19,7 @@ from flexfmu.cosim.control.controllers.joints import (
     references,
 )
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 MAXIMUM_TABLE = 1_000_000
 """Tables of more samples than this are taken for a mistake in the cycle's unit."""

@@ -12,8 +12,7 @@ import numpy as np
 from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Causality, RealArray, check_sampling
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from flexfmu.cosim.control.controllers.joints import (
     torques,
 )
 from flexfmu.cosim.control.controllers.limits import Limits, saturate
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 
 def pd(

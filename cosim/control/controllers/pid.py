@@ -22,7 +22,7 @@ from flexfmu.cosim.control.controllers.joints import (
 )
 from flexfmu.cosim.control.controllers.limits import Limits, saturate
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 CLAMPING = Clamping()
 

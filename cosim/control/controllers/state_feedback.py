@@ -13,7 +13,7 @@ from flexfmu.cosim.control.controllers.limits import saturate
 from flexfmu.cosim.control.controllers.linear_system import LinearSystem, Signal, matrix, times, variables
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from flexfmu.cosim.control.imperfections.variables import (
     start_values,
     whole_number,
 )
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 VECTORISED_FROM = 100
 """Memories of at least this size move in one piece; below, single scalar operations are faster."""

@@ -13,8 +13,7 @@ from flexfmu.cosim.control.imperfections.random_streams import Streams, draw, se
 from flexfmu.cosim.control.imperfections.variables import initial_parameters, inputs, outputs, start_values
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import check_sampling
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
 def jitter(

@@ -22,7 +22,7 @@ from flexfmu.cosim.control.imperfections.variables import (
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 SAMPLES = 10
 """Samples in a time constant of a continuous lag that leaves as a sampled block."""

@@ -11,8 +11,7 @@ from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.imperfections.channels import Channel, empty, recall, remember
 from flexfmu.cosim.control.imperfections.random_streams import Streams, draw, seed_parameter, seeded
 from flexfmu.cosim.control.imperfections.variables import PerChannel, inputs, outputs, parameters, units
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 Draw = Callable[[Streams], tuple[Vector, Streams]]
 """Streams of n channels → random numbers (n,) and the streams behind them."""

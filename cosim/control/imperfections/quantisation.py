@@ -11,7 +11,7 @@ from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.controllers.joints import JOINTS
 from flexfmu.cosim.control.imperfections.channels import Channel, cut, empty, joint_channels, recall, remember, repeated
 from flexfmu.cosim.control.imperfections.variables import PerChannel, inputs, outputs, parameters, units, whole_number
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 
 def quantisation(

@@ -17,7 +17,7 @@ from flexfmu.cosim.control.imperfections.variables import (
     per_second,
     start_values,
 )
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 
 def rate_limit(

@@ -9,7 +9,7 @@ from flexfmu.cosim.control.controllers.limits import saturate
 from flexfmu.cosim.control.imperfections.channels import Channel
 from flexfmu.cosim.control.imperfections.variables import PerChannel, inputs, outputs, parameters, units
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.model.block import SymbolicBlock
+from flexfmu.model.symbolic import SymbolicBlock
 
 
 def saturation(

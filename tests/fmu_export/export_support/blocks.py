@@ -8,8 +8,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.model.block import SymbolicBlock
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 Array = NDArray[np.float64]
 

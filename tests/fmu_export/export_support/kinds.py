@@ -32,10 +32,9 @@ from flexfmu.cosim.control.imperfections.quantisation import encoder, quantisati
 from flexfmu.cosim.control.imperfections.rate_limit import rate_limit
 from flexfmu.cosim.control.imperfections.saturation import saturation
 from flexfmu.cosim.control.shaper_block import shaper_block
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.symbolic import Variable
+from flexfmu.model.symbolic import SymbolicBlock, Variable
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 Array = NDArray[np.float64]

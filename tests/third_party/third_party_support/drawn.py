@@ -19,11 +19,11 @@ from flexfmu.cosim.control.shaper_block import shaper_block
 from flexfmu.fmu_build.block_description import block_description, with_starts
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.model.block import SymbolicBlock
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
+from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 SHIPPED = ("barnard2012-6kg", "barnard2012-0.1kg")
