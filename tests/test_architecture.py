@@ -34,7 +34,6 @@ ROOMS = (
 
 UNKNOWN: Mapping[str, tuple[str, ...]] = {
     "trajectories": (),
-    "model.scene": ("trajectories",),
     "model.finite_elements": ("model.selection",),
     "fmu_build": ("model.scene", "model.selection", "model.finite_elements"),
     "fmu_build.validation": ("trajectories", "model.scene", "model", "model.selection", "model.finite_elements"),

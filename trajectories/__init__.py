@@ -1,7 +1,6 @@
 """What the robot shall do: paths, blends, profiles, motions over time, and impulse sequences of shapers; numpy and scipy alone."""
 
-from flexfmu.trajectories.blends import Blend, LameBlend, PolarPolynomial
-from flexfmu.trajectories.clothoid import ClothoidPair
+from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
 from flexfmu.trajectories.curves import PiecewiseCurve, PlaneJets, Point, Side
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import Jet

@@ -1,61 +1,70 @@
 """Blends: smooth corners of the pick-and-place path.
 
 A blend starts at the origin along the lift (second axis), turns by 90 degrees and ends at (width, height) along the
-crossing (first axis). Its curvature is zero at both ends.
+crossing (first axis). Its curvature is zero at both ends. A new kind is a class here and a line in `BLENDS`.
+
+Sources: C. J. Barnard, S. Briot, S. Caro, ESDA 2012, section 3 (all three); W. Nelson, *Continuous-curvature paths for
+autonomous vehicles*, ICRA 1989 (polar polynomial).
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import fresnel
 
 from flexfmu.trajectories.checks import positive
-from flexfmu.trajectories.curves import ParametricPiece, PiecewiseCurve, PlaneJets
-from flexfmu.trajectories.jets import Jet, power, sincos
+from flexfmu.trajectories.curves import ParametricPiece, PiecewiseCurve, PlacedPiece, PlaneJets
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import Jet, RealArray, power, sincos
 
 QUARTER = 0.5 * math.pi
+"""The turning of a blend [rad]."""
 
-
-class Blend(Protocol):
-    """A corner of height d along the lift and width e along the crossing."""
-
-    @property
-    def height(self) -> float:
-        """Extent d along the lift [m]."""
-        ...
-
-    @property
-    def width(self) -> float:
-        """Extent e along the crossing [m]."""
-        ...
-
-    @property
-    def curve(self) -> PiecewiseCurve:
-        """The blend by arc length; coordinates are along the crossing and along the lift [m]."""
-        ...
+LOWEST_RATIO, HIGHEST_RATIO = 0.5621, 1.7790
+"""Limits of a clothoid pair's e/d, exclusive. The geometry ends at 0.561948 and 1.779526, where one part of the pair has
+vanished and a single clothoid is left; these limits keep the shorter part at more than 0.03 degrees of turning."""
 
 
 @dataclass(frozen=True)
-class LameBlend:
-    """Lamé curve of order three: ((e - x)/e)³ + (y/d)³ = 1.
-
-    The parametrisation (e - x)/e, y/d = (cos t, sin t) / (cos³t + sin³t)^(1/3) is analytic over the closed quarter,
-    so that all one-sided derivatives at the ends are exact, and symmetric in the two axes.
-
-    Source: Barnard, Briot, Caro, ESDA 2012, section 3.
+class Blend(ABC):
+    """A corner of height d along the lift and width e along the crossing.
 
     Attributes:
         height: d [m].
         width: e [m].
+
+    Raises:
+        TrajectoryError: no such blend exists.
     """
 
     height: float
     width: float
 
     def __post_init__(self) -> None:
-        _check_extent(self)
+        positive("blend height d", self.height, "m")
+        positive("blend width e", self.width, "m")
+
+    @property
+    @abstractmethod
+    def curve(self) -> PiecewiseCurve:
+        """The blend by arc length; coordinates are along the crossing and along the lift [m]."""
+
+
+@dataclass(frozen=True)
+class LameBlend(Blend):
+    """Lamé curve of order three: ((e - x)/e)³ + (y/d)³ = 1.
+
+    The parametrisation (e - x)/e, y/d = (cos t, sin t) / (cos³t + sin³t)^(1/3) is analytic over the closed quarter,
+    so that all one-sided derivatives at the ends are exact, and symmetric in the two axes.
+    """
 
     @cached_property
     def curve(self) -> PiecewiseCurve:
@@ -69,23 +78,11 @@ class LameBlend:
 
 
 @dataclass(frozen=True)
-class PolarPolynomial:
+class PolarPolynomial(Blend):
     """Polar polynomial r(φ) = R (1 + φ²/2 - φ³/Φ + φ⁴/(2Φ²)) with Φ = π/2, scaled to d and e.
 
     Where d and e differ the blend is the affine image of the symmetric one.
-
-    Source: W. Nelson, *Continuous-curvature paths for autonomous vehicles*, ICRA 1989.
-
-    Attributes:
-        height: d [m].
-        width: e [m].
     """
-
-    height: float
-    width: float
-
-    def __post_init__(self) -> None:
-        _check_extent(self)
 
     @cached_property
     def curve(self) -> PiecewiseCurve:
@@ -98,6 +95,103 @@ class PolarPolynomial:
         return self.width * (1.0 - c * radius), self.height * (s * radius)
 
 
-def _check_extent(blend: Blend) -> None:
-    positive("blend height d", blend.height, "m")
-    positive("blend width e", blend.width, "m")
+@dataclass(frozen=True)
+class Clothoid:
+    """A clothoid from the origin along the second axis, turning towards the first.
+
+    Its heading from the second axis is turning · (s/length)², so that its curvature is 2 turning s / length².
+
+    Attributes:
+        length: length [m].
+        turning: heading at the end [rad].
+    """
+
+    length: float
+    turning: float
+
+    def jets(self, s: RealArray, order: int) -> PlaneJets:
+        """See `flexfmu.trajectories.curves.Piece`; the position is a pair of Fresnel integrals."""
+        unit = self.length * math.sqrt(QUARTER / self.turning)
+        across, along = fresnel(s / unit)
+        if order == 0:
+            return Jet(unit * across[None]), Jet(unit * along[None])
+        # the tangent is known in closed form; its integral's constant is the position
+        fraction = Jet.variable(s, order - 1) / self.length
+        sine, cosine = sincos(self.turning * fraction * fraction)
+        return sine.integrate(unit * across), cosine.integrate(unit * along)
+
+
+@dataclass(frozen=True)
+class ClothoidPair(Blend):
+    """Two clothoids with the curvature 0 → k → 0, linear in arc length on each, turning α and π/2 - α.
+
+    It exists for 0.5621 < e/d < 1.7790.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ratio = self.width / self.height
+        if not LOWEST_RATIO < ratio < HIGHEST_RATIO:
+            raise TrajectoryError(
+                f"a clothoid pair needs {LOWEST_RATIO:.4f} < e/d < {HIGHEST_RATIO:.4f}, got e/d = {ratio:.6g} "
+                f"(e = {self.width:g} m, d = {self.height:g} m); for d = {self.height:g} m choose e between "
+                f"{LOWEST_RATIO * self.height:.6g} m and {HIGHEST_RATIO * self.height:.6g} m"
+            )
+
+    @cached_property
+    def first_turning(self) -> float:
+        """α [rad]: how far the first clothoid turns; π/4 when e = d."""
+        ratio = self.width / self.height
+        return float(brentq(lambda a: aspect_ratio(a) - ratio, 0.0, QUARTER, xtol=1e-16, rtol=4 * np.finfo(float).eps))
+
+    @cached_property
+    def curve(self) -> PiecewiseCurve:
+        """See `Blend`."""
+        # both clothoids end with the same radius of curvature, which follows from the area e d
+        first = self.first_turning
+        width, height = unit_extent(first)
+        radius = math.sqrt(self.width * self.height / (width * height))
+        rising = Clothoid(2.0 * first * radius, first)
+        falling = Clothoid(2.0 * (QUARTER - first) * radius, QUARTER - first)
+        # the second one is run through backwards, from the end of the blend
+        end = PlacedPiece(falling, (self.width, self.height), (0.0, -1.0), (-1.0, 0.0), backwards=True)
+        return PiecewiseCurve((rising, end))
+
+
+def unit_extent(first_turning: float) -> tuple[float, float]:
+    """Width and height of the pair with peak curvature 1 whose first clothoid turns by ``first_turning`` [rad]."""
+
+    def end(turning: float) -> tuple[float, float]:
+        """Across and along the start tangent."""
+        across, along = fresnel(math.sqrt(turning / QUARTER))
+        unit = 2.0 * math.sqrt(turning * QUARTER)
+        return unit * float(across), unit * float(along)
+
+    (across_1, along_1), (across_2, along_2) = end(first_turning), end(QUARTER - first_turning)
+    return across_1 + along_2, along_1 + across_2
+
+
+def aspect_ratio(first_turning: float) -> float:
+    """e/d of the pair whose first clothoid turns by ``first_turning`` [rad], falling from 1.7795 to 0.5619."""
+    width, height = unit_extent(first_turning)
+    return width / height
+
+
+class BlendKind(NamedTuple):
+    """A kind of blend that scene files can name.
+
+    Attributes:
+        label: name in the report.
+        make: from height d and width e [m] to the blend.
+    """
+
+    label: str
+    make: Callable[[float, float], Blend]
+
+
+BLENDS: Mapping[str, BlendKind] = {
+    "lame": BlendKind("Lamé", LameBlend),
+    "clothoid": BlendKind("clothoid", ClothoidPair),
+    "polar": BlendKind("polar polynomial", PolarPolynomial),
+}
+"""Name in the scene file → the blend."""

@@ -1,10 +1,15 @@
-"""Motion profiles: the fraction of the path as a function of the fraction of the duration."""
+"""Motion profiles: the fraction of the path σ as a function of the fraction of the duration η.
+
+A profile is made of smooth pieces, each of which gives its Taylor series at any point, so that derivatives of every order
+are exact. A new profile is a class here and a line in `PROFILES`, with its name in scene files and its parameters there.
+"""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Protocol
 
@@ -111,6 +116,24 @@ class BangBang:
 
 
 @dataclass(frozen=True)
+class Parameter:
+    """The range of a profile's parameter, which is a fraction of the duration: above < parameter ≤ at_most."""
+
+    above: float
+    at_most: float
+
+    def check(self, name: str, value: float) -> None:
+        """Raise TrajectoryError for a value that is out of range or no number."""
+        if not self.above < value <= self.at_most:
+            raise TrajectoryError(
+                f"{name} must be above {self.above:g} and at most {self.at_most:g} of the duration, got {value:g}"
+            )
+
+
+RAMP = Parameter(above=0.0, at_most=0.5)
+
+
+@dataclass(frozen=True)
 class Trapezoidal:
     """Trapezoidal velocity: constant acceleration, constant velocity 1/(1 - ramp), constant deceleration.
 
@@ -121,8 +144,7 @@ class Trapezoidal:
     ramp: float
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.ramp <= 0.5:
-            raise TrajectoryError(f"ramp must be above 0 and at most 0.5 of the duration, got {self.ramp:g}")
+        RAMP.check("ramp", self.ramp)
 
     @property
     def pieces(self) -> tuple[ProfilePiece, ...]:
@@ -136,6 +158,29 @@ class Trapezoidal:
     def jumps(self) -> tuple[float, ...]:
         """The ends of the ramps."""
         return tuple(sorted({self.ramp, 1.0 - self.ramp}))
+
+
+@dataclass(frozen=True)
+class ProfileKind:
+    """A kind of profile that scene files can name.
+
+    Attributes:
+        label: name in the report.
+        make: from the parameters, by their names, to the profile.
+        parameters: name in the scene file → range; parameters of the same name have the same range in all kinds.
+    """
+
+    label: str
+    make: Callable[..., Profile]
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+
+
+PROFILES: Mapping[str, ProfileKind] = {
+    "poly7": ProfileKind("seventh-degree polynomial", SeventhDegreePolynomial),
+    "bang-bang": ProfileKind("bang-bang", BangBang),
+    "trapezoidal": ProfileKind("trapezoidal", Trapezoidal, {"ramp": RAMP}),
+}
+"""Name in the scene file → the profile."""
 
 
 def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Side = "right") -> Jet:

@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.blends import Blend, LameBlend, PolarPolynomial
-from flexfmu.trajectories.clothoid import ClothoidPair
+from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.joint import JointTrajectory
 from flexfmu.trajectories.path import PickAndPlacePath
-from flexfmu.trajectories.profiles import BangBang, Profile, SeventhDegreePolynomial, Trapezoidal
+from flexfmu.trajectories.profiles import PROFILES
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
-
-BLENDS: Mapping[str, Callable[[float, float], Blend]] = {
-    "lame": LameBlend,
-    "clothoid": ClothoidPair,
-    "polar": PolarPolynomial,
-}
-"""Name of a blend in the scene file → the blend of a height d and a width e [m]."""
-
-PROFILES: Mapping[str, Callable[..., Profile]] = {
-    "poly7": SeventhDegreePolynomial,
-    "bang-bang": BangBang,
-    "trapezoidal": Trapezoidal,
-}
-"""Name of a profile in the scene file → the profile, by the other keys of its section."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +75,7 @@ def plan(scene: Scene) -> MotionPlan:
     section = scene.trajectory
     corner = section.blend.kind, section.blend.height, section.blend.width
     path = _path(section.start, section.lift, section.height, section.width, corner)
-    profile = PROFILES[section.profile.kind](**section.profile.model_dump(exclude={"kind"}, exclude_none=True))
+    profile = PROFILES[section.profile.kind].make(**section.profile.parameters)
     task = TaskTrajectory(path, profile, section.duration)
     kinematics = RigidKinematics(scene.mechanism)
     return MotionPlan(scene, task, kinematics, task, JointTrajectory(task, kinematics))
@@ -101,4 +85,4 @@ def plan(scene: Scene) -> MotionPlan:
 def _path(start: Point, lift: Point, height: float, width: float, corner: tuple[str, float, float]) -> PickAndPlacePath:
     """The path; equal ones share their table of arc lengths."""
     kind, *extent = corner
-    return PickAndPlacePath(start, lift, height, width, BLENDS[kind](*extent))
+    return PickAndPlacePath(start, lift, height, width, BLENDS[kind].make(*extent))

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display
+from flexfmu.trajectories.blends import BLENDS
+from flexfmu.trajectories.profiles import PROFILES
 
 if TYPE_CHECKING:
     from flexfmu.cosim.reports.plots import Plot
@@ -21,17 +23,6 @@ TILES = (
     "settling_time",
 )
 """The metrics at the top of the report."""
-
-
-_NAMES: Mapping[str, str] = {
-    "lame": "Lamé",
-    "clothoid": "clothoid",
-    "polar": "polar polynomial",
-    "poly7": "seventh-degree polynomial",
-    "bang-bang": "bang-bang",
-    "trapezoidal": "trapezoidal",
-}
-"""Kinds of blends and profiles in the scene file → their names in the report."""
 
 
 def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
@@ -79,7 +70,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
 
 def _motion_sentence(scene: Mapping[str, Any]) -> str:
     trajectory = scene["trajectory"]
-    blend, profile = _NAMES[trajectory["blend"]["kind"]], _NAMES[trajectory["profile"]["kind"]]
+    blend, profile = BLENDS[trajectory["blend"]["kind"]].label, PROFILES[trajectory["profile"]["kind"]].label
     return (
         f"Pick-and-place motion of {1e3 * trajectory['height']:g} mm × {1e3 * trajectory['width']:g} mm in "
         f"{trajectory['duration']:g} s with {blend} blends and the {profile} profile, then a dwell of "

@@ -3,42 +3,70 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeAlias
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator, create_model, model_validator
 
 from flexfmu.model.scene.mechanism import Length
+from flexfmu.model.scene.messages import listed
 from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, as_tuple, named_kind, quantity
+from flexfmu.trajectories.blends import BLENDS
+from flexfmu.trajectories.profiles import PROFILES
 
 Point = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
 Direction = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("1")]
 
 
+class ProfileSection(Section):
+    """Motion along the path: a kind of `PROFILES`, and the parameters of that kind."""
+
+    kind: str
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The parameters by their names."""
+        return self.model_dump(exclude={"kind"}, exclude_none=True)
+
+    @model_validator(mode="after")
+    def _parameters_belong_to_the_kind(self) -> Self:
+        own = PROFILES[self.kind].parameters
+        for name, range_ in own.items():
+            if name not in self.parameters:
+                raise ValueError(
+                    f"`{name}` is missing: profile `{self.kind}` needs {range_.above:g} < {name} <= {range_.at_most:g} "
+                    "(fraction of the duration)"
+                )
+        for name, value in self.parameters.items():
+            if name not in own:
+                owners = listed(kind for kind, profile in PROFILES.items() if name in profile.parameters)
+                raise ValueError(f"`{name}` = {value} belongs to profile {owners} alone: remove it from `{self.kind}`")
+        return self
+
+
+# the words and keys that the tables know; a type checker can't read them from there
+if TYPE_CHECKING:
+    BlendName: TypeAlias = str
+    Profile: TypeAlias = ProfileSection
+else:
+    BlendName = Literal[tuple(BLENDS)]
+    Profile = create_model(
+        "Profile",
+        __base__=ProfileSection,
+        kind=(Literal[tuple(PROFILES)], ...),
+        **{
+            name: (Annotated[float, quantity("1", gt=range_.above, le=range_.at_most)] | None, None)
+            for profile in PROFILES.values()
+            for name, range_ in profile.parameters.items()
+        },
+    )
+
+
 class Blend(Section):
     """Rounding of the path's two corners: d = height along the lift, e = width along the crossing."""
 
-    kind: Literal["lame", "clothoid", "polar"]
+    kind: BlendName
     height: Length
     width: Length
-
-
-class Profile(Section):
-    """Motion along the path; `ramp` is the fraction of the duration of each ramp of the trapezoidal velocity."""
-
-    kind: Literal["poly7", "bang-bang", "trapezoidal"]
-    ramp: Annotated[float, quantity("1", gt=0.0, le=0.5)] | None = None
-
-    @model_validator(mode="after")
-    def _ramp_belongs_to_trapezoidal(self) -> Self:
-        if self.kind == "trapezoidal" and self.ramp is None:
-            raise ValueError(
-                "`ramp` is missing: profile `trapezoidal` needs 0 < ramp <= 0.5 (fraction of the duration)"
-            )
-        if self.kind != "trapezoidal" and self.ramp is not None:
-            raise ValueError(
-                f"`ramp` = {self.ramp} belongs to profile `trapezoidal` alone: remove it from `{self.kind}`"
-            )
-        return self
 
 
 class TrajectorySection(Section):

@@ -15,8 +15,7 @@ from export_support.trajectories import Swing, lame, robot
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
 from flexfmu.fmu_build.trajectory_table import END_ORDER, tabulate
-from flexfmu.trajectories.blends import PolarPolynomial
-from flexfmu.trajectories.clothoid import ClothoidPair
+from flexfmu.trajectories.blends import ClothoidPair, PolarPolynomial
 from flexfmu.trajectories.profiles import BangBang, SeventhDegreePolynomial, Trapezoidal
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.shapers.shaped import ShapedTrajectory

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.special import fresnel
 
 from flexfmu.trajectories import ClothoidPair, TrajectoryError
-from flexfmu.trajectories.clothoid import HIGHEST_RATIO, LOWEST_RATIO, aspect_ratio
+from flexfmu.trajectories.blends import HIGHEST_RATIO, LOWEST_RATIO, aspect_ratio
 
 seeded = settings(derandomize=True, deadline=None, max_examples=40)
 
