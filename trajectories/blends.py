@@ -20,9 +20,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import fresnel
 
-from flexfmu.trajectories.checks import positive
 from flexfmu.trajectories.curves import ParametricPiece, PiecewiseCurve, PlacedPiece, PlaneJets
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError, positive
 from flexfmu.trajectories.jets import Jet, RealArray, power, sincos
 
 QUARTER = 0.5 * math.pi

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from flexfmu.trajectories.arc_length import ArcLengthTable, tabulate
-from flexfmu.trajectories.checks import within
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError, within
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order, compose, revert, sqrt, stack, unstack
 
 Side: TypeAlias = Literal["left", "right"]

@@ -10,9 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.trajectories.checks import times
 from flexfmu.trajectories.curves import Side, checked_side
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError, times
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order
 from flexfmu.trajectories.trajectory import Trajectory, limits
 

@@ -9,7 +9,6 @@ from functools import cached_property
 from numpy.typing import ArrayLike
 
 from flexfmu.trajectories.blends import Blend
-from flexfmu.trajectories.checks import plane_vector, positive
 from flexfmu.trajectories.curves import (
     Piece,
     PiecewiseCurve,
@@ -21,7 +20,7 @@ from flexfmu.trajectories.curves import (
     place,
     place_backwards,
 )
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError, plane_vector, positive
 
 FIT = 1e-12
 """Relative excess of a blend over the room for it that counts as rounding, and remainder that leaves no straight part."""

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from flexfmu.trajectories.checks import within
 from flexfmu.trajectories.curves import Side, checked_side
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError, within
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order
 
 

@@ -11,8 +11,8 @@ from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.trajectories.checks import positive, times
 from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side, placed
+from flexfmu.trajectories.errors import positive, times
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order, compose, joined, stack, unstack
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile, SmoothPiece, time_at
@@ -110,7 +110,7 @@ class TaskTrajectory:
     def breakpoints(self) -> tuple[float, ...]:
         """Times [s] of the profile's jumps and of the path's knots, 0 and the duration, sorted."""
         passages = [time_at(self.profile, knot / self.path.length) for knot in self.path.knots]
-        return tuple(self.duration * eta for eta in _merged(self.profile.jumps, passages))
+        return tuple(self.duration * eta for eta in merged([0.0, 1.0], [*self.profile.jumps, *passages]))
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """x and y [m] and their time derivatives; see `Trajectory.evaluate`."""
@@ -160,7 +160,7 @@ class TaskTrajectory:
     def _intervals(self) -> tuple[Interval, ...]:
         """Intervals between breakpoints, split also where the profile changes its expansion."""
         joins = [piece.start for piece in self.profile.pieces[1:]]
-        bounds = _merged([time / self.duration for time in self.breakpoints[1:-1]], joins)
+        bounds = merged([0.0, 1.0], [*(time / self.duration for time in self.breakpoints[1:-1]), *joins])
         return tuple(self._interval(a, b) for a, b in pairwise(bounds))
 
     def _interval(self, start: float, end: float) -> Interval:
@@ -171,10 +171,10 @@ class TaskTrajectory:
         return Interval(start * self.duration, profile, placed(curve.pieces[index]), float(curve.edges[index]))
 
 
-def _merged(first: Sequence[float], second: Sequence[float]) -> list[float]:
-    """Fractions of the duration, sorted, from 0 to 1; of those within SAME_TIME the one named first is kept."""
-    kept = [0.0, 1.0]
-    for eta in (*first, *second):
-        if min(abs(eta - other) for other in kept) > SAME_TIME:
-            kept.append(eta)
-    return sorted(kept)
+def merged(kept: Sequence[float], others: Sequence[float], near: float = SAME_TIME) -> tuple[float, ...]:
+    """Times, ascending: the kept ones, and of the others those that are not within ``near`` of one before."""
+    found = list(kept)
+    for time in others:
+        if min(abs(time - other) for other in found) > near:
+            found.append(time)
+    return tuple(sorted(found))

@@ -23,12 +23,11 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.shapers import ImpulseShaperSection, SpecifiedInsensitivitySection
 from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.shapers.catalogue import design
-from flexfmu.trajectories.shapers.oscillator import Oscillator
+from flexfmu.trajectories.shapers.sequence import Oscillator
 from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
 
 if TYPE_CHECKING:
-    from flexfmu.trajectories.shapers.oscillator import Oscillator
-    from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+    from flexfmu.trajectories.shapers.sequence import ImpulseSequence, Oscillator
 
 
 class LoopBuilder:

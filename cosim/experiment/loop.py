@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Slave
-from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.experiment.shaping import APPLICATIONS, shape_joints
+from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, shape_joints
 from flexfmu.cosim.experiment.user_slaves import Names, as_slave
 from flexfmu.cosim.experiment.wiring import InlineBlock, inline_block
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence

@@ -1,17 +1,22 @@
-"""From a scene to the planned motion: path, task-space trajectory and joint trajectory."""
+"""From a scene to the planned motion: path, task-space trajectory and joint trajectory, and their shaping."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from flexfmu.model.kinematics import RigidKinematics
+from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.curves import Point
-from flexfmu.trajectories.joint import JointTrajectory
+from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.joint import JointTrajectory, check_margins
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import PROFILES
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory, ShapedTrajectory, path_deviation
+from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 
@@ -86,3 +91,39 @@ def _path(start: Point, lift: Point, height: float, width: float, corner: tuple[
     """The path; equal ones share their table of arc lengths."""
     kind, *extent = corner
     return PickAndPlacePath(start, lift, height, width, BLENDS[kind].make(*extent))
+
+
+def shape_joints(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
+    """The motion with shaped joint references; the rigid end effector leaves the path a little.
+
+    Raises:
+        TrajectoryError: the end effector comes too near to a singularity or to the workspace's boundary.
+    """
+    joints = ShapedTrajectory(motion.joints, sequence)
+    task = EndEffectorTrajectory(joints, RigidForwardKinematics(motion.scene.mechanism))
+    check_margins(task, motion.kinematics)
+    return replace(motion, task=task, joints=joints)
+
+
+def shape_path(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
+    """The motion along its path with shaped s(t), once more where it is shaped so already; the rigid end effector keeps to the path.
+
+    Raises:
+        TrajectoryError: negative impulses make the motion go backwards, or the joint references are shaped already.
+    """
+    if not isinstance(motion.task, TaskTrajectory):
+        raise TrajectoryError("shaped joint references leave the path: shape the motion along the path first")
+    task = shape_along_path(motion.task, sequence)
+    return replace(motion, task=task, joints=JointTrajectory(task, motion.kinematics))
+
+
+APPLICATIONS: Mapping[str, Callable[[MotionPlan, ImpulseSequence], MotionPlan]] = {
+    "joints": shape_joints,
+    "path": shape_path,
+}
+"""What is shaped → how."""
+
+
+def deviation(motion: MotionPlan) -> float:
+    """Largest distance [m] of the rigid end effector from the scene's path."""
+    return path_deviation(motion.task, motion.along_path.path)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.experiment.divergence import divergence
-from flexfmu.cosim.experiment.shaping import deviation
+from flexfmu.cosim.experiment.planning import deviation
 from flexfmu.cosim.metrics.cycle_errors import cycle_errors
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics.metrics import Measurement, Metrics

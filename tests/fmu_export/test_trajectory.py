@@ -18,7 +18,7 @@ from flexfmu.fmu_build.trajectory_table import END_ORDER, tabulate
 from flexfmu.trajectories.blends import ClothoidPair, PolarPolynomial
 from flexfmu.trajectories.profiles import BangBang, SeventhDegreePolynomial, Trapezoidal
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
-from flexfmu.trajectories.shapers.shaped import ShapedTrajectory
+from flexfmu.trajectories.shapers.shaped_joints import ShapedTrajectory
 
 PROMISE = 1e-12
 """Difference to the Python trajectory, relative to the largest value of the same kind."""

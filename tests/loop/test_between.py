@@ -19,7 +19,7 @@ from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.scene.schema import Scene
-from flexfmu.trajectories.shapers.oscillator import Oscillator
+from flexfmu.trajectories.shapers.sequence import Oscillator
 from flexfmu.trajectories.shapers.zero_vibration import zero_vibration
 
 MODE = {"frequency": 58.0, "ratio": 0.02}
@@ -67,7 +67,7 @@ def test_a_shaper_along_the_path_keeps_it(motion_driven: Scene) -> None:
     """The rigid robot's end effector stays on its path."""
     scene = motion_driven.replace({"shaper": [{"kind": "zv", "modes": [MODE], "apply": "path"}]})
     loop = loop_of(scene)
-    from flexfmu.cosim.experiment.shaping import deviation
+    from flexfmu.cosim.experiment.planning import deviation
 
     assert deviation(loop.motion) < 1e-9
     assert loop.motion.duration > 0.35

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.cosim.experiment.shaping import shape_joints, shape_path
+from flexfmu.cosim.experiment.planning import MotionPlan, plan, shape_joints, shape_path
 from flexfmu.model.kinematics import RigidForwardKinematics
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories import BangBang, JointTrajectory, TaskTrajectory, Trapezoidal

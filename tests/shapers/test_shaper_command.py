@@ -31,17 +31,16 @@ from flexfmu.cosim.choices.shapers.table import markdown, to_csv
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.planning import MotionPlan, deviation, plan, shape_joints, shape_path
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.sections import loop_of
-from flexfmu.cosim.experiment.shaping import deviation, shape_joints, shape_path
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.modes import DampedModes
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.shapers import UNSHAPED, ImpulseSequence, Oscillator, design
-from flexfmu.trajectories.shapers.shaped import ShapedTrajectory
+from flexfmu.trajectories.shapers.shaped_joints import ShapedTrajectory
 
 
 @pytest.fixture(scope="module")

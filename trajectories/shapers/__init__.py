@@ -1,12 +1,14 @@
 """Input shapers: impulse sequences against vibration, and motions convolved with them."""
 
 from flexfmu.trajectories.shapers.catalogue import SHAPERS, design
-from flexfmu.trajectories.shapers.deviation import path_deviation
-from flexfmu.trajectories.shapers.end_effector import EndEffectorTrajectory, ForwardKinematics
 from flexfmu.trajectories.shapers.extra_insensitive import extra_insensitive
-from flexfmu.trajectories.shapers.oscillator import Oscillator
-from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence
-from flexfmu.trajectories.shapers.shaped import ShapedTrajectory
+from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence, Oscillator
+from flexfmu.trajectories.shapers.shaped_joints import (
+    EndEffectorTrajectory,
+    ForwardKinematics,
+    ShapedTrajectory,
+    path_deviation,
+)
 from flexfmu.trajectories.shapers.shaped_profile import ShapedProfile, shape_along_path
 from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
 from flexfmu.trajectories.shapers.zero_vibration import modified_zero_vibration, unity_magnitude, zero_vibration

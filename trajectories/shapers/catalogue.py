@@ -7,8 +7,7 @@ from functools import reduce
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.shapers.extra_insensitive import extra_insensitive
-from flexfmu.trajectories.shapers.oscillator import Oscillator
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence, Oscillator
 from flexfmu.trajectories.shapers.zero_vibration import modified_zero_vibration, unity_magnitude, zero_vibration
 
 SHAPERS: Mapping[str, Callable[[Oscillator], ImpulseSequence]] = {

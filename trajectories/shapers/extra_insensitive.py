@@ -25,8 +25,7 @@ from scipy.optimize import root
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
-from flexfmu.trajectories.shapers.oscillator import Oscillator, checked_fraction
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence, Oscillator, checked_fraction
 
 MOST_HUMPS = 8
 """Humps up to which the damped equations were tried; nine half periods are long enough."""

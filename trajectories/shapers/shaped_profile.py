@@ -9,13 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from flexfmu.trajectories.checks import positive
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError, positive
 from flexfmu.trajectories.jets import Jet, RealArray
 from flexfmu.trajectories.profiles import Profile, SmoothPiece
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
-from flexfmu.trajectories.shapers.shaped import merged
-from flexfmu.trajectories.trajectory import SAME_TIME, TaskTrajectory
+from flexfmu.trajectories.trajectory import TaskTrajectory, merged
 
 BACKWARDS = 1e-9
 """Slowest relative speed along the path that counts as going backwards, not as rounding."""
@@ -50,12 +48,12 @@ class ShapedProfile:
     def pieces(self) -> tuple[SmoothPiece, ...]:
         """Sums of shifted pieces between all shifted joins."""
         joins = self._shifted([edge for piece in self.profile.pieces for edge in (piece.start, piece.end)])
-        return tuple(self._piece(start, end) for start, end in pairwise(merged([0.0, 1.0], joins, SAME_TIME)))
+        return tuple(self._piece(start, end) for start, end in pairwise(merged([0.0, 1.0], joins)))
 
     @cached_property
     def jumps(self) -> tuple[float, ...]:
         """Fractions at which a derivative of some order jumps: shifted starts, ends and jumps."""
-        points = merged([0.0, 1.0], self._shifted([0.0, *self.profile.jumps, 1.0]), SAME_TIME)
+        points = merged([0.0, 1.0], self._shifted([0.0, *self.profile.jumps, 1.0]))
         return points[1:-1]
 
     @property

@@ -14,12 +14,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
-from flexfmu.trajectories.checks import positive
-from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.errors import TrajectoryError, positive
 from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.shapers.extra_insensitive import chebyshev_amplitudes
-from flexfmu.trajectories.shapers.oscillator import checked_fraction, checked_ratio
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence, checked_fraction, checked_ratio
 
 MOST_IMPULSES = 10
 """Impulses that are tried; enough for a range from half to twice a frequency at 5 %."""

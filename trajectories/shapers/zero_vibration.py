@@ -14,8 +14,7 @@ from scipy.optimize import root
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
-from flexfmu.trajectories.shapers.oscillator import Oscillator
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence, Oscillator
 
 HIGHEST_DERIVATIVES = 20
 """Largest order: the last impulse comes ten periods late."""

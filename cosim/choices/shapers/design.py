@@ -16,8 +16,7 @@ from flexfmu.model.modes import DampedModes, damped_modes
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.shapers.catalogue import SHAPERS, design
-from flexfmu.trajectories.shapers.oscillator import Oscillator
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence
+from flexfmu.trajectories.shapers.sequence import ImpulseSequence, Oscillator
 from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
 
 POSES = 11

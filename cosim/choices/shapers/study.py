@@ -14,10 +14,9 @@ from flexfmu.cosim.choices.shapers.design import Alternative
 from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, deviation, plan
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.sections import loop_of
-from flexfmu.cosim.experiment.shaping import APPLICATIONS, deviation
 from flexfmu.cosim.metrics.metrics import Settings, measure, settings_for
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
