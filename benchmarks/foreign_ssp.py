@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "ssp"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "cosim" / "exchange" / "ssp"))
 
 from ssp_support.importers import signals_in
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "ssp"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "cosim" / "exchange" / "ssp"))
 
 from ssp_support.loops import LOOPS, STEPS, Table, export_loop, in_our_master, off
 

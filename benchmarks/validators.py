@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 from fmpy.validation import validate_fmu as validate_by_fmpy
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "fmu_build"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "fmu_build" / "validation"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "third_party"))
 
 from mutants import DESCRIPTION, MUTANTS, Mutant, compile_spring, sound_variants, spring_files

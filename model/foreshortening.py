@@ -84,7 +84,7 @@ def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:
     """Strain energy of bending beyond the model's, of fourth order: 1/2 ∫ EI w''² w'² dx [J].
 
     A line that keeps its length has the curvature w'' / sqrt(1 - w'²). What else is of this order (the shortening's own inertia
-    and w'⁴ / 8) is smaller by far, see ``tests/metrics/test_large_deflections.py``.
+    and w'⁴ / 8) is smaller by far, see ``tests/cosim/metrics/test_large_deflections.py``.
 
     Source: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct. Mech. 6
     (1978), eq. (14) in the plane.

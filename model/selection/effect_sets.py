@@ -18,7 +18,7 @@ RICHEST: Mapping[str, Any] = {
     "quasi_static": [],
 }
 """Values of the keys below `effects`. One shape more of each family changes no metric of the paper's scenes by 1e-3, see
-``tests/model/test_selection.py``."""
+``tests/model/selection/test_selection.py``."""
 
 _REQUEST: Mapping[str, Any] = {"select": None, "tolerance": None, "of": None, "choice": None}
 

@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).parents[1]
-sys.path[:0] = [str(TESTS / "fmu_boundary"), str(TESTS / "fmu_export")]  # pytest imports tests without their folder
+sys.path[:0] = [
+    str(TESTS / "fmu_boundary"),
+    str(TESTS / "cosim" / "exchange" / "fmu_export"),
+]  # pytest imports tests without their folder
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "fmu_export"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "cosim" / "exchange" / "fmu_export"))
 sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
 
 from third_party_support.drawn import descriptions

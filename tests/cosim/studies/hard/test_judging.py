@@ -24,7 +24,7 @@ from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[4]
 PASSED = Finding("all is well", (Check("error", 1e-6, 1e-5), Check("numbers not finite", 0.0, 0.0)))
 FAILED = Finding("it blew | up", (Check("error", nan, 1e-5, "m"),))
 

@@ -27,7 +27,7 @@ sample_time = 1e-3
 @pytest.fixture
 def scene_file(tmp_path: Path) -> Path:
     """A scene with two controllers."""
-    shipped = Path(__file__).parents[2] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml"
+    shipped = Path(__file__).parents[4] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml"
     path = tmp_path / "controlled.toml"
     text = shipped.read_text(encoding="utf-8").replace('drive = "motion"', 'drive = "torque"')
     path.write_text(text + CONTROLLED, encoding="utf-8")

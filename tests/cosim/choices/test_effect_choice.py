@@ -24,7 +24,7 @@ from flexfmu.model.selection.choose import SAFETY, one_more
 from flexfmu.model.selection.effect_sets import richest, with_set
 from flexfmu.model.selection.estimator import Estimator
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 OPEN = load_scene(ROOT / "examples" / "effects_auto.toml")
 TORQUE = {"effects.of": ["peak_torque_1"], "effects.tolerance": 0.5}
 """A wish that rigid links fulfil."""

@@ -1,4 +1,4 @@
-"""What an importer may choose of an exported imperfection; that it is the block's equations: tests/fmu_export."""
+"""What an importer may choose of an exported imperfection; that it is the block's equations: tests/cosim/exchange/fmu_export."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.mechanism import Mechanism, Payload
 from flexfmu.model.scene.motion import TrajectorySection
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGES = [(ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("effects.md", "control-loop.md")]
 TEXT = "\n".join([(ROOT / "README.md").read_text(encoding="utf-8"), *PAGES])
 

@@ -24,7 +24,7 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
 PD = {"kind": "pd", "proportional": 1e4, "derivative": 100.0, "sample_time": 1e-3}
-SHIPPED = Path(__file__).parents[2] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml"
+SHIPPED = Path(__file__).parents[3] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml"
 
 
 def imperfections(robot: Scene, *sections: dict[str, Any]) -> list[Slave]:

@@ -21,7 +21,7 @@ from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import coarse_metrics
 from flexfmu.model.scene.file import load_scene
 
-STUDY = Path(__file__).parents[2] / "benchmarks" / "stated_errors.py"
+STUDY = Path(__file__).parents[3] / "benchmarks" / "stated_errors.py"
 
 
 @pytest.fixture(scope="module")

@@ -267,7 +267,7 @@ def test_timing_in_turns_gives_each_its_own_time(spend: Callable[[float], None])
 def test_command(tmp_path: Path) -> None:
     """One family of a scene file from the command line, as JSON, with all files."""
     scene = tmp_path / "scene.toml"
-    text = (Path(__file__).parents[2] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml").read_text(
+    text = (Path(__file__).parents[4] / "model" / "scene" / "scenes" / "barnard2012-6kg.toml").read_text(
         encoding="utf-8"
     )
     scene.write_text(text.replace("duration = 0.43", "duration = 0.25"), encoding="utf-8")

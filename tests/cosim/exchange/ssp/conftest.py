@@ -27,7 +27,7 @@ def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., bytes]
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("there is no C compiler")
-    foreign = _module(Path(__file__).parents[1] / "cosim" / "conftest.py")
+    foreign = _module(Path(__file__).parents[2] / "engine" / "conftest.py")
     folder = tmp_path_factory.mktemp("foreign")
     library = foreign.compiled(folder, compiler)
     description = (foreign.FOREIGN / "modelDescription.xml").read_text()

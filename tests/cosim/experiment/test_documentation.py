@@ -18,7 +18,7 @@ from flexfmu.model.scene.loop import FmuSection, PythonSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.shapers import ShaperSection
 
-PAGE = (Path(__file__).parents[2] / "docs" / "control-loop.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "control-loop.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```toml\n(.*?)```", PAGE, flags=re.DOTALL)
 KINDS = [
     kind

@@ -25,7 +25,7 @@ from flexfmu.trajectories.trajectory import TaskTrajectory
 
 Factory = Callable[..., Any]
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "step_control.py"
+SCRIPT = Path(__file__).parents[3] / "benchmarks" / "step_control.py"
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,200 @@
+"""What several tests use: an FMU from elsewhere, compiled on the spot, and an oscillator split into two slaves."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Callable, Sequence
+from importlib.resources import as_file, files
+from math import factorial, fsum
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from flexfmu.cosim.engine.master.system import System, connect
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
+
+FOREIGN = Path(__file__).parent / "foreign-fmu"
+
+
+@pytest.fixture(scope="session")
+def foreign_fmu(make_decay: Callable[..., Path]) -> Path:
+    """A plain FMI 2.0 co-simulation FMU that knows nothing of ours."""
+    return make_decay()
+
+
+@pytest.fixture(scope="session")
+def make_decay(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes the plain FMU with its description changed: make_decay(("m", "mm"))."""
+    return _maker(tmp_path_factory.mktemp("foreign"), "decay", "modelDescription.xml")
+
+
+@pytest.fixture(scope="session")
+def event_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plain FMI 3.0 co-simulation FMU with events, arrays and variables of all types."""
+    folder = tmp_path_factory.mktemp("events")
+    library = compiled(folder, c_compiler(), "events")
+    return pack(folder / "events.fmu", (FOREIGN / "events.xml").read_text(), library, fmpy.platform_tuple)
+
+
+@pytest.fixture(scope="session")
+def make_task(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes a PID controller of another tool's kind with one fixed step, its description changed: make_task(("m", "mm"))."""
+    return _maker(tmp_path_factory.mktemp("task"), "task", "task.xml")
+
+
+def _maker(folder: Path, name: str, description_file: str) -> Callable[..., Path]:
+    """Packs FMUs of one library, or of one with other flags, with changes of one description."""
+    plain = compiled(folder, c_compiler(), name)
+    description = (FOREIGN / description_file).read_text()
+
+    def make(*changes: tuple[str, str], flags: Sequence[str] = ()) -> Path:
+        text = description
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        number = len(list(folder.iterdir()))
+        (folder / f"{number}").mkdir()
+        library = compiled(folder / f"{number}", c_compiler(), name, *flags) if flags else plain
+        return pack(folder / f"{name}{number}.fmu", text, library)
+
+    return make
+
+
+def c_compiler() -> str:
+    """The C compiler."""
+    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("there is no C compiler")
+    return compiler
+
+
+def compiled(folder: Path, compiler: str, name: str = "decay", *flags: str) -> Path:
+    """The foreign FMU's library."""
+    library = folder / f"{name}{fmpy.sharedLibraryExtension}"
+    with as_file(files("flexfmu.fmu_build") / "c-runtime") as headers:
+        command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{headers}"]
+        subprocess.run(
+            [*command, *flags, str(FOREIGN / f"{name}.c"), "-lm", "-o", str(library)], check=True, capture_output=True
+        )
+    return library
+
+
+def pack(path: Path, description: str, library: Path | None, platform: str = fmpy.platform) -> Path:
+    """Zip an FMU."""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", description)
+        if library is not None:
+            archive.write(library, f"binaries/{platform}/{library.name}")
+    return path
+
+
+TERMS = 24
+"""Terms of a Taylor series in a step of at most one radian: the last is below 1e-23."""
+
+
+class Mass:
+    """A unit mass on a spring of its own, coupled by another to the displacement that is its input.
+
+    x'' = -stiffness x + coupling (u - x), solved exactly for a polynomial input. Outputs are x and v = x'; derivatives
+    up to ``order`` are given and twice as many taken.
+    """
+
+    feedthrough = {"x": (), "v": ()}  # noqa: RUF012
+
+    def __init__(self, name: str, start: float, order: int, stiffness: float, coupling: float) -> None:
+        self.name, self.start, self.max_output_order = name, start, order
+        self.max_input_order = 2 * order + 1 if order else 0
+        self.own, self.coupling = stiffness + coupling, coupling
+        self.variables = (
+            SlaveVariable("x", "output", "m"),
+            SlaveVariable("v", "output", "m/s"),
+            SlaveVariable("u", "input", "m", 0.0),
+        )
+        self.memory = np.zeros(2 + self.max_input_order + 1)
+        self.saved = 0
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.memory[:2] = self.start, 0.0
+
+    def set(self, indices: Indices, values: RealArray) -> None:
+        self.memory[2:] = 0.0
+        self.memory[2] = values[0]
+
+    def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        self.memory[3 : len(derivatives) + 3] = derivatives[:, 0]
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = self.memory[indices]
+
+    def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
+        x = [*self.memory[:2]]
+        for k in range(len(derivatives)):
+            x.append(-self.own * x[k] + self.coupling * self.memory[2 + k])
+        for column, index in enumerate(indices):
+            derivatives[:, column] = x[index + 1 : len(derivatives) + index + 1]
+
+    def step(self, time: float, step: float) -> None:
+        parts = int(np.sqrt(self.own) * step) + 1
+        for _ in range(parts):
+            self._taylor_step(step / parts)
+
+    def _taylor_step(self, step: float) -> None:
+        """The series of x from x'' = -own x + coupling u, normalised so that its terms are summed for the value."""
+        inputs = [value * step**k / factorial(k) for k, value in enumerate(self.memory[2:].tolist())]
+        x, v = self.memory[:2].tolist()
+        terms = [x, v * step]
+        for k in range(TERMS):
+            u = inputs[k] if k < len(inputs) else 0.0
+            terms.append(step**2 * (self.coupling * u - self.own * terms[k]) / ((k + 1) * (k + 2)))
+        self.memory[0] = fsum(terms)
+        self.memory[1] = fsum(k * term for k, term in enumerate(terms)) / step
+        for j in range(len(inputs)):
+            rest = [value * factorial(k) / factorial(k - j) for k, value in enumerate(inputs) if k >= j]
+            self.memory[2 + j] = fsum(rest) / step**j
+
+    def save(self) -> object:
+        self.saved += 1
+        return self.memory.copy()
+
+    def restore(self, state: object) -> None:
+        assert isinstance(state, np.ndarray)
+        self.memory[:] = state
+
+    def release(self, state: object) -> None:
+        self.saved -= 1
+
+
+class SplitOscillator:
+    """Two equal masses, the first displaced by 1 m, split at the spring between them.
+
+    Args:
+        order: derivatives that the slaves exchange.
+        stiffness: of the springs that hold the masses [N/m].
+        coupling: of the spring between them [N/m].
+    """
+
+    def __init__(self, order: int, stiffness: float = 4.0, coupling: float = 9.0) -> None:
+        self.slaves = [Mass(name, start, order, stiffness, coupling) for name, start in (("left", 1.0), ("right", 0.0))]
+        self.frequencies = np.sqrt([stiffness, stiffness + 2.0 * coupling])
+
+    def system(self) -> System:
+        """The slaves wired together."""
+        return connect(self.slaves, [("left.x", "right.u"), ("right.x", "left.u")])
+
+    def error(self, recording: Recording) -> float:
+        """Largest error of both displacements [m], against the normal modes."""
+        together, apart = (np.cos(frequency * recording.time) for frequency in self.frequencies)
+        left, right = (recording[f"{name}.x"].values for name in ("left", "right"))
+        return float(max(abs(left - (together + apart) / 2.0).max(), abs(right - (together - apart) / 2.0).max()))
+
+
+@pytest.fixture
+def split_oscillator() -> type[SplitOscillator]:
+    """Makes split oscillators."""
+    return SplitOscillator
