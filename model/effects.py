@@ -1,8 +1,8 @@
 """What an effect may contribute to the model: coordinates, energies, dissipation and outputs.
 
 The sum of all effects is the model. An effect that a scene leaves out isn't constructed, so it leaves no state, no term and no
-line in the generated C. A new effect is a subclass of `Effect` in a file of its own and one line in `EFFECTS` of
-`flexfmu.model.five_bar`.
+line in the generated C. A new effect is a subclass of `Effect` in a file of its own; its key and the line that registers it are in
+`flexfmu.model.scene.effects`.
 """
 
 from __future__ import annotations

@@ -12,13 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from flexfmu.model.robot import FAMILIES
-from flexfmu.model.scene.effects import MAXIMUM_MODES, Effects
+from flexfmu.model.scene.effects import LOADS, MAXIMUM_MODES, Effects
 from flexfmu.model.scene.schema import Scene
 
 Changes = dict[str, Any]
-
-LOADS = ("payload.inertia", "gravity", "damping", "motor_inertia", "joint_friction", "transmission")
-"""Effects that the robot gives, as `Neighbour` names them."""
 
 
 @dataclass(frozen=True)
@@ -112,17 +109,7 @@ def _bends(effects: Effects) -> bool:
 
 
 def _without_loads(scene: Scene) -> Iterator[Step]:
-    """What the robot is given, left out; the payload's mass is what the robot is there for, and stays."""
-    effects = scene.effects
-    if scene.payload.inertia:
-        yield "payload.inertia", "without the payload's rotary inertia", {"payload.inertia": 0.0}
-    if any(effects.gravity):
-        yield "gravity", "without gravity", {"effects.gravity": [0.0, 0.0]}
-    if effects.damping.kind != "none":
-        yield "damping", "without structural damping", {"effects.damping": {"kind": "none"}}
-    if effects.motor_inertia:
-        yield "motor_inertia", "without the motors' inertia", {"effects.motor_inertia": 0.0}
-    if effects.joint_friction.is_there:
-        yield "joint_friction", "without friction", {"effects.joint_friction": {}}
-    if effects.transmission is not None:
-        yield "transmission", "with rigid transmissions", {"effects.transmission": None}
+    """Loads of the robot, left out; the payload's mass is what the robot is there for, and stays."""
+    for key in scene.loads:
+        full = key if "." in key else f"effects.{key}"
+        yield key, LOADS[key].change, {full: LOADS[key].absent}

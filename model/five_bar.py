@@ -14,48 +14,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib import import_module
 
 import casadi
 
 from flexfmu.model.closure import Closure, IndependentMotion, ProjectedForces
-from flexfmu.model.damping import ModalDamping, ProportionalDamping
-from flexfmu.model.drive_effects import (
-    CoulombFriction,
-    ElasticTransmission,
-    MotorInertia,
-    StickingFriction,
-    ViscousFriction,
-)
 from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
 from flexfmu.model.effects import Effect, EffectContext, Output, Stiction
-from flexfmu.model.elastic_family import ElasticFamily
-from flexfmu.model.foreshortening import Foreshortening
-from flexfmu.model.link_inertia import LinkInertia
-from flexfmu.model.loads import Gravity, PayloadInertia, PointPayload
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry, link_properties, mechanism_parameters
 from flexfmu.model.robot import LinkGroup, Robot, make_robot
-from flexfmu.model.rotary_inertia import RotaryInertia
+from flexfmu.model.scene.effects import EFFECTS
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import EffectNote
-
-EFFECTS: tuple[type[Effect], ...] = (
-    LinkInertia,
-    RotaryInertia,
-    ElasticFamily,
-    Foreshortening,
-    PointPayload,
-    PayloadInertia,
-    Gravity,
-    ModalDamping,
-    ProportionalDamping,
-    MotorInertia,
-    ViscousFriction,
-    CoulombFriction,
-    StickingFriction,
-    ElasticTransmission,
-)
-"""All effects, in the order in which their parameters stand in an FMU."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +106,13 @@ class FiveBar:
         return replace(self, redundant_force=redundant_force, forces=forces, elastic=elastic, position=position)
 
 
+@cache
+def effect_classes() -> tuple[type[Effect], ...]:
+    """The classes that `flexfmu.model.scene.effects.EFFECTS` names, in its order."""
+    names = (path.split(".") for path in EFFECTS)
+    return tuple(getattr(import_module(f"flexfmu.model.{module}"), name) for module, name in names)
+
+
 def assemble(scene: Scene) -> FiveBar:
     """Put the chosen effects of a scene together.
 
@@ -152,7 +131,7 @@ def assemble(scene: Scene) -> FiveBar:
         group: link_properties(registry, group, parameters) for group in ("proximal", "distal")
     }
     context = EffectContext(scene, registry, links)
-    effects = [effect for kind in EFFECTS for effect in kind.from_scene(context)]
+    effects = [effect for kind in effect_classes() for effect in kind.from_scene(context)]
 
     # what the effects do to the coordinates makes the robot
     families = [family for effect in effects for family in effect.families()]

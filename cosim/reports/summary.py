@@ -17,13 +17,12 @@ from flexfmu.cosim.metrics.cycle_errors import cycle_errors
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
 from flexfmu.cosim.metrics.metrics import Measurement, Metrics
 from flexfmu.cosim.metrics.small_deflections import exceeded
-from flexfmu.model.scene.effects import CHOOSABLE
+from flexfmu.model.scene.effects import CHOOSABLE, LOADS
 from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
     from flexfmu.cosim.engine.master.delays import SignalDelay
     from flexfmu.cosim.experiment.prepared_scene import Run
-    from flexfmu.model.scene.effects import Effects
     from flexfmu.model.scene.schema import Scene
 
 
@@ -39,6 +38,10 @@ _FAMILIES: Mapping[str, str] = {
 
 _SHAPES = {"assumed-modes": "assumed mode", "craig-bampton": "static or fixed-interface shape"}
 """Basis → what it calls a shape."""
+
+
+_LAST = ("gravity", "payload.inertia")
+"""Loads that `describe_effects` names after the others."""
 
 
 def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
@@ -82,13 +85,9 @@ def describe_effects(scene: Scene) -> dict[str, str]:
         found["beam"] = "Shear and rotary inertia of the links (Timoshenko)"
     if effects.foreshortening:
         found["foreshortening"] = "Foreshortening of links that bend (geometric stiffening)"
-    # losses, drives, loads
-    found |= _damping(effects)
-    found |= _drives(effects)
-    if any(effects.gravity):
-        found["gravity"] = "Gravity of ({:g}, {:g}) m/s2".format(*effects.gravity)
-    if scene.payload.inertia:
-        found["payload_inertia"] = f"Rotary inertia of the payload of {scene.payload.inertia:g} kg m2, on link 12"
+    # damping and drives, then what acts from outside
+    for key in sorted(scene.loads, key=lambda key: _LAST.index(key) if key in _LAST else -1):
+        found[key.replace(".", "_")] = LOADS[key].sentence(scene.loads[key])
     if scene.payload.mass:
         found["payload"] = f"Point mass of {scene.payload.mass:g} kg at the end effector"
     return found or {"rigid": "Rigid links without gravity and payload"}
@@ -100,35 +99,6 @@ def coarse_metrics(measurements: Mapping[str, Measurement]) -> Iterator[str]:
         value, error = measurement.value, measurement.interpolation_error
         if value is not None and error > max(COARSE * abs(value), ALL_METRICS[name].negligible):
             yield name
-
-
-def _damping(effects: Effects) -> dict[str, str]:
-    damping = effects.damping
-    if damping.kind == "modal":
-        return {"damping": f"Modal damping of every link mode, ratio {damping.ratio:g}"}
-    if damping.kind == "stiffness":
-        return {"damping": f"Damping proportional to the stiffness, time constant {damping.time:g} s"}
-    if damping.kind == "mass":
-        return {"damping": f"Damping proportional to the mass, rate {damping.rate:g} 1/s"}
-    if damping.kind == "rayleigh":
-        return {"damping": f"Damping {damping.rate:g} 1/s times the mass and {damping.time:g} s times the stiffness"}
-    return {}
-
-
-def _drives(effects: Effects) -> dict[str, str]:
-    """Motors, friction and transmissions."""
-    friction, transmission = effects.joint_friction, effects.transmission
-    found = {}
-    if effects.motor_inertia:
-        found["motor_inertia"] = f"Inertia of {effects.motor_inertia:g} kg m2 of each motor"
-    if friction.is_there:
-        sticking = f", sticking up to {friction.holding:g} N m" if friction.kind == "stiction" else ""
-        found["joint_friction"] = (
-            f"Friction of each motor: {friction.viscous:g} N m s/rad viscous, {friction.coulomb:g} N m dry{sticking}"
-        )
-    if transmission is not None:
-        found["transmission"] = f"Elastic transmissions of {transmission.stiffness:g} N m/rad"
-    return found
 
 
 def _health(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:

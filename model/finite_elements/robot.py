@@ -17,6 +17,9 @@ from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 
+KNOWN = ("gravity", "payload.inertia", "damping")
+"""Loads that this formulation has."""
+
 
 @dataclass(frozen=True, eq=False)
 class Chain:
@@ -93,7 +96,11 @@ def finite_element_robot(scene: Scene, elements: int) -> FiniteElementRobot:
         SceneError: the scene has damping or drive effects that this formulation doesn't have.
     """
     time = _damping_time(scene)
-    _refuse_drive_effects(scene)
+    for key in scene.loads:
+        if key not in KNOWN:
+            raise SceneError(
+                f"finite elements are driven by angles of the links: leave `effects.{key}` out of the scene"
+            )
     mesh, chains = five_bar_mesh(elements), []
     for group, links in LINKS.items():
         section = beam_section(scene, group)
@@ -120,17 +127,3 @@ def _damping_time(scene: Scene) -> float:
         f"finite elements have no damping of the kind '{damping.kind}', which belongs to modes: "
         'set `effects.damping` to { kind = "none" } or { kind = "stiffness", time = ... }'
     )
-
-
-def _refuse_drive_effects(scene: Scene) -> None:
-    effects = scene.effects
-    chosen = {
-        "motor_inertia": bool(effects.motor_inertia),
-        "joint_friction": effects.joint_friction.is_there,
-        "transmission": effects.transmission is not None,
-    }
-    for key, there in chosen.items():
-        if there:
-            raise SceneError(
-                f"finite elements are driven by angles of the links: leave `effects.{key}` out of the scene"
-            )

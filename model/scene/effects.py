@@ -1,7 +1,12 @@
-"""The section `effects`: which physics the model contains."""
+"""The section `effects`: which physics the model contains, and the tables in which effects are registered.
+
+A new effect has a key in `Effects`, its class in `EFFECTS` and, unless it is a matter of choice, an entry in `LOADS`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -27,12 +32,22 @@ class ModalDamping(Section):
     kind: Literal["modal"]
     ratio: Annotated[float, quantity("1", ge=0.0, lt=1.0)]
 
+    @property
+    def sentence(self) -> str:
+        """What the summary of a run says of it."""
+        return f"Modal damping of every link mode, ratio {self.ratio:g}"
+
 
 class StiffnessDamping(Section):
     """C = time * K on the elastic coordinates."""
 
     kind: Literal["stiffness"]
     time: Annotated[float, quantity("s", ge=0.0)]
+
+    @property
+    def sentence(self) -> str:
+        """What the summary of a run says of it."""
+        return f"Damping proportional to the stiffness, time constant {self.time:g} s"
 
 
 class MassDamping(Section):
@@ -41,6 +56,11 @@ class MassDamping(Section):
     kind: Literal["mass"]
     rate: Annotated[float, quantity("1/s", ge=0.0)]
 
+    @property
+    def sentence(self) -> str:
+        """What the summary of a run says of it."""
+        return f"Damping proportional to the mass, rate {self.rate:g} 1/s"
+
 
 class RayleighDamping(Section):
     """C = rate * M + time * K on the elastic coordinates, with the link's own modal mass M."""
@@ -48,6 +68,11 @@ class RayleighDamping(Section):
     kind: Literal["rayleigh"]
     rate: Annotated[float, quantity("1/s", ge=0.0)]
     time: Annotated[float, quantity("s", ge=0.0)]
+
+    @property
+    def sentence(self) -> str:
+        """What the summary of a run says of it."""
+        return f"Damping {self.rate:g} 1/s times the mass and {self.time:g} s times the stiffness"
 
 
 Damping = Annotated[
@@ -69,6 +94,11 @@ class SmoothFriction(Section):
     def is_there(self) -> bool:
         """Whether there is any friction."""
         return bool(self.viscous or self.coulomb)
+
+    @property
+    def sentence(self) -> str:
+        """What the summary of a run says of it."""
+        return f"Friction of each motor: {self.viscous:g} N m s/rad viscous, {self.coulomb:g} N m dry"
 
 
 class Stiction(Section):
@@ -92,6 +122,14 @@ class Stiction(Section):
     def is_there(self) -> bool:
         """Whether there is any friction."""
         return bool(self.viscous or self.holding)
+
+    @property
+    def sentence(self) -> str:
+        """What the summary of a run says of it."""
+        return (
+            f"Friction of each motor: {self.viscous:g} N m s/rad viscous, {self.coulomb:g} N m dry, "
+            f"sticking up to {self.holding:g} N m"
+        )
 
     @model_validator(mode="after")
     def _holds_more_than_it_brakes(self) -> Self:
@@ -165,3 +203,78 @@ class Effects(Section):
                     f"`quasi_static` names {family}, which has no modes: give `{family}` at least 1, or take it from the list"
                 )
         return self
+
+
+EFFECTS = (
+    "link_inertia.LinkInertia",
+    "rotary_inertia.RotaryInertia",
+    "elastic_family.ElasticFamily",
+    "foreshortening.Foreshortening",
+    "loads.PointPayload",
+    "loads.PayloadInertia",
+    "loads.Gravity",
+    "damping.ModalDamping",
+    "damping.ProportionalDamping",
+    "drive_effects.MotorInertia",
+    "drive_effects.ViscousFriction",
+    "drive_effects.CoulombFriction",
+    "drive_effects.StickingFriction",
+    "drive_effects.ElasticTransmission",
+)
+"""Module and class of every effect below `flexfmu.model`, in the order in which their parameters stand in an FMU.
+
+They are names because keys are read without CasADi; `flexfmu.model.five_bar` imports the classes."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """An effect that a robot has or hasn't: not a matter of choice, but its worth can be estimated by leaving it out.
+
+    Attributes:
+        absent: value of the key without the effect.
+        change: what is different then.
+        sentence: value of the key → what the summary of a run says of it.
+    """
+
+    absent: Any
+    change: str
+    sentence: Callable[[Any], str]
+
+    def is_in(self, value: Any) -> bool:
+        """Whether this value of the key adds the effect to the model; a section with several keys knows itself."""
+        return bool(getattr(value, "is_there", value != self.absent))
+
+
+LOADS: Mapping[str, Load] = {
+    "payload.inertia": Load(
+        absent=0.0,
+        change="without the payload's rotary inertia",
+        sentence=lambda inertia: f"Rotary inertia of the payload of {inertia:g} kg m2, on link 12",
+    ),
+    "gravity": Load(
+        absent=(0.0, 0.0),
+        change="without gravity",
+        sentence=lambda gravity: "Gravity of ({:g}, {:g}) m/s2".format(*gravity),
+    ),
+    "damping": Load(
+        absent=NoDamping(),
+        change="without structural damping",
+        sentence=lambda damping: damping.sentence,
+    ),
+    "motor_inertia": Load(
+        absent=0.0,
+        change="without the motors' inertia",
+        sentence=lambda inertia: f"Inertia of {inertia:g} kg m2 of each motor",
+    ),
+    "joint_friction": Load(
+        absent=SmoothFriction(),
+        change="without friction",
+        sentence=lambda friction: friction.sentence,
+    ),
+    "transmission": Load(
+        absent=None,
+        change="with rigid transmissions",
+        sentence=lambda transmission: f"Elastic transmissions of {transmission.stiffness:g} N m/rad",
+    ),
+}
+"""Key of each load, below `effects` unless it names another section, in the order of `flexfmu effects`."""

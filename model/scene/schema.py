@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -11,7 +12,7 @@ from flexfmu.model.scene.assembly import check_start_pose
 from flexfmu.model.scene.choice import fill_in
 from flexfmu.model.scene.controllers import ControllerSection
 from flexfmu.model.scene.cosimulation import Cosimulation
-from flexfmu.model.scene.effects import Effects
+from flexfmu.model.scene.effects import LOADS, Effects
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.imperfections import ImperfectionSection
 from flexfmu.model.scene.loop import FOLDER
@@ -123,6 +124,13 @@ class Scene(Section):
                 f"in Pa, 1 GPa is 1e9 Pa"
             )
         return tuple(hints)
+
+    @property
+    def loads(self) -> dict[str, Any]:
+        """Value of each key of `LOADS` whose effect the robot has."""
+        values = {key: self.effects if "." not in key else self for key in LOADS}
+        values = {key: reduce(getattr, key.split("."), section) for key, section in values.items()}
+        return {key: value for key, value in values.items() if LOADS[key].is_in(value)}
 
     def replace(self, changes: dict[str, Any]) -> Scene:
         """The scene with values changed by dotted keys, validated anew.

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import get_args
 
-from flexfmu.model.enrichment import LOADS, Neighbour, enrichments, reductions
+from flexfmu.model.enrichment import Neighbour, enrichments, reductions
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, Choice, EstimatedEffect, MeasureName
-from flexfmu.model.scene.effects import CHOOSABLE, FamilyName
+from flexfmu.model.scene.effects import CHOOSABLE, LOADS, FamilyName
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.effect_sets import richest, with_set
 from flexfmu.model.selection.estimator import Estimator
@@ -198,5 +198,4 @@ def given_effects(
 
 def absent_effects(scene: Scene) -> tuple[str, ...]:
     """What a robot may give that this one doesn't: keys of the scene."""
-    given = {each.effect for each in reductions(scene)}
-    return tuple(key for key in LOADS if key not in given)
+    return tuple(key for key in LOADS if key not in scene.loads)

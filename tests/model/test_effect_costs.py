@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +14,7 @@ import pytest
 from flexfmu.fmu_build.codegen import generate_functions
 from flexfmu.model.effects import Effect as Base
 from flexfmu.model.effects import EffectContext
-from flexfmu.model.five_bar import EFFECTS as ALL_EFFECTS
+from flexfmu.model.five_bar import effect_classes
 from flexfmu.model.parameters import ParameterRegistry, link_properties, mechanism_parameters
 from flexfmu.model.plants import build_model
 from flexfmu.model.robot import LinkGroup
@@ -194,6 +197,14 @@ def test_the_note_says_what_an_effect_contributes(effect: Effect) -> None:
     groups: tuple[LinkGroup, ...] = ("proximal", "distal")
     links = {group: link_properties(registry, group, parameters) for group in groups}
     context = EffectContext(scene, registry, links)
-    for each in (found for kind in ALL_EFFECTS for found in kind.from_scene(context)):
+    for each in (found for kind in effect_classes() for found in kind.from_scene(context)):
         own = [text for hook, text in CONTRIBUTIONS.items() if getattr(type(each), hook) is not getattr(Base, hook)]
         assert list(each.note.contributes) == own, each.note.title
+
+
+def test_every_effect_is_registered() -> None:
+    """A class that `EFFECTS` doesn't name would be left out of every model without a word."""
+    modules = [path.stem for path in (Path(__file__).parents[2] / "model").glob("*.py")]
+    classes = [each for name in modules for each in vars(import_module(f"flexfmu.model.{name}")).values()]
+    kinds = {each for each in classes if inspect.isclass(each) and issubclass(each, Base)}
+    assert {each for each in kinds if not inspect.isabstract(each)} == set(effect_classes())
