@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexfmu.cosim.control.controllers.from_control import from_control
-from flexfmu.cosim.control.controllers.limits import Limits
+from flexfmu.cosim.control.controllers.limits import Limits, torque_limits
 from flexfmu.cosim.control.controllers.linear_system import LinearSystem
 from flexfmu.cosim.control.controllers.state_feedback import (
     Equilibrium,
@@ -15,10 +15,12 @@ from flexfmu.cosim.control.controllers.state_feedback import (
     state_feedback,
     static_feedforward,
 )
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.linear import linearize, operating_point
 from flexfmu.model.scene.assembly import motor_angles
+from flexfmu.model.scene.controllers import StateFeedbackSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicBlock
 
@@ -128,3 +130,26 @@ def _pair(value: object) -> tuple[float, float]:
     """A limit for each joint."""
     first, second = np.broadcast_to(np.asarray(value, dtype=float), (2,)).tolist()
     return first, second
+
+
+@builds(StateFeedbackSection)
+def _from_section(section: StateFeedbackSection, context: LoopContext) -> SymbolicBlock:
+    weights = LqgWeights(
+        section.position_error,
+        section.velocity_error,
+        section.torque_deviation,
+        section.torque_noise,
+        section.measurement_noise,
+    )
+    # the design pose, a point of the path
+    path = context.along_path.path
+    place = np.array([{"start": 0.0, "middle": 0.5, "end": 1.0}[section.pose] * path.length])
+    x, y = (float(coordinate.value[0]) for coordinate in path.jets(place, order=0))
+    return lqg(
+        context.scene,
+        (x, y),
+        weights,
+        limits=torque_limits(section.torque_limit),
+        sample_time=section.sample_time,
+        offset=section.offset,
+    )

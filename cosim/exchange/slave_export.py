@@ -18,7 +18,7 @@ from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.recording import SlaveFacts, slave_facts
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import PLANT, SceneSystem, scene_system
 from flexfmu.fmu_build.archive import write_atomically
 from flexfmu.fmu_build.block_build import build_block_fmu

@@ -31,9 +31,9 @@ def run_loop(
     Args:
         scene: the scene; with controllers, one that is driven by torques.
         controllers: what calculates torques from references and measurements; equal names are connected.
-        shapers: `flexfmu.cosim.experiment.loop.Shaper`, an `ImpulseSequence` for the joint references, or what else the references
+        shapers: `flexfmu.cosim.control.shapers.Shaper`, an `ImpulseSequence` for the joint references, or what else the references
             shall pass.
-        imperfections: what signals pass on their way, in this order, or `flexfmu.cosim.experiment.loop.PayloadError`.
+        imperfections: what signals pass on their way, in this order, or `flexfmu.cosim.control.imperfections.payload_error.PayloadError`.
         connect: ``slave.input`` → ``slave.output`` or name of a signal, beyond equal names.
         motion: a motion instead of the scene's own, planned from the same scene.
         options: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.

@@ -111,27 +111,3 @@ def repeated(plan: MotionPlan, cycles: int, sample_time: float | None = None) ->
         dwell = max(samples * sample_time - plan.duration, 0.0)
     task, joints = (ThereAndBack(motion, dwell, cycles) for motion in (plan.task, plan.joints))
     return replace(plan, task=task, joints=joints, repetition=Repetition(plan, cycles, joints.period))
-
-
-def samples_in_a_cycle(plan: MotionPlan, sample_time: float) -> int:
-    """Samples in a cycle of a repeated motion.
-
-    Args:
-        plan: a motion that `repeated` has made.
-        sample_time: [s].
-
-    Raises:
-        InputError: the motion isn't repeated, or a cycle isn't a whole number of samples.
-    """
-    if plan.repetition is None:
-        raise InputError(
-            "learning needs a motion that is repeated: flexfmu.cosim.experiment.cycles.repeated(plan, cycles)"
-        )
-    period = plan.repetition.period
-    samples = round(period / sample_time)
-    if abs(samples * sample_time - period) > SAME_TIME * period:
-        raise InputError(
-            f"a cycle of {period} s isn't a whole number of samples of {sample_time} s; choose another dwell, or "
-            "repeated(.., sample_time=..), which lengthens it"
-        )
-    return samples

@@ -4,57 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from flexfmu.cosim.control.imperfections.payload_error import with_payload_error
-from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.control.imperfections.payload_error import PayloadError, with_payload_error
+from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, shape_joints
 from flexfmu.cosim.experiment.user_slaves import Names, as_slave
 from flexfmu.cosim.experiment.wiring import InlineBlock, inline_block
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from flexfmu.trajectories.shapers.sequence import ImpulseSequence
-
-
-@dataclass(frozen=True)
-class Shaper:
-    """An impulse sequence and where it acts.
-
-    Attributes:
-        sequence: the impulses.
-        apply: ``joints`` (the joint references), ``path`` (the motion along the path, which keeps the path), or
-            ``sampled`` (a slave that shapes the sampled joint references).
-        sample_time: [s] of a sampled shaper; None for the others.
-        offset: its first sample [s].
-        name: name of its slave.
-
-    Raises:
-        InputError: a sampled shaper has no sample time, or another one has.
-    """
-
-    sequence: ImpulseSequence
-    apply: str = "joints"
-    sample_time: float | None = None
-    offset: float = 0.0
-    name: str = "shaper"
-
-    def __post_init__(self) -> None:
-        if self.apply not in ("joints", "path", "sampled"):
-            raise InputError(f"a shaper acts on joints, path or sampled references, got {self.apply!r}")
-        if (self.apply == "sampled") != (self.sample_time is not None):
-            raise InputError(
-                f"sample_time [s] goes with apply='sampled' alone, got {self.sample_time} s, {self.apply!r}"
-            )
-
-
-@dataclass(frozen=True)
-class PayloadError:
-    """The robot carries (1 + relative) times the scene's payload, and nothing else knows of it."""
-
-    relative: float
 
 
 @dataclass(frozen=True)
@@ -131,7 +90,7 @@ def close_loop(
     inline_blocks, parameters = list(course.inline_blocks), dict[str, float]()
     for each in imperfections:
         if isinstance(each, PayloadError):
-            parameters |= _payload(course.motion, each)
+            parameters["payload.mass"] = with_payload_error(course.motion.scene, each.relative).payload.mass
         else:
             inline_blocks.append(inline_block(as_slave(each, names)))
     return Loop(course.motion, course.driving, acting, tuple(inline_blocks), dict(connect), parameters)
@@ -172,27 +131,15 @@ def shape(
         if not isinstance(each, Shaper):
             inline_blocks.append(inline_block(as_slave(each, names)))
         elif each.sample_time is not None:
-            inline_blocks.append(_sampled_shaper(each, each.sample_time, names))
-            motion = _shaped_on_the_way(motion, each.sequence.split(each.sample_time))
+            from flexfmu.cosim.control.shaper_block import shaper_block
+
+            block = shaper_block(each.sequence, each.sample_time, offset=each.offset, name=each.name)
+            inline_blocks.append(inline_block(as_slave(block, names)))
+            # the streamed motion is shaped, and so is what it repeats
+            sequence = each.sequence.split(each.sample_time)
+            shaped = shape_joints(motion, sequence)
+            if motion.repetition is not None:
+                once = shape_joints(motion.once, sequence)
+                shaped = replace(shaped, repetition=replace(motion.repetition, once=once))
+            motion = shaped
     return Course(motion, driving, tuple(inline_blocks))
-
-
-def _sampled_shaper(shaper: Shaper, sample_time: float, names: Names) -> InlineBlock:
-    """The slave of a sampled shaper."""
-    from flexfmu.cosim.control.shaper_block import shaper_block
-
-    block = shaper_block(shaper.sequence, sample_time, offset=shaper.offset, name=shaper.name)
-    return inline_block(as_slave(block, names))
-
-
-def _shaped_on_the_way(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
-    """The motion that a sampled shaper makes of the streamed one, in all its repetitions."""
-    shaped = shape_joints(motion, sequence)
-    if motion.repetition is None:
-        return shaped
-    return replace(shaped, repetition=replace(motion.repetition, once=shape_joints(motion.once, sequence)))
-
-
-def _payload(motion: MotionPlan, error: PayloadError) -> Mapping[str, float]:
-    """The payload that the robot carries."""
-    return {"payload.mass": with_payload_error(motion.scene, error.relative).payload.mass}

@@ -25,8 +25,8 @@ from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.recording import RigidMotion, SceneRecording, slave_facts
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Companion, Health, Run, Timing
-from flexfmu.cosim.experiment.sections import loop_of
 from flexfmu.cosim.experiment.system import SceneSystem, scene_system
 from flexfmu.cosim.experiment.timing import Stopwatch
 from flexfmu.model.scene import cosimulation as sections

@@ -16,7 +16,7 @@ from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, deviation, plan
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
-from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import Settings, measure, settings_for
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError

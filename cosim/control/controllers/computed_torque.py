@@ -17,8 +17,11 @@ from flexfmu.cosim.control.controllers.joints import (
     references,
     torques,
 )
-from flexfmu.cosim.control.controllers.limits import Limits, saturate
+from flexfmu.cosim.control.controllers.limits import Limits, saturate, torque_limits
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.numeric import inverse_dynamics
+from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSection
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
@@ -137,3 +140,26 @@ def _check(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) 
             f"{name}: the inverse dynamics must take (q, v, a) of {n} each and give {n} torques for {', '.join(joints)}; "
             f"{inverse_dynamics.name()} takes {found} and gives {results}"
         )
+
+
+@builds(ComputedTorqueSection)
+def _from_section(section: ComputedTorqueSection, context: LoopContext) -> SymbolicBlock:
+    return computed_torque(
+        _assumed_dynamics(context, section.payload),
+        section.proportional,
+        section.derivative,
+        limits=torque_limits(section.torque_limit),
+        sample_time=section.sample_time,
+        offset=section.offset,
+    )
+
+
+@builds(FeedforwardSection)
+def _feedforward_from_section(section: FeedforwardSection, context: LoopContext) -> SymbolicBlock:
+    dynamics = _assumed_dynamics(context, section.payload)
+    return inverse_dynamics_feedforward(dynamics, sample_time=section.sample_time, offset=section.offset)
+
+
+def _assumed_dynamics(context: LoopContext, payload: float | None) -> casadi.Function:
+    """Rigid inverse dynamics with the payload that a controller assumes [kg], the scene's own for None."""
+    return inverse_dynamics(context.scene if payload is None else context.scene.replace({"payload.mass": payload}))

@@ -18,8 +18,11 @@ from flexfmu.cosim.control.controllers.joints import (
     measurements,
     references,
 )
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene.controllers import LearningSection
 from flexfmu.model.symbolic import SymbolicBlock
+from flexfmu.trajectories.trajectory import SAME_TIME
 
 MAXIMUM_TABLE = 1_000_000
 """Tables of more samples than this are taken for a mistake in the cycle's unit."""
@@ -117,3 +120,38 @@ def _check(cycle: int, shift: int, forgetting: float, name: str) -> None:
         raise InputError(f"{name}: the shift must be 0 to {cycle - 1} samples, less than a cycle, got {shift}")
     if not (isfinite(forgetting) and 0.0 <= forgetting < 1.0):
         raise InputError(f"{name}: the forgetting must be at least 0 and below 1, got {forgetting}")
+
+
+def samples_in_a_cycle(period: float | None, sample_time: float) -> int:
+    """Samples in a cycle of a repeated motion.
+
+    Args:
+        period: length of the cycle [s]; None for a motion that is made once.
+        sample_time: [s].
+
+    Raises:
+        InputError: the motion isn't repeated, or a cycle isn't a whole number of samples.
+    """
+    if period is None:
+        raise InputError(
+            "learning needs a motion that is repeated: flexfmu.cosim.experiment.cycles.repeated(plan, cycles)"
+        )
+    samples = round(period / sample_time)
+    if abs(samples * sample_time - period) > SAME_TIME * period:
+        raise InputError(
+            f"a cycle of {period} s isn't a whole number of samples of {sample_time} s; choose another dwell, or "
+            "repeated(.., sample_time=..), which lengthens it"
+        )
+    return samples
+
+
+@builds(LearningSection)
+def _from_section(section: LearningSection, context: LoopContext) -> SymbolicBlock:
+    return iterative_learning(
+        section.gain,
+        samples_in_a_cycle(context.period, section.sample_time),
+        shift=section.lead,
+        forgetting=section.forgetting,
+        sample_time=section.sample_time,
+        offset=section.offset,
+    )

@@ -44,6 +44,11 @@ def symmetric(limit: PerJoint) -> Limits:
     return Limits(lower, limit)
 
 
+def torque_limits(limit: PerJoint | None) -> Limits | None:
+    """Limits ±limit [N.m] of a section of the scene file; None for none."""
+    return None if limit is None else symmetric(limit)
+
+
 def saturate(value: Vector, lower: Vector, upper: Vector) -> Vector:
     """The value within its limits. NaN stays NaN, whereas minimum and maximum would turn it into a limit."""
     return casadi.if_else(value > upper, upper, casadi.if_else(value < lower, lower, value))

@@ -10,8 +10,10 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Causality, RealArray, check_sampling
+from flexfmu.model.scene.controllers import StateSpaceSection
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
@@ -169,3 +171,17 @@ def variables(signals: Sequence[Signal], causality: Causality) -> list[Variable]
     what = "Input" if causality == "input" else "Output"
     start = 0.0 if causality == "input" else None
     return [Variable(signal.name, signal.unit, f"{what} {i + 1}", causality, start) for i, signal in enumerate(signals)]
+
+
+@builds(StateSpaceSection)
+def _from_section(section: StateSpaceSection, context: LoopContext) -> SymbolicBlock:
+    system = linear_system(
+        section.A,
+        section.B,
+        section.C,
+        section.D,
+        sample_time=section.sample_time,
+        inputs=section.inputs,
+        outputs=section.outputs,
+    )
+    return state_space(system, offset=section.offset)

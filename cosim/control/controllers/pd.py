@@ -14,7 +14,9 @@ from flexfmu.cosim.control.controllers.joints import (
     references,
     torques,
 )
-from flexfmu.cosim.control.controllers.limits import Limits, saturate
+from flexfmu.cosim.control.controllers.limits import Limits, saturate, torque_limits
+from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.model.scene.controllers import PdSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 
@@ -74,4 +76,15 @@ def pd(
         ],
         outputs=torques(joints),
         parameters=parameters,
+    )
+
+
+@builds(PdSection)
+def _from_section(section: PdSection, context: LoopContext) -> SymbolicBlock:
+    return pd(
+        section.proportional,
+        section.derivative,
+        limits=torque_limits(section.torque_limit),
+        sample_time=section.sample_time,
+        offset=section.offset,
     )

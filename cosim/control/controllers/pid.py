@@ -9,7 +9,7 @@ from math import isfinite
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, Clamping
+from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
     PerJoint,
@@ -20,8 +20,10 @@ from flexfmu.cosim.control.controllers.joints import (
     references,
     torques,
 )
-from flexfmu.cosim.control.controllers.limits import Limits, saturate
+from flexfmu.cosim.control.controllers.limits import Limits, saturate, torque_limits
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene import controllers as scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 CLAMPING = Clamping()
@@ -156,4 +158,28 @@ def pid(
         outputs=torques(joints),
         parameters=parameters,
         states=law.start(per_joint(joints, "initial_torque", initial_torque, "N.m")),
+    )
+
+
+@builds(scene.PidSection)
+def _from_section(section: scene.PidSection, context: LoopContext) -> SymbolicBlock:
+    anti_windup: AntiWindup
+    match section.anti_windup:
+        case scene.BackCalculation(tracking_time=time):
+            anti_windup = BackCalculation(time)
+        case scene.Clamping():
+            anti_windup = CLAMPING
+        case scene.Unprotected():
+            anti_windup = Unprotected()
+    return pid(
+        section.proportional,
+        section.integral,
+        section.derivative,
+        filter_time=section.filter_time,
+        setpoint_weight=section.setpoint_weight,
+        derivative_weight=section.derivative_weight,
+        limits=torque_limits(section.torque_limit),
+        anti_windup=anti_windup,
+        sample_time=section.sample_time,
+        offset=section.offset,
     )

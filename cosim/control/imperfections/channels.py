@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from math import isfinite
 from numbers import Real
+from typing import TypedDict
 
 import casadi
 import numpy as np
@@ -14,9 +15,11 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.control.blocks.equations import Vector
 from flexfmu.cosim.control.controllers.joints import JOINTS, UNITS
+from flexfmu.cosim.control.sections import LoopContext
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.units import unit_exponents
+from flexfmu.model.scene.imperfections import EncoderSection, SignalSection
 
 JOINT_UNITS: dict[str, str] = {str(kind): unit for kind, unit in UNITS.items()} | {"torque": "N.m"}
 """What a joint has: kind of signal → unit."""
@@ -75,6 +78,38 @@ def joint_channels(
     values = [None if each is None else float(each) for each in starts] or [None] * len(joints)
     unit = JOINT_UNITS[kind]
     return tuple(Channel(f"{joint}.{kind}", unit, value) for joint, value in zip(joints, values, strict=True))
+
+
+REFERENCE_KINDS = ("position", "velocity", "acceleration")
+"""All of a reference, for an imperfection that delays it."""
+
+
+def section_channels(
+    section: SignalSection, context: LoopContext, kinds: Sequence[str] = ("position",)
+) -> tuple[Channel, ...]:
+    """The signals of a section of the scene file, with their values before the start.
+
+    Args:
+        section: the section.
+        context: knows the values.
+        kinds: which signals of a reference the imperfection acts on.
+    """
+    if section.signal != "reference":
+        return joint_channels(section.signal, context.before(section.signal))
+    names = [f"{joint}.reference" for joint in JOINTS]
+    return tuple(channel for kind in kinds for channel in joint_channels(kind, context.before(kind), names))
+
+
+class Sampling(TypedDict):
+    """When a block samples [s]."""
+
+    sample_time: float
+    offset: float
+
+
+def sampling(section: SignalSection | EncoderSection, context: LoopContext) -> Sampling:
+    """When the block of a section samples."""
+    return Sampling(sample_time=section.sample_time or context.sample_time, offset=section.offset)
 
 
 def chain(channels: Sequence[Channel], *slaves: str) -> list[tuple[str, str]]:

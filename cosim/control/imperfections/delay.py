@@ -7,8 +7,25 @@ from collections.abc import Sequence
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
-from flexfmu.cosim.control.imperfections.channels import Channel, cut, empty, recall, remember, repeated
-from flexfmu.cosim.control.imperfections.delay_filter import LINEAR, DelayFilter, Interpolation, delay_in_samples
+from flexfmu.cosim.control.imperfections.channels import (
+    REFERENCE_KINDS,
+    Channel,
+    cut,
+    empty,
+    recall,
+    remember,
+    repeated,
+    sampling,
+    section_channels,
+)
+from flexfmu.cosim.control.imperfections.delay_filter import (
+    LINEAR,
+    DelayFilter,
+    Interpolation,
+    Lagrange,
+    Thiran,
+    delay_in_samples,
+)
 from flexfmu.cosim.control.imperfections.variables import (
     initial_parameters,
     inputs,
@@ -17,6 +34,8 @@ from flexfmu.cosim.control.imperfections.variables import (
     start_values,
     whole_number,
 )
+from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.model.scene import imperfections as scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 VECTORISED_FROM = 100
@@ -118,3 +137,17 @@ def _delay_line(
         symbol=casadi.MX if size >= VECTORISED_FROM else casadi.SX,
         latency={each.name: design.samples * sample_time for each in channels} if design.samples else {},
     )
+
+
+@builds(scene.DelaySection)
+def _from_section(section: scene.DelaySection, context: LoopContext) -> SymbolicBlock:
+    interpolation: Interpolation
+    match section.interpolation:
+        case scene.Lagrange(order=order):
+            interpolation = Lagrange(order)
+        case scene.Thiran(order=order):
+            interpolation = Thiran(order)
+        case scene.Linear():
+            interpolation = LINEAR
+    channels = section_channels(section, context, REFERENCE_KINDS)
+    return delay(channels, section.time, interpolation=interpolation, **sampling(section, context))

@@ -8,11 +8,21 @@ from math import isfinite
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.imperfections.channels import Channel, empty, recall, remember
+from flexfmu.cosim.control.imperfections.channels import (
+    REFERENCE_KINDS,
+    Channel,
+    empty,
+    recall,
+    remember,
+    sampling,
+    section_channels,
+)
 from flexfmu.cosim.control.imperfections.random_streams import Streams, draw, seed_parameter, seeded
 from flexfmu.cosim.control.imperfections.variables import initial_parameters, inputs, outputs, start_values
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import check_sampling
+from flexfmu.model.scene.imperfections import JitterSection
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 
@@ -72,3 +82,9 @@ def jitter(
         states=empty(n + 2),
         latency={each.name: time / 2.0 for each in channels} if time else {},
     )
+
+
+@builds(JitterSection)
+def _from_section(section: JitterSection, context: LoopContext) -> SymbolicBlock:
+    channels = section_channels(section, context, REFERENCE_KINDS)
+    return jitter(channels, section.time, section.seed, name=context.name, **sampling(section, context))

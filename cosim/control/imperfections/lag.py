@@ -10,7 +10,15 @@ import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.blocks.slave import slave_variable
-from flexfmu.cosim.control.imperfections.channels import Channel, empty, recall, remember
+from flexfmu.cosim.control.imperfections.channels import (
+    REFERENCE_KINDS,
+    Channel,
+    empty,
+    recall,
+    remember,
+    sampling,
+    section_channels,
+)
 from flexfmu.cosim.control.imperfections.variables import (
     PerChannel,
     initial_parameters,
@@ -19,9 +27,11 @@ from flexfmu.cosim.control.imperfections.variables import (
     parameters,
     require_initial,
 )
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER
+from flexfmu.model.scene.imperfections import LagSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 SAMPLES = 10
@@ -234,3 +244,11 @@ def lag(
         # the sum of the impulse response's delays
         latency={c.name: h / -expm1(-h / t.start) if t.start else h for c, t in zip(channels, times, strict=True)},
     )
+
+
+@builds(LagSection)
+def _from_section(section: LagSection, context: LoopContext) -> SymbolicBlock | Lag:
+    channels = section_channels(section, context, REFERENCE_KINDS)
+    if section.sample_time is None:
+        return Lag(channels, section.time_constant, context.name)
+    return lag(channels, section.time_constant, **sampling(section, context))

@@ -8,9 +8,11 @@ from math import pi
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.imperfections.channels import Channel, empty, recall, remember
+from flexfmu.cosim.control.imperfections.channels import Channel, empty, recall, remember, sampling, section_channels
 from flexfmu.cosim.control.imperfections.random_streams import Streams, draw, seed_parameter, seeded
 from flexfmu.cosim.control.imperfections.variables import PerChannel, inputs, outputs, parameters, units
+from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.model.scene.imperfections import NoiseSection
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 Draw = Callable[[Streams], tuple[Vector, Streams]]
@@ -123,3 +125,11 @@ def _noise(
         parameters=[*scales, seed_parameter(seed, name)],
         states=empty(2 * n),
     )
+
+
+@builds(NoiseSection)
+def _from_section(section: NoiseSection, context: LoopContext) -> SymbolicBlock:
+    channels, when = section_channels(section, context), sampling(section, context)
+    if section.half_width is not None:
+        return uniform_noise(channels, section.half_width, section.seed, name=context.name, **when)
+    return gaussian_noise(channels, section.standard_deviation or 0.0, section.seed, name=context.name, **when)

@@ -1,11 +1,21 @@
-"""Payload error: the robot carries something else than those believe who design its controller or shaper."""
+"""Payload error: the robot carries another mass than its controllers and shapers are designed for."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import isfinite
 
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.schema import Scene
+
+
+@dataclass(frozen=True)
+class PayloadError:
+    """The robot carries (1 + relative) times the scene's payload; controllers and shapers assume the scene's."""
+
+    relative: float
 
 
 def with_payload_error(scene: Scene, relative: float) -> Scene:
@@ -18,7 +28,7 @@ def with_payload_error(scene: Scene, relative: float) -> Scene:
         relative: relative error of the mass: -0.3 for 30 % less.
 
     Raises:
-        InputError: the error isn't finite or is below -1, or there is no payload to be wrong about.
+        InputError: the error isn't finite or is below -1, or the scene has no payload.
     """
     mass = scene.payload.mass
     if not (isfinite(relative) and relative >= -1.0):
@@ -29,3 +39,8 @@ def with_payload_error(scene: Scene, relative: float) -> Scene:
             "give the mass itself: scene.replace({'payload.mass': 0.1})"
         )
     return scene.replace({"payload.mass": mass * (1.0 + relative)})
+
+
+@builds(PayloadErrorSection)
+def _from_section(section: PayloadErrorSection, context: LoopContext) -> PayloadError:
+    return PayloadError(section.relative)

@@ -9,8 +9,20 @@ import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.controllers.joints import JOINTS
-from flexfmu.cosim.control.imperfections.channels import Channel, cut, empty, joint_channels, recall, remember, repeated
+from flexfmu.cosim.control.imperfections.channels import (
+    Channel,
+    cut,
+    empty,
+    joint_channels,
+    recall,
+    remember,
+    repeated,
+    sampling,
+    section_channels,
+)
 from flexfmu.cosim.control.imperfections.variables import PerChannel, inputs, outputs, parameters, units, whole_number
+from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.model.scene.imperfections import EncoderSection, QuantisationSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 
@@ -117,3 +129,13 @@ def encoder(
 def nearest(value: Vector) -> Vector:
     """The nearest whole number, the upper one of two."""
     return casadi.floor(value + 0.5)
+
+
+@builds(QuantisationSection)
+def _from_section(section: QuantisationSection, context: LoopContext) -> SymbolicBlock:
+    return quantisation(section_channels(section, context), section.resolution, **sampling(section, context))
+
+
+@builds(EncoderSection)
+def _encoder_from_section(section: EncoderSection, context: LoopContext) -> SymbolicBlock:
+    return encoder(section.counts_per_turn, window=section.window, **sampling(section, context))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.imperfections.channels import Channel, empty, recall, remember
+from flexfmu.cosim.control.imperfections.channels import Channel, empty, recall, remember, sampling, section_channels
 from flexfmu.cosim.control.imperfections.variables import (
     PerChannel,
     initial_parameters,
@@ -17,6 +17,8 @@ from flexfmu.cosim.control.imperfections.variables import (
     per_second,
     start_values,
 )
+from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.model.scene.imperfections import RateLimitSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 
@@ -72,3 +74,9 @@ def rate_limit(
         ],
         states=empty(n),
     )
+
+
+@builds(RateLimitSection)
+def _from_section(section: RateLimitSection, context: LoopContext) -> SymbolicBlock:
+    channels = section_channels(section, context)
+    return rate_limit(channels, section.rate, section.falling_rate, **sampling(section, context))

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.controllers.limits import saturate
-from flexfmu.cosim.control.imperfections.channels import Channel
+from flexfmu.cosim.control.imperfections.channels import Channel, sampling, section_channels
 from flexfmu.cosim.control.imperfections.variables import PerChannel, inputs, outputs, parameters, units
+from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.model.scene.imperfections import SaturationSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 
@@ -57,3 +59,8 @@ def saturation(
         outputs=outputs(channels),
         parameters=[*minima, *maxima],
     )
+
+
+@builds(SaturationSection)
+def _from_section(section: SaturationSection, context: LoopContext) -> SymbolicBlock:
+    return saturation(section_channels(section, context), *section.bounds, **sampling(section, context))

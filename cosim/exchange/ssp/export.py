@@ -28,7 +28,7 @@ from flexfmu.cosim.exchange.ssp.structure import (
 from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, component_fmu, variable_unit
 from flexfmu.cosim.exchange.ssp.writing import ssd_xml, ssv_xml
 from flexfmu.cosim.experiment.parameters import scene_with_parameters
-from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.fmu_build.archive import pack, write_atomically
 
 if TYPE_CHECKING:

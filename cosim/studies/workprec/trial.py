@@ -14,7 +14,7 @@ from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run
-from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.scene.schema import Scene
 
 SAMPLING = 1e-3

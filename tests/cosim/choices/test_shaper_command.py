@@ -34,7 +34,7 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.planning import MotionPlan, deviation, plan, shape_joints, shape_path
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.modes import DampedModes
 from flexfmu.model.scene.file import load_scene

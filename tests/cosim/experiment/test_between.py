@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.engine.errors import InputError, WiringError
 from flexfmu.cosim.engine.slave import SlaveVariable
 from flexfmu.cosim.experiment.closed_loop import run_loop
-from flexfmu.cosim.experiment.loop import Shaper
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
-from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.fmu_build.block_build import build_block_fmu

@@ -11,12 +11,12 @@ import pytest
 
 from flexfmu.cosim.cli import run as command
 from flexfmu.cosim.control.controllers.pd import pd
+from flexfmu.cosim.control.imperfections.payload_error import PayloadError
 from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
 from flexfmu.cosim.experiment.closed_loop import run_loop
-from flexfmu.cosim.experiment.loop import PayloadError
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS
@@ -121,7 +121,7 @@ def test_a_payload_error_is_known_to_the_robot_alone(controlled: Scene, run: Run
 
 def heavy_controllers(scene: Scene) -> list[object]:
     """The controllers of a scene's own sections."""
-    from flexfmu.cosim.experiment.sections import loop_of
+    from flexfmu.cosim.experiment.scene_loop import loop_of
 
     return list(loop_of(scene).controllers)
 

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import pytest
 
 from flexfmu.cosim.experiment.prepared_scene import run_scene
-from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.scene.controllers import ControllerSection
 from flexfmu.model.scene.cosimulation import Anderson, FixedPoint, StepControl
 from flexfmu.model.scene.imperfections import ImperfectionSection

@@ -17,7 +17,7 @@ from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import coupling_of, run_scene
-from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.cycle_errors import cycle_errors
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.scene.file import load_scene

@@ -9,7 +9,7 @@ import pytest
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.scene_build import scene_key
-from flexfmu.cosim.experiment.sections import loop_of
+from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

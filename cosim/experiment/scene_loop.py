@@ -1,0 +1,150 @@
+"""From the sections of a scene file to its loop: controllers, shapers and imperfections, built, named and connected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from flexfmu.cosim.control.imperfections.payload_error import PayloadError
+from flexfmu.cosim.control.sections import LoopContext, build
+from flexfmu.cosim.control.shapers import Shaper
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
+from flexfmu.cosim.engine.slave import Sampled, Slave
+from flexfmu.cosim.experiment.cycles import repeated
+from flexfmu.cosim.experiment.loop import Loop, close_loop, shape
+from flexfmu.cosim.experiment.parameters import holding_torques
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.user_slaves import Names, as_slave, from_source
+from flexfmu.model.scene.controllers import LearningSection
+from flexfmu.model.scene.imperfections import PayloadErrorSection
+from flexfmu.model.scene.loop import FmuSection, PythonSection
+from flexfmu.model.scene.schema import Scene
+
+
+def loop_of(scene: Scene, motion: MotionPlan | None = None) -> Loop:
+    """The loop that a scene's sections describe.
+
+    Args:
+        scene: the scene.
+        motion: a motion instead of the scene's own with its shapers.
+
+    Raises:
+        InputError: a slave can't be made or wired.
+        TrajectoryError: the motion is not feasible, or can't be shaped.
+    """
+    shapers = scene.shaper if motion is None else ()
+    planned = plan(scene) if motion is None else motion
+    if not (scene.controller or shapers or scene.imperfection):
+        return Loop(planned, planned.joints)
+    names = Names()
+    builder = _Builder(scene, planned, names)
+    # shapers change the motion, controllers learn over its cycles, imperfections sample with the controllers
+    course = shape(planned, [builder.shaper(each) for each in shapers], names, lambda shaped: _repeated(scene, shaped))
+    controllers = [builder.slave(each, course.motion) for each in scene.controller]
+    imperfections = [builder.imperfection(each, controllers) for each in scene.imperfection]
+    return close_loop(course, controllers, imperfections, builder.connect, names)
+
+
+def _repeated(scene: Scene, motion: MotionPlan) -> MotionPlan:
+    """The motion, repeated where a controller learns.
+
+    Raises:
+        InputError: controllers learn over different numbers of cycles, or at different sample times.
+    """
+    learning = [each for each in scene.controller if isinstance(each, LearningSection)]
+    if not learning or motion.repetition is not None:
+        return motion
+    first = learning[0]
+    for key in ("cycles", "sample_time"):
+        values = [getattr(each, key) for each in learning]
+        if len(set(values)) > 1:
+            raise InputError(
+                f"all learning controllers of a scene share one motion: give them the same `{key}`, got {values}"
+            )
+    return repeated(motion, first.cycles, first.sample_time)
+
+
+class _Builder:
+    """Builds what a scene's sections ask for; errors as for `loop_of`.
+
+    Args:
+        scene: the scene.
+        planned: its planned motion, before shapers.
+        names: gives every slave a name of its own.
+
+    Attributes:
+        connect: ``slave.input`` → source, from the sections built so far.
+    """
+
+    def __init__(self, scene: Scene, planned: MotionPlan, names: Names) -> None:
+        self._scene, self._planned, self._names = scene, planned, names
+        self._holding_torques: Sequence[float] | None = None
+        self.connect: dict[str, str] = {}
+
+    def shaper(self, section: Any) -> Shaper | Slave:
+        """The shaper of a section."""
+        if isinstance(section, (PythonSection, FmuSection)):
+            return self.slave(section, self._planned)
+        shaper: Shaper = build(section, self._context(self._planned, "", 0.0))
+        return shaper
+
+    def imperfection(self, section: Any, controllers: Sequence[Slave]) -> PayloadError | Slave:
+        """The imperfection of a section; without a sample time of its own it has that of the first controller with one."""
+        own = (slave.sample_time for slave in controllers if isinstance(slave, Sampled))
+        sample_time = next(own, self._scene.cosimulation.step)
+        if isinstance(section, PayloadErrorSection):
+            error: PayloadError = build(section, self._context(self._planned, "", sample_time))
+            return error
+        return self.slave(section, self._planned, sample_time)
+
+    def slave(self, section: Any, motion: MotionPlan, sample_time: float = 0.0) -> Slave:
+        """The slave of a section, named and connected.
+
+        Args:
+            section: the section.
+            motion: what its builder knows of the motion.
+            sample_time: [s] of a section that has none of its own.
+        """
+        slave: Slave
+        if isinstance(section, PythonSection):
+            made = from_source(section.source, section.arguments, section.folder)
+            slave = as_slave(made, self._names, section.name)
+        elif isinstance(section, FmuSection):
+            slave = fmu_slave(
+                section.path,
+                self._names.of_file(section.path, section.name),
+                section.parameters,
+                sample_time=section.sample_time,
+                offset=section.offset,
+                output_order=section.output_order,
+            )
+        else:
+            # the name comes first: random numbers follow from it
+            name = self._names.chosen(section.name, section.kind.replace("-", "_"))
+            slave = build(section, self._context(motion, name, sample_time))
+        # an input without a slave's name is the slave's own, misspelt or not
+        own = {variable.name for variable in slave.variables if variable.causality == "input"}
+        heads = {head for name in own if (head := name.partition(".")[0]) not in self._names}
+        for target, source in section.connect.items():
+            head, dot, _ = target.partition(".")
+            is_own = target in own or not dot or head in heads
+            self.connect[f"{slave.name}.{target}" if is_own else target] = source
+        return slave
+
+    def _context(self, motion: MotionPlan, name: str, sample_time: float) -> LoopContext:
+        """What the builder of a section may need."""
+        period = None if motion.repetition is None else motion.repetition.period
+        return LoopContext(
+            motion.scene, motion.along_path, self._planned.joints, period, name, sample_time, self._before
+        )
+
+    def _before(self, kind: str) -> Sequence[float]:
+        """Values of both joints before the start, at rest; no torques for a robot that is driven by its motion."""
+        if kind == "position":
+            return tuple(float(angle) for angle in self._planned.joints.evaluate(0.0, 0, "left")[0, 0])
+        if kind != "torque":
+            return (0.0, 0.0)
+        if self._holding_torques is None:
+            self._holding_torques = tuple(holding_torques(self._scene).values())
+        return self._holding_torques
