@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.effect_sets import RICHEST, with_set
-from flexfmu.model.selection.estimator import Estimator
+from flexfmu.model.selection.estimator import RICHEST, Estimator, with_set
 
 FAMILIES = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")
 

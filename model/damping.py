@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import casadi
 import numpy as np
 
-from flexfmu.model.algebra import form, symmetric
-from flexfmu.model.effects import Effect, EffectContext
+from flexfmu.model.effects import Effect, EffectContext, form, symmetric
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Family, Robot
 from flexfmu.model.scene import effects as keys

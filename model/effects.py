@@ -18,6 +18,7 @@ from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import Family, LinkGroup, Robot
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import EffectNote
+from flexfmu.trajectories.jets import RealArray
 
 
 @dataclass(frozen=True)
@@ -121,3 +122,28 @@ class Effect(ABC):
     def outputs(self, robot: Robot) -> Sequence[Output]:
         """Outputs that follow from the effect's coordinates."""
         return ()
+
+
+def column(entries: Sequence[casadi.SX]) -> casadi.SX:
+    """A column vector (K, 1) that may be empty, where CasADi is particular about shapes."""
+    return casadi.vertcat(casadi.SX(0, 1), *entries)
+
+
+def symmetric(count: int, entry: Callable[[int, int], casadi.SX], pattern: RealArray) -> casadi.SX:
+    """A symmetric matrix with entries only where the pattern is not an exact zero; upper and lower share their symbols."""
+    matrix = casadi.SX(count, count)
+    for i in range(count):
+        for j in range(i, count):
+            if pattern[i, j]:
+                matrix[i, j] = matrix[j, i] = entry(i, j)
+    return matrix
+
+
+def dot(left: casadi.SX, right: casadi.SX) -> casadi.SX:
+    """left' right, zero for empty vectors."""
+    return casadi.dot(left, right) if right.numel() else casadi.SX(0)
+
+
+def form(matrix: casadi.SX, left: casadi.SX, right: casadi.SX) -> casadi.SX:
+    """left' matrix right, zero for empty vectors."""
+    return casadi.bilin(matrix, left, right) if left.numel() and right.numel() else casadi.SX(0)

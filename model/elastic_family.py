@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Sequence
 import casadi
 import numpy as np
 
-from flexfmu.model.algebra import column, form, symmetric
 from flexfmu.model.beams import (
     Basis,
     Evaluate,
@@ -29,7 +28,7 @@ from flexfmu.model.beams import (
     tip_force_axial,
     tip_force_bending,
 )
-from flexfmu.model.effects import Effect, EffectContext, Output
+from flexfmu.model.effects import Effect, EffectContext, Output, column, form, symmetric
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import FAMILIES, Direction, Family, LinkGroup, Robot
 from flexfmu.model.rotary_inertia import ThickBeam, slenderness, thick_beams

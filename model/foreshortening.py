@@ -16,9 +16,8 @@ from collections.abc import Iterator, Mapping
 import casadi
 import numpy as np
 
-from flexfmu.model.algebra import form, symmetric
 from flexfmu.model.beams import Evaluate, Shape, gram
-from flexfmu.model.effects import Effect, EffectContext
+from flexfmu.model.effects import Effect, EffectContext, form, symmetric
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import ElasticSymbols, Family, Link, LinkGroup, Robot
 from flexfmu.model.scene.mechanism import Link as Rod

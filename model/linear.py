@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import casadi
 import numpy as np
 
+from flexfmu.model.plants import torque_driven_plant
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.model.symbolic import SymbolicModel
-from flexfmu.model.torque_driven import torque_driven_plant
 from flexfmu.trajectories.jets import RealArray
 
 if TYPE_CHECKING:

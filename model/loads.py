@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import casadi
 import numpy as np
 
-from flexfmu.model.algebra import dot
-from flexfmu.model.effects import Effect, EffectContext
+from flexfmu.model.effects import Effect, EffectContext, dot
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Robot
 from flexfmu.model.symbolic import EffectNote, Variable

@@ -1,15 +1,47 @@
-"""The plants that a scene can drive, with what their documentation shows."""
+"""The two plants of a scene, made from the same five-bar, with what their documentation shows.
+
+The motion-driven plant is the inverse elastodynamic model, the paper's "perfect controller": inputs are the joint references, the
+unknowns are the elastic coordinates q_e, and the motor torques follow. The torque-driven plant is the direct elastodynamic model,
+what controllers act on: inputs are the motor torques and a force at the end effector, the unknowns are [q_a, q_e].
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi
+
 from flexfmu.model.choice_text import choice_notes
-from flexfmu.model.motion_driven import motion_driven_plant
-from flexfmu.model.scene.assembly import bases, elbows
+from flexfmu.model.five_bar import FiveBar, assemble
+from flexfmu.model.plant_functions import (
+    OutputRow,
+    PlantEquations,
+    compliance,
+    elastic_names,
+    elastic_scale,
+    make_plant,
+    moving_mass,
+    output,
+    reaction_outputs,
+    robot_outputs,
+    start_angles,
+    start_parameters,
+)
+from flexfmu.model.scene.assembly import bases, elbows, motor_angles
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.symbolic import Bar, Drawing, Spot, SymbolicModel
-from flexfmu.model.torque_driven import torque_driven_plant
+from flexfmu.model.statics import static_equilibrium
+from flexfmu.model.symbolic import Bar, Drawing, Friction, Spot, SymbolicModel, Variable
+from flexfmu.model.time_derivatives import Motion
+
+REFERENCE_LOAD = 1.0
+"""Acceleration [m/s²] whose static deflection is the floor of the motion-driven error norm: smaller motions aren't resolved
+relative to themselves."""
+
+REFERENCE_RATE = 0.1
+"""Motor rate [rad/s] whose kinetic energy is the floor of the torque-driven error norm, for the same reason."""
+
+RIGID_BANDWIDTH = 100.0
+"""Rate [rad/s] that weighs a motor angle against its rate in the error norm of a robot without elasticity."""
 
 
 def build_model(scene: Scene) -> SymbolicModel:
@@ -28,3 +60,143 @@ def draw_five_bar(scene: Scene) -> Drawing:
         bars.append(Bar(f"link{leg}2", "distal", elbow, end, mechanism.distal.diameter))
         spots += [Spot(f"joint{leg}", "motor", base), Spot(f"elbow{leg}", "joint", elbow)]
     return Drawing(tuple(bars), (*spots, Spot("end_effector", "end effector", end)))
+
+
+def motion_driven_plant(scene: Scene) -> SymbolicModel:
+    """The motion-driven plant of a scene; its residual are the forces on the elastic coordinates."""
+    five_bar = assemble(scene)
+    start, m = start_parameters(five_bar, scene), five_bar.motion
+    # outputs: what the motion takes, then what the robot does
+    outputs: list[OutputRow] = [
+        (output(f"joint{i + 1}.torque", "N.m", _TORQUE.format(i + 1)), five_bar.forces.motors[i]) for i in range(2)
+    ]
+    outputs += robot_outputs(five_bar)
+    if scene.effects.reactions:
+        outputs += reaction_outputs(five_bar.forces)
+    # error norm: elastic energy, with that under the reference load as its floor
+    kappa, mu = elastic_scale(five_bar)
+    floor = REFERENCE_LOAD * moving_mass(five_bar) * casadi.sqrt(compliance(five_bar)) if kappa else casadi.SX(1)
+    equations = PlantEquations(
+        motion=Motion(m.q_e, m.v_e, m.a_e, casadi.vertcat(m.q_a, m.v_a, m.a_a)),
+        residual=five_bar.forces.elastic,
+        outputs=outputs,
+        initial_inputs=casadi.vertcat(start_angles(five_bar, start, scene), casadi.SX.zeros(4)),
+        initial_coordinates=casadi.SX.zeros(m.q_e.numel()),
+        error_scale=casadi.vertcat(casadi.SX(0, 1), *kappa, *mu, floor),
+    )
+    return make_plant(
+        scene,
+        five_bar,
+        equations,
+        description="Flexible five-bar robot, motion-driven: joint references in, torques and end-effector motion out",
+        unknowns=elastic_names(five_bar),
+        inputs=_reference_inputs(scene),
+        rate_inputs=4,
+    )
+
+
+def _reference_inputs(scene: Scene) -> tuple[Variable, ...]:
+    """References of both joints; at rest only the positions aren't zero."""
+    joints = motor_angles(scene.mechanism, scene.trajectory.start)
+    return tuple(
+        Variable(
+            f"joint{leg + 1}.reference.{kind}",
+            unit,
+            f"{kind.capitalize()} reference of motor {leg + 1}",
+            "input",
+            start=joints[leg] if kind == "position" else 0.0,
+        )
+        for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s2"))
+        for leg in range(2)
+    )
+
+
+_TORQUE = "Torque of motor {}, counter-clockwise"
+
+
+def torque_driven_plant(scene: Scene) -> SymbolicModel:
+    """The torque-driven plant of a scene; its residual are the forces on motor angles and elastic coordinates."""
+    five_bar = assemble(scene)
+    start, m = start_parameters(five_bar, scene), five_bar.motion
+    torque, force = casadi.SX.sym("tau", 2), casadi.SX.sym("f", 2)
+    # the force at the end effector takes part of what the motion needs there
+    loaded = casadi.SX(five_bar.redundant_force)
+    loaded[8:10] -= force
+    five_bar = five_bar.with_forces(loaded)
+    outputs = _joint_outputs(five_bar, torque)
+    outputs += robot_outputs(five_bar)
+    if scene.effects.reactions:
+        outputs += reaction_outputs(five_bar.forces)
+    equations = PlantEquations(
+        motion=Motion(
+            casadi.vertcat(m.q_a, m.q_e),
+            casadi.vertcat(m.v_a, m.v_e),
+            casadi.vertcat(m.a_a, m.a_e),
+            casadi.vertcat(torque, force),
+        ),
+        residual=casadi.vertcat(five_bar.forces.motors - torque, five_bar.forces.elastic),
+        outputs=outputs,
+        initial_inputs=casadi.SX.zeros(4),
+        initial_coordinates=casadi.vertcat(start_angles(five_bar, start, scene), casadi.SX.zeros(m.q_e.numel())),
+        error_scale=_torque_driven_scale(five_bar),
+    )
+    position_of = five_bar.registry.position
+    return make_plant(
+        scene,
+        five_bar,
+        equations,
+        description="Flexible five-bar robot, torque-driven: motor torques in, joint and end-effector motion out",
+        unknowns=("joint1.position", "joint2.position", *elastic_names(five_bar)),
+        inputs=_torque_inputs(scene),
+        locked=2,
+        frictions=tuple(
+            Friction(i, position_of(friction.breakaway), position_of(friction.direction))
+            for i, friction in enumerate(five_bar.stiction)
+        ),
+    )
+
+
+def _joint_outputs(five_bar: FiveBar, torque: casadi.SX) -> list[OutputRow]:
+    """Motion of the motors, and the dry friction that can hold them."""
+    motion = five_bar.motion
+    rows: list[OutputRow] = []
+    for i in range(2):
+        position, velocity, acceleration = (f"joint{i + 1}.{kind}" for kind in ("position", "velocity", "acceleration"))
+        rows.append((output(position, "rad", f"Angle of motor {i + 1}"), motion.q_a[i]))
+        rows.append((output(velocity, "rad/s", f"Rate of motor {i + 1}", of=position), motion.v_a[i]))
+        rows.append((output(acceleration, "rad/s2", f"Acceleration of motor {i + 1}", of=velocity), motion.a_a[i]))
+    # dry friction is the part of a motor's torque that its motion doesn't need
+    for i, friction in enumerate(five_bar.stiction):
+        text = f"Torque of dry friction on motor {i + 1}, counter-clockwise"
+        left = five_bar.forces.motors[i] - torque[i] - friction.torque(motion.v_a[i])
+        rows.append((output(f"joint{i + 1}.friction", "N.m", text), left))
+    return rows
+
+
+def _torque_inputs(scene: Scene) -> tuple[Variable, ...]:
+    """Torques, which balance the start pose unless they are set, and the force at the end effector."""
+    holding = static_equilibrium(scene, motor_angles(scene.mechanism, scene.trajectory.start)).torque
+    torques = [
+        Variable(f"joint{i + 1}.torque", "N.m", _TORQUE.format(i + 1), "input", start=float(holding[i]))
+        for i in range(2)
+    ]
+    text = "External force at the end effector, {}"
+    return (*torques, *(Variable(f"force.{axis}", "N", text.format(axis), "input", start=0.0) for axis in "xy"))
+
+
+def _torque_driven_scale(five_bar: FiveBar) -> casadi.SX:
+    """[kappa (2 + n), mu (2 + n), floor]: energy norm; a motor angle counts like the elbow's displacement that it makes."""
+    kappa, mu = elastic_scale(five_bar)
+    # inertia of a motor angle: its proximal link, and a distal link with half of the payload at the elbow
+    length, distal_mass = five_bar.links["proximal"].length, five_bar.links["distal"].mass
+    proximal_inertia = five_bar.registry.find_derived("proximal_m_l2_3")
+    inertia = proximal_inertia + (distal_mass + 0.5 * five_bar.end_effector_mass) * length**2
+    # stiffness: the first bending mode's at its tip, or a nominal bandwidth where no tip bends
+    bending = [part.family for _, part in five_bar.robot.elastic if part.family.direction == "bending"]
+    stiffness = (
+        bending[0].stiffness[0, 0] * (length / bending[0].shapes[0].tip) ** 2
+        if bending and bending[0].shapes[0].tip
+        else RIGID_BANDWIDTH**2 * inertia
+    )
+    floor = REFERENCE_RATE * casadi.sqrt(inertia)
+    return casadi.vertcat(stiffness, stiffness, *kappa, inertia, inertia, *mu, floor)

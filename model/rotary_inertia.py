@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import casadi
 
-from flexfmu.model.algebra import column, dot, form, symmetric
 from flexfmu.model.beams import Evaluate, Shape, gram, mean
-from flexfmu.model.effects import Effect, EffectContext
+from flexfmu.model.effects import Effect, EffectContext, column, dot, form, symmetric
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import Link, LinkGroup, Robot
 from flexfmu.model.scene.mechanism import Link as LinkKeys

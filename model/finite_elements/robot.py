@@ -8,10 +8,8 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.model.finite_elements.element import COORDINATES, BeamElement, beam_element
-from flexfmu.model.finite_elements.mesh import MOTORS, Mesh, five_bar_mesh
-from flexfmu.model.finite_elements.placement import LINKS, rigid_links, straight
-from flexfmu.model.finite_elements.sections import beam_section
+from flexfmu.model.finite_elements.element import COORDINATES, BeamElement, beam_element, beam_section
+from flexfmu.model.finite_elements.mesh import LINKS, MOTORS, Mesh, five_bar_mesh, rigid_links, straight
 from flexfmu.model.scene.effects import NoDamping, StiffnessDamping
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene

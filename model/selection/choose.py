@@ -13,8 +13,7 @@ from flexfmu.model.enrichment import Neighbour, enrichments, reductions
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, Choice, EstimatedEffect, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS, FamilyName
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.effect_sets import richest, with_set
-from flexfmu.model.selection.estimator import Estimator
+from flexfmu.model.selection.estimator import Estimator, richest, with_set
 from flexfmu.model.selection.motion_grid import JointMotion
 
 SAFETY = 1.5

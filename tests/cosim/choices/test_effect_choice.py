@@ -21,8 +21,7 @@ from flexfmu.model.scene.choice import MeasureName
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.choose import SAFETY, one_more
-from flexfmu.model.selection.effect_sets import richest, with_set
-from flexfmu.model.selection.estimator import Estimator
+from flexfmu.model.selection.estimator import Estimator, richest, with_set
 
 ROOT = Path(__file__).parents[3]
 OPEN = load_scene(ROOT / "examples" / "effects_auto.toml")

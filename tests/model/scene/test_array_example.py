@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from pydantic import BaseModel
 
-from flexfmu.model.scene.array_example import array_example
 from flexfmu.model.scene.controllers import StateSpaceSection
 from flexfmu.model.scene.effects import Effects
+from flexfmu.model.scene.messages import array_example
 from flexfmu.model.scene.motion import TrajectorySection
 
 

@@ -13,7 +13,6 @@ from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.choice import MeasureName
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection import effect_sets
 from flexfmu.model.selection.choose import (
     absent_effects,
     cheapest,
@@ -23,8 +22,7 @@ from flexfmu.model.selection.choose import (
     poorer,
     rich_enough,
 )
-from flexfmu.model.selection.effect_sets import RICHEST, richest, with_set
-from flexfmu.model.selection.estimator import Estimator
+from flexfmu.model.selection.estimator import RICHEST, Estimator, richest, with_set
 from flexfmu.model.selection.measures import scales
 from flexfmu.model.selection.motion_grid import motion_grid
 from flexfmu.model.selection.response import LinearSystem
@@ -159,7 +157,7 @@ def test_one_shape_more_of_each_family_changes_nothing(monkeypatch: pytest.Monke
     names = get_args(MeasureName)
     estimates = estimator(LIGHT, names)
     counts: dict[str, Any] = {key: value + 1 for key, value in RICHEST.items() if type(value) is int}
-    monkeypatch.setattr(effect_sets, "RICHEST", {**RICHEST, **counts})
+    monkeypatch.setattr(estimates, "RICHEST", {**RICHEST, **counts})
     finer = estimator(LIGHT, names)
     for name in names:
         assert abs(estimates.reference[name] - finer.reference[name]) < 1e-3 * estimates.scales[name], name
