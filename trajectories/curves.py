@@ -1,4 +1,8 @@
-"""Plane curves by arc length: smooth pieces, and curves composed of them."""
+"""Plane curves by arc length: smooth pieces, and curves composed of them.
+
+Derivatives by arc length need no formula of their own: the arc length's series in the curve's parameter is integrated from
+the speed's and reverted, and the coordinates' series are composed with it.
+"""
 
 from __future__ import annotations
 
@@ -74,6 +78,7 @@ class ParametricPiece:
         u = self.table.parameter(s)
         if order == 0:
             return self.curve(Jet.variable(u, 0))
+        # ds/du = |(x', y')|
         x, y = self.curve(Jet.variable(u, order))
         x_slope, y_slope = x.differentiate(), y.differentiate()
         arc = sqrt(x_slope * x_slope + y_slope * y_slope).integrate()
@@ -161,6 +166,7 @@ class PiecewiseCurve:
         """
         s, order = within("arc length", s, self.length, "m"), checked_order(order)
         index = np.searchsorted(np.asarray(self.knots), s, side=checked_side(side))
+        # each piece for all points on it at once
         result = np.empty((2, order + 1, len(s)))
         for i in np.unique(index):
             here = index == i
@@ -172,16 +178,6 @@ class PiecewiseCurve:
 def placed(piece: Piece) -> PlacedPiece:
     """The piece as one that has been moved, if only to where it was."""
     return piece if isinstance(piece, PlacedPiece) else PlacedPiece(piece, (0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
-
-
-def place(pieces: tuple[Piece, ...], origin: Point, first: Point, second: Point) -> tuple[PlacedPiece, ...]:
-    """Pieces moved to ``origin`` with the unit axes ``first`` and ``second``."""
-    return tuple(PlacedPiece(piece, origin, first, second) for piece in pieces)
-
-
-def place_backwards(pieces: tuple[Piece, ...], origin: Point, first: Point, second: Point) -> tuple[PlacedPiece, ...]:
-    """Pieces moved like `place`, run from the last piece's end to the first piece's beginning."""
-    return tuple(PlacedPiece(piece, origin, first, second, backwards=True) for piece in reversed(pieces))
 
 
 def checked_side(side: Side) -> Side:

@@ -108,7 +108,17 @@ class Jet:
         return Jet(-self.coefficients)
 
     def __add__(self, other: Jet | ArrayLike) -> Jet:
-        return _add(self, other) if isinstance(other, Jet) else _shift(self, np.asarray(other, dtype=float))
+        if isinstance(other, Jet):
+            order = min(self.order, other.order)
+            a, b = _aligned(self, other.coefficients.ndim), _aligned(other, self.coefficients.ndim)
+            return Jet(a[: order + 1] + b[: order + 1])
+        # a constant changes the value alone
+        constant = np.asarray(other, dtype=float)
+        a = _aligned(self, constant.ndim + 1)
+        v = np.empty((self.order + 1, *np.broadcast_shapes(a.shape[1:], constant.shape)))
+        v[1:] = a[1:]
+        v[0] = a[0] + constant
+        return Jet(v)
 
     __radd__ = __add__
 
@@ -119,29 +129,45 @@ class Jet:
         return -self + other
 
     def __mul__(self, other: Jet | ArrayLike) -> Jet:
-        if isinstance(other, Jet):
-            return _multiply(self, other)
-        factor = np.asarray(other, dtype=float)
-        return Jet(_aligned(self, factor.ndim + 1) * factor)
+        if not isinstance(other, Jet):
+            factor = np.asarray(other, dtype=float)
+            return Jet(_aligned(self, factor.ndim + 1) * factor)
+        # Cauchy product, one coefficient of the left factor after the other
+        order = min(self.order, other.order)
+        a, b = _aligned(self, other.coefficients.ndim), _aligned(other, self.coefficients.ndim)
+        v = a[0] * b[: order + 1]
+        for k in range(1, order + 1):
+            v[k:] += a[k] * b[: order + 1 - k]
+        return Jet(v)
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Jet | ArrayLike) -> Jet:
-        if isinstance(other, Jet):
-            return _divide(self, other)
-        divisor = np.asarray(other, dtype=float)
-        _require(divisor, divisor != 0.0, "division", "other than zero")
-        return Jet(_aligned(self, divisor.ndim + 1) / divisor)
+        if not isinstance(other, Jet):
+            divisor = np.asarray(other, dtype=float)
+            _require(divisor, divisor != 0.0, "division", "other than zero")
+            return Jet(_aligned(self, divisor.ndim + 1) / divisor)
+        # v w = u solved for the coefficients of v in ascending order
+        _require(other.value, other.value != 0.0, "division", "other than zero")
+        order = min(self.order, other.order)
+        a, b = _aligned(self, other.coefficients.ndim), _aligned(other, self.coefficients.ndim)
+        inverse = 1.0 / b[0]
+        v = np.empty((order + 1, *np.broadcast_shapes(self.shape, other.shape)))
+        for k in range(order + 1):
+            v[k] = (a[k] - _convolve(v[:k], b[1 : k + 1])) * inverse
+        return Jet(v)
 
     def __rtruediv__(self, other: ArrayLike) -> Jet:
-        return _divide(Jet.constant(other, self.order), self)
+        return Jet.constant(other, self.order) / self
 
 
 def sqrt(u: Jet) -> Jet:
     """Square root of a jet with values above zero; a value of zero is valid at order 0 only."""
+    # a root of zero has no derivative
     lowest = u.value if u.order == 0 else np.where(u.value > 0.0, u.value, -1.0)
     _require(u.value, lowest >= 0.0, "square root", "above zero")
     v = np.empty_like(u.coefficients)
+    # v² = u solved for the coefficients of v in ascending order
     v[0] = np.sqrt(u.value)
     for k in range(1, u.order + 1):
         v[k] = (u.coefficients[k] - _convolve(v[1:k], v[1:k])) / (2.0 * v[0])
@@ -154,6 +180,7 @@ def power(u: Jet, exponent: float) -> Jet:
     slope = _slopes(u.coefficients)
     v = np.empty_like(u.coefficients)
     v_slope = np.empty_like(v)
+    # u v' = exponent v u' solved for the coefficients of v in ascending order
     v[0] = u.value**exponent
     for k in range(1, u.order + 1):
         change = exponent * _convolve(v[:k], slope[1 : k + 1]) - _convolve(u.coefficients[1:k], v_slope[1:k])
@@ -166,6 +193,7 @@ def sincos(u: Jet) -> tuple[Jet, Jet]:
     """Sine and cosine of a jet in radians, which need each other's coefficients."""
     slope = _slopes(u.coefficients)
     s, c = np.empty_like(slope), np.empty_like(slope)
+    # s' = c u' and c' = -s u', solved for the coefficients in ascending order
     s[0], c[0] = np.sin(u.value), np.cos(u.value)
     for k in range(1, u.order + 1):
         s[k] = _convolve(c[:k], slope[1 : k + 1]) / k
@@ -208,6 +236,7 @@ def compose(outer: Jet, inner: Jet) -> Jet:
     result = np.zeros((order + 1, *shape))
     result[0] = terms[highest]
     for k in range(highest - 1, -1, -1):
+        # the product with the increment, to the order that is complete after this round
         rows = order + 1 - k
         raised = np.zeros((order + 1, *shape))
         for j in range(1, rows):
@@ -225,6 +254,7 @@ def revert(series: Jet) -> Jet:
     """
     if series.order == 0:
         return Jet(np.zeros_like(series.coefficients))
+    # (u - u₀) / (s - s₀) as a series in u, and its powers
     quotient = 1.0 / Jet(series.coefficients[1:])
     inverse = np.zeros_like(series.coefficients)
     term = quotient
@@ -255,39 +285,6 @@ def checked_order(order: int) -> int:
     if isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 0:
         raise TrajectoryError(f"the order of a derivative must be a whole number of at least 0, got {order!r}")
     return int(order)
-
-
-def _add(u: Jet, w: Jet) -> Jet:
-    order = min(u.order, w.order)
-    return Jet(_aligned(u, w.coefficients.ndim)[: order + 1] + _aligned(w, u.coefficients.ndim)[: order + 1])
-
-
-def _shift(u: Jet, constant: RealArray) -> Jet:
-    a = _aligned(u, constant.ndim + 1)
-    v = np.empty((u.order + 1, *np.broadcast_shapes(a.shape[1:], constant.shape)))
-    v[1:] = a[1:]
-    v[0] = a[0] + constant
-    return Jet(v)
-
-
-def _multiply(u: Jet, w: Jet) -> Jet:
-    order = min(u.order, w.order)
-    a, b = _aligned(u, w.coefficients.ndim), _aligned(w, u.coefficients.ndim)
-    v = a[0] * b[: order + 1]
-    for k in range(1, order + 1):
-        v[k:] += a[k] * b[: order + 1 - k]
-    return Jet(v)
-
-
-def _divide(u: Jet, w: Jet) -> Jet:
-    _require(w.value, w.value != 0.0, "division", "other than zero")
-    order = min(u.order, w.order)
-    a, b = _aligned(u, w.coefficients.ndim), _aligned(w, u.coefficients.ndim)
-    inverse = 1.0 / b[0]
-    v = np.empty((order + 1, *np.broadcast_shapes(u.shape, w.shape)))
-    for k in range(order + 1):
-        v[k] = (a[k] - _convolve(v[:k], b[1 : k + 1])) * inverse
-    return Jet(v)
 
 
 def _convolve(a: RealArray, b: RealArray) -> RealArray | float:

@@ -17,8 +17,6 @@ from flexfmu.trajectories.curves import (
     Point,
     Side,
     StraightLine,
-    place,
-    place_backwards,
 )
 from flexfmu.trajectories.errors import TrajectoryError, plane_vector, positive
 
@@ -59,6 +57,7 @@ class PickAndPlacePath:
     @property
     def lift_direction(self) -> Point:
         """Unit vector along the lift."""
+        # scaled first, so that squares neither overflow nor vanish
         largest = max(abs(self.lift[0]), abs(self.lift[1]))
         x, y = self.lift[0] / largest, self.lift[1] / largest
         return x / math.hypot(x, y), y / math.hypot(x, y)
@@ -74,7 +73,21 @@ class PickAndPlacePath:
     @cached_property
     def curve(self) -> PiecewiseCurve:
         """The path by arc length, straight parts of no length left out."""
-        return PiecewiseCurve((*self._ascent(), *self._crossing(), *self._descent()))
+        lift, across = self.lift_direction, self.crossing_direction
+        back = -across[0], -across[1]
+        rise, run = self.height - self.blend.height, self.width - 2.0 * self.blend.width
+        upright: tuple[Piece, ...] = (StraightLine(rise),) if rise > FIT * self.height else ()
+        level: tuple[Piece, ...] = (StraightLine(run),) if run > FIT * self.width else ()
+        corner = self.blend.curve.pieces
+        # up, with the corner on top of the straight part
+        pieces = [PlacedPiece(piece, self.start, across, lift) for piece in upright]
+        pieces += [PlacedPiece(piece, self._point(0.0, rise), across, lift) for piece in corner]
+        # across; a straight line runs along its second axis
+        pieces += [PlacedPiece(piece, self._point(self.blend.width, self.height), lift, across) for piece in level]
+        # down, as the mirror image of up and run through backwards
+        pieces += [PlacedPiece(piece, self._point(self.width, rise), back, lift, True) for piece in reversed(corner)]
+        pieces += [PlacedPiece(piece, self.end, back, lift, True) for piece in upright]
+        return PiecewiseCurve(tuple(pieces))
 
     @property
     def length(self) -> float:
@@ -95,36 +108,10 @@ class PickAndPlacePath:
         """x and y [m] and their derivatives by arc length at s [m]; see `PiecewiseCurve.jets`."""
         return self.curve.jets(s, order, side)
 
-    def _ascent(self) -> tuple[PlacedPiece, ...]:
-        straight = _straight(self.height - self.blend.height, self.height)
-        base = self._point(0.0, self.height - self.blend.height)
-        lift, across = self.lift_direction, self.crossing_direction
-        return place(straight, self.start, across, lift) + place(self.blend.curve.pieces, base, across, lift)
-
-    def _crossing(self) -> tuple[PlacedPiece, ...]:
-        straight = _straight(self.width - 2.0 * self.blend.width, self.width)
-        return place(straight, self._point(self.blend.width, self.height), self.lift_direction, self.crossing_direction)
-
-    def _descent(self) -> tuple[PlacedPiece, ...]:
-        straight = _straight(self.height - self.blend.height, self.height)
-        base = self._point(self.width, self.height - self.blend.height)
-        lift, back = self.lift_direction, _negative(self.crossing_direction)
-        return place_backwards(self.blend.curve.pieces, base, back, lift) + place_backwards(
-            straight, self.end, back, lift
-        )
-
     def _point(self, across: float, up: float) -> Point:
         """The point at so many metres along the crossing and the lift."""
         (cx, cy), (lx, ly) = self.crossing_direction, self.lift_direction
         return self.start[0] + across * cx + up * lx, self.start[1] + across * cy + up * ly
-
-
-def _straight(length: float, scale: float) -> tuple[Piece, ...]:
-    return (StraightLine(length),) if length > FIT * scale else ()
-
-
-def _negative(vector: Point) -> Point:
-    return -vector[0], -vector[1]
 
 
 def _check_fit(name: str, extent: float, room_name: str, room: float) -> None:

@@ -1,4 +1,8 @@
-"""Trajectories: motion in time, with one-sided derivatives of any order at its breakpoints."""
+"""Trajectories: motion in time, with one-sided derivatives of any order at its breakpoints.
+
+Between breakpoints a motion along a path is analytic: the profile's series in time goes into the curve's series by arc
+length. Breakpoints are the profile's jumps and the times at which the path's knots are passed.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +61,7 @@ class Trajectory(Protocol):
 
 @runtime_checkable
 class HasLimits(Protocol):
-    """Gives left limits at some instants and right limits at others in one call, for little more than one of them."""
+    """A trajectory that evaluates left limits at some instants and right limits at others in one call."""
 
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """Value and time derivatives, as `Trajectory.evaluate` gives them.
@@ -120,9 +124,11 @@ class TaskTrajectory:
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `HasLimits`."""
         time, order = times(time), checked_order(order)
+        # the interval of each time: -1 before the motion, their number after it
         tolerance = SAME_TIME * self.duration
         starts = np.array([interval.start for interval in self._intervals] + [self.duration])
         index = np.searchsorted(starts, time + np.where(left, -tolerance, tolerance), side="right") - 1
+        # standstill outside, and within the motion the intervals with the same curve together
         result = np.zeros((order + 1, len(time), 2))
         result[0, index < 0] = self.path.start
         result[0, index == len(self._intervals)] = self.path.end
@@ -135,7 +141,13 @@ class TaskTrajectory:
         """Derivatives within intervals whose curves are congruent, which takes as many calls as for one interval."""
         if not parts:
             return
-        s = joined([self._arc_length(interval, time[where], order) for interval, where in parts])
+        # arc lengths in time, in the direction of the curve itself
+        arcs = []
+        for interval, where in parts:
+            fraction = interval.profile.jet(time[where] / self.duration, order).rescale(1.0 / self.duration)
+            arcs.append(interval.piece.own_arc_length(fraction * self.path.length - interval.piece_start))
+        s = joined(arcs)
+        # the curve at all of them, then each part moved to its place
         piece = parts[0][0].piece.piece
         points = compose(stack(piece.jets(np.clip(s.value, 0.0, piece.length), order)), s)
         begin = 0
@@ -143,11 +155,6 @@ class TaskTrajectory:
             part = Jet(points.coefficients[:, :, begin : begin + where.size])
             result[:, where] = np.moveaxis(stack(interval.piece.moved(unstack(part))).derivatives(), 1, -1)
             begin += where.size
-
-    def _arc_length(self, interval: Interval, time: RealArray, order: int) -> Jet:
-        """The arc length along the piece's own direction in time [m]."""
-        fraction = interval.profile.jet(time / self.duration, order).rescale(1.0 / self.duration)
-        return interval.piece.own_arc_length(fraction * self.path.length - interval.piece_start)
 
     @cached_property
     def _congruent(self) -> tuple[tuple[tuple[int, Interval], ...], ...]:
@@ -160,15 +167,16 @@ class TaskTrajectory:
     def _intervals(self) -> tuple[Interval, ...]:
         """Intervals between breakpoints, split also where the profile changes its expansion."""
         joins = [piece.start for piece in self.profile.pieces[1:]]
-        bounds = merged([0.0, 1.0], [*(time / self.duration for time in self.breakpoints[1:-1]), *joins])
-        return tuple(self._interval(a, b) for a, b in pairwise(bounds))
-
-    def _interval(self, start: float, end: float) -> Interval:
-        middle = np.array([0.5 * (start + end)])
-        profile = next(piece for piece in self.profile.pieces if middle[0] <= piece.end)
-        curve = self.path.curve
-        index = int(np.searchsorted(curve.knots, profile.jet(middle, 0).value[0] * curve.length))
-        return Interval(start * self.duration, profile, placed(curve.pieces[index]), float(curve.edges[index]))
+        knots = [time / self.duration for time in self.breakpoints[1:-1]]
+        curve, intervals = self.path.curve, []
+        for start, end in pairwise(merged([0.0, 1.0], [*knots, *joins])):
+            # the middle is away from all joins, so that profile and curve are the interval's own
+            middle = np.array([0.5 * (start + end)])
+            profile = next(piece for piece in self.profile.pieces if middle[0] <= piece.end)
+            index = int(np.searchsorted(curve.knots, profile.jet(middle, 0).value[0] * curve.length))
+            piece = placed(curve.pieces[index])
+            intervals.append(Interval(start * self.duration, profile, piece, float(curve.edges[index])))
+        return tuple(intervals)
 
 
 def merged(kept: Sequence[float], others: Sequence[float], near: float = SAME_TIME) -> tuple[float, ...]:
