@@ -1,4 +1,9 @@
-"""Joint trajectories through the mechanism's inverse kinematics, checked along the whole path while planning."""
+"""Joint trajectories through the mechanism's inverse kinematics, checked along the whole path while planning.
+
+Inverse kinematics gives angles modulo 2π; samples along the path, unwrapped, say which turn each belongs to. A margin is
+looked at on the same samples; around its local minima the grid is refined until the minimum cannot fall below what is
+required any more, or its place is exact.
+"""
 
 from __future__ import annotations
 
@@ -98,7 +103,10 @@ class JointTrajectory:
         motion = Jet.from_derivatives(limits(self.task, time, left, checked_order(order)))
         x, y = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))
         result = np.stack([joint.derivatives() for joint in self.kinematics.joints(x, y)], axis=-1)
-        result[0] = _near(result[0], self._reference(time))
+        # whole turns are added that bring the angles to within π of those between the samples
+        sample_times, angles = self._samples
+        near = np.stack([np.interp(time, sample_times, angle) for angle in angles.T], axis=-1)
+        result[0] = result[0] + 2.0 * np.pi * np.round((near - result[0]) / (2.0 * np.pi))
         return result
 
     @cached_property
@@ -111,23 +119,15 @@ class JointTrajectory:
         """Sample times [s], shape (N,), and continuous joint angles [rad], shape (N, 2)."""
         time, positions = self._first_look
         for _ in range(REFINEMENTS):
-            angles = np.unwrap(self._principal_angles(positions), axis=0)
+            joints = self.kinematics.joints(Jet(positions[None, :, 0]), Jet(positions[None, :, 1]))
+            angles = np.unwrap(np.stack([joint.value for joint in joints], axis=-1), axis=0)
+            # more samples where a joint turns so far between two that the turn is ambiguous
             wide = np.flatnonzero(np.max(np.abs(np.diff(angles, axis=0)), axis=1) > LARGEST_TURN)
             if not wide.size:
                 break
             time = np.insert(time, wide + 1, 0.5 * (time[wide] + time[wide + 1]))
             positions = _positions(self.task, time)
         return time, angles
-
-    def _principal_angles(self, positions: RealArray) -> RealArray:
-        """Joint angles modulo 2π [rad] at positions [m], both of shape (N, 2)."""
-        angles = self.kinematics.joints(Jet(positions[None, :, 0]), Jet(positions[None, :, 1]))
-        return np.stack([angle.value for angle in angles], axis=-1)
-
-    def _reference(self, time: RealArray) -> RealArray:
-        """Angles between the samples [rad], good to much less than π, shape (N, 2)."""
-        sample_times, angles = self._samples
-        return np.stack([np.interp(time, sample_times, angle) for angle in angles.T], axis=-1)
 
 
 def look_at(task: Trajectory) -> tuple[RealArray, RealArray]:
@@ -156,16 +156,15 @@ def check_margins(
         worst_time, worst = _smallest(task, kinematics, index, time, _defined(margin.values), margin.required)
         if worst < margin.required:
             violations.append((not np.isfinite(worst), index, margin, worst_time, worst))
-    if violations:
-        _, _, margin, worst_time, worst = min(violations, key=lambda violation: violation[:2])  # defined ones first
-        raise TrajectoryError(_violation(margin, worst, worst_time, _positions(task, np.array([worst_time]))[0]))
-
-
-def _violation(margin: Margin, value: float, time: float, position: RealArray) -> str:
+    if not violations:
+        return
+    # margins with a value first: an undefined one follows from them
+    _, _, margin, worst_time, worst = min(violations, key=lambda violation: violation[:2])
     unit = "" if margin.unit in ("", "1") else f" {margin.unit}"
-    found = f"{value:.6g}{unit}" if np.isfinite(value) else "undefined"
-    return (
-        f"{margin.name} is {found} at (x, y) = ({position[0]:.6g}, {position[1]:.6g}) m, t = {time:.6g} s; "
+    found = f"{worst:.6g}{unit}" if np.isfinite(worst) else "undefined"
+    x, y = _positions(task, np.array([worst_time]))[0]
+    raise TrajectoryError(
+        f"{margin.name} is {found} at (x, y) = ({x:.6g}, {y:.6g}) m, t = {worst_time:.6g} s; "
         f"it must be at least {margin.required:.6g}{unit} along the whole path: move the path or change the mechanism"
     )
 
@@ -178,14 +177,17 @@ def _smallest(
     Around a minimum a convex margin rises by more than it may still fall between the points looked at; where that is less
     than what is left above ``required``, it won't get there.
     """
+    # local minima of the samples, each with its neighbours
     padded = np.concatenate([[np.inf], values, [np.inf]])
     minima = np.flatnonzero((values <= padded[:-2]) & (values < padded[2:]))
     low, high = time[np.maximum(minima - 1, 0)], time[np.minimum(minima + 1, len(time) - 1)]
     best = time[minima], values[minima]
+    # no refinement where two samples on either side rise by less than what is left
     around = values[np.clip(minima + np.arange(-2, 3)[:, None], 0, len(values) - 1)]
     with np.errstate(invalid="ignore"):
         is_far = np.all(np.max(around, axis=0) - best[1] < best[1] - required)
     for _ in range(0 if is_far else REFINEMENTS):
+        # nine points in each neighbourhood, all minima at once
         grid = low + (high - low) * np.linspace(0.0, 1.0, 9)[:, None]
         found = _defined(kinematics.margins(_positions(task, grid.ravel()))[index].values).reshape(grid.shape)
         at = np.argmin(found, axis=0), np.arange(len(minima))
@@ -194,6 +196,7 @@ def _smallest(
             spread = np.max(found, axis=0) - best[1]
         if np.all(spread < best[1] - required):
             break
+        # the neighbourhood shrinks to a quarter around the smallest
         quarter = 0.125 * (high - low)
         low, high = np.maximum(low, best[0] - quarter), np.minimum(high, best[0] + quarter)
     worst = int(np.argmin(best[1]))
@@ -207,8 +210,3 @@ def _positions(task: Trajectory, time: RealArray) -> RealArray:
 def _defined(values: RealArray) -> RealArray:
     """Margins with -∞ in place of NaN."""
     return np.where(np.isnan(values), -np.inf, values)
-
-
-def _near(angle: RealArray, reference: RealArray) -> RealArray:
-    """The angles [rad], turned by whole turns to lie within π of the reference."""
-    return np.asarray(angle + 2.0 * np.pi * np.round((reference - angle) / (2.0 * np.pi)))

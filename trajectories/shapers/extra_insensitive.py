@@ -51,6 +51,7 @@ def extra_insensitive(mode: Oscillator, tolerance: float = 0.05, humps: int = 1)
     checked_fraction("tolerable residual", tolerance)
     if not 1 <= humps <= MOST_HUMPS:
         raise TrajectoryError(f"number of humps must be 1 to {MOST_HUMPS}, got {humps}")
+    # the undamped solution, followed in small steps of the damping ratio
     conditions = _Conditions(humps, tolerance)
     unknowns = conditions.undamped()
     steps = math.ceil(mode.ratio / CONTINUATION_STEP)
@@ -110,10 +111,12 @@ class _Conditions:
 
     def undamped(self) -> RealArray:
         """The closed-form solution without damping."""
+        # zeros and extrema of the Chebyshev polynomial, as frequencies
         n, edge = self.humps + 1, _chebyshev_edge(self.impulses, self.tolerance)
         zeros = 2.0 / np.pi * np.arccos(np.cos(np.pi * (2 * np.arange(n) + 1) / (2 * n)) / edge)
         tops = 2.0 / np.pi * np.arccos(np.cos(np.pi * np.arange(1, n) / n) / edge)
         amplitudes = chebyshev_amplitudes(self.impulses, self.tolerance)
+        # the one in the middle is at the design frequency, hence no unknown
         fixed, free = (tops, zeros) if self.humps % 2 else (zeros, tops)
         moving = np.delete(fixed, self.humps // 2)
         frequencies = [free, moving] if self.humps % 2 else [moving, free]

@@ -133,7 +133,14 @@ class ImpulseSequence:
         Returns:
             V, shape (N,).
         """
-        omega = 2.0 * np.pi * _frequencies(frequency)
+        frequency = np.atleast_1d(np.asarray(frequency, dtype=float))
+        bad = np.flatnonzero(~(np.isfinite(frequency) & (frequency >= 0.0)))
+        if bad.size:
+            raise TrajectoryError(
+                f"frequencies must be zero or positive and finite, got {frequency[bad[0]]:g} Hz at index {bad[0]}"
+            )
+        # relative to the last impulse, so that no exponent is above zero
+        omega = 2.0 * np.pi * frequency
         pole = complex(checked_ratio(ratio), math.sqrt(1.0 - ratio**2))
         exponents = np.outer(omega, pole * np.array(self.times) - ratio * self.duration)
         return np.asarray(np.abs(np.exp(exponents) @ np.array(self.amplitudes)))
@@ -177,6 +184,7 @@ class ImpulseSequence:
 
     def _crossing(self, start: float, end: float, limit: float, ratio: float) -> float:
         """The frequency [Hz] between ``start`` and ``end`` nearest to ``start`` from which the residual is above the limit."""
+        # a grid fine enough for the narrowest feature, then the root within one interval
         count = max(FINENESS, math.ceil(FINENESS * abs(end - start) * self.duration))
         grid = np.linspace(start, end, count + 1)
         above = np.flatnonzero(self.residual(grid, ratio) > limit)
@@ -198,6 +206,7 @@ class ImpulseSequence:
             for t1, a1 in zip(self.times, self.amplitudes, strict=True)
             for t2, a2 in zip(other.times, other.amplitudes, strict=True)
         )
+        # impulses that coincide are added up
         near = SAME_IMPULSE * (self.duration + other.duration)
         times, amplitudes = [pairs[0][0]], [pairs[0][1]]
         for time, amplitude in pairs[1:]:
@@ -245,17 +254,6 @@ def _numbers(name: str, values: tuple[float, ...]) -> tuple[float, ...]:
 
 def _listed(values: tuple[float, ...]) -> str:
     return ", ".join(f"{value:.6g}" for value in values)
-
-
-def _frequencies(value: ArrayLike) -> RealArray:
-    """Finite frequencies [Hz], zero or positive, shape (N,)."""
-    frequency = np.atleast_1d(np.asarray(value, dtype=float))
-    bad = np.flatnonzero(~(np.isfinite(frequency) & (frequency >= 0.0)))
-    if bad.size:
-        raise TrajectoryError(
-            f"frequencies must be zero or positive and finite, got {frequency[bad[0]]:g} Hz at index {bad[0]}"
-        )
-    return frequency
 
 
 UNSHAPED = ImpulseSequence((0.0,), (1.0,))

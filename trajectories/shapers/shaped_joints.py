@@ -115,11 +115,13 @@ def path_deviation(motion: Trajectory, path: PickAndPlacePath) -> float:
         motion: end effector, x and y [m] in time.
         path: the planned path.
     """
+    # samples between breakpoints
     spans = [np.linspace(a, b, POINTS_PER_INTERVAL, endpoint=False) for a, b in pairwise(motion.breakpoints)]
     time = np.concatenate([*spans, [motion.duration]])
     nearest = _NearestPoint(path)
     distance = nearest.distances(motion.evaluate(time, 0)[0])
     worst = int(np.argmax(distance))
+    # then around the largest distance, on a finer grid in every round
     low, high = time[max(worst - 1, 0)], time[min(worst + 1, len(time) - 1)]
     largest = float(distance[worst])
     for _ in range(REFINEMENTS):
@@ -148,6 +150,7 @@ class _NearestPoint:
                 np.stack([x, y], axis=-1)
                 for x, y in zip(*(jet.derivatives() for jet in self._path.jets(s, 2)), strict=True)
             )
+            # the foot of the perpendicular is where the offset has no part along the tangent
             offset = point - positions
             distance = np.minimum(distance, np.linalg.norm(offset, axis=-1))
             slope = np.sum(tangent**2 + offset * curvature, axis=-1)

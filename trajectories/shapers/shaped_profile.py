@@ -1,4 +1,8 @@
-"""Shaping the motion along the path: the profile is shaped, so that the end effector keeps to the geometric path."""
+"""Shaping the motion along the path: the profile is shaped, so that the end effector keeps to the geometric path.
+
+The shaped profile Σ A_i σ((t - T_i) / T) is a profile again, over the longer duration T + T_n. Between two joins of any of
+the shifted profiles it is smooth, and its pieces are sums of theirs.
+"""
 
 from __future__ import annotations
 
@@ -71,6 +75,7 @@ class ShapedProfile:
 
     def _piece(self, start: float, end: float) -> SmoothPiece:
         """The sum between two neighbouring joins: motions under way, and what those at their end amount to."""
+        # a shifted motion is under way, over, or has not begun
         terms, done = [], 0.0
         for delay, amplitude in zip(self._delays, self.sequence.amplitudes, strict=True):
             inside = (0.5 * (start + end) - delay) / self._share
@@ -82,10 +87,18 @@ class ShapedProfile:
         return _Sum(start, end, tuple(terms), done, self._share)
 
     def _check_direction(self) -> None:
+        """Refuse a negative speed anywhere along the path."""
         for piece in self.pieces:
-            fraction, speed = _slowest(piece)
+            # the smallest speed of a piece, surrounded by a finer grid in every round
+            eta = np.linspace(piece.start, piece.end, SAMPLES)
+            for _ in range(REFINEMENTS):
+                slowest = int(np.argmin(piece.jet(eta, 1).derivatives()[1]))
+                eta = np.linspace(eta[max(slowest - 1, 0)], eta[min(slowest + 1, SAMPLES - 1)], SAMPLES)
+            speeds = piece.jet(eta, 1).derivatives()[1]
+            slowest = int(np.argmin(speeds))
+            speed = float(speeds[slowest])
             if speed < -BACKWARDS:
-                time = fraction * (self.duration + self.sequence.duration)
+                time = float(eta[slowest]) * (self.duration + self.sequence.duration)
                 raise TrajectoryError(
                     f"the shaper's negative impulses make the motion go backwards along its path at t = {time:.4g} s "
                     f"(relative speed {speed:.3g}): shape the joint references, or choose a shaper with positive impulses"
@@ -125,14 +138,3 @@ def shape_along_path(task: TaskTrajectory, sequence: ImpulseSequence) -> TaskTra
     """The same path, run through with the shaped motion s(t); longer by the sequence's duration."""
     profile = ShapedProfile(task.profile, sequence, task.duration)
     return TaskTrajectory(task.path, profile, task.duration + sequence.duration)
-
-
-def _slowest(piece: SmoothPiece) -> tuple[float, float]:
-    """Fraction of the duration at which the speed of a piece is smallest, and that speed."""
-    eta = np.linspace(piece.start, piece.end, SAMPLES)
-    for _ in range(REFINEMENTS):
-        slowest = int(np.argmin(piece.jet(eta, 1).derivatives()[1]))
-        eta = np.linspace(eta[max(slowest - 1, 0)], eta[min(slowest + 1, SAMPLES - 1)], SAMPLES)
-    speeds = piece.jet(eta, 1).derivatives()[1]
-    slowest = int(np.argmin(speeds))
-    return float(eta[slowest]), float(speeds[slowest])

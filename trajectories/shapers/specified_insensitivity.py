@@ -58,19 +58,11 @@ def specified_insensitivity(
         problem = _Problem(impulses, lowest / middle, highest / middle, tolerance, ratio)
         amplitudes, periods = problem.solve()
         if problem.worst(amplitudes, periods) <= tolerance * (1.0 + EXCESS):
-            return _sequence(amplitudes, periods / middle)
+            return ImpulseSequence(tuple(periods / middle), tuple(amplitudes / np.sum(amplitudes)))
     raise TrajectoryError(
         f"no sequence of {MOST_IMPULSES} impulses keeps the residual at {tolerance:g} from {lowest:g} to {highest:g} Hz "
         f"with a damping ratio of {ratio:g}: choose a narrower range or a larger tolerance"
     )
-
-
-def _sequence(amplitudes: RealArray, times: RealArray) -> ImpulseSequence:
-    return ImpulseSequence(tuple(times), tuple(amplitudes / np.sum(amplitudes)))
-
-
-def _last_time(x: RealArray) -> float:
-    return float(x[-1])
 
 
 @dataclass(frozen=True)
@@ -85,6 +77,7 @@ class _Problem:
 
     def solve(self) -> tuple[RealArray, RealArray]:
         """Amplitudes and times, each (N,); the tolerance may be missed where so few impulses can't keep it."""
+        # the unknowns are all amplitudes and the times but the first; bounds and the other conditions are linear in them
         n = self.impulses
         goal = np.zeros(2 * n - 1)
         goal[-1] = 1.0
@@ -95,13 +88,17 @@ class _Problem:
             "jac": lambda x: goal,
             "bounds": Bounds(np.zeros(2 * n - 1), np.r_[np.ones(n), np.full(n - 1, np.inf)]),
             "constraints": [
-                {"type": "ineq", "fun": self._margins, "jac": self._margin_slopes},
+                {"type": "ineq", "fun": lambda x: self._margins(x)[0], "jac": lambda x: self._margins(x)[1]},
                 {"type": "ineq", "fun": lambda x: order @ x - SMALLEST_GAP, "jac": lambda x: order},
                 {"type": "eq", "fun": lambda x: x @ total - 1.0, "jac": lambda x: total},
             ],
             "options": {"maxiter": 500, "ftol": 1e-12},
         }
-        found = minimize(_last_time, self._start(), **arguments)
+        # from the Chebyshev sequence for this number of impulses, half a period apart
+        times = 0.5 * np.arange(n)
+        amplitudes = chebyshev_amplitudes(n, self.tolerance) * np.exp(-2.0 * np.pi * self.ratio * times)
+        start = np.concatenate([amplitudes / np.sum(amplitudes), times[1:]])
+        found = minimize(lambda x: float(x[-1]), start, **arguments)
         return self._unpack(np.asarray(found.x))
 
     def worst(self, amplitudes: RealArray, times: RealArray) -> float:
@@ -109,32 +106,21 @@ class _Problem:
         frequencies = np.linspace(self.lowest, self.highest, DENSITY * SAMPLES_PER_IMPULSE * self.impulses)
         return float(np.sqrt(np.max(self._squares(amplitudes, times, frequencies)[0])))
 
-    def _start(self) -> RealArray:
-        """The Chebyshev sequence for this number of impulses, half a period apart."""
-        times = 0.5 * np.arange(self.impulses)
-        amplitudes = chebyshev_amplitudes(self.impulses, self.tolerance) * np.exp(-2.0 * np.pi * self.ratio * times)
-        return np.concatenate([amplitudes / np.sum(amplitudes), times[1:]])
-
     def _unpack(self, x: RealArray) -> tuple[RealArray, RealArray]:
         return x[: self.impulses], np.concatenate([[0.0], x[self.impulses :]])
 
-    @property
-    def _samples(self) -> RealArray:
-        return np.linspace(self.lowest, self.highest, SAMPLES_PER_IMPULSE * self.impulses)
-
-    def _margins(self, x: RealArray) -> RealArray:
-        """1 - (residual / tolerance)² at the samples."""
-        return np.asarray(1.0 - self._squares(*self._unpack(x), self._samples)[0] / self.tolerance**2)
-
-    def _margin_slopes(self, x: RealArray) -> RealArray:
-        """Derivatives of the margins by the unknowns."""
-        _, by_amplitudes, by_times = self._squares(*self._unpack(x), self._samples)
-        return np.asarray(-np.hstack([by_amplitudes, by_times[:, 1:]]) / self.tolerance**2)
+    def _margins(self, x: RealArray) -> tuple[RealArray, RealArray]:
+        """1 - (residual / tolerance)² at samples of the range, and its derivatives by the unknowns."""
+        samples = np.linspace(self.lowest, self.highest, SAMPLES_PER_IMPULSE * self.impulses)
+        squares, by_amplitudes, by_times = self._squares(*self._unpack(x), samples)
+        slopes = -np.hstack([by_amplitudes, by_times[:, 1:]]) / self.tolerance**2
+        return np.asarray(1.0 - squares / self.tolerance**2), np.asarray(slopes)
 
     def _squares(
         self, amplitudes: RealArray, times: RealArray, frequencies: RealArray
     ) -> tuple[RealArray, RealArray, RealArray]:
         """Squared residuals (M,) after the latest impulse, and their derivatives by amplitudes and times, (M, N) each."""
+        # relative to the last impulse, so that no exponent is above zero
         latest = int(np.argmax(times))  # trials of the optimisation may have impulses out of order
         omega = 2.0 * np.pi * frequencies
         pole = complex(self.ratio, math.sqrt(1.0 - self.ratio**2))
