@@ -77,6 +77,10 @@ class _Problem:
 
     def solve(self) -> tuple[RealArray, RealArray]:
         """Amplitudes and times, each (N,); the tolerance may be missed where so few impulses can't keep it."""
+
+        def last_time(x: RealArray) -> float:
+            return float(x[-1])
+
         # the unknowns are all amplitudes and the times but the first; bounds and the other conditions are linear in them
         n = self.impulses
         goal = np.zeros(2 * n - 1)
@@ -98,7 +102,7 @@ class _Problem:
         times = 0.5 * np.arange(n)
         amplitudes = chebyshev_amplitudes(n, self.tolerance) * np.exp(-2.0 * np.pi * self.ratio * times)
         start = np.concatenate([amplitudes / np.sum(amplitudes), times[1:]])
-        found = minimize(lambda x: float(x[-1]), start, **arguments)
+        found = minimize(last_time, start, **arguments)
         return self._unpack(np.asarray(found.x))
 
     def worst(self, amplitudes: RealArray, times: RealArray) -> float:
