@@ -2,17 +2,47 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
 import fmpy
+from elftools.elf.dynamic import DynamicSection
+from elftools.elf.elffile import ELFFile
+from elftools.elf.gnuversions import GNUVerNeedSection
+from elftools.elf.sections import SymbolTableSection
 
 from flexfmu.fmu_build.validation.description import interfaces
-from flexfmu.fmu_build.validation.elf import ElfFacts, NotElfError, read_elf
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.functions import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS
+
+_FUNCTIONS = (
+    "GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment EnterInitializationMode "
+    "ExitInitializationMode Terminate Reset GetReal GetInteger GetBoolean GetString SetReal SetInteger SetBoolean SetString "
+    "GetFMUstate SetFMUstate FreeFMUstate SerializedFMUstateSize SerializeFMUstate DeSerializeFMUstate "
+    "GetDirectionalDerivative"
+)
+_COSIMULATION = (
+    "SetRealInputDerivatives GetRealOutputDerivatives DoStep CancelStep GetStatus GetRealStatus GetIntegerStatus "
+    "GetBooleanStatus GetStringStatus"
+)
+_EXCHANGE = (
+    "EnterEventMode NewDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime SetContinuousStates "
+    "GetDerivatives GetEventIndicators GetContinuousStates GetNominalsOfContinuousStates"
+)
+
+
+def _names(text: str) -> frozenset[str]:
+    return frozenset(f"fmi2{name}" for name in text.split())
+
+
+COSIMULATION_FUNCTIONS = _names(f"{_FUNCTIONS} {_COSIMULATION}")
+"""All functions that a co-simulation FMU exports (FMI 2.0.4, section 2.1 and fmi2Functions.h)."""
+
+EXCHANGE_FUNCTIONS = _names(f"{_FUNCTIONS} {_EXCHANGE}")
+"""The same for model exchange."""
 
 SUFFIXES = {
     "linux64": ".so",
@@ -45,6 +75,84 @@ SYSTEM_LIBRARIES = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s)\.so\.\d+|ld-linux.
 
 OLD_GLIBC = (2, 28)
 """The oldest glibc in general use: enterprise distributions of 2019, and Python's manylinux_2_28."""
+
+
+_ELF64 = b"\x7fELF\x02\x01"
+"""What ELF files with 64 bits, little endian, begin with."""
+
+_SECTION_HEADER = 64
+"""Bytes of a section header in a 64-bit ELF file."""
+
+_TEXTS = {"DT_NEEDED": "needed", "DT_RPATH": "rpath", "DT_RUNPATH": "runpath"}
+"""Tag of the dynamic section → pyelftools' attribute that has its text."""
+
+
+class NotElfError(ValueError):
+    """The bytes are no 64-bit little-endian ELF file, or a damaged one."""
+
+
+@dataclass(frozen=True)
+class ElfFacts:
+    """What a program that loads a Linux library has to know of it.
+
+    Attributes:
+        exports: names that it defines and that are visible from outside.
+        needed: names of the libraries that it needs.
+        search_path: folders where it looks for them first (RPATH, RUNPATH).
+        glibc: oldest version of the C library that will do, (0, 0) if it needs none.
+    """
+
+    exports: frozenset[str]
+    needed: tuple[str, ...]
+    search_path: tuple[str, ...]
+    glibc: tuple[int, int]
+
+
+def read_elf(library: bytes) -> ElfFacts:
+    """Facts about a shared library.
+
+    Raises:
+        NotElfError: not an ELF file of this kind, or cut off.
+    """
+    if not library.startswith(_ELF64):
+        raise NotElfError("not a 64-bit ELF file")
+    try:
+        return _elf_facts(library)
+    except Exception as error:  # whatever pyelftools makes of a broken file: it does not check what it reads
+        raise NotElfError("damaged ELF file") from error
+
+
+def _elf_facts(library: bytes) -> ElfFacts:
+    """The same, with pyelftools' errors where the file is damaged."""
+    elf = ELFFile(io.BytesIO(library))
+    # a damaged count of sections would keep pyelftools busy for ever
+    if elf["e_shoff"] and elf.num_sections() * _SECTION_HEADER > len(library):
+        raise ValueError("more sections than the file has room for")
+    exports: set[str] = set()
+    needed, search_path, glibc = [], [], (0, 0)
+    for section in elf.iter_sections():
+        if isinstance(section, SymbolTableSection) and section["sh_type"] == "SHT_DYNSYM":
+            exports |= {symbol.name for symbol in section.iter_symbols() if _is_exported(symbol)}
+        elif isinstance(section, DynamicSection):
+            for tag in section.iter_tags():
+                text = getattr(tag, _TEXTS.get(tag.entry.d_tag, ""), "")
+                if tag.entry.d_tag == "DT_NEEDED":
+                    needed.append(text)
+                else:
+                    search_path += [folder for folder in text.split(":") if folder]
+        elif isinstance(section, GNUVerNeedSection):
+            # the needed versions are linked lists, endless in a damaged file: the table of their names says enough
+            names = section.stringtable
+            text = library[names["sh_offset"] : names["sh_offset"] + names["sh_size"]]
+            for major, minor in re.findall(rb"\0GLIBC_(\d+)\.(\d+)", text):
+                glibc = max(glibc, (int(major), int(minor)))
+    return ElfFacts(frozenset(exports), tuple(needed), tuple(search_path), glibc)
+
+
+def _is_exported(symbol: Any) -> bool:
+    """Whether a library defines a symbol and shows it to others."""
+    visible = symbol["st_other"]["visibility"] not in ("STV_INTERNAL", "STV_HIDDEN")
+    return visible and symbol["st_shndx"] != "SHN_UNDEF" and symbol["st_info"]["bind"] != "STB_LOCAL"
 
 
 def check_binaries(description: Any, files: Mapping[str, bytes]) -> Iterator[Finding]:

@@ -21,8 +21,7 @@ from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, CacheWarning, MissingCompilerError, PlatformError
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import generate_sources
-from flexfmu.fmu_build.validation.elf import exported_symbols
-from flexfmu.fmu_build.validation.functions import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS
+from flexfmu.fmu_build.validation.binaries import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS, read_elf
 from flexfmu.model.symbolic import SymbolicModel
 
 MakeModel = Callable[..., SymbolicModel]
@@ -71,7 +70,7 @@ def test_file_has_all_its_parts(make_oscillators: MakeModel) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="reads ELF")
 def test_binary_exports_the_fmi_functions_alone(make_oscillators: MakeModel) -> None:
     """Every function of FMI 2.0, for co-simulation and model exchange, and nothing that could collide with another FMU."""
-    exported = exported_symbols(_library(build_fmu(make_oscillators()).path))
+    exported = read_elf(_library(build_fmu(make_oscillators()).path)).exports
     assert exported == COSIMULATION_FUNCTIONS | EXCHANGE_FUNCTIONS
 
 

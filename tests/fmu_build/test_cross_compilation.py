@@ -15,7 +15,7 @@ from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.platforms import PLATFORMS
 from flexfmu.fmu_build.sources import generate_sources
 from flexfmu.fmu_build.toolchain import find_compiler
-from flexfmu.fmu_build.validation.functions import COSIMULATION_FUNCTIONS
+from flexfmu.fmu_build.validation.binaries import COSIMULATION_FUNCTIONS
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicModel
 

@@ -14,7 +14,7 @@ from flexfmu.fmu_build import toolchain
 from flexfmu.fmu_build.errors import CompileError, MissingCompilerError, PlatformError
 from flexfmu.fmu_build.platforms import PLATFORMS, find_platforms, native_platform
 from flexfmu.fmu_build.toolchain import CompileJob, find_compiler
-from flexfmu.fmu_build.validation.elf import exported_symbols
+from flexfmu.fmu_build.validation.binaries import read_elf
 
 HAS_ZIG = importlib.util.find_spec("ziglang") is not None
 
@@ -42,7 +42,7 @@ def test_compiled_code_runs(tmp_path: Path) -> None:
 def test_nothing_is_exported_by_accident(tmp_path: Path) -> None:
     """Two FMUs in one process must not see each other's functions."""
     library = _build(tmp_path, "int hidden; int answer(void) { return 42; }")
-    assert exported_symbols(library.read_bytes()) == set()
+    assert read_elf(library.read_bytes()).exports == set()
 
 
 def test_compiler_error_is_one_line_with_the_place(tmp_path: Path) -> None:
