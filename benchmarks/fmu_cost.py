@@ -24,9 +24,9 @@ from paper_scene import SCENES
 
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.planning import plan
+from flexfmu.fmu_build.choices import INTEGRATOR
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import generate_sources
 from flexfmu.fmu_build.toolchain import find_compiler

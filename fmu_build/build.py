@@ -11,11 +11,19 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.archive import fmu_facts, pack, write_atomically
-from flexfmu.fmu_build.cache import cache_folder, digest, digest_name, fmu_name, package_fingerprint, read_intact, store
+from flexfmu.fmu_build.cache import (
+    cache_folder,
+    content_hash,
+    digest,
+    digest_name,
+    fmu_name,
+    package_fingerprint,
+    read_intact,
+    store,
+)
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.hashing import content_hash
 from flexfmu.fmu_build.platforms import Platform, find_platforms
 from flexfmu.fmu_build.toolchain import find_compiler
 

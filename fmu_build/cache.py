@@ -8,6 +8,8 @@ from __future__ import annotations
 import hashlib
 import os
 import warnings
+from collections.abc import Iterable
+from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +19,6 @@ import platformdirs
 
 from flexfmu.fmu_build.archive import write_atomically
 from flexfmu.fmu_build.errors import ArchiveError, CacheWarning
-from flexfmu.fmu_build.hashing import content_hash
 
 FOLDER_VARIABLE = "FLEXFMU_CACHE"
 """Environment variable that names another folder for the cache."""
@@ -128,3 +129,11 @@ def _source_files(package: str) -> list[Path]:
     spec = find_spec(package)
     roots = (spec.submodule_search_locations or []) if spec else []
     return sorted(path for root in roots for path in Path(root).rglob("*") if path.suffix in _SOURCE_SUFFIXES)
+
+
+def content_hash(parts: Iterable[bytes]) -> str:
+    """Hexadecimal SHA-256 of a list of byte strings; lengths count too, so that no two lists agree by chance."""
+    digest = sha256()
+    for part in parts:
+        digest.update(len(part).to_bytes(8, "little") + part)
+    return digest.hexdigest()

@@ -8,9 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexfmu.fmu_build.cache import cache_folder, store
+from flexfmu.fmu_build.cache import cache_folder, content_hash, store
 from flexfmu.fmu_build.errors import ArchiveError
-from flexfmu.fmu_build.hashing import content_hash
 from flexfmu.fmu_build.toolchain import FIRST_HEADER, GENERATED_FLAGS, RUNTIME_FLAGS, CompileJob, Compiler
 
 if TYPE_CHECKING:

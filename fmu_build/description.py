@@ -7,20 +7,20 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
-from flexfmu.fmu_build.choices import INITIAL, Choice, annotation
+from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR, Choice, annotation
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER, identifier
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.fmu_build.interface import Interface, build_interface
-from flexfmu.fmu_build.licences import AUTHOR, LICENSE, copyright_line
 from flexfmu.fmu_build.naming import NAMES, Naming, named_interface, structured_names
-from flexfmu.fmu_build.quantities import RealType, real_types
 from flexfmu.fmu_build.templating import render
-from flexfmu.fmu_build.units import unit_definitions
+from flexfmu.fmu_build.units import RealType, real_types, unit_definitions
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
+
+AUTHOR = "the flexfmu authors"
+LICENSE = "BSD-3-Clause, see documentation/licenses"
 
 MAX_OUTPUT_DERIVATIVE_ORDER = 2
 """The runtime differentiates its outputs exactly up to this order."""
@@ -165,3 +165,8 @@ def _annotations(description: Description) -> dict[str, Mapping[str, str]]:
     derivatives = {"InputDerivatives": {"maxOrder": str(description.max_input_order)}}
     ordered = derivatives if description.max_input_order else {}
     return ordered | annotation(description.choices) | dict(description.annotations)
+
+
+def copyright_line() -> str:
+    """Who holds the copyright, as the licence says it."""
+    return next(line for line in render("license.txt").splitlines() if line.startswith("Copyright"))

@@ -1,43 +1,125 @@
-"""What the documentation of a plant shows besides its variables: picture, effects, equations."""
+"""The documentation folder of an FMU: one HTML page that needs nothing else, and the licences of what is inside."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
 
-from flexfmu.fmu_build.choices import INITIAL
-from flexfmu.fmu_build.description import Description
-from flexfmu.fmu_build.documentation_files import documentation_files
+from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR, LEAST_TOLERANCE
+from flexfmu.fmu_build.description import LICENSE, LOG_CATEGORIES, Description, copyright_line
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.icon import ICON_SIZE
-from flexfmu.fmu_build.integrators import INTEGRATOR, LEAST_TOLERANCE
-from flexfmu.fmu_build.picture import Picture, block_picture, mechanism_picture
+from flexfmu.fmu_build.interface import FmiVariable
+from flexfmu.fmu_build.labels import FONT_SIZE
+from flexfmu.fmu_build.picture import ICON_SIZE, Picture, block_picture, mechanism_picture
+from flexfmu.fmu_build.templating import render
+from flexfmu.fmu_build.units import displayed
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
 
 PICTURE_SIZE = (560, 420)
-"""Width and height of the page's picture [px]."""
+"""Width and height of the plant's picture [px]."""
+
+_GROUPS = {
+    "Inputs": ("input", "Real"),
+    "Parameters": ("parameter", ""),
+    "Outputs": ("output", "Real"),
+    "Statistics": ("local", "Integer"),
+    "Continuous states, for model exchange": ("local", "Real"),
+}
+"""Heading → causality and type of its variables, all types where none is named, in the order of the page."""
+
+_HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
+"""Files of the FMI standard that FMUs bring along."""
+
+_CASADI = """Of the files model_*.c in the folder sources/ that CasADi (https://casadi.org) has generated.
+
+CasADi's copyright holders claim no ownership of generated code; what comes from CasADi's own templates is under the
+MIT No Attribution licence (https://github.com/casadi/casadi/issues/3015).
+"""
+
+
+def documentation_files(
+    template: str, description: Description, experiment: DefaultExperiment, *, picture: Picture, **values: Any
+) -> dict[str, str]:
+    """Any FMU's files of the folder ``documentation/``: path below the FMU's root → text.
+
+    Args:
+        template: of the page; fills the blocks of ``page.html.j2``.
+        description: what the model description says.
+        experiment: default experiment.
+        picture: drawn at the top of the page.
+        values: whatever else the template shows.
+    """
+    page = render(
+        template,
+        about=description,
+        experiment=experiment,
+        picture=picture,
+        font_size=FONT_SIZE,
+        groups=_groups(description.interface.variables),
+        start=_start_text,
+        limits=_limits_text,
+        log_categories=LOG_CATEGORIES,
+        version=version("flexfmu"),
+        copyright=copyright_line(),
+        license=LICENSE,
+        **values,
+    )
+    licences = {"license": render("license.txt"), "fmi-headers": _header_licence(), "casadi-generated": _CASADI}
+    return {
+        "documentation/index.html": page,
+        **{f"documentation/licenses/{name}.txt": text for name, text in licences.items()},
+    }
+
+
+def _groups(variables: Sequence[FmiVariable]) -> dict[str, list[FmiVariable]]:
+    """Heading → its variables."""
+    return {
+        title: [each for each in variables if each.causality == causality and kind in (each.kind, "")]
+        for title, (causality, kind) in _GROUPS.items()
+    }
+
+
+def _start_text(variable: FmiVariable, description: Description) -> str:
+    """The start value with its unit, and as a person would rather read it; choices by name."""
+    if variable.start is None:
+        return ""
+    for choice in description.choices:
+        if choice.name == variable.name:
+            return f"{choice.name_of(variable.start)} ({variable.start})"
+    text = f"{variable.start:.12g} {variable.unit or ''}".strip()
+    other = displayed(variable.start, variable.unit) if variable.unit and variable.start else None
+    return f"{text} = {other}" if other else text
+
+
+def _limits_text(variable: FmiVariable) -> str:
+    """The admissible range, such as ``0 … 1000``; empty where there is none."""
+    low, high = variable.minimum, variable.maximum
+    if low is None and high is None:
+        return ""
+    return f"{'−∞' if low is None else f'{low:g}'} … {'∞' if high is None else f'{high:g}'}"
 
 
 def documentation(model: SymbolicModel, description: Description, experiment: DefaultExperiment) -> dict[str, str]:
-    """Files of the folder ``documentation/``: path below the FMU's root → text."""
+    """A plant's files of the folder ``documentation/``: path below the FMU's root → text."""
+    # the states are the coordinates, each with its rate
+    rates = {output.derivative_of: output.name for output in model.outputs}
+    states = [name for unknown in model.unknowns for name in (unknown, rates[unknown])]
     return documentation_files(
         "index.html.j2",
         description,
         experiment,
         picture=plant_picture(model, *PICTURE_SIZE, labelled=True),
         model=model,
-        states=_states(model),
+        states=states,
         initial_states=INITIAL.items,
         integrators=INTEGRATOR.items,
         least_tolerance=LEAST_TOLERANCE,
     )
-
-
-def _states(model: SymbolicModel) -> list[str]:
-    """Names of the coordinates, each with its rate."""
-    rates = {output.derivative_of: output.name for output in model.outputs}
-    return [name for unknown in model.unknowns for name in (unknown, rates[unknown])]
 
 
 def plant_picture(
@@ -47,3 +129,11 @@ def plant_picture(
     if model.drawing is None:
         return block_picture(width, height)
     return mechanism_picture(model.drawing, width, height, labelled)
+
+
+def _header_licence() -> str:
+    """The licence of the FMI standard's headers, word for word as the first of them carries it."""
+    header = (files("flexfmu.fmu_build") / "c-runtime" / _HEADERS[0]).read_text(encoding="utf-8")
+    found = re.search(r"^[ ]*Copyright.*?^[ ]*-{20,}.*?^[ ]*-{20,}", header, re.MULTILINE | re.DOTALL)
+    text = found.group() if found else header
+    return f"Of the FMI standard: {', '.join(_HEADERS)} in the folder sources/.\n\n{text}\n"

@@ -7,12 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from flexfmu.fmu_build.choices import INITIAL, Choice
+from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR, INTEGRATOR_REFERENCE, Choice
 from flexfmu.fmu_build.errors import ModelError, StartError
-from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR, VALUE_REFERENCE
-from flexfmu.fmu_build.quantities import quantity
 from flexfmu.fmu_build.states import States, find_states, state_dependencies, state_name
-from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit
+from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit, quantity
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel, Variable
@@ -292,7 +290,7 @@ def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariabl
 
 def _integrator_variables(first_index: int, value_reference: int) -> tuple[FmiVariable, ...]:
     """The choice of the method, and of a fixed step as the last of the real variables; initialisation needs neither."""
-    method = choice_variable(INTEGRATOR, "automatic", first_index, VALUE_REFERENCE)
+    method = choice_variable(INTEGRATOR, "automatic", first_index, INTEGRATOR_REFERENCE)
     step = FmiVariable(
         index=first_index + 1,
         value_reference=value_reference,

@@ -7,21 +7,27 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Literal
 
-from flexfmu.fmu_build.build_description import BUILD_DESCRIPTION, build_description
+from flexfmu.fmu_build.cache import content_hash
 from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, generate_description, generate_functions, identifier
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.documentation import documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.hashing import content_hash
-from flexfmu.fmu_build.icon import ICON_FILE, png
 from flexfmu.fmu_build.naming import Naming, named_model
+from flexfmu.fmu_build.picture import ICON_FILE, png
+from flexfmu.fmu_build.templating import render
+from flexfmu.fmu_build.toolchain import COMMON_FLAGS
 
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
 
-
 Kind = Literal["plant", "block", "trajectory"]
 """What an FMU contains; the same FMI layer serves all of them."""
+
+BUILD_DESCRIPTION = "sources/buildDescription.xml"
+"""Where FMI 3.0's build description is in the FMU; tools of FMI 2.0 read it too."""
+
+OPTIONS = ("-O2", *COMMON_FLAGS)
+"""Options of a compiler of GCC's or Clang's kind for the same numbers as the binaries give; others need C99 alone."""
 
 _COMMON = ("backend.", "clock.", "elementary", "fmi2", "memory.", "model.", "old_glibc.", "private.", "refusal.")
 """How the names of the runtime's files begin that every kind needs."""
@@ -60,8 +66,14 @@ class Sources:
     def archive_files(self) -> dict[str, bytes]:
         """Path below the FMU's root → content, all but the binaries."""
         code = {f"sources/{name}": text for name, text in (self.generated | self.runtime).items()}
-        built = {BUILD_DESCRIPTION: build_description(self.model_identifier, c_files((*self.generated, *self.runtime)))}
-        texts = {"modelDescription.xml": self.description} | code | built | self.documentation
+        # for tools that build the binary again from these sources: one set of C files and the mathematics library
+        rebuild = render(
+            "buildDescription.xml.j2",
+            model_identifier=self.model_identifier,
+            source_files=c_files((*self.generated, *self.runtime)),
+            options=" ".join(OPTIONS),
+        )
+        texts = {"modelDescription.xml": self.description, BUILD_DESCRIPTION: rebuild} | code | self.documentation
         return {path: text.encode() for path, text in texts.items()} | ({ICON_FILE: self.icon} if self.icon else {})
 
 

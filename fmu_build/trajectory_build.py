@@ -1,23 +1,29 @@
-"""From a trajectory to an FMU file."""
+"""From a trajectory to an FMU file, and what the FMU says of itself: references, breakpoints, accuracy."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from flexfmu.fmu_build.build import BuiltFmu, Progress, build_from_sources
+from flexfmu.fmu_build.choices import Choice
+from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
+from flexfmu.fmu_build.description import Description
+from flexfmu.fmu_build.documentation import documentation_files
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.icon import png
-from flexfmu.fmu_build.naming import named_variables
+from flexfmu.fmu_build.interface import Interface, Unknown, check_names, choice_variable, real_variable
+from flexfmu.fmu_build.naming import Naming, named_variables
+from flexfmu.fmu_build.picture import FINE_PEN, ICON_SIZE, PAGE_SIZE, PEN, Picture, curves_picture, png
+from flexfmu.fmu_build.sources import Sources, assemble_sources
 from flexfmu.fmu_build.templating import render
-from flexfmu.fmu_build.trajectory_table import tabulate
-
-if TYPE_CHECKING:
-    from flexfmu.fmu_build.naming import Naming
-    from flexfmu.fmu_build.sources import Sources
-    from flexfmu.trajectories.trajectory import Trajectory
+from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, TrajectoryTable, tabulate
+from flexfmu.model.symbolic import Variable
+from flexfmu.trajectories.trajectory import Trajectory
 
 DEFAULT_STEP = 1e-3
 """Communication step of the default experiment [s]."""
@@ -85,14 +91,6 @@ def generate_trajectory_sources(
     Raises:
         ModelError: no table reproduces the trajectory, or the axes don't suit it.
     """
-    from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
-    from flexfmu.fmu_build.sources import assemble_sources
-    from flexfmu.fmu_build.trajectory_description import (
-        TableMotion,
-        motion_picture,
-        trajectory_description,
-        trajectory_documentation,
-    )
 
     progress("placing knots")
     table = tabulate(trajectory)
@@ -116,3 +114,127 @@ def generate_trajectory_sources(
     description = trajectory_description(motion).named(naming)
     pages = trajectory_documentation(motion, description, experiment)
     return assemble_sources("trajectory", description, experiment, code, pages, png(motion_picture(motion)))
+
+
+LIMIT = Choice(
+    "limit",
+    "What is shown at a breakpoint",
+    {
+        "left": (1, "left limits: the end of the piece that was run through"),
+        "right": (2, "right limits: the next piece"),
+    },
+)
+
+PICTURE_POINTS = 60
+"""Along each curve of the picture."""
+
+_PER_TIME = ("", "/s", "/s2")
+
+
+@dataclass(frozen=True)
+class TableMotion:
+    """A trajectory as its FMU contains it.
+
+    Attributes:
+        name: model name.
+        axes: names of the components.
+        unit: unit of the positions.
+        breakpoints: times at which derivatives may jump [s].
+        table: its knots.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    unit: str
+    breakpoints: tuple[float, ...]
+    table: TrajectoryTable
+
+    @property
+    def description(self) -> str:
+        """One sentence."""
+        return f"Position, velocity and acceleration of {', '.join(self.axes)} over {self.breakpoints[-1]!r} s."
+
+    @property
+    def outputs(self) -> tuple[Variable, ...]:
+        """Positions of all axes, velocities, accelerations."""
+        return tuple(
+            Variable(
+                name=f"{axis}.reference.{kind}",
+                unit=self.unit + per_time,
+                description=f"{kind.capitalize()} of {axis}",
+                causality="output",
+            )
+            for kind, per_time in zip(KINDS, _PER_TIME, strict=True)
+            for axis in self.axes
+        )
+
+
+def trajectory_description(motion: TableMotion) -> Description:
+    """What the model description says.
+
+    Raises:
+        ModelError: an axis is named twice, or the unit is unknown.
+    """
+    points = " ".join(map(repr, motion.breakpoints))
+    return Description(
+        name=motion.name,
+        text=f"{motion.description} Output derivatives of orders 1 to {END_ORDER}; at breakpoints the limit that the "
+        "parameter 'limit' chooses.",
+        interface=trajectory_interface(motion),
+        choices=(LIMIT,),
+        max_output_order=END_ORDER,
+        annotations={"Breakpoints": {"times": points}},
+    )
+
+
+def trajectory_interface(motion: TableMotion) -> Interface:
+    """Number the outputs and the choice of the limit.
+
+    No output is declared the derivative of another: Maestro 3.1.1 stops where both are connected (ClassCastException in
+    ComponentVariableFmi2Api.share), libcosim refuses derivatives in a model structure that no variable declares, and a
+    trajectory has no continuous states that would need either.
+
+    Raises:
+        ModelError: a name is given twice.
+    """
+    names = [output.name for output in motion.outputs]
+    check_names([*names, LIMIT.name])
+    index_of = {name: index for index, name in enumerate(names, start=1)}
+    reals = tuple(real_variable(output, index_of) for output in motion.outputs)
+    limit = choice_variable(LIMIT, "left", len(reals) + 1, value_reference=0, variability="tunable")
+    return Interface(
+        variables=(*reals, limit),
+        outputs=tuple(Unknown(variable.index, ()) for variable in reals),
+        derivatives=(),
+        initial_unknowns=tuple(Unknown(variable.index, (limit.index,)) for variable in reals),
+    )
+
+
+def motion_picture(motion: TableMotion, width: int = ICON_SIZE, height: int = ICON_SIZE, pen: float = PEN) -> Picture:
+    """The positions of the first axes over time."""
+    knots, first = np.unique(motion.table.times, return_index=True)
+    position = PchipInterpolator(knots, motion.table.jets[first, 0])
+    times = np.linspace(knots[0], knots[-1], PICTURE_POINTS)
+    curves = [list(zip(times.tolist(), values.tolist(), strict=True)) for values in position(times).T]
+    return curves_picture(curves, width, height, pen)
+
+
+def trajectory_documentation(
+    motion: TableMotion, description: Description, experiment: DefaultExperiment
+) -> dict[str, str]:
+    """Files of the folder ``documentation/``: path below the FMU's root → text."""
+    return documentation_files(
+        "trajectory.html.j2",
+        description,
+        experiment,
+        picture=motion_picture(motion, *PAGE_SIZE, FINE_PEN),
+        table=motion.table,
+        breakpoints=motion.breakpoints,
+        duration=motion.breakpoints[-1],
+        errors=_by_kind(motion.table.errors),
+        max_order=END_ORDER,
+    )
+
+
+def _by_kind(errors: Sequence[float]) -> dict[str, float]:
+    return dict(zip(KINDS, errors, strict=True))

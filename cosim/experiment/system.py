@@ -14,8 +14,7 @@ from flexfmu.cosim.engine.trajectory_slave import HERMITE_ORDER, TrajectorySlave
 from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.parameters import holding_torques, parameters_for
 from flexfmu.cosim.experiment.wiring import Wiring, wire
-from flexfmu.fmu_build.choices import INITIAL
-from flexfmu.fmu_build.integrators import FIXED_STEP, INTEGRATOR
+from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR
 from flexfmu.model.scene.schema import Scene
 
 PLANT, REFERENCES = "plant", "trajectory"

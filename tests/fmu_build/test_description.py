@@ -10,11 +10,10 @@ from typing import Any
 import pytest
 from fmpy.model_description import read_model_description
 
-from flexfmu.fmu_build.choices import INITIAL
+from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR
 from flexfmu.fmu_build.description import description_xml, plant_description
 from flexfmu.fmu_build.errors import BuildError, ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.integrators import INTEGRATOR
 from flexfmu.fmu_build.interface import STATISTICS, build_interface
 from flexfmu.model.symbolic import SymbolicModel
 

@@ -15,7 +15,7 @@ import pytest
 from flexfmu.fmu_build.description import plant_description
 from flexfmu.fmu_build.documentation import PICTURE_SIZE, documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
-from flexfmu.fmu_build.icon import png
+from flexfmu.fmu_build.picture import png
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.file import load_scene

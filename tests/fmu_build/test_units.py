@@ -10,8 +10,7 @@ import pytest
 
 from flexfmu.fmu_build.description import plant_description
 from flexfmu.fmu_build.errors import ModelError
-from flexfmu.fmu_build.quantities import real_types
-from flexfmu.fmu_build.units import display_unit, unit_definitions, unit_exponents
+from flexfmu.fmu_build.units import display_unit, real_types, unit_definitions, unit_exponents
 from flexfmu.model.symbolic import SymbolicModel
 
 

@@ -11,7 +11,7 @@ import pytest
 from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.fmu_build.integrators import INTEGRATOR
+from flexfmu.fmu_build.choices import INTEGRATOR
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.errors import SceneError

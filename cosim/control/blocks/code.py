@@ -8,10 +8,9 @@ from pathlib import Path
 import casadi
 
 from flexfmu.fmu_build.block_codegen import sample_function
-from flexfmu.fmu_build.cache import cached, store
+from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.codegen import with_elementary_functions
 from flexfmu.fmu_build.compilation import compile_library
-from flexfmu.fmu_build.hashing import content_hash
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.sources import Sources, elementary_sources
 from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, find_compiler

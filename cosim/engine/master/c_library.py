@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from flexfmu.cosim.engine.master.operations import CProgram, CProgress
-from flexfmu.fmu_build.cache import cached, store
+from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError
-from flexfmu.fmu_build.hashing import content_hash
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.toolchain import Compiler, find_compiler
 

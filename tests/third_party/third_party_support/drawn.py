@@ -16,7 +16,7 @@ from flexfmu.cosim.control.imperfections.lag import lag
 from flexfmu.cosim.control.imperfections.noise import gaussian_noise
 from flexfmu.cosim.control.imperfections.quantisation import encoder
 from flexfmu.cosim.control.shaper_block import shaper_block
-from flexfmu.fmu_build.block_description import block_description, with_starts
+from flexfmu.fmu_build.block_build import block_description, with_starts
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.model.numeric import inverse_dynamics
