@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from flexfmu.cosim.engine.master.operations import CProgram, CProgress
+from flexfmu.cosim.engine.master.instructions import CProgram, CProgress
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import BuildError
@@ -17,7 +17,7 @@ from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.toolchain import Compiler, find_compiler
 
 RunProgram = Callable[[CProgram, int, CProgress], int]
-"""Carries a program out up to a number of points; not zero where an operation has failed."""
+"""Carries a program out up to a number of points; not zero where an instruction has failed."""
 
 
 @cache

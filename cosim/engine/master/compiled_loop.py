@@ -14,8 +14,8 @@ import numpy as np
 from flexfmu.cosim.engine.fmu.calls import address
 from flexfmu.cosim.engine.master.c_library import RunProgram
 from flexfmu.cosim.engine.master.grid import TimeGrid
-from flexfmu.cosim.engine.master.operations import CChannel, CProgram, CProgress, Operation, flags, pack
-from flexfmu.cosim.engine.master.program import advance_operations, exchange_operations
+from flexfmu.cosim.engine.master.instructions import CChannel, CProgram, CProgress, Instruction, flags, pack
+from flexfmu.cosim.engine.master.program import instructions
 from flexfmu.cosim.engine.master.recorder import Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
 
@@ -40,13 +40,14 @@ class CompiledLoop:
         self._progress = CProgress(points=0, records=self._recorder.count)
 
     @cached_property
-    def _operations(self) -> tuple[list[Operation], list[Operation]]:
+    def _instructions(self) -> tuple[list[Instruction], list[Instruction]]:
         """What happens over a step, and at its end; of slaves that have been initialised once."""
-        return advance_operations(self._schedule), exchange_operations(self._schedule)
+        plan = self._schedule.plan
+        return instructions(self._schedule, plan.step), instructions(self._schedule, plan.exchange)
 
     @cached_property
     def _packed(self) -> list[Any]:
-        return [pack(each) for each in self._operations]
+        return [pack(each) for each in self._instructions]
 
     @cached_property
     def _channels(self) -> Any:
@@ -58,7 +59,7 @@ class CompiledLoop:
 
     @cached_property
     def _program(self) -> CProgram:
-        (advance, exchange), (n_advance, n_exchange) = self._packed, map(len, self._operations)
+        (advance, exchange), (n_advance, n_exchange) = self._packed, map(len, self._instructions)
         return CProgram(
             advance=addressof(advance),
             exchange=addressof(exchange),
@@ -89,11 +90,11 @@ class CompiledLoop:
             raise self._failure()
 
     def _failure(self) -> BaseException:
-        """The error of the operation that failed."""
-        advance, exchange = self._operations
-        index = int(self._progress.operation)
+        """The error of the instruction that failed."""
+        advance, exchange = self._instructions
+        index = int(self._progress.instruction)
         stepping = index < len(advance)
-        operation = advance[index] if stepping else exchange[index - len(advance)]
+        instruction = advance[index] if stepping else exchange[index - len(advance)]
         begin, end = self._times[self.points], self._times[self.points + 1] if stepping else self._times[self.points]
         status = int(self._progress.status)
-        return operation.failure(status, float(begin), float(end))
+        return instruction.failure(status, float(begin), float(end))

@@ -84,7 +84,7 @@ class ControlledSteps:
                 self._advance(end)
         finally:
             self._short = _replaced(self._short, None)
-            if self._schedule.samples:
+            if self._schedule.due:
                 self.finish()
 
     def finish(self) -> None:
@@ -107,7 +107,7 @@ class ControlledSteps:
             self.rejected += 1
             self._step = proposal
         # what the step has added to the error of the run
-        self._budget.spend(step, added, self._accumulated(reached, added, reached < end or not self._schedule.samples))
+        self._budget.spend(step, added, self._accumulated(reached, added, reached < end or not self._schedule.due))
         # a step that was shortened to end on the point says nothing against the length wanted before
         shortened = self.rejected == rejected and proposal >= GROW * step
         self._step = max(proposal, wanted) if shortened else proposal

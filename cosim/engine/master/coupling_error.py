@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.couplings import Coupling, Couplings, Transport
+from flexfmu.cosim.engine.master.loops import StateKeeper
 from flexfmu.cosim.engine.master.ports import InputPort, OutputPort
-from flexfmu.cosim.engine.master.repeated_steps import StateKeeper
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Sampled, Slave, feedthrough

@@ -23,6 +23,9 @@ from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Slave, output_order
 
+TimedCall = Callable[[int, float, float], None]
+"""A call with the index of the communication point, begin and end [s]; both are the same at an instant."""
+
 
 class OutputPort:
     """Outputs of a slave at the current instant: those that feed others or are recorded.
@@ -79,11 +82,20 @@ class OutputPort:
         Raises:
             NotFiniteError: an output or one of its derivatives is infinite or not a number.
         """
-        self.transfer()
-        np.isfinite(self.signals, self._finite)
-        # eight times as fast as all()
-        if b"\0" in self._finite.tobytes():
-            raise self.not_finite(time)
+        self.reading()(0, time, time)
+
+    def reading(self) -> TimedCall:
+        """A call that reads what the slave has reached at its end, as `read` does."""
+        transfer, signals, finite, isfinite = self.transfer, self.signals, self._finite, np.isfinite
+
+        def read(point: int, begin: float, end: float) -> None:
+            transfer()
+            isfinite(signals, finite)
+            # eight times as fast as all()
+            if b"\0" in finite.tobytes():
+                raise self.not_finite(end)
+
+        return read
 
     def not_finite(self, time: float) -> NotFiniteError:
         """The error that names the first offending output."""
@@ -230,11 +242,15 @@ class InputPort:
                 extrapolate()
                 self.slave.set(self._indices[group.slots], self.fed[0, group.slots])
 
-    def exchange(self) -> None:
-        """Set the inputs from the outputs at the current instant."""
-        for extrapolate in self._extrapolations:
-            extrapolate()
-        self.send()
+    def feeding(self) -> TimedCall:
+        """A call that sets the inputs from the outputs at the current instant; its arguments don't matter."""
+        calls = (*self._extrapolations, self.send)
+
+        def feed(point: int, begin: float, end: float) -> None:
+            for call in calls:
+                call()
+
+        return feed
 
     def remember(self) -> None:
         """Keep the interpolated signals at the beginning of a step."""

@@ -1,30 +1,34 @@
-"""The order of calls in a run: which slave is initialised, set, read, sampled and stepped when.
+"""Carries out a plan in Python: each operation is bound to a call once, and a run goes through lists of calls.
 
-A run alternates between steps and exchanges. Over a step (`Schedule.advance`) every slave is advanced to the next
-communication point. There (`Schedule.exchange`) slaves announce the coming step, then the exchange steps pass outputs on to
-inputs, in the order of direct feedthrough; algebraic loops are solved in their place. `flexfmu.cosim.engine.master.program`
-lists the same calls for the loop in C: what changes here changes there.
+The order of calls is that of `flexfmu.cosim.engine.master.plan`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from ctypes import c_int, sizeof
 from dataclasses import dataclass
 from mmap import mmap
+from typing import cast
 
 import numpy as np
 
 from flexfmu.cosim.engine.master.algorithms import Algorithm
-from flexfmu.cosim.engine.master.couplings import couplings, loop_order, stale_after_step
-from flexfmu.cosim.engine.master.exchange import ExchangeStep, InstantLoop, plan_exchange_steps
+from flexfmu.cosim.engine.master.couplings import StepGroup, couplings
 from flexfmu.cosim.engine.master.grid import TimeGrid
-from flexfmu.cosim.engine.master.ports import OutputPort, wire
-from flexfmu.cosim.engine.master.repeated_steps import LoopSignals, StateKeeper, needs_rollback
-from flexfmu.cosim.engine.master.stepping import Stepping
+from flexfmu.cosim.engine.master.loops import (
+    InstantLoop,
+    IteratedStep,
+    LoopCall,
+    LoopSignals,
+    StateKeeper,
+    needs_rollback,
+)
+from flexfmu.cosim.engine.master.plan import Action, Operation, When, make_plan
+from flexfmu.cosim.engine.master.ports import OutputPort, TimedCall, columns, wire
 from flexfmu.cosim.engine.master.system import AlgebraicLoop, System
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
-from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Sampled
+from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Sampled, SamplesInTwoPhases
 
 OFF_GRID = -1
 """Stands for the index of a communication point that step control has put between those of the grid."""
@@ -40,76 +44,72 @@ class Schedule:
         selection: what is recorded; outputs that are neither recorded nor connected aren't read.
 
     Attributes:
-        inputs, outputs: ports, in the order of `System.slaves`; their signals are those of the current instant.
+        slaves: the slaves.
+        inputs, outputs: ports, in the order of ``slaves``; their signals are those of the current instant.
         couplings: (source, target) → how its signals get there.
+        plan: all operations in order.
+        due: slave that samples → whether it does so at each communication point of the grid, and once more False for
+            points off the grid.
         active: index of the slave that is being called, or was last; in memory that child processes share.
-        exchange_steps: what an exchange consists of, in order.
-        updating: steps of slaves that move on to their next state at the end of an exchange.
-        predicting: slaves that announce their outputs, with their indices and ports.
-        samples: whether there are slaves that sample.
-        rounds: further rounds of an exchange where signals may jump.
-        stepping, advance: steps all slaves from one communication point to the next [s] and reads them.
+        predicting: index → slave that announces its outputs.
+
+    Raises:
+        InputError: a step of a slave would have to be repeated, but it can't go back.
     """
 
     def __init__(self, system: System, grid: TimeGrid, algorithm: Algorithm, selection: Selection = EVERYTHING) -> None:
         # buffers: how each signal travels, and a port for each slave's inputs and outputs
+        self.slaves = system.slaves
         self.couplings = couplings(system, algorithm)
         self.inputs, self.outputs = wire(system, self.couplings, selection)
         self.active = c_int.from_buffer(mmap(-1, sizeof(c_int)))
-        self._system = system
-        self._grid = grid
+        self._system, self._grid = system, grid
         self._with_state = [slave for slave in system.slaves if needs_rollback(slave)]
-        self.samples = any(isinstance(slave, Sampled) for slave in system.slaves)
-        # the exchange: slaves in order, loops between them, and announcements before them
-        stale = stale_after_step(system, self.couplings)
-        steps = plan_exchange_steps(system, self.inputs, self.outputs, grid, stale)
-        self.exchange_steps = self._with_loops(steps)
-        self.updating = [each for each in steps if each.update is not None]
-        self.predicting = [
-            (i, slave, port)
-            for i, (slave, port) in enumerate(zip(system.slaves, self.outputs, strict=True))
-            if isinstance(slave, PredictsOutputs)
-        ]
-        self.rounds = loop_order(system, self.couplings)
-        # the step
-        ports = self.inputs, self.outputs
-        self.stepping = Stepping(system, algorithm, ports, self.couplings, self.active)
-        self.advance = self.stepping.advance
+        self.plan = plan = make_plan(system, self.couplings, algorithm)
+        announcing = [each.slave for each in plan.exchange if each.action is Action.ANNOUNCE]
+        self.predicting = {i: cast(PredictsOutputs, system.slaves[i]) for i in announcing}
+        sampled = [i for i, slave in enumerate(system.slaves) if isinstance(slave, Sampled)]
+        self.due = {i: (*flags.tolist(), False) for i, flags in zip(sampled, grid.due, strict=True)}
+        # calls: bound once, this is what a run spends its time with; where nothing jumps there are fewer
+        self._unknowns: dict[str, LoopSignals] = {}
+        self._step = [(each.slave, self.bind(each)) for each in plan.step]
+        exchange = [(each, self.bind(each)) for each in plan.exchange]
+        self._at_jump = [(each.slave, call) for each, call in exchange]
+        self._between = [(each.slave, call) for each, call in exchange if each.when is not When.AT_JUMPS]
+        self._passing = [(each.slave, self.bind(each)) for each in plan.passing if each.when is When.ALWAYS]
+
+    @property
+    def active_name(self) -> str:
+        """Name of the slave that is being called, or was last."""
+        return self.slaves[self.active.value].name
 
     def initialize(self, tolerance: float | None) -> None:
         """Initialise the slaves, each with the outputs of those before it, and read them.
 
         Nothing of an earlier run is left.
         """
-        self._reset()
-        # in the order of the exchange, so that a slave is initialised with inputs from those before it
-        start, stop = float(self._grid.times[0]), float(self._grid.times[-1])
-        ready: list[OutputPort] = []
-        for i in dict.fromkeys([*self._system.visits, *range(len(self._system.slaves))]):
-            slave, inputs, outputs = self._system.slaves[i], self.inputs[i], self.outputs[i]
-            self.active.value = i
-            for _, source, port in self.predicting:
-                if port is outputs:
-                    source.prepare(self._grid.times)
-            inputs.preset(ready)
-            slave.initialize(start, stop, tolerance)
-            outputs.read(start)
-            ready.append(outputs)
-
-    @property
-    def active_name(self) -> str:
-        """Name of the slave that is being called, or was last."""
-        return self._system.slaves[self.active.value].name
-
-    def _reset(self) -> None:
-        """Forget the run before."""
         for inputs, outputs in zip(self.inputs, self.outputs, strict=True):
             inputs.reset()
             outputs.reset()
-        for step in self.exchange_steps:
-            if isinstance(step, InstantLoop):
-                step.reset()
-        self.stepping.reset()
+        for signals in self._unknowns.values():
+            signals.reset()
+        start, stop = float(self._grid.times[0]), float(self._grid.times[-1])
+        ready: list[OutputPort] = []
+        for i in self.plan.start:
+            self.active.value = i
+            if i in self.predicting:
+                self.predicting[i].prepare(self._grid.times)
+            self.inputs[i].preset(ready)
+            self.slaves[i].initialize(start, stop, tolerance)
+            self.outputs[i].read(start)
+            ready.append(self.outputs[i])
+
+    def advance(self, begin: float, end: float) -> None:
+        """Step all slaves from one communication point to the next [s] and read them."""
+        active = self.active
+        for slave, call in self._step:
+            active.value = slave
+            call(OFF_GRID, begin, end)
 
     def exchange(self, point: int, time: float, jump: bool) -> None:
         """Pass on the outputs at a communication point; afterwards all is ready for the step that begins there.
@@ -119,41 +119,17 @@ class Schedule:
             time: its time [s].
             jump: whether signals may jump, as they may at the start: all outputs are read anew.
         """
-        # polynomials of the coming step
-        for i, source, port in self.predicting:
-            self.active.value = i
-            source.announce(time)
-            port.read_announced()
-        self._pass_on(point, time, jump)
-        if jump:
-            # the k-th derivative of an output depends on derivatives of the inputs up to the k-th: round closed loops
-            # one more is right after each round
-            for _ in range(self.rounds):
-                self._pass_on(OFF_GRID, time, True)
-            # all slaves have sampled: now they may move on to their next states
-            for step in self.updating:
-                if step.due[point] and step.update is not None:
-                    self.active.value = step.index
-                    step.update(time)
-
-    def _pass_on(self, point: int, time: float, jump: bool) -> None:
-        """Carry out the exchange steps: set, sample and read one slave after the other."""
         active = self.active
-        for step in self.exchange_steps:
-            if isinstance(step, InstantLoop):
-                step.solve(point, time)
-                continue
-            active.value = step.index
-            step.inputs.exchange()
-            if step.sample is not None and step.due[point]:
-                step.sample(time)
-            if jump or step.stale:
-                step.outputs.read(time)
+        for slave, call in self._at_jump if jump else self._between:
+            active.value = slave
+            call(point, time, time)
 
     def refresh(self, time: float, ports: Iterable[OutputPort]) -> None:
         """Pass on the outputs without sampling and read these ports, so that all that depends on inputs directly is up
         to date."""
-        self._pass_on(OFF_GRID, time, False)
+        for slave, call in self._passing:
+            self.active.value = slave
+            call(OFF_GRID, time, time)
         for port in ports:
             port.read(time)
 
@@ -164,7 +140,7 @@ class Schedule:
             times: [s].
             jump: whether signals may jump at the first one.
         """
-        for i, source, _ in self.predicting:
+        for i, source in self.predicting.items():
             self.active.value = i
             source.prepare(np.array(times))
         if self.predicting or jump:
@@ -181,31 +157,96 @@ class Schedule:
         for port, signals in zip(self.outputs, snapshot.signals, strict=True):
             port.signals[:] = signals
 
-    def _with_loops(self, steps: Sequence[ExchangeStep]) -> list[ExchangeStep | InstantLoop]:
-        """The steps in the order of `System.exchange_order`, without idle ones."""
-        found: list[ExchangeStep | InstantLoop] = []
-        rest = iter(steps)
-        for each in self._system.exchange_order:
-            if isinstance(each, AlgebraicLoop):
-                members = [next(rest) for _ in each.slaves]
-                found.append(InstantLoop(each, members, self._unknowns(each), self.active))
-                continue
-            step = next(rest)
-            if step.inputs.groups or step.due:
-                found.append(step)
-        return found
+    def bind(self, operation: Operation) -> TimedCall:
+        """The call that carries out an operation; one that samples looks itself whether the slave is due."""
+        i = operation.slave
+        slave, inputs, outputs = self.slaves[i], self.inputs[i], self.outputs[i]
+        match operation.action:
+            # at an instant
+            case Action.ANNOUNCE:
+                return _announcement(self.predicting[i].announce, outputs.read_announced)
+            case Action.FEED:
+                return inputs.feeding()
+            case Action.SAMPLE:
+                return _where_due(self.due[i], cast(Sampled, slave).sample)
+            case Action.OUTPUT:
+                return _where_due(self.due[i], cast(SamplesInTwoPhases, slave).output)
+            case Action.UPDATE:
+                return _where_due(self.due[i], cast(SamplesInTwoPhases, slave).update)
+            # over a step
+            case Action.REMEMBER:
+                return lambda point, begin, end: inputs.remember()
+            case Action.INTERPOLATE:
+                return lambda point, begin, end: inputs.interpolate(end - begin)
+            case Action.STEP:
+                step = slave.step
+                return lambda point, begin, end: step(begin, end - begin)
+            # both
+            case Action.SOLVE:
+                return self._solution(operation)
+            case _:
+                return outputs.reading()
 
-    def _unknowns(self, loop: AlgebraicLoop) -> LoopSignals:
+    def _solution(self, operation: Operation) -> TimedCall:
+        """The call that solves a loop."""
+        loop, body = operation.loop, operation.body
+        calls = [
+            LoopCall(each.slave, self.bind(each), self.outputs[each.slave] if each.action is Action.READ else None)
+            for each in body
+        ]
+        if isinstance(loop, AlgebraicLoop):
+            sampling = [
+                (self.slaves[each.slave], self.due[each.slave]) for each in body if each.action is Action.SAMPLE
+            ]
+            # a further round of an exchange goes on with what the first has learned of the magnitudes
+            signals = self._unknowns.setdefault(loop.name, self._unknowns_at_instant(loop))
+            return InstantLoop(loop, calls, sampling, signals, self.active).solve
+        assert loop is not None
+        assert loop.solver is not None
+        name = ", ".join(self._system.describe(each) for each in loop.torn)
+        signals = self._unknowns.setdefault(name, self._unknowns_of_step(loop))
+        members = [self.slaves[i] for i in loop.slaves]
+        return IteratedStep(loop.solver, name, members, calls, signals, self.active).solve
+
+    def _unknowns_at_instant(self, loop: AlgebraicLoop) -> LoopSignals:
         """The signals that a loop assumes, with as many derivatives as go round it."""
-        signals: dict[OutputPort, tuple[Indices, int]] = {}
+        unknowns: dict[OutputPort, tuple[Indices, int]] = {}
         for slave in dict.fromkeys(slave for slave, _ in loop.unknowns):
             indices = [index for each, index in loop.unknowns if each == slave]
-            orders = [
-                self.couplings[slave, target].order for target in loop.slaves if (slave, target) in self.couplings
-            ]
-            columns = np.searchsorted(self.outputs[slave].indices, indices)
-            signals[self.outputs[slave]] = columns, 1 + max(orders)
-        return LoopSignals(signals)
+            pairs = [(slave, target) for target in loop.slaves if (slave, target) in self.couplings]
+            rows = 1 + max(self.couplings[pair].order for pair in pairs)
+            unknowns[self.outputs[slave]] = np.searchsorted(self.outputs[slave].indices, indices), rows
+        return LoopSignals(unknowns)
+
+    def _unknowns_of_step(self, group: StepGroup) -> LoopSignals:
+        """The signals at the end of a step that slaves assume which are advanced before their sources."""
+        unknowns: dict[OutputPort, tuple[Indices, int]] = {}
+        for source in dict.fromkeys(each.source for each in group.torn):
+            torn = [each for each in group.torn if each.source == source]
+            rows = 1 + max(self.couplings[each.source, each.target].ends or 0 for each in torn)
+            port = self.outputs[source]
+            unknowns[port] = np.unique(columns(port, torn)), rows
+        return LoopSignals(unknowns)
+
+
+def _announcement(announce: Callable[[float], None], read: Callable[[], None]) -> TimedCall:
+    """Change over to the polynomials of the coming step, and read them."""
+
+    def call(point: int, begin: float, end: float) -> None:
+        announce(begin)
+        read()
+
+    return call
+
+
+def _where_due(due: Sequence[bool], sample: Callable[[float], None]) -> TimedCall:
+    """Sample at the points where the slave is due."""
+
+    def call(point: int, begin: float, end: float) -> None:
+        if due[point]:
+            sample(end)
+
+    return call
 
 
 @dataclass(frozen=True)

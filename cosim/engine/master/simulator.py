@@ -24,10 +24,10 @@ from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
 from flexfmu.cosim.engine.master.dependencies import Connection
 from flexfmu.cosim.engine.master.grid import MAXIMUM_RATIO, Clock, TimeGrid, time_grid
 from flexfmu.cosim.engine.master.isolation import Isolation
+from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, message_of, outcome_of, overshot
 from flexfmu.cosim.engine.master.program import can_compile
 from flexfmu.cosim.engine.master.recorder import Recorder
-from flexfmu.cosim.engine.master.repeated_steps import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.schedule import Schedule
 from flexfmu.cosim.engine.master.simulation_loop import Progress, Reached, SimulationLoop
 from flexfmu.cosim.engine.master.stability import Instability, find_alternation, find_instability
@@ -124,7 +124,7 @@ class Simulator:
         """
         steps, values = self._grid.times.size - 1, self._recorder.values
         if self._control is None and is_long(steps, values):
-            references = sum(len(slave.variables) for _, slave, _ in self._schedule.predicting)
+            references = sum(len(self._system.slaves[i].variables) for i in self._schedule.predicting)
             warnings.warn(cost(steps, values, references, partial(self._trial, tolerance)), CostWarning, stacklevel=2)
         self._recorder.rewind(0)
         if self._isolation is None:

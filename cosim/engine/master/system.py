@@ -67,12 +67,12 @@ class System:
     delayed: tuple[Connection, ...]
 
     @property
-    def visits(self) -> tuple[int, ...]:
-        """Slaves in the order in which they are visited at one instant, on the way round loops too."""
-        visits: list[int] = []
+    def exchange_steps(self) -> tuple[int, ...]:
+        """The slave of each exchange step (inputs are set, outputs read) at one instant, those on the way round loops too."""
+        steps: list[int] = []
         for each in self.exchange_order:
-            visits += each.slaves if isinstance(each, AlgebraicLoop) else [each]
-        return tuple(visits)
+            steps += each.slaves if isinstance(each, AlgebraicLoop) else [each]
+        return tuple(steps)
 
     def source_name(self, connection: Connection) -> str:
         """The output that the connection starts from, as ``plant.y``."""

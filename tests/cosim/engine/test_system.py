@@ -167,7 +167,7 @@ def test_nobody_is_visited_to_be_given_inputs_alone(order: Sequence[str]) -> Non
         "pd": Block("pd", both),
     }
     wires = [("motion.y1", "pd.u1"), ("plant.y1", "sensor.u1"), ("sensor.y1", "pd.u2"), ("pd.y1", "plant.u1")]
-    found = names(system := connect([slaves[name] for name in order], wires), system.visits)
+    found = names(system := connect([slaves[name] for name in order], wires), system.exchange_steps)
     assert sorted(found) == ["motion", "pd", "plant", "plant", "sensor"]
     assert found.index("plant") < found.index("sensor") < found.index("pd")
     assert found[-1] == "plant"
@@ -177,6 +177,6 @@ def test_a_slave_that_feeds_itself_is_visited_again() -> None:
     """Inputs are set before outputs are read: what one output gives to an own input shows in another on the next visit."""
     slaves = [gain("a"), state("s")]
     wired = connect(slaves, [("s.y1", "a.u1"), ("a.y1", "a.u2")])
-    assert names(wired, wired.visits) == ["s", "a", "a"]
+    assert names(wired, wired.exchange_steps) == ["s", "a", "a"]
     crossed = connect(slaves, [("s.y1", "a.u1"), ("s.y2", "a.u2")])
-    assert names(crossed, crossed.visits) == ["s", "a"]
+    assert names(crossed, crossed.exchange_steps) == ["s", "a"]

@@ -1,4 +1,4 @@
-/* The loop over communication points, see master.h: operations on fixed buffers, in the order in which they are listed.
+/* The loop over communication points, see master.h: instructions on fixed buffers, in the order in which they are listed.
  * Whatever isn't an FMI call or a copy is a callback into Python, so that the numbers are those of the loop in Python. */
 #include "master.h"
 
@@ -30,12 +30,12 @@ static int all_finite(const double *values, size_t count) {
   return sums[0] + sums[1] + sums[2] + sums[3] == 0.0;
 }
 
-static void gather(const master_operation *op) {
+static void gather(const master_instruction *op) {
   for (size_t i = 0; i < op->count; i++) op->target[op->places[i]] = op->source[op->columns[i]];
 }
 
-/* one operation; returns 0, or 1 with the status of the failure */
-static int carry_out(const master_operation *op, size_t point, double begin, double end, int *status) {
+/* one instruction; returns 0, or 1 with the status of the failure */
+static int carry_out(const master_instruction *op, size_t point, double begin, double end, int *status) {
   *status = 0;
   switch (op->kind) {
     case MASTER_VALUES:
@@ -63,20 +63,20 @@ static int carry_out(const master_operation *op, size_t point, double begin, dou
   }
 }
 
-/* whether an operation is carried out at this point */
-static int applies(const master_operation *op, size_t point, int jump) {
+/* whether an instruction is carried out at this point */
+static int applies(const master_instruction *op, size_t point, int jump) {
   if (op->condition == MASTER_AT_JUMPS) return jump;
   return op->condition == MASTER_ALWAYS || op->due[point];
 }
 
-/* the operations of a list, in order; returns 0, or 1 with the index of the failed one added to progress->operation */
-static int carry_out_all(const master_operation *list, size_t count, size_t point, double begin, double end, int jump,
+/* the instructions of a list, in order; returns 0, or 1 with the index of the failed one added to progress->instruction */
+static int carry_out_all(const master_instruction *list, size_t count, size_t point, double begin, double end, int jump,
                          volatile int *active, master_progress *progress) {
   for (size_t i = 0; i < count; i++) {
     if (!applies(&list[i], point, jump)) continue;
     *active = list[i].owner;
     if (carry_out(&list[i], point, begin, end, &progress->status)) {
-      progress->operation += i;
+      progress->instruction += i;
       return 1;
     }
   }
@@ -98,12 +98,12 @@ EXPORTED int master_run(const master_program *program, size_t points, master_pro
     const double begin = program->times[point - 1], end = program->times[point];
     const int jump = program->jumps[point];
     /* all slaves step to the point */
-    progress->operation = 0;
+    progress->instruction = 0;
     if (carry_out_all(program->advance, program->n_advance, point, begin, end, jump, program->active, progress)) return 1;
     progress->points = point;
     /* left limits where signals may jump, then the exchange, then right limits */
     if (jump) record(program, end, progress);
-    progress->operation = program->n_advance;
+    progress->instruction = program->n_advance;
     if (carry_out_all(program->exchange, program->n_exchange, point, end, end, jump, program->active, progress)) return 1;
     record(program, end, progress);
   }

@@ -1,13 +1,13 @@
-/* The master's loop over communication points as a list of operations on fixed buffers.
+/* The master's loop over communication points as a list of instructions on fixed buffers.
  *
  * A run is prepared in Python: which slave is stepped, set and read in which order, and where the numbers are. Here the
- * operations are carried out, point after point, with the same calls and in the same order. */
+ * instructions are carried out, point after point, with the same calls and in the same order. */
 #ifndef FLEXFMU_MASTER_H
 #define FLEXFMU_MASTER_H
 
 #include <stddef.h>
 
-/* what an operation does, and which of its fields it needs; `component` is where the handle of an FMU's instance is */
+/* what an instruction does, and which of its fields it needs; `component` is where the handle of an FMU's instance is */
 enum {
   MASTER_VALUES,      /* fmi2SetReal or fmi2GetReal: function, component, references, count, target */
   MASTER_DERIVATIVES, /* fmi2SetRealInputDerivatives or fmi2GetRealOutputDerivatives: the same and orders */
@@ -19,7 +19,7 @@ enum {
   MASTER_CALL         /* a Python callback: function(point, begin, end), begin = end in an exchange */
 };
 
-/* when an operation is carried out */
+/* when an instruction is carried out */
 enum {
   MASTER_ALWAYS,
   MASTER_AT_JUMPS, /* where signals may jump */
@@ -37,7 +37,7 @@ typedef struct {
   const double *source;
   double *target;
   const unsigned char *due;
-} master_operation;
+} master_instruction;
 
 /* signals that are recorded: `count` doubles, copied into the next row */
 typedef struct {
@@ -49,25 +49,25 @@ typedef struct {
 /* what happens from one communication point to the next: `advance` over the step, then `exchange` at its end; recorded is
  * after the exchange, where signals may jump also before it */
 typedef struct {
-  const master_operation *advance, *exchange;
+  const master_instruction *advance, *exchange;
   size_t n_advance, n_exchange;
   const master_channel *channels;
   size_t n_channels;
   const double *times;
   const unsigned char *jumps;
   double *recorded_times;
-  volatile int *active; /* the owner of the operation that is, or was last, carried out; another process may look at it */
+  volatile int *active; /* the owner of the instruction that is, or was last, carried out; another process may look at it */
 } master_program;
 
 /* how far a run has come */
 typedef struct {
   size_t points;  /* steps that all slaves have completed */
   size_t records; /* instants in the recording */
-  size_t operation; /* which operation failed, exchanges counted after the steps */
+  size_t instruction; /* which instruction failed, exchanges counted after the steps */
   int status;       /* fmi2Status of the failure, 0 of others */
 } master_progress;
 
-/* goes on until `points` steps are completed; 0, or 1 where an operation has failed */
+/* goes on until `points` steps are completed; 0, or 1 where an instruction has failed */
 int master_run(const master_program *program, size_t points, master_progress *progress);
 
 #endif

@@ -1,8 +1,14 @@
-"""What a repeated step needs: saved states of the slaves to go back to, and the unknown signals of a loop as one vector."""
+"""Loops of signals between slaves: calls are repeated until the signals agree, at an instant or at the end of a step.
+
+The unknown signals of a loop are one vector v, and one round of calls maps it to G(v); a solver of
+`flexfmu.cosim.engine.master.iteration` finds v = G(v). Slaves are taken back to saved states before each round.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from ctypes import c_int
+from dataclasses import dataclass
 from math import factorial
 from types import TracebackType
 from typing import cast
@@ -10,9 +16,17 @@ from typing import cast
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, LoopError
-from flexfmu.cosim.engine.master.iteration import Solution
-from flexfmu.cosim.engine.master.ports import OutputPort
+from flexfmu.cosim.engine.master.iteration import LoopSolver, Solution
+from flexfmu.cosim.engine.master.ports import OutputPort, TimedCall
+from flexfmu.cosim.engine.master.system import AlgebraicLoop
 from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Sampled, SavesState, Slave, can_save
+
+INSTANT_REMEDY = (
+    "solve it with Anderson() or with FixedPoint(relaxation=0.5) or less, allow more rounds or a larger tolerance, "
+    "or put a slave with a state or a sample time into it"
+)
+
+STEP_REMEDY = "take a smaller communication step, a solver with more rounds or a larger tolerance"
 
 
 def check_can_save(slaves: Iterable[Slave], purpose: str) -> None:
@@ -148,3 +162,118 @@ class LoopSignals:
                 name = f"{port.slave.name}.{variable.name}"
                 return f"der({name},{order})" if order else f"{name} [{variable.unit}]" if variable.unit else name
         raise IndexError(index)
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCall:
+    """One call on the way round a loop.
+
+    Attributes:
+        slave: index of the slave that is called.
+        call: the call.
+        read: port that it reads; None where it reads nothing.
+    """
+
+    slave: int
+    call: TimedCall
+    read: OutputPort | None
+
+
+class InstantLoop:
+    """Solves an algebraic loop at one instant.
+
+    Args:
+        loop: the loop.
+        calls: what is done on the way round.
+        sampling: slaves that sample on the way in one call, and whether they do so at each point: they are repeated from
+            saved states.
+        signals: its unknowns.
+        active: index of the slave that is being called.
+    """
+
+    def __init__(
+        self,
+        loop: AlgebraicLoop,
+        calls: Sequence[LoopCall],
+        sampling: Sequence[tuple[Slave, Sequence[bool]]],
+        signals: LoopSignals,
+        active: c_int,
+    ) -> None:
+        self._loop, self._calls, self._sampling = loop, calls, sampling
+        self._signals, self._active = signals, active
+
+    def solve(self, point: int, begin: float, end: float) -> None:
+        """Iterate until the signals agree at ``end``, the time of the instant.
+
+        Raises:
+            LoopError: the iteration has not converged.
+        """
+        signals, active = self._signals, self._active
+        with StateKeeper([slave for slave, due in self._sampling if due[point]]) as states:
+
+            def around(values: RealArray) -> RealArray:
+                """One round with the unknowns assumed; what comes back."""
+                states.restore()
+                passed = np.empty_like(values)
+                signals.scatter(values)
+                for each in self._calls:
+                    active.value = each.slave
+                    each.call(point, begin, end)
+                    # what is read comes back; those that follow are fed with what is assumed
+                    if each.read is not None:
+                        signals.take(each.read, passed)
+                        signals.scatter(values)
+                return passed
+
+            solution = self._loop.solver.solve(around, signals.gather(), signals.scale)
+        signals.scatter(signals.accept(solution, self._loop.name, end, INSTANT_REMEDY))
+
+
+class IteratedStep:
+    """Repeats a step of slaves that feed each other until the signals at its end agree.
+
+    Args:
+        solver: finds these signals.
+        name: the loop, for messages.
+        slaves: the slaves.
+        calls: what is done in a step.
+        signals: the unknowns: what is assumed about the end of the step.
+        active: index of the slave that is being called.
+
+    Raises:
+        InputError: a slave can't go back.
+    """
+
+    def __init__(
+        self,
+        solver: LoopSolver,
+        name: str,
+        slaves: Sequence[Slave],
+        calls: Sequence[LoopCall],
+        signals: LoopSignals,
+        active: c_int,
+    ) -> None:
+        check_can_save(slaves, "repeating a step")
+        self._solver, self._name, self._slaves, self._calls = solver, name, slaves, calls
+        self._signals, self._active = signals, active
+
+    def solve(self, point: int, begin: float, end: float) -> None:
+        """Step to ``end`` so that what is assumed about the signals there comes back.
+
+        Raises:
+            LoopError: the iteration has not converged.
+        """
+        with StateKeeper(self._slaves) as states:
+
+            def around(values: RealArray) -> RealArray:
+                """One step of all with the signals at the end assumed; what comes back."""
+                states.restore()
+                self._signals.scatter(values)
+                for each in self._calls:
+                    self._active.value = each.slave
+                    each.call(point, begin, end)
+                return self._signals.gather()
+
+            guess = self._signals.extrapolated(end - begin)
+            solution = self._solver.solve(around, guess, self._signals.scale)
+        self._signals.accept(solution, self._name, end, STEP_REMEDY)

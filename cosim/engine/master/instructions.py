@@ -1,4 +1,4 @@
-"""The operations of a compiled run, and how they are handed to the C side."""
+"""The instructions of a compiled run, and how they are handed to the C side."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.fmu.calls import address
+from flexfmu.cosim.engine.master.plan import When
 from flexfmu.cosim.engine.slave import RealArray
 
 CALLBACK = CFUNCTYPE(c_int, c_size_t, c_double, c_double)
 """A Python function that the C side calls with the index of the point, begin and end [s]; not zero to stop the run."""
 
 Failure = Callable[[int, float, float], BaseException]
-"""What went wrong, from the status, begin and end [s] of an operation that has failed."""
+"""What went wrong, from the status, begin and end [s] of an instruction that has failed."""
 
 _FIELDS = ("function", "component", "references", "orders", "columns", "places", "source", "target", "due")
 
 
 class Kind(IntEnum):
-    """What an operation does; the names of ``master.h``."""
+    """What an instruction does; the names of ``master.h``."""
 
     VALUES = 0
     DERIVATIVES = 1
@@ -37,16 +38,8 @@ class Kind(IntEnum):
     CALL = 7
 
 
-class When(IntEnum):
-    """When an operation is carried out; the names of ``master.h``."""
-
-    ALWAYS = 0
-    AT_JUMPS = 1
-    WHEN_DUE = 2
-
-
-class COperation(Structure):
-    """``master_operation``."""
+class CInstruction(Structure):
+    """``master_instruction``."""
 
     _fields_ = (
         *((name, c_int) for name in ("kind", "condition", "owner")),
@@ -81,12 +74,12 @@ class CProgram(Structure):
 class CProgress(Structure):
     """``master_progress``."""
 
-    _fields_ = (("points", c_size_t), ("records", c_size_t), ("operation", c_size_t), ("status", c_int))
+    _fields_ = (("points", c_size_t), ("records", c_size_t), ("instruction", c_size_t), ("status", c_int))
 
 
 @dataclass
-class Operation:
-    """One operation.
+class Instruction:
+    """One instruction.
 
     Attributes:
         kind, when: what it does, and when.
@@ -112,28 +105,28 @@ class Operation:
         self.kept = (*self.kept, flags)
 
 
-def pack(operations: Sequence[Operation]) -> Any:
-    """The operations as a C array."""
-    packed = (COperation * max(len(operations), 1))()
-    for each, one in zip(packed, operations, strict=False):
+def pack(instructions: Sequence[Instruction]) -> Any:
+    """The instructions as a C array."""
+    packed = (CInstruction * max(len(instructions), 1))()
+    for each, one in zip(packed, instructions, strict=False):
         each.kind, each.condition, each.owner = one.kind, one.when, one.owner
         for name, value in {**one.numbers, **one.addresses}.items():
             setattr(each, name, value)
     return packed
 
 
-def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure) -> Operation:
+def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure) -> Instruction:
     """fmi2GetReal, fmi2SetReal or their derivatives with bound arguments, see `Transfers`."""
     _, references, count, *orders, target = call.args
     pointers = {**_reached(call), "references": references, "target": target}
     kind = Kind.DERIVATIVES if orders else Kind.VALUES
     more = {"orders": orders[0]} if orders else {}
-    return Operation(kind, when, owner, failure, {"count": count}, {**pointers, **more}, (call,))
+    return Instruction(kind, when, owner, failure, {"count": count}, {**pointers, **more}, (call,))
 
 
-def fmi_step(call: partial[int], owner: int, failure: Failure) -> Operation:
+def fmi_step(call: partial[int], owner: int, failure: Failure) -> Instruction:
     """fmi2DoStep, never to go back to an earlier point."""
-    return Operation(Kind.STEP, When.ALWAYS, owner, failure, {}, _reached(call), (call,))
+    return Instruction(Kind.STEP, When.ALWAYS, owner, failure, {}, _reached(call), (call,))
 
 
 def _reached(call: partial[int]) -> dict[str, int | None]:
@@ -141,23 +134,23 @@ def _reached(call: partial[int]) -> dict[str, int | None]:
     return {"function": pointer(call.func), "component": addressof(call.args[0])}
 
 
-def table_row(table: RealArray, signals: RealArray, owner: int, rows: int) -> Operation:
+def table_row(table: RealArray, signals: RealArray, owner: int, rows: int) -> Instruction:
     """The first ``rows`` rows of ``signals`` from those of ``table`` (points, orders, n) at the point."""
     stride = int(np.prod(table.shape[1:]))
     numbers = {"count": rows * signals.shape[1], "stride": stride}
     pointers: dict[str, int | None] = {"source": address(table), "target": address(signals)}
-    return Operation(Kind.TABLE, When.ALWAYS, owner, _never, numbers, pointers, (table, signals))
+    return Instruction(Kind.TABLE, When.ALWAYS, owner, _never, numbers, pointers, (table, signals))
 
 
-def copy(source: RealArray, target: RealArray, when: When, owner: int) -> Operation:
+def copy(source: RealArray, target: RealArray, when: When, owner: int) -> Instruction:
     """``target`` becomes ``source``; both contiguous."""
     pointers: dict[str, int | None] = {"source": address(source), "target": address(target)}
-    return Operation(Kind.COPY, when, owner, _never, {"count": source.size}, pointers, (source, target))
+    return Instruction(Kind.COPY, when, owner, _never, {"count": source.size}, pointers, (source, target))
 
 
 def gather(
     source: RealArray, columns: NDArray[np.int64], target: RealArray, places: NDArray[np.int64], when: When, owner: int
-) -> Operation:
+) -> Instruction:
     """``target.flat[places] = source.flat[columns]``."""
     pointers: dict[str, int | None] = {
         "source": address(source),
@@ -166,17 +159,17 @@ def gather(
         "places": address(places),
     }
     kept = (source, columns, target, places)
-    return Operation(Kind.GATHER, when, owner, _never, {"count": columns.size}, pointers, kept)
+    return Instruction(Kind.GATHER, when, owner, _never, {"count": columns.size}, pointers, kept)
 
 
-def finite(signals: RealArray, when: When, owner: int, failure: Failure) -> Operation:
+def finite(signals: RealArray, when: When, owner: int, failure: Failure) -> Instruction:
     """Fails where a signal isn't finite."""
-    return Operation(
+    return Instruction(
         Kind.FINITE, when, owner, failure, {"count": signals.size}, {"target": address(signals)}, (signals,)
     )
 
 
-def python_callback(function: Callable[[int, float, float], None], when: When, owner: int) -> Operation:
+def python_callback(function: Callable[[int, float, float], object], when: When, owner: int) -> Instruction:
     """A Python function; what it raises ends the run."""
     raised: list[BaseException] = []
 
@@ -190,7 +183,7 @@ def python_callback(function: Callable[[int, float, float], None], when: When, o
 
     callback = CALLBACK(guarded)
     pointers: dict[str, int | None] = {"function": pointer(callback)}
-    return Operation(Kind.CALL, when, owner, lambda *_: raised.pop(), {}, pointers, (callback,))
+    return Instruction(Kind.CALL, when, owner, lambda *_: raised.pop(), {}, pointers, (callback,))
 
 
 def pointer(function: Any) -> int | None:
@@ -205,5 +198,5 @@ def flags(values: Sequence[bool] | NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 
 def _never(status: int, begin: float, end: float) -> BaseException:
-    """For operations that can't fail."""
-    return AssertionError(f"status {status} of an operation that can't fail")
+    """For instructions that can't fail."""
+    return AssertionError(f"status {status} of an instruction that can't fail")
