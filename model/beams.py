@@ -64,18 +64,9 @@ def pinned_pinned(mode: int) -> str:
     return f"{ordinal(mode)} mode of a beam pinned at both ends"
 
 
-def clamped_free_root(mode: int) -> float:
-    """The root beta_k of cos(beta) cosh(beta) = -1 for mode k = 1, 2, ..."""
-    centre = (mode - 0.5) * np.pi
-    return float(brentq(lambda b: np.cos(b) + 1.0 / np.cosh(b), centre - 0.5, centre + 0.5, xtol=1e-15, rtol=1e-15))
-
-
-def clamped_pinned_root(mode: int) -> float:
-    """The root beta_k of tan(beta) = tanh(beta) for mode k = 1, 2, ..."""
-    centre = (mode + 0.25) * np.pi
-    return float(
-        brentq(lambda b: np.sin(b) - np.cos(b) * np.tanh(b), centre - 0.5, centre + 0.5, xtol=1e-15, rtol=1e-15)
-    )
+def _root_near(centre: float, function: Callable[[float], float]) -> float:
+    """The root of a characteristic equation within 0.5 of a wave number."""
+    return float(brentq(function, centre - 0.5, centre + 0.5, xtol=1e-15, rtol=1e-15))
 
 
 def clamped_free_bending(mode: int) -> Shape:
@@ -83,7 +74,8 @@ def clamped_free_bending(mode: int) -> Shape:
 
     With sigma = -1/a_k it equals (cosh - cos - sigma (sinh - sin)) / sigma.
     """
-    beta = clamped_free_root(mode)
+    # cos(beta) cosh(beta) = -1
+    beta = _root_near((mode - 0.5) * np.pi, lambda b: float(np.cos(b) + 1.0 / np.cosh(b)))
     decay = np.exp(-beta)
     # 1 - sigma = (exp(-beta) + cos beta + sin beta) / (cosh beta + cos beta), scaled by exp(beta) to avoid overflow
     scaled = 2.0 * (decay + np.cos(beta) + np.sin(beta)) / (1.0 + decay**2 + 2.0 * decay * np.cos(beta))
@@ -95,7 +87,8 @@ def clamped_free_bending(mode: int) -> Shape:
 
 def clamped_pinned_bending(mode: int) -> Shape:
     """Clamped-pinned bending shape k: cosh - cos - sigma (sinh - sin) of beta_k xi; the tip turns, but doesn't move."""
-    beta = clamped_pinned_root(mode)
+    # tan(beta) = tanh(beta)
+    beta = _root_near((mode + 0.25) * np.pi, lambda b: float(np.sin(b) - np.cos(b) * np.tanh(b)))
     decay = np.exp(-beta)
     # 1 - sigma = (cos beta - sin beta - exp(-beta)) / (sinh beta - sin beta), where cos beta - sin beta is
     # 2 exp(-2 beta) cos beta / (1 + exp(-2 beta)); scaled by exp(beta)

@@ -12,17 +12,7 @@ from flexfmu.model.effects import Effect, EffectContext, Stiction
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Robot
 from flexfmu.model.scene import effects as keys
-from flexfmu.model.symbolic import EffectNote, Variable
-
-LARGEST = 1e9
-"""Upper limit of a drive parameter in its SI unit."""
-
-
-def _parameter(
-    registry: ParameterRegistry, name: str, unit: str, text: str, start: float, minimum: float = 0.0
-) -> casadi.SX:
-    variable = Variable(name, unit, text, "parameter", start=start, minimum=minimum, maximum=LARGEST)
-    return registry.derived(name.replace(".", "_"), registry.parameter(variable))
+from flexfmu.model.symbolic import EffectNote
 
 
 class MotorInertia(Effect):
@@ -42,8 +32,8 @@ class MotorInertia(Effect):
             yield cls(context.registry, inertia)
 
     def __init__(self, registry: ParameterRegistry, inertia: float) -> None:
-        self._inertia = _parameter(
-            registry, "motor_inertia", "kg.m2", "Inertia of each motor, referred to its joint", inertia
+        self._inertia = registry.quantity(
+            "motor_inertia", "kg.m2", "Inertia of each motor, referred to its joint", inertia
         )
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
@@ -67,8 +57,8 @@ class ViscousFriction(Effect):
             yield cls(context.registry, coefficient)
 
     def __init__(self, registry: ParameterRegistry, coefficient: float) -> None:
-        self._coefficient = _parameter(
-            registry, "joint_friction.viscous", "N.m.s/rad", "Viscous friction of each motor", coefficient
+        self._coefficient = registry.quantity(
+            "joint_friction.viscous", "N.m.s/rad", "Viscous friction of each motor", coefficient
         )
 
     def dissipation(self, robot: Robot) -> casadi.SX:
@@ -95,9 +85,9 @@ class CoulombFriction(Effect):
             yield cls(context.registry, friction.coulomb, friction.velocity)
 
     def __init__(self, registry: ParameterRegistry, torque: float, velocity: float) -> None:
-        self._torque = _parameter(registry, "joint_friction.coulomb", "N.m", "Coulomb friction of each motor", torque)
-        self._velocity = _parameter(
-            registry, "joint_friction.velocity", "rad/s", "Motor rate that smooths the Coulomb friction", velocity, 1e-9
+        self._torque = registry.quantity("joint_friction.coulomb", "N.m", "Coulomb friction of each motor", torque)
+        self._velocity = registry.quantity(
+            "joint_friction.velocity", "rad/s", "Motor rate that smooths the Coulomb friction", velocity, 1e-9
         )
 
     def dissipation(self, robot: Robot) -> casadi.SX:
@@ -121,15 +111,14 @@ class StickingFriction(Effect):
     def __init__(
         self, registry: ParameterRegistry, coulomb: float, breakaway: float, stribeck_velocity: float | None
     ) -> None:
-        self._coulomb = _parameter(
-            registry, "joint_friction.coulomb", "N.m", "Coulomb friction of each motor that turns", coulomb
+        self._coulomb = registry.quantity(
+            "joint_friction.coulomb", "N.m", "Coulomb friction of each motor that turns", coulomb
         )
-        largest = _parameter(
-            registry, "joint_friction.breakaway", "N.m", "Largest torque that holds a motor at rest", breakaway
+        largest = registry.quantity(
+            "joint_friction.breakaway", "N.m", "Largest torque that holds a motor at rest", breakaway
         )
         self._breakaway = registry.derived("joint_friction_holding", casadi.fmax(largest, self._coulomb))
-        self._velocity = stribeck_velocity and _parameter(
-            registry,
+        self._velocity = stribeck_velocity and registry.quantity(
             "joint_friction.stribeck_velocity",
             "rad/s",
             "Motor rate at which friction has fallen from breakaway by 63 %",
@@ -188,11 +177,11 @@ class ElasticTransmission(Effect):
             yield cls(context.registry, transmission.stiffness, transmission.damping)
 
     def __init__(self, registry: ParameterRegistry, stiffness: float, damping: float) -> None:
-        self._stiffness = _parameter(
-            registry, "transmission.stiffness", "N.m/rad", "Stiffness of each transmission", stiffness, 1e-9
+        self._stiffness = registry.quantity(
+            "transmission.stiffness", "N.m/rad", "Stiffness of each transmission", stiffness, 1e-9
         )
         self._damping = (
-            _parameter(registry, "transmission.damping", "N.m.s/rad", "Damping of each transmission", damping)
+            registry.quantity("transmission.damping", "N.m.s/rad", "Damping of each transmission", damping)
             if damping
             else casadi.SX(0)
         )

@@ -77,26 +77,21 @@ def derive_dynamics(robot: Robot, effects: Sequence[Effect], registry: Parameter
     potential = sum((effect.potential_energy(robot, moment) for effect in effects), casadi.SX(0))
     dissipation = sum((effect.dissipation(robot) for effect in effects), casadi.SX(0))
 
-    # d/dt dT/dv - dT/dq + dV/dq + dR/dv
+    # x' for rates v: unit vectors turn, the rest moves with its own rate
+    turning = [casadi.vertcat(-x[2 * i + 1] * v[i], x[2 * i] * v[i]) for i in range(4)]
+    tangent = casadi.vertcat(*turning, v[4:])
+
+    # derivative of T - V by the coordinates that belong to v; for an angle along the turning of its unit vector
+    gradient = casadi.gradient(kinetic - potential, x)
+    angles = [x[2 * i] * gradient[2 * i + 1] - x[2 * i + 1] * gradient[2 * i] for i in range(4)]
+    by_coordinates = casadi.vertcat(*angles, gradient[8:])
+
+    # Lagrange: d/dt dT/dv - d(T - V)/dq + dR/dv
     momentum = casadi.gradient(kinetic, v)
-    tangent = _configuration_rate(x, v)
     inertia = casadi.jtimes(momentum, casadi.vertcat(x, v), casadi.vertcat(tangent, a))
-    force = inertia - _generalised_gradient(kinetic - potential, x, v) + casadi.gradient(dissipation, v)
+    force = inertia - by_coordinates + casadi.gradient(dissipation, v)
     return RedundantDynamics(
         force=casadi.Function("force", [x, v, a, registry.d], [casadi.densify(casadi.cse(force))]),
         energy=casadi.Function("energy", [x, v, registry.d], [casadi.densify(casadi.vertcat(kinetic, potential))]),
         is_damped=casadi.depends_on(dissipation, robot.v_e),
     )
-
-
-def _configuration_rate(x: casadi.SX, v: casadi.SX) -> casadi.SX:
-    """x' for rates v: unit vectors turn, the rest moves with its own rate."""
-    turning = [casadi.vertcat(-x[2 * i + 1] * v[i], x[2 * i] * v[i]) for i in range(4)]
-    return casadi.vertcat(*turning, v[4:])
-
-
-def _generalised_gradient(energy: casadi.SX, x: casadi.SX, v: casadi.SX) -> casadi.SX:
-    """Derivative of an energy by the coordinates that belong to v; for an angle along the turning of its unit vector."""
-    gradient = casadi.gradient(energy, x)
-    angles = [x[2 * i] * gradient[2 * i + 1] - x[2 * i + 1] * gradient[2 * i] for i in range(4)]
-    return casadi.vertcat(*angles, gradient[8:])

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 import casadi
 import numpy as np
 
-from flexfmu.model.beams import Evaluate, Shape, gram
+from flexfmu.model.beams import Evaluate, gram
 from flexfmu.model.effects import Effect, EffectContext, form, symmetric
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import ElasticSymbols, Family, Link, LinkGroup, Robot
@@ -54,14 +54,14 @@ class Foreshortening(Effect):
         return sum(parts, casadi.SX(np.zeros((2, 1))))
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
-        return sum((self._link_energy(link, part) for link, part in _bending(robot)), casadi.SX(0))
-
-    def _link_energy(self, link: Link, part: ElasticSymbols) -> casadi.SX:
-        """V · d/dt (∫ u dm e) + w² ∫ x u dm with the shortening u."""
-        w, mass = link.turning_rate, self._properties[part.family.group].mass
-        rate = 2 * self._shift(part, part.v) * link.direction + w * self._shift(part, part.q) * link.normal
-        centrifugal = self._matrix(part.family, "centrifugal", lambda xi: 1.0 - xi**2, mass / 2)
-        return casadi.dot(link.base_velocity, rate) - 0.5 * w**2 * form(centrifugal, part.q, part.q)
+        """V · d/dt (∫ u dm e) + w² ∫ x u dm of each link with the shortening u."""
+        total = casadi.SX(0)
+        for link, part in _bending(robot):
+            w, mass = link.turning_rate, self._properties[part.family.group].mass
+            rate = 2 * self._shift(part, part.v) * link.direction + w * self._shift(part, part.q) * link.normal
+            centrifugal = self._matrix(part.family, "centrifugal", lambda xi: 1.0 - xi**2, mass / 2)
+            total += casadi.dot(link.base_velocity, rate) - 0.5 * w**2 * form(centrifugal, part.q, part.q)
+        return total
 
     def _shift(self, part: ElasticSymbols, other: casadi.SX) -> casadi.SX:
         """-1/2 other' G q, where ∫ u dm = -1/2 q' G q [kg m]."""
@@ -70,7 +70,7 @@ class Foreshortening(Effect):
         return -0.5 * form(matrix, other, part.q)
 
     def _matrix(self, family: Family, name: str, weight: Evaluate, factor: casadi.SX) -> casadi.SX:
-        products = gram(family.shapes, _slope, weight)
+        products = gram(family.shapes, lambda shape: shape.slope, weight)
         prefix = f"{family.group}_{name}"
         return symmetric(
             len(family.shapes),
@@ -100,10 +100,6 @@ def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:
         rigidity = scene.mechanism.material.youngs_modulus * second / geometry.length**5
         energy += 0.5 * rigidity * casadi.dot(casadi.DM(0.5 * weights), (slopes * strains) ** 2)
     return energy
-
-
-def _slope(shape: Shape) -> Evaluate:
-    return shape.slope
 
 
 def _bending(robot: Robot) -> Iterator[tuple[Link, ElasticSymbols]]:

@@ -31,27 +31,28 @@ class LinkInertia(Effect):
         self._registry, self._properties = registry, properties
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
-        return sum((self._link_energy(link) for link in robot.links.values()), casadi.SX(0))
+        """T of each link: point P translates, the frame turns, the beam deforms in it."""
+        total = casadi.SX(0)
+        for link in robot.links.values():
+            integrals, w, V = self._integrals(link), link.turning_rate, link.base_velocity
+            # the base point's own motion, and its product with the motion relative to it
+            along, across = integrals.moment(link)
+            along_rate, across_rate = integrals.moment_rate(link)
+            relative = (along_rate - w * across) * link.direction + (across_rate + w * along) * link.normal
+            translation = 0.5 * integrals.mass * casadi.dot(V, V) + casadi.dot(V, relative)
+            total += translation + integrals.relative_energy(link, w)
+        return total
 
     def first_moment(self, robot: Robot) -> casadi.SX:
-        return sum((self._link_moment(link) for link in robot.links.values()), casadi.SX(np.zeros((2, 1))))
+        total = casadi.SX(np.zeros((2, 1)))
+        for link in robot.links.values():
+            integrals = self._integrals(link)
+            along, across = integrals.moment(link)
+            total += integrals.mass * link.base + along * link.direction + across * link.normal
+        return total
 
-    def _inertia(self, link: Link) -> _LinkIntegrals:
+    def _integrals(self, link: Link) -> _LinkIntegrals:
         return _LinkIntegrals(self._registry, link, self._properties[link.group])
-
-    def _link_moment(self, link: Link) -> casadi.SX:
-        inertia = self._inertia(link)
-        along, across = inertia.moment(link)
-        return inertia.mass * link.base + along * link.direction + across * link.normal
-
-    def _link_energy(self, link: Link) -> casadi.SX:
-        """T of one link: point P translates, the frame turns, the beam deforms in it."""
-        inertia, w, V = self._inertia(link), link.turning_rate, link.base_velocity
-        along, across = inertia.moment(link)
-        along_rate, across_rate = inertia.moment_rate(link)
-        relative = (along_rate - w * across) * link.direction + (across_rate + w * along) * link.normal
-        translation = 0.5 * inertia.mass * casadi.dot(V, V) + casadi.dot(V, relative)
-        return translation + inertia.relative_energy(link, w)
 
 
 class _LinkIntegrals:

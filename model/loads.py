@@ -10,7 +10,7 @@ import numpy as np
 from flexfmu.model.effects import Effect, EffectContext, dot
 from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import Robot
-from flexfmu.model.symbolic import EffectNote, Variable
+from flexfmu.model.symbolic import EffectNote
 
 
 class PointPayload(Effect):
@@ -30,20 +30,7 @@ class PointPayload(Effect):
             yield cls(context.registry, mass)
 
     def __init__(self, registry: ParameterRegistry, mass: float) -> None:
-        self._mass = registry.derived(
-            "payload_mass",
-            registry.parameter(
-                Variable(
-                    "payload.mass",
-                    "kg",
-                    "Point mass at the end effector",
-                    "parameter",
-                    start=mass,
-                    minimum=0.0,
-                    maximum=1e6,
-                )
-            ),
-        )
+        self._mass = registry.quantity("payload.mass", "kg", "Point mass at the end effector", mass, maximum=1e6)
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
         return 0.5 * self._mass * casadi.dot(robot.velocity, robot.velocity)
@@ -78,8 +65,7 @@ class PayloadInertia(Effect):
     def __init__(self, registry: ParameterRegistry, inertia: float, length: casadi.SX) -> None:
         """`length` of the distal links [m]."""
         text = "Rotary inertia of the payload about the end effector, turning with link 12"
-        variable = Variable("payload.inertia", "kg.m2", text, "parameter", start=inertia, minimum=0.0, maximum=1e6)
-        self._inertia = registry.derived("payload_inertia", registry.parameter(variable))
+        self._inertia = registry.quantity("payload.inertia", "kg.m2", text, inertia, maximum=1e6)
         self._length = length
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
@@ -110,20 +96,7 @@ class Gravity(Effect):
     def __init__(self, registry: ParameterRegistry, gravity: tuple[float, float]) -> None:
         self._gravity = casadi.vertcat(
             *(
-                registry.derived(
-                    f"gravity_{axis}",
-                    registry.parameter(
-                        Variable(
-                            f"gravity.{axis}",
-                            "m/s2",
-                            f"Gravity along {axis}",
-                            "parameter",
-                            start=g,
-                            minimum=-1e4,
-                            maximum=1e4,
-                        )
-                    ),
-                )
+                registry.quantity(f"gravity.{axis}", "m/s2", f"Gravity along {axis}", g, -1e4, 1e4)
                 for axis, g in zip("xy", gravity, strict=True)
             )
         )

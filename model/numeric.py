@@ -77,18 +77,15 @@ def standstill(joints: tuple[float, float] | RealArray) -> RealArray:
     return np.concatenate([np.asarray(joints, dtype=float), np.zeros(4)])
 
 
-def rigid_scene(scene: Scene) -> Scene:
-    """The scene with rigid links and rigid transmissions."""
-    stiff = {f"effects.{group}_{direction}": 0 for group, direction in FAMILIES}
-    return scene.replace(stiff | {"effects.transmission": None, "effects.quasi_static": []})
-
-
 def inverse_dynamics(scene: Scene) -> casadi.Function:
     """Motor torques of the rigid robot: (q_a, v_a, a_a), each (2, 1) [rad, rad/s, rad/s²] → torque (2, 1) [N m].
 
     Inertia of links, motors and payload, gravity and friction of the scene are in it, with the scene's numbers.
     """
-    five_bar = assemble(rigid_scene(scene))
+    # the scene with rigid links and rigid transmissions
+    stiff = {f"effects.{group}_{direction}": 0 for group, direction in FAMILIES}
+    five_bar = assemble(scene.replace(stiff | {"effects.transmission": None, "effects.quasi_static": []}))
+    # its motor torques, with numbers for the parameters
     registry, motion = five_bar.registry, five_bar.motion
     torque = casadi.substitute(five_bar.forces.motors, registry.d, registry.derived_at_start())
     return casadi.Function(

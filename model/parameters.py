@@ -18,6 +18,9 @@ from flexfmu.model.symbolic import Variable
 POSITIVE = 1e-9
 """Smallest admissible value of a length, density or modulus in its SI unit."""
 
+LARGEST = 1e9
+"""Upper limit of an effect's parameter in its SI unit, where it has no limit of its own."""
+
 
 class ParameterRegistry:
     """Collects the parameters that the chosen effects ask for while a model is put together.
@@ -36,6 +39,13 @@ class ParameterRegistry:
         if known != variable:
             raise ValueError(f"parameter `{variable.name}` is declared twice with different attributes")
         return self._symbols.setdefault(variable.name, casadi.SX.sym(variable.name))
+
+    def quantity(
+        self, name: str, unit: str, text: str, start: float, minimum: float = 0.0, maximum: float = LARGEST
+    ) -> casadi.SX:
+        """An effect's parameter, named like its key in the scene file, as a symbol among the derived values."""
+        variable = Variable(name, unit, text, "parameter", start=start, minimum=minimum, maximum=maximum)
+        return self.derived(name.replace(".", "_"), self.parameter(variable))
 
     def derived(self, name: str, expression: casadi.SX) -> casadi.SX:
         """The symbol of a value that is computed once from the parameters and named for memoisation.

@@ -101,10 +101,8 @@ class Link:
 
     def shape_integrals(self) -> ShapeIntegrals:
         """Integrals over all shapes of the link, axial ones first, then bending."""
-        return integrate_shapes([shape for direction in ("axial", "bending") for shape in self._shapes(direction)])
-
-    def _shapes(self, direction: str) -> Sequence[Shape]:
-        return [s for part in self.elastic if part.family.direction == direction for s in part.family.shapes]
+        parts = sorted(self.elastic, key=lambda part: part.family.direction)
+        return integrate_shapes([shape for part in parts for shape in part.family.shapes])
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import casadi
 
-from flexfmu.model.beams import Evaluate, Shape, gram, mean
+from flexfmu.model.beams import gram, mean
 from flexfmu.model.effects import Effect, EffectContext, column, dot, form, symmetric
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
-from flexfmu.model.robot import Link, LinkGroup, Robot
+from flexfmu.model.robot import LinkGroup, Robot
 from flexfmu.model.scene.mechanism import Link as LinkKeys
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.symbolic import EffectNote, Variable
 from flexfmu.model.timoshenko import Slenderness, shear_coefficient
+from flexfmu.trajectories.jets import RealArray
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,13 @@ def thick_beams(context: EffectContext) -> dict[LinkGroup, ThickBeam]:
             maximum=0.5,
         )
     )
-    return {group: _thick_beam(part, nu) for group, part in context.links.items()}
-
-
-def _thick_beam(part: LinkProperties, nu: casadi.SX) -> ThickBeam:
-    shear_modulus = part.youngs_modulus / (2.0 * (1.0 + nu))
-    k = shear_coefficient(part.outer_diameter, part.inner_diameter, nu)
-    return ThickBeam(k * shear_modulus * part.area / part.length, part.second_moment / part.area / part.length**2)
+    beams: dict[LinkGroup, ThickBeam] = {}
+    for group, part in context.links.items():
+        shear_modulus = part.youngs_modulus / (2.0 * (1.0 + nu))
+        k = shear_coefficient(part.outer_diameter, part.inner_diameter, nu)
+        rigidity = k * shear_modulus * part.area / part.length
+        beams[group] = ThickBeam(rigidity, part.second_moment / part.area / part.length**2)
+    return beams
 
 
 def slenderness(mechanism: Mechanism, group: LinkGroup) -> Slenderness:
@@ -88,25 +89,27 @@ class RotaryInertia(Effect):
         self._registry, self._properties, self._beams = registry, properties, beams
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
-        return sum((self._link_energy(link) for link in robot.links.values()), casadi.SX(0))
+        """Half of ∫ rho I (w + psi')² dx of each link, with the sections' turning psi against the link's frame."""
+        derived, total = self._registry.derived, casadi.SX(0)
+        for link in robot.links.values():
+            # the frame's own turning
+            length, w, group = self._properties[link.group].length, link.turning_rate, link.group
+            inertia = self._properties[group].mass * self._beams[group].gyration
+            energy = 0.5 * derived(f"{group}_rotary", inertia * length**2) * w**2
+            # turning of the sections where the link bends, alone and together with the frame
+            bending = link.family("bending")
+            if bending is not None:
+                products, means = (of(bending.family.shapes, lambda shape: shape.rotation) for of in (gram, mean))
+                first = column([derived(f"{group}_rotary_{k}", inertia * length * m) for k, m in enumerate(means)])
+                matrix = self._matrix(group, inertia, products)
+                energy = energy + w * dot(first, bending.v) + 0.5 * form(matrix, bending.v, bending.v)
+            total += energy
+        return total
 
-    def _link_energy(self, link: Link) -> casadi.SX:
-        """Half of ∫ rho I (w + psi')² dx, with the sections' turning psi against the link's frame."""
-        length, w, group = self._properties[link.group].length, link.turning_rate, link.group
-        inertia = self._properties[group].mass * self._beams[group].gyration
-        derived = self._registry.derived
-        energy = 0.5 * derived(f"{group}_rotary", inertia * length**2) * w**2
-        bending = link.family("bending")
-        if bending is None:
-            return energy
-        shapes = bending.family.shapes
-        products, means = gram(shapes, _rotation), mean(shapes, _rotation)
-        first = column([derived(f"{group}_rotary_{k}", inertia * length * m) for k, m in enumerate(means)])
-        matrix = symmetric(
-            len(shapes), lambda i, j: derived(f"{group}_rotary_{i}_{j}", inertia * products[i, j]), products
+    def _matrix(self, group: LinkGroup, inertia: casadi.SX, products: RealArray) -> casadi.SX:
+        """∫ rho I of the products of the shapes' rotations, (K, K)."""
+        return symmetric(
+            len(products),
+            lambda i, j: self._registry.derived(f"{group}_rotary_{i}_{j}", inertia * products[i, j]),
+            products,
         )
-        return energy + w * dot(first, bending.v) + 0.5 * form(matrix, bending.v, bending.v)
-
-
-def _rotation(shape: Shape) -> Evaluate:
-    return shape.rotation
