@@ -16,7 +16,6 @@ import numpy as np
 
 from flexfmu.model.beams import (
     Basis,
-    Evaluate,
     Shape,
     clamped_free_bending,
     clamped_pinned_bending,
@@ -99,6 +98,7 @@ class ElasticFamily(Effect):
     ) -> None:
         """`thick` adds the strain energy of shear to bending, and rotary inertia to the modal masses; `quasi_static`
         takes the modes' own dynamics away."""
+        # factors and integrals over the shapes, of strain energy and kinetic energy
         integrals = integrate_shapes(shapes)
         rigidity = (
             properties.youngs_modulus * properties.second_moment / properties.length**3
@@ -107,7 +107,9 @@ class ElasticFamily(Effect):
         )
         stiffness, mass = [(rigidity, integrals.strain_gram)], [(properties.mass, integrals.gram)]
         if thick is not None:
-            stiffness.append((thick.shear_rigidity, gram(shapes, _shear)))
+            # shear angle times the length: what of the slope isn't turning of the sections
+            shear = gram(shapes, lambda shape: lambda xi: shape.slope(xi) - shape.rotation(xi))
+            stiffness.append((thick.shear_rigidity, shear))
             mass.append((properties.mass * thick.gyration, gram(shapes, lambda shape: shape.rotation)))
 
         def matrix(name: str, terms: Sequence[tuple[casadi.SX, RealArray]]) -> casadi.SX:
@@ -117,6 +119,7 @@ class ElasticFamily(Effect):
 
             return symmetric(len(shapes), entry, np.add.reduce([np.abs(products) for _, products in terms]))
 
+        # the family with its matrices as derived values
         self._registry, self._properties = registry, properties
         springs = matrix("k", stiffness)
         compliance = _inverse(registry, f"{group}_{direction}_compliance", springs) if quasi_static else None
@@ -131,29 +134,25 @@ class ElasticFamily(Effect):
         return sum((0.5 * form(self._family.stiffness, part.q, part.q) for part in parts), casadi.SX(0))
 
     def outputs(self, robot: Robot) -> Sequence[Output]:
-        mine = [(link.name, part.q) for link, part in robot.elastic if part.family is self._family]
-        return (*self._tip_outputs(mine), *self._strain_outputs(mine))
-
-    def _tip_outputs(self, mine: Sequence[tuple[str, casadi.SX]]) -> Iterator[Output]:
-        name, text = _TIP_NAMES[self._family.direction]
-        if any(shape.tip for shape in self._family.shapes):
-            for link, q in mine:
-                yield Output(f"{link}.{name}", "m", f"{text} of {link}", q, casadi.SX(self._family.tips))
-
-    def _strain_outputs(self, mine: Sequence[tuple[str, casadi.SX]]) -> Iterator[Output]:
-        """Bending strain at the clamped end, where a strain gauge would sit: D/2 times the curvature."""
-        if (self._family.group, self._family.direction) != ("proximal", "bending"):
-            return
-        lever = self._properties.outer_diameter / (2 * self._properties.length**2)
-        root = np.zeros(1)
-        gain = column(
-            [
-                self._registry.derived(f"root_strain_{k}", lever * float(shape.strain(root)[0]))
-                for k, shape in enumerate(self._family.shapes)
-            ]
-        )
-        for link, q in mine:
-            yield Output(f"{link}.root_strain", "1", f"bending strain on the outer side of the root of {link}", q, gain)
+        family = self._family
+        mine = [(link.name, part.q) for link, part in robot.elastic if part.family is family]
+        found: list[Output] = []
+        # displacement of the tip, where it moves
+        name, text = _TIP_NAMES[family.direction]
+        if any(shape.tip for shape in family.shapes):
+            found += [Output(f"{link}.{name}", "m", f"{text} of {link}", q, casadi.SX(family.tips)) for link, q in mine]
+        # bending strain at the clamped end, where a strain gauge would sit: D/2 times the curvature
+        if (family.group, family.direction) == ("proximal", "bending"):
+            lever = self._properties.outer_diameter / (2 * self._properties.length**2)
+            gain = column(
+                [
+                    self._registry.derived(f"root_strain_{k}", lever * float(shape.strain(np.zeros(1))[0]))
+                    for k, shape in enumerate(family.shapes)
+                ]
+            )
+            text = "bending strain on the outer side of the root of"
+            found += [Output(f"{link}.root_strain", "1", f"{text} {link}", q, gain) for link, q in mine]
+        return found
 
 
 def _note(family: Family, is_thick: bool) -> EffectNote:
@@ -176,11 +175,6 @@ def _inverse(registry: ParameterRegistry, prefix: str, stiffness: casadi.SX) -> 
         return casadi.diag(column(entries))
     inverse = casadi.inv(casadi.densify(stiffness))
     return symmetric(count, lambda i, j: registry.derived(f"{prefix}_{i}_{j}", inverse[i, j]), np.ones((count, count)))
-
-
-def _shear(shape: Shape) -> Evaluate:
-    """Shear angle times the length: what of the slope isn't turning of the sections."""
-    return lambda xi: shape.slope(xi) - shape.rotation(xi)
 
 
 _TIP_NAMES: dict[Direction, tuple[str, str]] = {

@@ -7,7 +7,7 @@ can be left out, but a scene without them doesn't say how large they would be.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,22 +35,46 @@ class Neighbour:
 
 def enrichments(scene: Scene) -> tuple[Neighbour, ...]:
     """All scenes that have one effect or one mode more."""
-    return tuple(_neighbours(scene, (*_more_elastic(scene.effects), *_finer_beams(scene.effects))))
+    effects = scene.effects
+    steps: list[tuple[str, str, Changes]] = []
+    # elastic families; the tip of a distal link that bends doesn't move, so that no static shape helps there
+    for key, modes, static in _families(effects):
+        if static:
+            steps.append((key, "vibrating instead of deflecting statically", _static(effects, key, False)))
+        if not modes and key != "distal_bending":
+            steps.append((key, "1 mode, deflecting statically", {f"effects.{key}": 1} | _static(effects, key, True)))
+        if modes < MAXIMUM_MODES:
+            steps.append((key, _instead(modes + 1, modes), {f"effects.{key}": modes + 1}))
+    # beam theory
+    if effects.beam == "euler-bernoulli":
+        steps.append(("beam", "with shear and rotary inertia", {"effects.beam": "timoshenko"}))
+    if not effects.foreshortening and (effects.proximal_bending or effects.distal_bending):
+        steps.append(("foreshortening", "with foreshortening", {"effects.foreshortening": True}))
+    return tuple(Neighbour(effect, change, scene.replace(values)) for effect, change, values in steps)
 
 
 def reductions(scene: Scene) -> tuple[Neighbour, ...]:
     """All scenes that have one effect or one mode less."""
-    steps = (*_less_elastic(scene.effects), *_coarser_beams(scene.effects), *_without_loads(scene))
-    return tuple(_neighbours(scene, steps))
-
-
-Step = tuple[str, str, Changes]
-"""Effect, change, and values of the scene's keys."""
-
-
-def _neighbours(scene: Scene, steps: Iterable[Step]) -> Iterator[Neighbour]:
-    for effect, change, values in steps:
-        yield Neighbour(effect, change, scene.replace(values))
+    effects = scene.effects
+    steps: list[tuple[str, str, Changes]] = []
+    # elastic families
+    for key, modes, static in _families(effects):
+        if modes and not static and key != "distal_bending":
+            steps.append((key, "deflecting statically instead of vibrating", _static(effects, key, True)))
+        if modes > 1:
+            steps.append((key, _instead(modes - 1, modes), {f"effects.{key}": modes - 1}))
+        if modes == 1:
+            steps.append((key, "rigid", {f"effects.{key}": 0} | _static(effects, key, False)))
+    # beam theory
+    if effects.beam == "timoshenko":
+        steps.append(("beam", "without shear and rotary inertia", {"effects.beam": "euler-bernoulli"}))
+    if effects.foreshortening and (effects.proximal_bending or effects.distal_bending):
+        steps.append(("foreshortening", "without foreshortening", {"effects.foreshortening": False}))
+    # loads of the robot; the payload's mass is what the robot is there for, and stays
+    for key in scene.loads:
+        full = key if "." in key else f"effects.{key}"
+        steps.append((key, LOADS[key].change, {full: LOADS[key].absent}))
+    return tuple(Neighbour(effect, change, scene.replace(values)) for effect, change, values in steps)
 
 
 def _families(effects: Effects) -> Iterator[tuple[str, int, bool]]:
@@ -58,26 +82,6 @@ def _families(effects: Effects) -> Iterator[tuple[str, int, bool]]:
     for group, direction in FAMILIES:
         key = f"{group}_{direction}"
         yield key, getattr(effects, key), key in effects.quasi_static
-
-
-def _more_elastic(effects: Effects) -> Iterator[Step]:
-    for key, modes, static in _families(effects):
-        if static:
-            yield key, "vibrating instead of deflecting statically", _static(effects, key, False)
-        if not modes and key != "distal_bending":  # whose tip doesn't move
-            yield key, "1 mode, deflecting statically", {f"effects.{key}": 1} | _static(effects, key, True)
-        if modes < MAXIMUM_MODES:
-            yield key, _instead(modes + 1, modes), {f"effects.{key}": modes + 1}
-
-
-def _less_elastic(effects: Effects) -> Iterator[Step]:
-    for key, modes, static in _families(effects):
-        if modes and not static and key != "distal_bending":
-            yield key, "deflecting statically instead of vibrating", _static(effects, key, True)
-        if modes > 1:
-            yield key, _instead(modes - 1, modes), {f"effects.{key}": modes - 1}
-        if modes == 1:
-            yield key, "rigid", {f"effects.{key}": 0} | _static(effects, key, False)
 
 
 def _static(effects: Effects, key: str, wanted: bool) -> Changes:
@@ -88,28 +92,3 @@ def _static(effects: Effects, key: str, wanted: bool) -> Changes:
 
 def _instead(new: int, old: int) -> str:
     return f"{new} mode{'' if new == 1 else 's'} instead of {old}"
-
-
-def _finer_beams(effects: Effects) -> Iterator[Step]:
-    if effects.beam == "euler-bernoulli":
-        yield "beam", "with shear and rotary inertia", {"effects.beam": "timoshenko"}
-    if not effects.foreshortening and _bends(effects):
-        yield "foreshortening", "with foreshortening", {"effects.foreshortening": True}
-
-
-def _coarser_beams(effects: Effects) -> Iterator[Step]:
-    if effects.beam == "timoshenko":
-        yield "beam", "without shear and rotary inertia", {"effects.beam": "euler-bernoulli"}
-    if effects.foreshortening and _bends(effects):
-        yield "foreshortening", "without foreshortening", {"effects.foreshortening": False}
-
-
-def _bends(effects: Effects) -> bool:
-    return bool(effects.proximal_bending or effects.distal_bending)
-
-
-def _without_loads(scene: Scene) -> Iterator[Step]:
-    """Loads of the robot, left out; the payload's mass is what the robot is there for, and stays."""
-    for key in scene.loads:
-        full = key if "." in key else f"effects.{key}"
-        yield key, LOADS[key].change, {full: LOADS[key].absent}

@@ -12,7 +12,7 @@ of mode acceleration and modal truncation augmentation methods for modal respons
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
@@ -132,24 +132,16 @@ def assemble(scene: Scene) -> FiveBar:
     }
     context = EffectContext(scene, registry, links)
     effects = [effect for kind in effect_classes() for effect in kind.from_scene(context)]
-
-    # what the effects do to the coordinates makes the robot
-    families = [family for effect in effects for family in effect.families()]
     joint_stiffness = next((k for effect in effects if (k := effect.joint_stiffness()) is not None), None)
-    shortening = {
-        family.group: matrix
-        for effect in effects
-        for family in families
-        if (matrix := effect.shortening(family)) is not None
-    }
-    base = registry.derived("base_half_distance", parameters["base_half_distance"])
-    robot = make_robot(families, base, joint_stiffness is not None, shortening)
+    robot = _robot_with(effects, registry, parameters["base_half_distance"], joint_stiffness is not None)
     outputs = tuple(output for effect in effects for output in effect.outputs(robot))
 
     # equations in redundant coordinates, and their reduction to the independent ones
     dynamics = derive_dynamics(robot, effects, registry)
     partition = Partition.of(robot)
-    motion = _independent_motion(robot, partition)
+    q_a, v_a, a_a = (casadi.SX.sym(name, 2) for name in ("q_a", "v_a", "a_a"))
+    q_e, v_e = partition.states_of(robot.q_e), partition.states_of(robot.v_e)
+    motion = IndependentMotion(q_a, v_a, a_a, q_e, v_e, casadi.SX.sym("a_e", q_e.numel()))
     everything = replace(motion, **{name: partition.fill(getattr(motion, name)) for name in ("q_e", "v_e", "a_e")})
     side = 1 if scene.mechanism.assembly_mode == "left" else -1
     closure = Closure(robot, everything, (links["proximal"].length, links["distal"].length), side)
@@ -175,6 +167,21 @@ def assemble(scene: Scene) -> FiveBar:
     )
 
 
+def _robot_with(
+    effects: Sequence[Effect], registry: ParameterRegistry, base_half_distance: casadi.SX, elastic_joints: bool
+) -> Robot:
+    """The robot whose coordinates are those that effects add."""
+    families = [family for effect in effects for family in effect.families()]
+    shortening = {
+        family.group: matrix
+        for effect in effects
+        for family in families
+        if (matrix := effect.shortening(family)) is not None
+    }
+    base = registry.derived("base_half_distance", base_half_distance)
+    return make_robot(families, base, elastic_joints, shortening)
+
+
 def _respond(
     robot: Robot, partition: Partition, closure: Closure, force: casadi.SX
 ) -> tuple[ProjectedForces, casadi.SX, casadi.SX]:
@@ -185,12 +192,6 @@ def _respond(
     deflections = static_deflections(robot, forces.elastic)
     elastic = partition.fill(partition.states_of(robot.q_e), deflections)
     return replace(forces, elastic=partition.states_of(forces.elastic)), elastic, closure.position_at(elastic)
-
-
-def _independent_motion(robot: Robot, partition: Partition) -> IndependentMotion:
-    q_a, v_a, a_a = (casadi.SX.sym(name, 2) for name in ("q_a", "v_a", "a_a"))
-    q_e, v_e = partition.states_of(robot.q_e), partition.states_of(robot.v_e)
-    return IndependentMotion(q_a, v_a, a_a, q_e, v_e, casadi.SX.sym("a_e", q_e.numel()))
 
 
 def static_deflections(robot: Robot, forces: casadi.SX) -> casadi.SX:

@@ -67,7 +67,11 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
         raise ImportError("linearize needs python-control; run: pip install flexfmu[control]") from None
 
     plant, point = torque_driven_plant(scene), operating_point(scene, position)
-    rows = _rows(plant, outputs)
+    names = [variable.name for variable in plant.outputs]
+    for name in outputs or ():
+        if name not in names:
+            raise ValueError(f"the plant has no output `{name}`; its outputs: {', '.join(names)}")
+    rows = list(range(len(names))) if outputs is None else [names.index(name) for name in outputs]
     a, b, c, d = _matrices(plant, point)
     rates = [f"der({name})" for name in plant.unknowns]
     return control.ss(
@@ -87,18 +91,9 @@ def signal_label(name: str) -> str:
     return name.replace(".", "_")
 
 
-def _rows(plant: SymbolicModel, outputs: Sequence[str] | None) -> list[int]:
-    names = [variable.name for variable in plant.outputs]
-    if outputs is None:
-        return list(range(len(names)))
-    unknown = [name for name in outputs if name not in names]
-    if unknown:
-        raise ValueError(f"the plant has no output `{unknown[0]}`; its outputs: {', '.join(names)}")
-    return [names.index(name) for name in outputs]
-
-
 def _matrices(plant: SymbolicModel, point: OperatingPoint) -> tuple[RealArray, RealArray, RealArray, RealArray]:
     """A, B, C, D in the states [y, v] from M, K, C and the input matrix at the equilibrium."""
+    # symbols of the plant, and its numbers at the equilibrium
     n, m = len(plant.unknowns), len(plant.inputs)
     y, v, a, u = (casadi.SX.sym(name, size) for name, size in (("y", n), ("v", n), ("a", n), ("u", m)))
     derived = plant.functions["derive"]([variable.start or 0.0 for variable in plant.parameters])
@@ -109,9 +104,11 @@ def _matrices(plant: SymbolicModel, point: OperatingPoint) -> tuple[RealArray, R
         slopes = casadi.Function(name, [y, v, a, u], [casadi.jacobian(expression, x) for x in (y, v, a, u)])
         return [np.asarray(slope.full()) for slope in slopes(*rest)]
 
+    # accelerations by states and inputs: M a + C v + K y + B u = 0
     stiffness, damping, mass, load = jacobians("residual")
     response = -np.linalg.solve(mass, np.hstack([stiffness, damping, load]))
     by_state, by_input = response[:, : 2 * n], response[:, 2 * n :]
+    # outputs, which see the accelerations too
     c_y, c_v, c_a, c_u = jacobians("outputs")
     state_matrix = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), by_state])
     input_matrix = np.vstack([np.zeros((n, m)), by_input])

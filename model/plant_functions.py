@@ -9,7 +9,6 @@ import casadi
 import numpy as np
 
 from flexfmu.model.closure import ProjectedForces
-from flexfmu.model.effects import Output
 from flexfmu.model.five_bar import FiveBar
 from flexfmu.model.robot import Family
 from flexfmu.model.scene.assembly import WORKING_MODES
@@ -165,8 +164,12 @@ def robot_outputs(five_bar: FiveBar) -> list[OutputRow]:
         ("acceleration", "m/s2", closure.acceleration),
     ):
         rows += _components(f"end_effector.{kind}", unit, f"End effector, {{}} of the {kind}", vector)
-    # outputs of the effects
-    rows += [_effect_output(five_bar, each) for each in five_bar.outputs]
+    # outputs of the effects, static deflections included
+    for each in five_bar.outputs:
+        value = casadi.dot(each.gain, each.coordinates)
+        if five_bar.partition.statics:
+            value = casadi.substitute(value, five_bar.robot.q_e, five_bar.elastic)
+        rows.append((output(each.name, each.unit, each.description[0].upper() + each.description[1:]), value))
     # elastic coordinates with their rates and accelerations
     robot, states = five_bar.robot, five_bar.partition.states
     units, texts = robot.elastic_units, robot.elastic_texts
@@ -177,15 +180,6 @@ def robot_outputs(five_bar: FiveBar) -> list[OutputRow]:
         rows.append((output(rate, f"{unit}/s", f"Rate of {name}", of=name), motion.v_e[k]))
         rows.append((output(acceleration, f"{unit}/s2", f"Acceleration of {name}", of=rate), motion.a_e[k]))
     return rows
-
-
-def _effect_output(five_bar: FiveBar, scalar: Output) -> OutputRow:
-    """An effect's output, static deflections included."""
-    value = casadi.dot(scalar.gain, scalar.coordinates)
-    if five_bar.partition.statics:
-        value = casadi.substitute(value, five_bar.robot.q_e, five_bar.elastic)
-    description = scalar.description[0].upper() + scalar.description[1:]
-    return output(scalar.name, scalar.unit, description), value
 
 
 def elastic_names(five_bar: FiveBar) -> tuple[str, ...]:
@@ -236,11 +230,6 @@ def elastic_scale(five_bar: FiveBar) -> tuple[list[casadi.SX], list[casadi.SX]]:
 def _vibrating(five_bar: FiveBar) -> list[Family]:
     """Family by family of every link, but for those that deflect statically."""
     return [part.family for _, part in five_bar.robot.elastic if not part.family.quasi_static]
-
-
-def moving_mass(five_bar: FiveBar) -> casadi.SX:
-    """Mass of the links and of what moves with the end effector [kg]."""
-    return 2 * (five_bar.links["proximal"].mass + five_bar.links["distal"].mass) + five_bar.end_effector_mass
 
 
 def compliance(five_bar: FiveBar) -> casadi.SX:

@@ -20,7 +20,6 @@ from flexfmu.model.plant_functions import (
     elastic_names,
     elastic_scale,
     make_plant,
-    moving_mass,
     output,
     reaction_outputs,
     robot_outputs,
@@ -75,7 +74,8 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
         outputs += reaction_outputs(five_bar.forces)
     # error norm: elastic energy, with that under the reference load as its floor
     kappa, mu = elastic_scale(five_bar)
-    floor = REFERENCE_LOAD * moving_mass(five_bar) * casadi.sqrt(compliance(five_bar)) if kappa else casadi.SX(1)
+    mass = 2 * (five_bar.links["proximal"].mass + five_bar.links["distal"].mass) + five_bar.end_effector_mass
+    floor = REFERENCE_LOAD * mass * casadi.sqrt(compliance(five_bar)) if kappa else casadi.SX(1)
     equations = PlantEquations(
         motion=Motion(m.q_e, m.v_e, m.a_e, casadi.vertcat(m.q_a, m.v_a, m.a_a)),
         residual=five_bar.forces.elastic,
