@@ -5,7 +5,7 @@ python controller_pid.py
 
 from flexfmu import load_scene, measure_run
 from flexfmu.cosim.control.controllers.anti_windup import BackCalculation, Clamping, Unprotected
-from flexfmu.cosim.control.controllers.limits import symmetric
+from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.experiment.closed_loop import run_loop
 from flexfmu.cosim.experiment.parameters import holding_torques

@@ -78,7 +78,8 @@ def shaper_block(
         lines, kept, started = casadi.vertsplit(x, [0, length * len(signals), x.numel() - 1, x.numel()])
         first = [value for value, keep in zip(casadi.vertsplit(u), held, strict=True) if keep]
         origins = casadi.if_else(started, kept, casadi.vertcat(casadi.SX(0, 1), *first))
-        origin = _spread(origins, held)
+        rows = iter(casadi.vertsplit(origins)) if any(held) else iter(())
+        origin = casadi.vertcat(*(next(rows) if each else casadi.SX(0) for each in held))
         difference = u - origin
         # the present and past differences, weighted by the impulses
         window = casadi.vertcat(difference.T, casadi.reshape(lines, length, len(signals)))
@@ -95,12 +96,6 @@ def shaper_block(
         outputs=[Variable(SHAPED + s.name, s.unit, f"{s.name} after shaping", "output") for s in signals],
         states=np.zeros(length * len(signals) + sum(held) + 1).tolist(),
     )
-
-
-def _spread(origins: Vector, held: Sequence[bool]) -> Vector:
-    """Origins of all signals: those of the held ones, zero for the others."""
-    rows = iter(casadi.vertsplit(origins)) if any(held) else iter(())
-    return casadi.vertcat(*(next(rows) if each else casadi.SX(0) for each in held))
 
 
 def _weights(sequence: ImpulseSequence, sample_time: float, name: str) -> list[float]:

@@ -12,7 +12,7 @@ from typing import Protocol
 import casadi
 
 from flexfmu.cosim.control.blocks.equations import Vector
-from flexfmu.cosim.control.controllers.limits import saturate
+from flexfmu.cosim.control.controllers.joints import saturate
 from flexfmu.cosim.engine.errors import InputError
 
 

@@ -9,20 +9,26 @@ import casadi
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
+    Kind,
+    Limits,
     PerJoint,
     feedforward_outputs,
     feedforwards,
     gains,
     measurements,
     references,
+    torque_equations,
+    torque_limits,
     torques,
 )
-from flexfmu.cosim.control.controllers.limits import Limits, saturate, torque_limits
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSection
-from flexfmu.model.symbolic import SymbolicBlock, Variable
+from flexfmu.model.symbolic import SymbolicBlock
+
+MOTION: tuple[Kind, ...] = ("position", "velocity", "acceleration")
+"""What inverse dynamics take."""
 
 
 def computed_torque(
@@ -63,21 +69,19 @@ def computed_torque(
     """
     _check(inverse_dynamics, joints, name)
 
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        n = len(joints)
-        q_r, v_r, a_r, q, v, feedforward = split(u, n)
-        k_p, k_d, *bounds = split(p, n)
+    def law(x: Vector, signals: list[Vector], k: list[Vector]) -> tuple[Vector, Vector]:
+        q_r, v_r, a_r, q, v = signals
+        k_p, k_d = k
         # inverse dynamics of the reference acceleration, corrected by PD feedback
-        torque = inverse_dynamics.call([q, v, a_r + k_d * (v_r - v) + k_p * (q_r - q)])[0] + feedforward
-        return saturate(torque, *bounds) if limits else torque, x
+        return inverse_dynamics.call([q, v, a_r + k_d * (v_r - v) + k_p * (q_r - q)])[0], x
 
     return block(
         name,
         "Computed-torque control: rigid inverse dynamics and PD",
-        equations,
+        torque_equations(law, joints, limits),
         sample_time=sample_time,
         offset=offset,
-        inputs=[*_reference_motion(joints), *_measured_motion(joints), *feedforwards(joints)],
+        inputs=[*references(joints, *MOTION), *measurements(joints, "position", "velocity"), *feedforwards(joints)],
         outputs=torques(joints),
         parameters=[
             *gains(joints, "proportional_gain", proportional, "1/s2", "Stiffness per inertia"),
@@ -111,23 +115,9 @@ def inverse_dynamics_feedforward(
         equations,
         sample_time=sample_time,
         offset=offset,
-        inputs=_reference_motion(joints),
+        inputs=references(joints, *MOTION),
         outputs=feedforward_outputs(joints, "Rigid torque of the reference motion"),
     )
-
-
-def _reference_motion(joints: Sequence[str]) -> list[Variable]:
-    """Position, velocity and acceleration references."""
-    return [
-        *references(joints, "position"),
-        *references(joints, "velocity"),
-        *references(joints, "acceleration"),
-    ]
-
-
-def _measured_motion(joints: Sequence[str]) -> list[Variable]:
-    """Measured positions and velocities."""
-    return [*measurements(joints, "position"), *measurements(joints, "velocity")]
 
 
 def _check(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) -> None:

@@ -225,16 +225,19 @@ def realise(numerators: Sequence[Sequence[RealArray]], denominators: Sequence[Se
     """
     height, width = len(numerators), len(numerators[0])
     D = np.zeros((height, width))
+    # every element has its states, one input column and one output row
     parts: list[RealArray] = []
     rows: list[RealArray] = []
     columns: list[RealArray] = []
     for i in range(height):
         for j in range(width):
             a, c, D[i, j] = _canonical(numerators[i][j], denominators[i][j], f"[{i}, {j}]")
-            parts.append(a)
+            if a.size:
+                parts.append(a)
             columns.append(np.outer(np.eye(len(a), 1), np.eye(1, width, j)))
             rows.append(np.outer(np.eye(1, height, i), c))
-    return _stack(parts), np.concatenate(columns), np.concatenate(rows, axis=1), D
+    A = np.asarray(block_diag(*parts), dtype=float) if parts else np.zeros((0, 0))
+    return A, np.concatenate(columns), np.concatenate(rows, axis=1), D
 
 
 def _canonical(numerator: RealArray, denominator: RealArray, where: str) -> tuple[RealArray, RealArray, float]:
@@ -258,9 +261,3 @@ def _canonical(numerator: RealArray, denominator: RealArray, where: str) -> tupl
     A = np.eye(a.size - 1, k=-1)
     A[:1] = -a[1:]
     return A, b[1:] - b[0] * a[1:], float(b[0])
-
-
-def _stack(parts: Sequence[RealArray]) -> RealArray:
-    """Block-diagonal matrix, parts without states left out."""
-    full = [part for part in parts if part.size]
-    return np.asarray(block_diag(*full), dtype=float) if full else np.zeros((0, 0))

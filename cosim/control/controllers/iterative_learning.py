@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 
 import casadi
@@ -10,7 +10,6 @@ import casadi
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
-    UNITS,
     Kind,
     PerJoint,
     feedforward_outputs,
@@ -26,6 +25,9 @@ from flexfmu.trajectories.trajectory import SAME_TIME
 
 MAXIMUM_TABLE = 1_000_000
 """Tables of more samples than this are taken for a mistake in the cycle's unit."""
+
+GAIN_UNITS: Mapping[Kind, str] = {"position": "N.m/rad", "velocity": "N.m.s/rad", "acceleration": "N.m.s2/rad"}
+"""Error that is learned from → unit of the learning gain."""
 
 
 def iterative_learning(
@@ -67,7 +69,12 @@ def iterative_learning(
     Raises:
         InputError: cycle, shift, forgetting, a gain or the sample time is out of range.
     """
-    _check(cycle, shift, forgetting, name)
+    if cycle != int(cycle) or not 1 <= cycle <= MAXIMUM_TABLE:
+        raise InputError(f"{name}: a cycle must have 1 to {MAXIMUM_TABLE} samples, got {cycle}")
+    if shift != int(shift) or not 0 <= shift < cycle:
+        raise InputError(f"{name}: the shift must be 0 to {cycle - 1} samples, less than a cycle, got {shift}")
+    if not (isfinite(forgetting) and 0.0 <= forgetting < 1.0):
+        raise InputError(f"{name}: the forgetting must be at least 0 and below 1, got {forgetting}")
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         # states: the sample's number within the cycle, and for each joint the torques of a cycle ahead
@@ -86,7 +93,7 @@ def iterative_learning(
         offset=offset,
         inputs=[*references(joints, learn_from), *measurements(joints, learn_from)],
         outputs=feedforward_outputs(joints, "Learned torque"),
-        parameters=gains(joints, "learning_gain", gain, _per("N.m", UNITS[learn_from]), "Learning gain"),
+        parameters=gains(joints, "learning_gain", gain, GAIN_UNITS[learn_from], "Learning gain"),
         states=[0.0] * (1 + len(joints) * cycle),
         symbol=casadi.MX,
     )
@@ -104,22 +111,6 @@ def _move_on(queue: Vector, correction: Vector, shift: int, forgetting: float) -
     if learner == 0:
         return casadi.vertcat(queue[1:, 0], learned)
     return casadi.vertcat(queue[1:learner, 0], learned, queue[learner + 1 :, 0], queue[0])
-
-
-def _per(unit: str, divisor: str) -> str:
-    """``unit`` per ``divisor``, as FMI spells it: ``N.m`` per ``rad/s`` is ``N.m.s/rad``."""
-    numerator, _, denominator = divisor.partition("/")
-    return f"{unit}.{denominator}/{numerator}" if denominator else f"{unit}/{numerator}"
-
-
-def _check(cycle: int, shift: int, forgetting: float, name: str) -> None:
-    """Lengths are whole numbers that fit each other."""
-    if cycle != int(cycle) or not 1 <= cycle <= MAXIMUM_TABLE:
-        raise InputError(f"{name}: a cycle must have 1 to {MAXIMUM_TABLE} samples, got {cycle}")
-    if shift != int(shift) or not 0 <= shift < cycle:
-        raise InputError(f"{name}: the shift must be 0 to {cycle - 1} samples, less than a cycle, got {shift}")
-    if not (isfinite(forgetting) and 0.0 <= forgetting < 1.0):
-        raise InputError(f"{name}: the forgetting must be at least 0 and below 1, got {forgetting}")
 
 
 def samples_in_a_cycle(period: float | None, sample_time: float) -> int:

@@ -1,13 +1,16 @@
-"""Variables of joint controllers: names, units, and gains for one joint or all."""
+"""What controllers of the joints share: variables, gains for one joint or all, torque limits, and equations with both."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import isfinite
 from typing import Literal
 
+import casadi
 import numpy as np
 
+from flexfmu.cosim.control.blocks.equations import Equations, Vector, split
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.symbolic import Variable
 
@@ -21,17 +24,22 @@ PerJoint = float | Sequence[float]
 """One number for all joints, or one for each."""
 
 
-def references(joints: Sequence[str], kind: Kind) -> list[Variable]:
-    """Inputs ``joint1.reference.position`` and so on."""
+def references(joints: Sequence[str], *kinds: Kind) -> list[Variable]:
+    """Inputs ``joint1.reference.position`` and so on, those of the first kind first."""
     return [
         Variable(f"{joint}.reference.{kind}", UNITS[kind], f"Reference {kind} of {joint}", "input", 0.0)
+        for kind in kinds
         for joint in joints
     ]
 
 
-def measurements(joints: Sequence[str], kind: Kind) -> list[Variable]:
-    """Inputs ``joint1.position`` and so on."""
-    return [Variable(f"{joint}.{kind}", UNITS[kind], f"Measured {kind} of {joint}", "input", 0.0) for joint in joints]
+def measurements(joints: Sequence[str], *kinds: Kind) -> list[Variable]:
+    """Inputs ``joint1.position`` and so on, those of the first kind first."""
+    return [
+        Variable(f"{joint}.{kind}", UNITS[kind], f"Measured {kind} of {joint}", "input", 0.0)
+        for kind in kinds
+        for joint in joints
+    ]
 
 
 def feedforwards(joints: Sequence[str]) -> list[Variable]:
@@ -87,3 +95,71 @@ def per_joint(
         if minimum is not None and value < minimum:
             raise InputError(f"{name} of {joint} must be at least {minimum} {unit}, got {value}")
     return result
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Smallest and largest torque [N.m], for all joints or one for each."""
+
+    lower: PerJoint
+    upper: PerJoint
+
+    def parameters(self, joints: Sequence[str]) -> list[Variable]:
+        """Tunable parameters ``joint1.torque.minimum``, ..., ``joint1.torque.maximum``, ...
+
+        Raises:
+            InputError: a limit isn't finite, or the lower one isn't below the upper one.
+        """
+        lower = per_joint(joints, "the lower torque limit", self.lower, "N.m")
+        upper = per_joint(joints, "the upper torque limit", self.upper, "N.m")
+        for joint, low, high in zip(joints, lower, upper, strict=True):
+            if not low < high:
+                raise InputError(f"{joint}: the lower torque limit {low} N.m must be below the upper one, {high} N.m")
+        return [
+            Variable(f"{joint}.torque.{end}", "N.m", f"The {end} torque of {joint}", "parameter", value, tunable=True)
+            for end, values in (("minimum", lower), ("maximum", upper))
+            for joint, value in zip(joints, values, strict=True)
+        ]
+
+
+def symmetric(limit: PerJoint) -> Limits:
+    """Limits ±limit [N.m]."""
+    lower = -limit if isinstance(limit, (int, float)) else tuple(-value for value in limit)
+    return Limits(lower, limit)
+
+
+def torque_limits(limit: PerJoint | None) -> Limits | None:
+    """Limits ±limit [N.m] of a section of the scene file; None for none."""
+    return None if limit is None else symmetric(limit)
+
+
+def saturate(value: Vector, lower: Vector, upper: Vector) -> Vector:
+    """The value within its limits. NaN stays NaN, whereas minimum and maximum would turn it into a limit."""
+    return casadi.if_else(value > upper, upper, casadi.if_else(value < lower, lower, value))
+
+
+Law = Callable[[Vector, list[Vector], list[Vector]], tuple[Vector, Vector]]
+"""(states, signals, gains) → (torques before feedforward and limits, next states); every signal and every gain is a vector of
+one number for each joint."""
+
+
+def torque_equations(law: Law, joints: Sequence[str], limits: Limits | None) -> Equations:
+    """Equations of torque = sat(law + feedforward), for a block whose inputs end with `feedforwards` and whose parameters end with
+    those of the limits.
+
+    Args:
+        law: the law.
+        joints: names of the joints.
+        limits: torque limits; None for none.
+    """
+    n = len(joints)
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        *signals, feedforward = split(u, n)
+        gains = split(p, n)
+        lower, upper = (gains.pop(-2), gains.pop()) if limits else (None, None)
+        torque, following = law(x, signals, gains)
+        torque = torque + feedforward
+        return saturate(torque, lower, upper) if limits else torque, following
+
+    return equations

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from flexfmu.cosim.control.blocks.equations import Vector, block, split
+from flexfmu.cosim.control.blocks.equations import Vector, block
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
+    Limits,
     PerJoint,
     feedforwards,
     gains,
     measurements,
     references,
+    torque_equations,
+    torque_limits,
     torques,
 )
-from flexfmu.cosim.control.controllers.limits import Limits, saturate, torque_limits
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.model.scene.controllers import PdSection
 from flexfmu.model.symbolic import SymbolicBlock
@@ -47,35 +49,29 @@ def pd(
     Raises:
         InputError: a gain is negative or not finite, their number doesn't fit, or the sample time isn't positive.
     """
-    parameters = [
-        *gains(joints, "proportional_gain", proportional, "N.m/rad", "Proportional gain"),
-        *gains(joints, "derivative_gain", derivative, "N.m.s/rad", "Derivative gain"),
-        *(limits.parameters(joints) if limits else ()),
-    ]
 
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        n = len(joints)
-        # torque = k_p (q_r - q) + k_d (v_r - v) + feedforward, within its limits
-        q_r, v_r, q, v, feedforward = split(u, n)
-        k_p, k_d, *bounds = split(p, n)
-        torque = k_p * (q_r - q) + k_d * (v_r - v) + feedforward
-        return saturate(torque, *bounds) if limits else torque, x
+    def law(x: Vector, signals: list[Vector], k: list[Vector]) -> tuple[Vector, Vector]:
+        q_r, v_r, q, v = signals
+        k_p, k_d = k
+        return k_p * (q_r - q) + k_d * (v_r - v), x
 
     return block(
         name,
         "PD control of the joints",
-        equations,
+        torque_equations(law, joints, limits),
         sample_time=sample_time,
         offset=offset,
         inputs=[
-            *references(joints, "position"),
-            *references(joints, "velocity"),
-            *measurements(joints, "position"),
-            *measurements(joints, "velocity"),
+            *references(joints, "position", "velocity"),
+            *measurements(joints, "position", "velocity"),
             *feedforwards(joints),
         ],
         outputs=torques(joints),
-        parameters=parameters,
+        parameters=[
+            *gains(joints, "proportional_gain", proportional, "N.m/rad", "Proportional gain"),
+            *gains(joints, "derivative_gain", derivative, "N.m.s/rad", "Derivative gain"),
+            *(limits.parameters(joints) if limits else ()),
+        ],
     )
 
 

@@ -1,9 +1,21 @@
-"""PID control of the joints, from measured angles alone."""
+"""PID control of the joints, from measured angles alone.
+
+The continuous controller I' = K_i (q_r - q), T_f D' + D = K_d (c q_r - q)' is discretised exactly for signals that are
+linear between the samples (triangle-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of
+Dynamic Systems, 3rd ed. 1998, section 6.3.2). With e = q_r - q, d = c q_r - q, sample time h and a = exp(-h / T_f)::
+
+    torque_k = sat(K_p (b q_r - q) + I_k + D_k + feedforward)
+    I_k = I_k-1 + K_i h (e_k + e_k-1) / 2
+    D_k = a D_k-1 + K_d (1 - a) (d_k - d_k-1) / h
+
+Without a filter, a = 0, D is the difference quotient. At the first sample e_-1 = e_0 and d_-1 = d_0 and no time has passed:
+neither a kick nor an increment. Form, weights and anti-windup after K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006,
+sections 3.3 to 3.5.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import isfinite
 
 import casadi
@@ -12,92 +24,23 @@ from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
+    Limits,
     PerJoint,
     feedforwards,
     gains,
     measurements,
     per_joint,
     references,
+    saturate,
+    torque_limits,
     torques,
 )
-from flexfmu.cosim.control.controllers.limits import Limits, saturate, torque_limits
 from flexfmu.cosim.control.sections import LoopContext, builds
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene import controllers as scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 CLAMPING = Clamping()
-
-
-@dataclass(frozen=True)
-class PidLaw:
-    """Torque = sat(K_p (b q_r - q) + I + D + feedforward) for each joint.
-
-    The continuous controller I' = K_i (q_r - q), T_f D' + D = K_d (c q_r - q)' is discretised exactly for signals that
-    are linear between the samples (triangle-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital
-    Control of Dynamic Systems, 3rd ed. 1998, section 6.3.2). With e = q_r - q, d = c q_r - q, sample time h and
-    a = exp(-h / T_f)::
-
-        I_k = I_k-1 + K_i h (e_k + e_k-1) / 2
-        D_k = a D_k-1 + K_d (1 - a) (d_k - d_k-1) / h
-
-    Without a filter, a = 0, D is the difference quotient. At the first sample e_-1 = e_0 and d_-1 = d_0 and no time has
-    passed: neither a kick nor an increment. Form, weights and anti-windup after K. J. Åström, T. Hägglund, Advanced PID
-    Control, ISA 2006, sections 3.3 to 3.5.
-
-    Attributes:
-        joints: their number n.
-        sample_time: h [s].
-        setpoint_weight, derivative_weight: b and c.
-        limited: whether there are torque limits.
-        anti_windup: what the integral does at them.
-    """
-
-    joints: int
-    sample_time: float
-    setpoint_weight: float
-    derivative_weight: float
-    limited: bool
-    anti_windup: AntiWindup
-
-    def check(self, name: str) -> None:
-        """Weights are numbers.
-
-        Raises:
-            InputError: one isn't.
-        """
-        for what, weight in (("setpoint", self.setpoint_weight), ("derivative", self.derivative_weight)):
-            if not isfinite(weight):
-                raise InputError(f"{name}: the {what} weight must be finite, usually 0 to 1, got {weight}")
-
-    def start(self, torque: Sequence[float]) -> list[float]:
-        """Start states: no sample yet, I_-1 [N.m], D_-1 = e_-1 = d_-1 = 0."""
-        return [0.0, *torque, *[0.0] * (3 * self.joints)]
-
-    def equations(self, x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Torque and next states, from [q_r, q, feedforward] and [K_p, K_i, K_d, T_f, limits]."""
-        n, h = self.joints, self.sample_time
-        started, carried, slope, last_e, last_d = split(x, 1, n)
-        q_r, q, feedforward = split(u, n)
-        k_p, k_i, k_d, t_f, *bounds = split(p, n)
-        e, d = q_r - q, self.derivative_weight * q_r - q
-        running = casadi.repmat(started, n, 1)
-        increment = casadi.if_else(running, k_i * (h / 2.0) * (e + last_e), 0.0)
-        fading = casadi.exp(-h / t_f)
-        slope = casadi.if_else(running, fading * slope + k_d * ((1.0 - fading) / h) * (d - last_d), slope)
-        rest = k_p * (self.setpoint_weight * q_r - q) + slope + feedforward
-        torque, carried = self._integrate(rest, carried, increment, bounds)
-        return torque, casadi.vertcat(1.0, carried, slope, e, d)
-
-    def _integrate(
-        self, rest: Vector, carried: Vector, increment: Vector, bounds: Sequence[Vector]
-    ) -> tuple[Vector, Vector]:
-        """Torque within its limits, and integral to start the next sample from."""
-        if not self.limited:
-            return rest + carried + increment, carried + increment
-        lower, upper = bounds
-        now, carried = self.anti_windup.integrate(carried, increment, rest, lower, upper, self.sample_time)
-        return saturate(rest + now, lower, upper), carried
 
 
 def pid(
@@ -116,7 +59,7 @@ def pid(
     joints: Sequence[str] = JOINTS,
     name: str = "pid",
 ) -> SymbolicBlock:
-    """PID control of each joint: `PidLaw` with a reference, a measured angle and a feedforward.
+    """PID control of each joint from a reference, a measured angle and a feedforward, by the formulas on top of this module.
 
     Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward`` (zero unless connected); output
     ``joint1.torque``. Gains, filter times and limits are tunable parameters ``joint1.proportional_gain``,
@@ -139,25 +82,49 @@ def pid(
     Raises:
         InputError: a gain or time is negative or not finite, their number doesn't fit, or the sample time isn't positive.
     """
-    law = PidLaw(len(joints), sample_time, setpoint_weight, derivative_weight, limits is not None, anti_windup)
-    law.check(name)
-    parameters = [
-        *gains(joints, "proportional_gain", proportional, "N.m/rad", "Proportional gain"),
-        *gains(joints, "integral_gain", integral, "N.m/rad/s", "Integral gain"),
-        *gains(joints, "derivative_gain", derivative, "N.m.s/rad", "Derivative gain"),
-        *gains(joints, "filter_time", filter_time, "s", "Time constant of the derivative filter"),
-        *(limits.parameters(joints) if limits else ()),
-    ]
+    for what, weight in (("setpoint", setpoint_weight), ("derivative", derivative_weight)):
+        if not isfinite(weight):
+            raise InputError(f"{name}: the {what} weight must be finite, usually 0 to 1, got {weight}")
+    n, h = len(joints), sample_time
+
+    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        # states: whether there was a sample, I, D, e and d of the last one
+        started, carried, slope, last_e, last_d = split(x, 1, n)
+        q_r, q, feedforward = split(u, n)
+        k_p, k_i, k_d, t_f, *bounds = split(p, n)
+        e, d = q_r - q, derivative_weight * q_r - q
+        # integral and filtered derivative, neither of which moves at the first sample
+        running = casadi.repmat(started, n, 1)
+        increment = casadi.if_else(running, k_i * (h / 2.0) * (e + last_e), 0.0)
+        fading = casadi.exp(-h / t_f)
+        slope = casadi.if_else(running, fading * slope + k_d * ((1.0 - fading) / h) * (d - last_d), slope)
+        rest = k_p * (setpoint_weight * q_r - q) + slope + feedforward
+        # the integral takes part as far as the limits let it
+        if limits is None:
+            torque, carried = rest + carried + increment, carried + increment
+        else:
+            lower, upper = bounds
+            now, carried = anti_windup.integrate(carried, increment, rest, lower, upper, h)
+            torque = saturate(rest + now, lower, upper)
+        return torque, casadi.vertcat(1.0, carried, slope, e, d)
+
+    integral_at_start = per_joint(joints, "initial_torque", initial_torque, "N.m")
     return block(
         name,
         "PID control of the joints",
-        law.equations,
+        equations,
         sample_time=sample_time,
         offset=offset,
         inputs=[*references(joints, "position"), *measurements(joints, "position"), *feedforwards(joints)],
         outputs=torques(joints),
-        parameters=parameters,
-        states=law.start(per_joint(joints, "initial_torque", initial_torque, "N.m")),
+        parameters=[
+            *gains(joints, "proportional_gain", proportional, "N.m/rad", "Proportional gain"),
+            *gains(joints, "integral_gain", integral, "N.m/rad/s", "Integral gain"),
+            *gains(joints, "derivative_gain", derivative, "N.m.s/rad", "Derivative gain"),
+            *gains(joints, "filter_time", filter_time, "s", "Time constant of the derivative filter"),
+            *(limits.parameters(joints) if limits else ()),
+        ],
+        states=[0.0, *integral_at_start, *[0.0] * (3 * n)],
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.control.blocks.equations import Vector, block
-from flexfmu.cosim.control.controllers.limits import saturate
+from flexfmu.cosim.control.controllers.joints import saturate
 from flexfmu.cosim.control.controllers.linear_system import LinearSystem, Signal, matrix, times, variables
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray

@@ -76,7 +76,7 @@ class Lagrange:
     order: int
 
     def __post_init__(self) -> None:
-        _check_order(self.order, "Lagrange interpolation")
+        whole_number("the order of Lagrange interpolation", self.order, 1, HIGHEST_ORDER)
 
     def design(self, samples: float) -> DelayFilter:
         """The filter, with the delay within its middle interval.
@@ -89,8 +89,10 @@ class Lagrange:
         _check_shortest(samples, middle, f"Lagrange interpolation of order {self.order}")
         whole = floor(samples - middle)
         rest = samples - whole
-        weights = (prod((rest - i) / (k - i) for i in nodes if i != k) for k in nodes)
-        return _trimmed(whole, tuple(weights))
+        weights = tuple(prod((rest - i) / (k - i) for i in nodes if i != k) for k in nodes)
+        # zeros at both ends need no memory
+        used = [i for i, weight in enumerate(weights) if weight]
+        return DelayFilter(whole + used[0], weights[used[0] : used[-1] + 1])
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ class Thiran:
     order: int
 
     def __post_init__(self) -> None:
-        _check_order(self.order, "Thiran's all-pass")
+        whole_number("the order of Thiran's all-pass", self.order, 1, HIGHEST_ORDER)
 
     def design(self, samples: float) -> DelayFilter:
         """The filter, with a delay of about its order.
@@ -144,16 +146,6 @@ def delay_in_samples(time: float, sample_time: float, where: str) -> float:
         raise InputError(f"{where}: the delay must be zero or positive, got {time} s")
     samples = time / sample_time
     return float(round(samples)) if abs(samples - round(samples)) <= WHOLE * samples else samples
-
-
-def _trimmed(whole: int, weights: tuple[float, ...]) -> DelayFilter:
-    """A filter without the zeros at the ends of its weights."""
-    used = [i for i, weight in enumerate(weights) if weight]
-    return DelayFilter(whole + used[0], weights[used[0] : used[-1] + 1])
-
-
-def _check_order(order: int, what: str) -> None:
-    whole_number(f"the order of {what}", order, 1, HIGHEST_ORDER)
 
 
 def _check_shortest(samples: float, shortest: float, what: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
-from flexfmu.cosim.control.controllers.limits import saturate
+from flexfmu.cosim.control.controllers.joints import saturate
 from flexfmu.cosim.control.imperfections.channels import Channel, sampling, section_channels
 from flexfmu.cosim.control.imperfections.variables import PerChannel, inputs, outputs, parameters, units
 from flexfmu.cosim.control.sections import LoopContext, builds

@@ -71,6 +71,7 @@ def parameters(
         InputError: a value isn't finite or is too small, their number doesn't fit, or one number is given for
             different units.
     """
+    # one number for each channel, all of them admissible
     what_in = f"{what} [{', '.join(dict.fromkeys(units))}]"
     try:
         array = np.asarray(values, dtype=float)
@@ -83,7 +84,11 @@ def parameters(
         raise InputError(f"{what_in} can't be one number, {array}, for different units: give one for each of {names}")
     numbers = [float(value) for value in np.broadcast_to(array, (len(channels),))]
     for channel, value, unit in zip(channels, numbers, units, strict=True):
-        _check_value(f"{what} of {channel.name}", value, unit, minimum)
+        suffix = "" if unit == "1" else f" {unit}"
+        if not isfinite(value):
+            raise InputError(f"{what} of {channel.name} must be finite, got {value}{suffix}")
+        if minimum is not None and value < minimum:
+            raise InputError(f"{what} of {channel.name} must be at least {minimum:g}{suffix}, got {value}{suffix}")
     return [
         Variable(f"{each.name}.{key}", unit, f"{what} of {each.name}", "parameter", value, minimum, tunable=True)
         for each, value, unit in zip(channels, numbers, units, strict=True)
@@ -142,11 +147,3 @@ def whole_number(what: str, value: int, lowest: int, highest: int | None = None,
         span = f"at least {lowest}" if highest is None else f"from {lowest} to {highest}"
         raise InputError(f"{what} must be a whole number, {span}, got {value!r}{hint and f'; {hint}'}")
     return int(value)
-
-
-def _check_value(what: str, value: float, unit: str, minimum: float | None) -> None:
-    suffix = "" if unit == "1" else f" {unit}"
-    if not isfinite(value):
-        raise InputError(f"{what} must be finite, got {value}{suffix}")
-    if minimum is not None and value < minimum:
-        raise InputError(f"{what} must be at least {minimum:g}{suffix}, got {value}{suffix}")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.control.blocks.slave import BlockSlave
 from flexfmu.cosim.control.controllers.anti_windup import AntiWindup, BackCalculation, Clamping, Unprotected
-from flexfmu.cosim.control.controllers.limits import Limits, symmetric
+from flexfmu.cosim.control.controllers.joints import Limits, symmetric
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.engine.errors import InputError

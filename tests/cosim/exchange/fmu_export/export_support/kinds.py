@@ -17,8 +17,9 @@ from export_support.blocks import SAMPLE_TIME, expected
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque, inverse_dynamics_feedforward
 from flexfmu.cosim.control.controllers.from_control import control_block
 from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
-from flexfmu.cosim.control.controllers.limits import symmetric
+from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.linear_system import linear_system, state_space
+from flexfmu.cosim.control.controllers.lqg import lqg
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.controllers.pid import pid
 from flexfmu.cosim.control.controllers.state_feedback import state_feedback, static_feedforward
@@ -59,6 +60,7 @@ def oscillator() -> Any:
     return linear_system([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.2]], [[1.0, 0.0]], sample_time=SAMPLE_TIME)
 
 
+DRIVEN: Any = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1}
 TIME: Any = {"sample_time": SAMPLE_TIME}
 
 KINDS: dict[str, Callable[[], SymbolicBlock]] = {
@@ -69,6 +71,7 @@ KINDS: dict[str, Callable[[], SymbolicBlock]] = {
     "inverse_dynamics_feedforward": lambda: inverse_dynamics_feedforward(robot(), **TIME),
     "iterative_learning": lambda: iterative_learning(100.0, 40, shift=2, forgetting=0.01, **TIME),
     "state_feedback": feedback,
+    "lqg": lambda: lqg(load_scene("barnard2012-6kg").replace(DRIVEN), (0.0, 0.32), **TIME),
     "state_space": lambda: state_space(oscillator()),
     "control_block": lambda: control_block(control.tf([0.02, 1.0], [0.01, 1.0]), method="tustin", **TIME),
     "shaper_block": lambda: shaper_block(SEQUENCE, SAMPLE_TIME),

@@ -1,4 +1,8 @@
-"""A linear-quadratic regulator with a Kalman filter for the torque-driven robot, designed at a pose."""
+"""A linear-quadratic regulator with a Kalman filter for the torque-driven robot, designed at a pose.
+
+The gains solve the discrete algebraic Riccati equations of the sampled, linearised robot and of its dual: G. F. Franklin,
+J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 9.3 and 9.5.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexfmu.cosim.control.controllers.from_control import from_control
-from flexfmu.cosim.control.controllers.limits import Limits, torque_limits
+from flexfmu.cosim.control.controllers.joints import Limits, torque_limits
 from flexfmu.cosim.control.controllers.linear_system import LinearSystem
 from flexfmu.cosim.control.controllers.state_feedback import (
     Equilibrium,
@@ -83,14 +87,19 @@ def lqg(
     )
     K, L = _gains(full, weights or LqgWeights())
     # the observer measures positions alone
+    measured_units = {name: unit for name, unit in units.items() if name not in RATES}
     measured = from_control(
-        robot[:2, :], method="zoh", sample_time=sample_time, inputs=TORQUES, outputs=POSITIONS, units=_only(units)
+        robot[:2, :], method="zoh", sample_time=sample_time, inputs=TORQUES, outputs=POSITIONS, units=measured_units
     )
     # references enter as the steady state of each position, about the torques at rest
     point = operating_point(scene, position)
     rest = Equilibrium(inputs=point.inputs[:2].tolist(), outputs=point.coordinates[:2].tolist())
     reference = static_feedforward(measured, POSITIONS, rest)
     start = np.asarray(motor_angles(scene.mechanism, scene.trajectory.start)) - point.coordinates[:2]
+    bounds = None
+    if limits is not None:
+        lower, upper = (np.broadcast_to(np.asarray(each, dtype=float), 2) for each in (limits.lower, limits.upper))
+        bounds = InputLimits(lower.tolist(), upper.tolist())
     return state_feedback(
         measured,
         K,
@@ -99,7 +108,7 @@ def lqg(
         reference=reference,
         equilibrium=rest,
         estimate=(reference.Nx @ start).tolist(),
-        limits=None if limits is None else InputLimits(_pair(limits.lower), _pair(limits.upper)),
+        limits=bounds,
         name=name,
     )
 
@@ -119,17 +128,6 @@ def _gains(robot: LinearSystem, weights: LqgWeights) -> tuple[RealArray, RealArr
     noise = weights.torque_noise**2 * np.eye(2), weights.measurement_noise**2 * np.eye(2)
     L, _, _ = control.dlqe(robot.A, robot.B, robot.C[: len(POSITIONS)], *noise)
     return K, L
-
-
-def _only(units: dict[str, str]) -> dict[str, str]:
-    """Units of torques and positions."""
-    return {name: unit for name, unit in units.items() if name not in RATES}
-
-
-def _pair(value: object) -> tuple[float, float]:
-    """A limit for each joint."""
-    first, second = np.broadcast_to(np.asarray(value, dtype=float), (2,)).tolist()
-    return first, second
 
 
 @builds(StateFeedbackSection)
