@@ -20,7 +20,7 @@ from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.studies.references import SHAPES
 from flexfmu.cosim.studies.workprec.exudyn_peer import simulate_exudyn
-from flexfmu.cosim.studies.workprec.trial import SAMPLING, Subject, completed, subject_of
+from flexfmu.cosim.studies.workprec.trial import SAMPLING, SceneUnderTest, completed, subject_of
 from flexfmu.model.scene.schema import Scene
 
 SCENES = ("barnard2012-6kg", "barnard2012-0.1kg")
@@ -99,7 +99,7 @@ def exudyn(scene: Scene) -> Reached:
     return Reached(f"{1e3 * step:.3g} ms", min(time, run(step)[1]), error)
 
 
-def relative(subject: Subject, position: RealArray, exact: RealArray) -> float:
+def relative(subject: SceneUnderTest, position: RealArray, exact: RealArray) -> float:
     """Largest distance of two paths (N, 2) relative to what elasticity does."""
     rigid = subject.motion.task.evaluate(subject.instants, 0)[0]
     distance, scale = (np.linalg.norm(each - exact, axis=1).max() for each in (position, rigid))

@@ -23,7 +23,7 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.metrics.small_deflections import largest_deflection, path_errors
 from flexfmu.cosim.studies.references import (
     Beam,
-    Motion,
+    ComputedMotion,
     compare_at_rest,
     compare_motions,
     full_scene,
@@ -121,7 +121,7 @@ def large_deflections() -> Iterator[Row]:
         yield row
 
 
-def coarser(scene: Scene, motion: MotionPlan, instants: RealArray) -> Iterator[tuple[str, Motion]]:
+def coarser(scene: Scene, motion: MotionPlan, instants: RealArray) -> Iterator[tuple[str, ComputedMotion]]:
     """With fewer elements, and by Exudyn with finer and finer meshes."""
     for elements in FEWER_ELEMENTS:
         yield f"{elements} elements", run_elements(scene, motion, instants, elements)
@@ -133,7 +133,7 @@ def coarser(scene: Scene, motion: MotionPlan, instants: RealArray) -> Iterator[t
             yield f"Exudyn, {elements} elements, {1e3 * step:g} ms, {run.time:.1f} s of CPU", run
 
 
-def run_elements(scene: Scene, motion: MotionPlan, instants: RealArray, elements: int) -> Motion:
+def run_elements(scene: Scene, motion: MotionPlan, instants: RealArray, elements: int) -> ComputedMotion:
     """Our own finite elements."""
     return simulate(finite_element_robot(scene, elements), motion.joints, instants, STEP)
 

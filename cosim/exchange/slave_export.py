@@ -86,7 +86,7 @@ class ExportedSystem:
         return replace(self, slaves=tuple(map(renamed, self.slaves)), connections=connections)
 
 
-Progress = Callable[[str, float | None], None]
+ExportProgress = Callable[[str, float | None], None]
 """Called with what is being built and the finished fraction, 0..1."""
 
 
@@ -99,7 +99,7 @@ def export_slaves(
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
     cache: bool = True,
-    progress: Progress = lambda text, fraction: None,
+    progress: ExportProgress = lambda text, fraction: None,
 ) -> ExportedSystem:
     """Build the FMUs of a scene's slaves, ``<folder>/<slave>.fmu``.
 
@@ -133,7 +133,7 @@ def export_slaves(
     for slave in chosen:
         _check_exportable(slave)
     # an FMU for each slave
-    options = _Options(platforms=None if platforms is None else tuple(platforms), naming=naming, cache=cache)
+    options = BuildOptions(platforms=None if platforms is None else tuple(platforms), naming=naming, cache=cache)
     export = _Exporter(scene, float(f"{loop.motion.stop_time:.12g}"), options)
     exported = []
     for number, facts in enumerate(slave_facts(chosen)):
@@ -153,7 +153,7 @@ class _Exporter:
 
     scene: Scene
     stop_time: float
-    options: _Options
+    options: BuildOptions
 
     def write(self, slave: Slave, path: Path) -> None:
         """Build or copy the slave's FMU."""
@@ -170,7 +170,7 @@ class _Exporter:
                 build_trajectory_fmu(slave.trajectory, path, stop_time=self.stop_time, step=step, **options)
 
 
-class _Options(TypedDict):
+class BuildOptions(TypedDict):
     """How FMUs are built."""
 
     platforms: tuple[str, ...] | None

@@ -50,7 +50,7 @@ POSES = 5
 """How many, equally spaced in time along the motion."""
 
 
-class Motion(Protocol):
+class ComputedMotion(Protocol):
     """What a formulation computes of a motion at N instants, (N, 2) each."""
 
     @property
@@ -71,7 +71,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """A motion at N instants, (N, 2) each, as in `Motion`."""
+    """A motion at N instants, (N, 2) each, as in `ComputedMotion`."""
 
     position: RealArray
     acceleration: RealArray
@@ -166,7 +166,9 @@ def compare_at_rest(scene: Scene, motion: MotionPlan, elements: FiniteElementRob
     )
 
 
-def compare_motions(ours: Motion, theirs: Motion, motion: MotionPlan, instants: RealArray) -> MotionAgreement:
+def compare_motions(
+    ours: ComputedMotion, theirs: ComputedMotion, motion: MotionPlan, instants: RealArray
+) -> MotionAgreement:
     """Two motions at the same instants (N,) [s]."""
     rigid = motion.task.evaluate(instants, 2, side="left")
     moving = instants <= motion.duration

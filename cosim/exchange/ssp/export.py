@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any
 from flexfmu.cosim.engine.fmu.capabilities import fixed_step
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.variables import Value, typed
-from flexfmu.cosim.exchange.slave_export import ExportedSlave, ExportedSystem, Progress, export_slaves
+from flexfmu.cosim.exchange.slave_export import ExportedSlave, ExportedSystem, ExportProgress, export_slaves
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
 from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
     Component,
-    Connection,
     Connector,
     Parameter,
     ParameterSet,
+    SspConnection,
+    SspUnit,
     Structure,
-    Unit,
 )
 from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, component_fmu, variable_unit
 from flexfmu.cosim.exchange.ssp.writing import ssd_xml, ssv_xml
@@ -48,7 +48,7 @@ def export_ssp(
     loop: Loop | None = None,
     platforms: Iterable[str] | None = None,
     cache: bool = True,
-    progress: Progress = lambda text, fraction: None,
+    progress: ExportProgress = lambda text, fraction: None,
 ) -> Path:
     """Write a scene as an SSP 1.0 file: planned motion, robot, controllers, shapers and imperfections as FMUs in
     ``resources/``, wired as `flexfmu.cosim.experiment.prepared_scene.run_scene` wires them. The same scene gives the same bytes.
@@ -109,7 +109,7 @@ def describe(name: str, system: ExportedSystem) -> Structure:
     return Structure(
         name=_identifier(name),
         components=tuple(fmu.component for fmu in fmus.values()),
-        connections=tuple(Connection(_ends(source), _ends(target)) for source, target in system.connections),
+        connections=tuple(SspConnection(_ends(source), _ends(target)) for source, target in system.connections),
         bindings=(Binding(values, source=PARAMETERS),) if parameters else (),
         units=_units((each.unit for each in connectors), fmus),
         start=0.0,
@@ -180,10 +180,10 @@ def _parameter(slave: str, name: str, value: Value, fmu: ComponentFmu) -> Parame
 def _unit_name(fmu: ComponentFmu, name: str) -> str | None:
     """Name of a variable's unit, None where the FMU doesn't define one."""
     unit = variable_unit(fmu, name)
-    return unit.name if isinstance(unit, Unit) else None
+    return unit.name if isinstance(unit, SspUnit) else None
 
 
-def _units(names: Iterable[str | None], fmus: Mapping[str, ComponentFmu]) -> tuple[Unit, ...]:
+def _units(names: Iterable[str | None], fmus: Mapping[str, ComponentFmu]) -> tuple[SspUnit, ...]:
     """Definitions of the units, sorted."""
     known = {name: unit for fmu in fmus.values() for name, unit in fmu.units.items()}
     return tuple(known[name] for name in sorted({name for name in names if name is not None}))

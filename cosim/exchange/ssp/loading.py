@@ -30,8 +30,7 @@ from flexfmu.cosim.engine.trajectory_slave import REFERENCES, TrajectorySlave
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
 from flexfmu.cosim.exchange.ssp.parameters import start_values
 from flexfmu.cosim.exchange.ssp.reading import read_structure
-from flexfmu.cosim.exchange.ssp.structure import Component, SspError, Structure, levels
-from flexfmu.cosim.exchange.ssp.structure import System as NestedSystem
+from flexfmu.cosim.exchange.ssp.structure import Component, SspError, Structure, Subsystem, levels
 from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, check_connectors, component_fmu
 from flexfmu.cosim.exchange.ssp.wiring import Network, Origin, shown, wires
 
@@ -178,7 +177,7 @@ def _fmus(structure: Structure, archive: SspArchive) -> dict[str, ComponentFmu]:
     fmus: dict[str, ComponentFmu] = {}
     names: list[str] = []
     for prefix, level in levels(structure):
-        elements: list[Component | NestedSystem] = [*level.systems, *level.components]
+        elements: list[Component | Subsystem] = [*level.systems, *level.components]
         for element in elements:
             if prefix + element.name in names:
                 raise SspError(f"{element.where}: another element has the same name; rename one")

@@ -14,11 +14,11 @@ from flexfmu.cosim.exchange.ssp.structure import (
     MappingEntry,
     Parameter,
     ParameterSet,
-    Transformation,
-    Unit,
+    SspTransformation,
+    SspUnit,
     ValueMap,
 )
-from flexfmu.cosim.exchange.ssp.xml_tree import Node, parse
+from flexfmu.cosim.exchange.ssp.xml_tree import XmlElement, parse
 
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
@@ -31,7 +31,7 @@ NUMBERS: dict[str, Type] = {
 """Types of numbers in SSP 2.0 and FMI 3.0 → those of SSP 1.0 and FMI 2.0."""
 
 
-def read_bindings(element: Node, archive: SspArchive) -> tuple[Binding, ...]:
+def read_bindings(element: XmlElement, archive: SspArchive) -> tuple[Binding, ...]:
     """The parameter bindings of a component or system.
 
     Args:
@@ -44,12 +44,12 @@ def read_bindings(element: Node, archive: SspArchive) -> tuple[Binding, ...]:
     return tuple(_binding(each, archive) for each in element.children("ParameterBindings", "ParameterBinding"))
 
 
-def read_units(nodes: Node) -> tuple[Unit, ...]:
+def read_units(nodes: XmlElement) -> tuple[SspUnit, ...]:
     """The units that a file defines."""
     return tuple(_unit(each) for each in nodes.children("Units", "Unit"))
 
 
-def read_transformation(node: Node) -> Transformation:
+def read_transformation(node: XmlElement) -> SspTransformation:
     """The transformation of a connection or mapping entry.
 
     Raises:
@@ -65,7 +65,7 @@ def read_transformation(node: Node) -> Transformation:
     return LinearMap(1.0 if factor is None else factor, 0.0 if offset is None else offset)
 
 
-def _pair(node: Node, kind: str) -> tuple[Value, Value]:
+def _pair(node: XmlElement, kind: str) -> tuple[Value, Value]:
     """What an entry of a table maps to what."""
     source, target = (_READ[kind](node, each) for each in ("source", "target"))
     if source is None or target is None:
@@ -73,7 +73,7 @@ def _pair(node: Node, kind: str) -> tuple[Value, Value]:
     return source, target
 
 
-def _binding(node: Node, archive: SspArchive) -> Binding:
+def _binding(node: XmlElement, archive: SspArchive) -> Binding:
     """One parameter binding."""
     if node.text("type") not in (None, "", PARAMETER_SET):
         raise node.error(f"has the type {node.text('type')!r}; only {PARAMETER_SET} can be read")
@@ -86,7 +86,7 @@ def _binding(node: Node, archive: SspArchive) -> Binding:
     return Binding(_parameter_set(root), node.text("prefix") or "", entries, source, node.where)
 
 
-def _source(node: Node, archive: SspArchive) -> str | None:
+def _source(node: XmlElement, archive: SspArchive) -> str | None:
     """Path within the archive of an external file, None where the content is in the SSD."""
     source = node.text("source")
     if not source:
@@ -99,12 +99,12 @@ def _source(node: Node, archive: SspArchive) -> str | None:
     return archive.resolve(source, node.where)
 
 
-def _external(archive: SspArchive, file: str, asking: Node, root: str) -> Node:
+def _external(archive: SspArchive, file: str, asking: XmlElement, root: str) -> XmlElement:
     """The root of an external file."""
     return parse(archive.read(file, asking.where), archive.label(file), root)
 
 
-def _mapping(node: Node, archive: SspArchive) -> tuple[MappingEntry, ...]:
+def _mapping(node: XmlElement, archive: SspArchive) -> tuple[MappingEntry, ...]:
     """A mapping, external or not."""
     if node.text("type") not in (None, "", PARAMETER_MAPPING):
         raise node.error(f"has the type {node.text('type')!r}; only {PARAMETER_MAPPING} can be read")
@@ -124,7 +124,7 @@ def _mapping(node: Node, archive: SspArchive) -> tuple[MappingEntry, ...]:
     )
 
 
-def _parameter_set(root: Node) -> ParameterSet:
+def _parameter_set(root: XmlElement) -> ParameterSet:
     """A parameter set; the last value of a name counts.
 
     Raises:
@@ -139,7 +139,7 @@ def _parameter_set(root: Node) -> ParameterSet:
     return ParameterSet(root.required("name"), tuple(found.values()), read_units(root), tuple(repeated))
 
 
-def _parameter(node: Node) -> Parameter:
+def _parameter(node: XmlElement) -> Parameter:
     """One parameter with its typed value."""
     value = next((each for each in node.children("*") if each.tag in (*_READ, *NUMBERS, "Binary")), None)
     if value is None:
@@ -155,17 +155,17 @@ def _parameter(node: Node) -> Parameter:
     return Parameter(node.required("name"), kind, found, value.text("unit"))
 
 
-_READ: dict[str, Callable[[Node, str], Value | None]] = {
-    "Real": Node.number,
-    "Integer": Node.integer,
+_READ: dict[str, Callable[[XmlElement, str], Value | None]] = {
+    "Real": XmlElement.number,
+    "Integer": XmlElement.integer,
     "Boolean": lambda node, attribute: None if node.text(attribute) is None else node.boolean(attribute),
-    "String": Node.text,
-    "Enumeration": Node.text,
+    "String": XmlElement.text,
+    "Enumeration": XmlElement.text,
 }
 """Type → how the value of an attribute is read."""
 
 
-def _unit(node: Node) -> Unit:
+def _unit(node: XmlElement) -> SspUnit:
     """One unit.
 
     Raises:
@@ -178,4 +178,4 @@ def _unit(node: Node) -> Unit:
     factor, offset = base.number("factor"), base.number("offset")
     if factor == 0.0:
         raise base.error("has factor='0', which no value can be converted with")
-    return Unit(node.required("name"), exponents, 1.0 if factor is None else factor, offset or 0.0)
+    return SspUnit(node.required("name"), exponents, 1.0 if factor is None else factor, offset or 0.0)

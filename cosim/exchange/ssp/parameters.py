@@ -10,7 +10,7 @@ from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.exchange.ssp.structure import Binding, MappingEntry, Parameter, SspError, Structure, ValueMap, levels
 from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, conversion, variable_unit
-from flexfmu.cosim.exchange.ssp.wiring import Network, Node, Origin
+from flexfmu.cosim.exchange.ssp.wiring import ConnectorName, Network, Origin
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
         SspError: a value doesn't suit its variable's type or unit, or comes from one that can't be set.
     """
     values: dict[str, dict[str, Value]] = {name: {} for name in fmus}
-    given: dict[Node, tuple[Parameter, str]] = {}
+    given: dict[ConnectorName, tuple[Parameter, str]] = {}
     ignored: list[str] = []
     for binding, names in _levels(structure, fmus, network):
         network.remarks += binding.values.remarks
@@ -72,7 +72,7 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
 
 def _levels(
     structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network
-) -> Iterator[tuple[Binding, Mapping[str, Node]]]:
+) -> Iterator[tuple[Binding, Mapping[str, ConnectorName]]]:
     """All bindings in the order in which they are applied, with the names that they may use."""
     nodes = {f"{element}.{name}": (element, name) for element, fmu in fmus.items() for name in fmu.variables}
     nodes |= {f"{node[0]}.{node[1]}".lstrip("."): node for node in network.connectors if node[0] not in fmus}

@@ -7,8 +7,15 @@ from typing import cast, get_args
 from flexfmu.cosim.engine.slave import Type
 from flexfmu.cosim.exchange.ssp.archive import SspArchive
 from flexfmu.cosim.exchange.ssp.parameter_reading import NUMBERS, read_bindings, read_transformation, read_units
-from flexfmu.cosim.exchange.ssp.structure import Component, Connection, Connector, Kind, Structure, System
-from flexfmu.cosim.exchange.ssp.xml_tree import Node, parse
+from flexfmu.cosim.exchange.ssp.structure import (
+    Component,
+    Connector,
+    ConnectorKind,
+    SspConnection,
+    Structure,
+    Subsystem,
+)
+from flexfmu.cosim.exchange.ssp.xml_tree import XmlElement, parse
 
 FMU = "application/x-fmu-sharedlibrary"
 
@@ -54,11 +61,11 @@ def read_structure(archive: SspArchive) -> Structure:
     )
 
 
-def _system(node: Node, archive: SspArchive) -> System:
+def _system(node: XmlElement, archive: SspArchive) -> Subsystem:
     """A system with all within it."""
     elements = [*node.children("Elements", "*")]
     systems = tuple(_system(each, archive) for each in elements if each.tag == "System")
-    return System(
+    return Subsystem(
         name=node.text("name") or "",
         components=tuple(_component(each, archive) for each in elements if each.tag != "System"),
         connections=tuple(_connection(each) for each in node.children("Connections", "Connection")),
@@ -69,7 +76,7 @@ def _system(node: Node, archive: SspArchive) -> System:
     )
 
 
-def _step(experiment: Node | None, system: Node) -> float | None:
+def _step(experiment: XmlElement | None, system: XmlElement) -> float | None:
     """The communication step [s], which SSP 1.0 leaves to annotations; None where none of those known has it.
 
     Raises:
@@ -86,7 +93,7 @@ def _step(experiment: Node | None, system: Node) -> float | None:
     return None
 
 
-def _tolerance(system: Node) -> float | None:
+def _tolerance(system: XmlElement) -> float | None:
     """The FMUs' relative tolerance in an annotation of OMSimulator; None where there is none.
 
     Raises:
@@ -102,7 +109,7 @@ def _tolerance(system: Node) -> float | None:
     return None
 
 
-def _component(node: Node, archive: SspArchive) -> Component:
+def _component(node: XmlElement, archive: SspArchive) -> Component:
     """A component that is an FMU for co-simulation.
 
     Raises:
@@ -123,7 +130,7 @@ def _component(node: Node, archive: SspArchive) -> Component:
     )
 
 
-def _sampling(node: Node) -> tuple[float, float] | None:
+def _sampling(node: XmlElement) -> tuple[float, float] | None:
     """Sample time and offset [s] in a component's annotation; None where there is none.
 
     Raises:
@@ -143,7 +150,7 @@ def _sampling(node: Node) -> tuple[float, float] | None:
     return None
 
 
-def _check_kind(node: Node) -> None:
+def _check_kind(node: XmlElement) -> None:
     """The element is an FMU.
 
     Raises:
@@ -157,7 +164,7 @@ def _check_kind(node: Node) -> None:
         raise node.error(f"has the type {kind!r}; only FMUs ({FMU}) can be run, put the package's FMUs in directly")
 
 
-def _connectors(node: Node) -> tuple[Connector, ...]:
+def _connectors(node: XmlElement) -> tuple[Connector, ...]:
     """Connectors of an element.
 
     Raises:
@@ -171,22 +178,24 @@ def _connectors(node: Node) -> tuple[Connector, ...]:
     return found
 
 
-def _connector(node: Node) -> Connector:
+def _connector(node: XmlElement) -> Connector:
     """One connector."""
     name, kind = node.required("name"), node.required("kind")
-    if kind not in get_args(Kind):
-        raise node.error(f"has the kind {kind!r}, which must be one of {', '.join(get_args(Kind))}")
+    if kind not in get_args(ConnectorKind):
+        raise node.error(f"has the kind {kind!r}, which must be one of {', '.join(get_args(ConnectorKind))}")
     if node.child("Dimension") is not None:
         raise node.error("is an array of SSP 2.0, which this program doesn't read; connect its elements one by one")
     kinds = (*get_args(Type), *NUMBERS, "Binary")
     typed = next((each for each in node.children("*") if each.tag in kinds), None)
     connector_type = None if typed is None else NUMBERS.get(typed.tag, cast(Type, typed.tag))
-    return Connector(name, cast(Kind, kind), connector_type, None if typed is None else typed.text("unit"), node.where)
+    return Connector(
+        name, cast(ConnectorKind, kind), connector_type, None if typed is None else typed.text("unit"), node.where
+    )
 
 
-def _connection(node: Node) -> Connection:
+def _connection(node: XmlElement) -> SspConnection:
     """One connection."""
-    return Connection(
+    return SspConnection(
         (node.text("startElement") or None, node.required("startConnector")),
         (node.text("endElement") or None, node.required("endConnector")),
         read_transformation(node),

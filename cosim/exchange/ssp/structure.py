@@ -15,7 +15,7 @@ from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.engine.slave import Type
 
-Kind = Literal["input", "output", "parameter", "calculatedParameter", "inout"]
+ConnectorKind = Literal["input", "output", "parameter", "calculatedParameter", "inout"]
 
 
 class SspError(InputError):
@@ -23,7 +23,7 @@ class SspError(InputError):
 
 
 @dataclass(frozen=True)
-class Unit:
+class SspUnit:
     """A unit: value in SI base units = factor * value + offset.
 
     Attributes:
@@ -37,7 +37,7 @@ class Unit:
     factor: float = 1.0
     offset: float = 0.0
 
-    def to(self, other: Unit) -> LinearMap | None:
+    def to(self, other: SspUnit) -> LinearMap | None:
         """The conversion into another unit; None if they measure different things."""
         if dict(self.exponents) != dict(other.exponents):
             return None
@@ -63,7 +63,7 @@ class ValueMap:
         return LinearMap(slope, y0 - slope * x0) if fits else None
 
 
-Transformation = LinearMap | ValueMap
+SspTransformation = LinearMap | ValueMap
 
 
 @dataclass(frozen=True)
@@ -79,14 +79,14 @@ class Connector:
     """
 
     name: str
-    kind: Kind
+    kind: ConnectorKind
     type: Type | Literal["Binary"] | None = None
     unit: str | None = None
     where: str = ""
 
 
 @dataclass(frozen=True)
-class Connection:
+class SspConnection:
     """A signal path. Start and end say nothing about its direction; the connectors' kinds do.
 
     Attributes:
@@ -98,7 +98,7 @@ class Connection:
 
     start: tuple[str | None, str]
     end: tuple[str | None, str]
-    transformation: Transformation = IDENTITY
+    transformation: SspTransformation = IDENTITY
     converts_units: bool = True
     where: str = ""
 
@@ -126,7 +126,7 @@ class ParameterSet:
 
     name: str
     parameters: tuple[Parameter, ...]
-    units: tuple[Unit, ...] = ()
+    units: tuple[SspUnit, ...] = ()
     remarks: tuple[str, ...] = ()
 
 
@@ -136,7 +136,7 @@ class MappingEntry:
 
     source: str
     target: str
-    transformation: Transformation = IDENTITY
+    transformation: SspTransformation = IDENTITY
     converts_units: bool = True
 
 
@@ -185,7 +185,7 @@ class Component:
 
 
 @dataclass(frozen=True)
-class System:
+class Subsystem:
     """A system within another.
 
     Attributes:
@@ -196,10 +196,10 @@ class System:
 
     name: str
     components: tuple[Component, ...]
-    connections: tuple[Connection, ...] = ()
+    connections: tuple[SspConnection, ...] = ()
     connectors: tuple[Connector, ...] = ()
     bindings: tuple[Binding, ...] = ()
-    systems: tuple[System, ...] = ()
+    systems: tuple[Subsystem, ...] = ()
     where: str = ""
 
 
@@ -223,21 +223,21 @@ class Structure:
 
     name: str
     components: tuple[Component, ...]
-    connections: tuple[Connection, ...]
+    connections: tuple[SspConnection, ...]
     connectors: tuple[Connector, ...] = ()
     bindings: tuple[Binding, ...] = ()
-    units: tuple[Unit, ...] = field(default=())
+    units: tuple[SspUnit, ...] = field(default=())
     start: float | None = None
     stop: float | None = None
     step: float | None = None
     description: str = ""
-    systems: tuple[System, ...] = ()
+    systems: tuple[Subsystem, ...] = ()
     tolerance: float | None = None
 
 
-def levels(structure: Structure) -> Iterator[tuple[str, Structure | System]]:
+def levels(structure: Structure) -> Iterator[tuple[str, Structure | Subsystem]]:
     """The system and all within it, outer ones first, with what is put before the names of their elements: ``inner.``."""
-    waiting: list[tuple[str, Structure | System]] = [("", structure)]
+    waiting: list[tuple[str, Structure | Subsystem]] = [("", structure)]
     while waiting:
         prefix, level = waiting.pop(0)
         yield prefix, level

@@ -12,7 +12,7 @@ from flexfmu.cosim.engine.fmu.variables import items
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap
 from flexfmu.cosim.engine.slave import Type
 from flexfmu.cosim.exchange.ssp.parameter_reading import BASE_UNITS, NUMBERS
-from flexfmu.cosim.exchange.ssp.structure import Component, Connector, SspError, Unit
+from flexfmu.cosim.exchange.ssp.structure import Component, Connector, SspError, SspUnit
 
 _DIMENSIONLESS = ("", "1")
 
@@ -31,7 +31,7 @@ class ComponentFmu:
     component: Component
     fmu: UnpackedFmu
     variables: Mapping[str, Any]
-    units: Mapping[str, Unit]
+    units: Mapping[str, SspUnit]
 
     def type(self, name: str) -> Type:
         """Type of a variable, by its name in FMI 2.0."""
@@ -49,7 +49,7 @@ def component_fmu(component: Component, fmu: UnpackedFmu) -> ComponentFmu:
     return ComponentFmu(component, fmu, variables, _fmu_units(fmu.description))
 
 
-def check_connectors(owner: ComponentFmu, connected: Collection[str], units: Sequence[Unit]) -> list[str]:
+def check_connectors(owner: ComponentFmu, connected: Collection[str], units: Sequence[SspUnit]) -> list[str]:
     """Check a component's connectors against its FMU; remarks on those that fail and aren't connected.
 
     Raises:
@@ -69,21 +69,21 @@ def check_connectors(owner: ComponentFmu, connected: Collection[str], units: Seq
     return [f"unconnected, ignored: {first}" + (f"; so are {', '.join(others)}" if others else "")]
 
 
-def unit_of(connector: Connector, owner: ComponentFmu, units: Mapping[str, Unit]) -> Unit | str:
+def unit_of(connector: Connector, owner: ComponentFmu, units: Mapping[str, SspUnit]) -> SspUnit | str:
     """Unit of a component's connector: what the SSD says, else the FMU; its bare name where nothing defines it."""
     if connector.unit is not None:
         return units.get(connector.unit) or owner.units.get(connector.unit) or connector.unit
     return variable_unit(owner, connector.name)
 
 
-def variable_unit(owner: ComponentFmu, name: str) -> Unit | str:
+def variable_unit(owner: ComponentFmu, name: str) -> SspUnit | str:
     """Unit of an FMU's variable; its bare name where the FMU doesn't define it."""
     variable = owner.variables[name]
     text: str = variable.unit or (variable.declaredType.unit if variable.declaredType else None) or ""
     return owner.units.get(text) or text
 
 
-def conversion(source: Unit | str, target: Unit | str, where: str, remarks: list[str]) -> LinearMap:
+def conversion(source: SspUnit | str, target: SspUnit | str, where: str, remarks: list[str]) -> LinearMap:
     """From one unit to another; nothing to do where one of them is unknown, with a remark where it has a name.
 
     Raises:
@@ -98,8 +98,8 @@ def conversion(source: Unit | str, target: Unit | str, where: str, remarks: list
                 f"{where}: the unit {each!r} isn't defined, so values aren't converted; define it in <Units>"
             )
             return IDENTITY
-    assert isinstance(source, Unit)
-    assert isinstance(target, Unit)
+    assert isinstance(source, SspUnit)
+    assert isinstance(target, SspUnit)
     found = source.to(target)
     if found is None:
         raise SspError(
@@ -116,7 +116,7 @@ def missing(owner: ComponentFmu, connector: Connector | str, causality: str | No
     return f"{owner.component.source} has no variable {name!r}" + (f"; did you mean {near[0]!r}?" if near else "")
 
 
-def _check(connector: Connector, owner: ComponentFmu, units: Mapping[str, Unit]) -> None:
+def _check(connector: Connector, owner: ComponentFmu, units: Mapping[str, SspUnit]) -> None:
     """A connector agrees with the FMU's variable in direction, type and unit.
 
     Raises:
@@ -132,19 +132,19 @@ def _check(connector: Connector, owner: ComponentFmu, units: Mapping[str, Unit])
     if connector.type is not None and connector.type != owner.type(connector.name):
         raise SspError(f"{connector.where} is {connector.type}; in {owner.component.source} it is {variable.type}")
     said, own = unit_of(connector, owner, units), variable_unit(owner, connector.name)
-    if isinstance(said, Unit) and isinstance(own, Unit) and said.to(own) != IDENTITY:
+    if isinstance(said, SspUnit) and isinstance(own, SspUnit) and said.to(own) != IDENTITY:
         raise SspError(
             f"{connector.where} is in {said.name}; in {owner.component.source} it is in {own.name}; take the FMU's unit"
         )
 
 
-def _fmu_units(description: Any) -> Mapping[str, Unit]:
+def _fmu_units(description: Any) -> Mapping[str, SspUnit]:
     """Units that an FMU defines."""
     return {each.name: _unit(each) for each in description.unitDefinitions or () if each.baseUnit is not None}
 
 
-def _unit(definition: Any) -> Unit:
+def _unit(definition: Any) -> SspUnit:
     """One of them."""
     base = definition.baseUnit
     exponents = {name: int(exponent) for name in BASE_UNITS if (exponent := getattr(base, name, 0))}
-    return Unit(definition.name, exponents, float(base.factor or 1.0), float(base.offset or 0.0))
+    return SspUnit(definition.name, exponents, float(base.factor or 1.0), float(base.offset or 0.0))

@@ -15,18 +15,18 @@ from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap, TableMap
 from flexfmu.cosim.engine.master.system import Wire
 from flexfmu.cosim.engine.slave import TAKES
 from flexfmu.cosim.exchange.ssp.structure import (
-    Connection,
     Connector,
+    SspConnection,
     SspError,
+    SspUnit,
     Structure,
-    System,
-    Unit,
+    Subsystem,
     ValueMap,
     levels,
 )
 from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, conversion, unit_of
 
-Node = tuple[str, str]
+ConnectorName = tuple[str, str]
 """Full name of an element (``inner.first``; empty for the whole system) and its connector."""
 
 _TAKERS, _GIVERS = ("input", "parameter"), ("output", "calculatedParameter")
@@ -45,9 +45,9 @@ class Origin:
         where: the last connection on the way, for errors.
     """
 
-    node: Node
+    node: ConnectorName
     way: SignalMap = IDENTITY
-    unit: Unit | str = ""
+    unit: SspUnit | str = ""
     where: str = ""
 
 
@@ -72,10 +72,10 @@ class Network:
     def __init__(self, structure: Structure, fmus: Mapping[str, ComponentFmu]) -> None:
         self._fmus = fmus
         self.units = {unit.name: unit for unit in structure.units}
-        self.value_units: dict[Node, Unit | str] = {}
+        self.value_units: dict[ConnectorName, SspUnit | str] = {}
         self.remarks: list[str] = []
-        self.connectors: dict[Node, Connector] = {}
-        self.feeds: dict[Node, tuple[Node, Connection]] = {}
+        self.connectors: dict[ConnectorName, Connector] = {}
+        self.feeds: dict[ConnectorName, tuple[ConnectorName, SspConnection]] = {}
         for prefix, level in levels(structure):
             for each in level.connectors:
                 self.connectors[prefix[:-1], each.name] = each
@@ -86,7 +86,7 @@ class Network:
             for connection in level.connections:
                 self._add(connection, prefix, level)
 
-    def origin(self, node: Node, values: Collection[Node] | None = None) -> Origin | None:
+    def origin(self, node: ConnectorName, values: Collection[ConnectorName] | None = None) -> Origin | None:
         """Where the connector's signal comes from; None where nothing feeds it.
 
         Args:
@@ -114,14 +114,14 @@ class Network:
             unit = own or unit
         return None if len(way) == 1 else Origin(way[-1], found, unit, self.feeds[node][1].where)
 
-    def unit(self, node: Node) -> Unit | str:
+    def unit(self, node: ConnectorName) -> SspUnit | str:
         """Unit of a connector, its bare name where nothing defines it, empty where nothing says."""
         connector = self.connectors[node]
         if node[0] in self._fmus:
             return unit_of(connector, self._fmus[node[0]], self.units)
         return self.units.get(connector.unit or "", connector.unit or self.value_units.get(node, ""))
 
-    def _map(self, connection: Connection, origin: Node, end: Node) -> SignalMap:
+    def _map(self, connection: SspConnection, origin: ConnectorName, end: ConnectorName) -> SignalMap:
         """What a connection does to a signal.
 
         Raises:
@@ -142,7 +142,7 @@ class Network:
         }
         return TableMap(tuple(pairs.items()))
 
-    def _number(self, value: Value, node: Node, connection: Connection) -> int:
+    def _number(self, value: Value, node: ConnectorName, connection: SspConnection) -> int:
         """A value of a table, the number of an item for its name.
 
         Raises:
@@ -158,7 +158,7 @@ class Network:
             )
         return items[value]
 
-    def _add(self, connection: Connection, prefix: str, level: Structure | System) -> None:
+    def _add(self, connection: SspConnection, prefix: str, level: Structure | Subsystem) -> None:
         """One connection, from giver to taker."""
         ends = [self._end(connection, *end, prefix, level) for end in (connection.start, connection.end)]
         kinds = [self.connectors[node].kind for node in ends]
@@ -172,8 +172,8 @@ class Network:
         self.feeds[taker] = giver, connection
 
     def _end(
-        self, connection: Connection, element: str | None, name: str, prefix: str, level: Structure | System
-    ) -> Node:
+        self, connection: SspConnection, element: str | None, name: str, prefix: str, level: Structure | Subsystem
+    ) -> ConnectorName:
         """The connector that an end names.
 
         Raises:
@@ -234,7 +234,7 @@ def shown(structure: Structure, network: Network) -> dict[str, Origin]:
     return {name: origin for name, origin in found.items() if origin is not None}
 
 
-def _full_name(node: Node) -> str:
+def _full_name(node: ConnectorName) -> str:
     """``inner.first.x``."""
     return f"{node[0]}.{node[1]}" if node[0] else node[1]
 

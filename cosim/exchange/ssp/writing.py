@@ -14,13 +14,13 @@ from flexfmu.cosim.exchange.ssp.reading import ANNOTATION, FMU, OMS_STEPS, OSP_S
 from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
     Component,
-    Connection,
     Connector,
     ParameterSet,
+    SspConnection,
+    SspTransformation,
+    SspUnit,
     Structure,
-    System,
-    Transformation,
-    Unit,
+    Subsystem,
 )
 from flexfmu.cosim.exchange.ssp.xml_tree import NAMESPACES
 
@@ -65,7 +65,7 @@ def ssv_xml(values: ParameterSet, tool: str) -> bytes:
     return _bytes(root)
 
 
-def _system(node: Any, system: Structure | System) -> None:
+def _system(node: Any, system: Structure | Subsystem) -> None:
     """What is in a system, and in those within it."""
     _connectors(node, system.connectors)
     _bindings(node, system.bindings)
@@ -102,7 +102,7 @@ def _connectors(element: Any, connectors: Iterable[Connector]) -> None:
             _add(node, f"ssc:{each.type}", unit=each.unit)
 
 
-def _connection(connections: Any, connection: Connection) -> None:
+def _connection(connections: Any, connection: SspConnection) -> None:
     """A connection from start to end."""
     (start, output), (end, receiver) = connection.start, connection.end
     node = _add(connections, "ssd:Connection", startElement=start, startConnector=output)
@@ -111,7 +111,7 @@ def _connection(connections: Any, connection: Connection) -> None:
     _transformation(node, connection.transformation)
 
 
-def _transformation(node: Any, transformation: Transformation) -> None:
+def _transformation(node: Any, transformation: SspTransformation) -> None:
     """A linear map, unless it is the identity, or a table."""
     if isinstance(transformation, LinearMap):
         if transformation != IDENTITY:
@@ -152,7 +152,7 @@ def _parameter_set(node: Any, values: ParameterSet, tool: str | None = None) -> 
     _units(node, "ssv:Units", values.units)
 
 
-def _units(root: Any, tag: str, units: Iterable[Unit]) -> None:
+def _units(root: Any, tag: str, units: Iterable[SspUnit]) -> None:
     """Definitions of units, where there are any."""
     holder = None
     for each in units:

@@ -30,7 +30,7 @@ _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 
 @dataclass(frozen=True)
-class Node:
+class XmlElement:
     """An element.
 
     Attributes:
@@ -56,7 +56,7 @@ class Node:
     @property
     def _place(self) -> str:
         """What the element is a part of, since many tools write a whole file in one line."""
-        around = [self, *(Node(each, self.file) for each in self.element.iterancestors())]
+        around = [self, *(XmlElement(each, self.file) for each in self.element.iterancestors())]
         # the outermost system is the file's
         systems = [each.element.get("name") or "" for each in around[1:] if each.tag in _ELEMENTS][-2::-1]
         connection = next((each for each in around if each.tag == "Connection"), None)
@@ -128,25 +128,25 @@ class Node:
             raise self.error(f"has {attribute}={text!r}, which must be true or false")
         return default if text is None else _BOOLEANS[text.strip()]
 
-    def children(self, *path: str) -> Iterator[Node]:
+    def children(self, *path: str) -> Iterator[XmlElement]:
         """Elements of SSP below this one along a path of names; all of the last level for ``*``."""
         head, *rest = path
         for child in self.element.iterchildren(etree.Element):
             name = etree.QName(child)
             if (name.namespace or "").startswith(NAMESPACE) and head in ("*", name.localname):
-                node = Node(child, self.file)
+                node = XmlElement(child, self.file)
                 yield from node.children(*rest) if rest else iter((node,))
 
-    def child(self, *path: str) -> Node | None:
+    def child(self, *path: str) -> XmlElement | None:
         """The first of `children`."""
         return next(self.children(*path), None)
 
-    def descendants(self, name: str) -> Iterator[Node]:
+    def descendants(self, name: str) -> Iterator[XmlElement]:
         """Elements of that name below this one, whatever their namespace."""
-        return (Node(each, self.file) for each in self.element.iterfind(f".//{{*}}{name}"))
+        return (XmlElement(each, self.file) for each in self.element.iterfind(f".//{{*}}{name}"))
 
 
-def parse(content: bytes, file: str, root: str) -> Node:
+def parse(content: bytes, file: str, root: str) -> XmlElement:
     """The root element.
 
     Args:
@@ -164,7 +164,7 @@ def parse(content: bytes, file: str, root: str) -> Node:
         raise SspError(f"{file} is no XML: {' '.join(str(error.msg).split())}; export it again") from None
     if element.getroottree().docinfo.doctype:
         raise SspError(f"{file} has a document type declaration, which SSP files don't need; remove the DOCTYPE")
-    node = Node(element, file)
+    node = XmlElement(element, file)
     if node.tag != root or not (etree.QName(element).namespace or "").startswith(NAMESPACE):
         raise SspError(f"{file} begins with <{element.tag}>, must begin with <{root}> of SSP 1; check the file")
     return node

@@ -16,7 +16,7 @@ from flexfmu.model.scene.schema import Scene
 
 
 @dataclass(frozen=True)
-class Check:
+class Criterion:
     """One number that says whether a case went well.
 
     Attributes:
@@ -43,7 +43,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Finding:
+class CaseReport:
     """What happened in a case.
 
     Attributes:
@@ -52,7 +52,7 @@ class Finding:
     """
 
     happened: str
-    checks: tuple[Check, ...]
+    checks: tuple[Criterion, ...]
 
     @property
     def passed(self) -> bool:
@@ -76,7 +76,7 @@ class HardCase:
 
     name: str
     hard: str
-    run: Callable[[], Finding]
+    run: Callable[[], CaseReport]
 
 
 TOLERANCE = 1e-7

@@ -12,7 +12,7 @@ import numpy as np
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.small_deflections import exceeded
-from flexfmu.cosim.studies.hard.case import ALLOWED, STEP, Check, Finding, HardCase, paper_robot, run_case
+from flexfmu.cosim.studies.hard.case import ALLOWED, STEP, CaseReport, Criterion, HardCase, paper_robot, run_case
 from flexfmu.cosim.studies.hard.judging import error_against, soundness
 from flexfmu.cosim.studies.hard.reference import Solver
 from flexfmu.model.scene.schema import Scene
@@ -44,13 +44,13 @@ def _case(name: str, hard: str, changes: Mapping[str, Any], bent: bool = False) 
     return HardCase(name, hard, partial(_run_with_parameters, changes, bent))
 
 
-def _run_with_parameters(changes: Mapping[str, Any], bent: bool) -> Finding:
+def _run_with_parameters(changes: Mapping[str, Any], bent: bool) -> CaseReport:
     """Against LSODA on the same equations; large deflections must cause a warning."""
     run = run_case(paper_robot(), changes)
     warnings = exceeded(run)
-    warned = Check("warnings of large deflections missing", float(bent != bool(warnings)), 0.0)
+    warned = Criterion("warnings of large deflections missing", float(bent != bool(warnings)), 0.0)
     checks = (error_against(run, paper_robot(), STIFF, ALLOWED), *soundness(run), warned)
-    return Finding("; ".join([run.message, *warnings]), checks)
+    return CaseReport("; ".join([run.message, *warnings]), checks)
 
 
 IMPLICIT = Solver("Radau", 1e-9, compiled=False)
@@ -87,12 +87,12 @@ def many_modes_robot() -> Scene:
     return paper_robot().replace({"effects.proximal_bending": 20, "effects.distal_axial": 0})
 
 
-def _run_stiff(robot: Callable[[], Scene], step: float) -> Finding:
+def _run_stiff(robot: Callable[[], Scene], step: float) -> CaseReport:
     """Against Radau on the same equations."""
     run = run_case(robot(), step=step)
     steps = f"{run.health.statistics['steps']} steps of the integrator"
     checks = error_against(run, robot(), IMPLICIT, ALLOWED), *soundness(run)
-    return Finding(f"{run.message}; {steps}", checks)
+    return CaseReport(f"{run.message}; {steps}", checks)
 
 
 EXPLICIT = Solver("DOP853", 1e-10)
@@ -127,7 +127,7 @@ def motion_cases() -> Iterator[HardCase]:
     )
 
 
-def _fast(gravities: float) -> Finding:
+def _fast(gravities: float) -> CaseReport:
     """The same path, as fast as it takes."""
     slow = plan(paper_robot())
     instants = np.linspace(0.0, slow.duration, 4001)
@@ -135,23 +135,23 @@ def _fast(gravities: float) -> Finding:
     return _run_motion({"trajectory.duration": slow.duration * sqrt(peak / (gravities * STANDARD_GRAVITY))})
 
 
-def _jumps_missed(run: Run) -> Check:
+def _jumps_missed(run: Run) -> Criterion:
     """Every jump must be there twice, at its own instant."""
     time = run.recording.time
     twice = time[1:][np.diff(time) == 0.0]
     missing = [point for point in run.plan.joints.breakpoints if not np.any(twice == point)]
-    return Check("jumps not landed on", float(len(missing)), 0.0)
+    return Criterion("jumps not landed on", float(len(missing)), 0.0)
 
 
-def _end_missed(run: Run) -> Check:
+def _end_missed(run: Run) -> Criterion:
     """The last instant is the end of the motion, to the bit."""
-    return Check("error of the last instant", abs(float(run.recording.time[-1]) - run.plan.duration), 0.0, "s")
+    return Criterion("error of the last instant", abs(float(run.recording.time[-1]) - run.plan.duration), 0.0, "s")
 
 
 def _run_motion(
-    changes: Mapping[str, Any], step: float = STEP, more: Callable[[Run], tuple[Check, ...]] = lambda run: ()
-) -> Finding:
+    changes: Mapping[str, Any], step: float = STEP, more: Callable[[Run], tuple[Criterion, ...]] = lambda run: ()
+) -> CaseReport:
     """Against an explicit method on the same equations."""
     run = run_case(paper_robot(), changes, step=step)
     checks = error_against(run, paper_robot(), EXPLICIT, ALLOWED), *soundness(run), *more(run)
-    return Finding(run.message, checks)
+    return CaseReport(run.message, checks)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.studies.hard.case import Check
+from flexfmu.cosim.studies.hard.case import Criterion
 from flexfmu.cosim.studies.hard.reference import POSITION, Solver, positions_along
 from flexfmu.model.scene.assembly import bases
 from flexfmu.model.scene.mechanism import Mechanism
@@ -72,7 +72,7 @@ NOT_FINITE, UNFINISHED, ERROR, CLOSURE = "numbers not finite", "part not simulat
 OFF_BRANCH = "instants off the branch"
 
 
-def error_against(run: Run, robot: Scene, solver: Solver, limit: float) -> Check:
+def error_against(run: Run, robot: Scene, solver: Solver, limit: float) -> Criterion:
     """Largest distance of the end effector from the reference, relative to what elasticity does.
 
     Args:
@@ -88,7 +88,7 @@ def error_against(run: Run, robot: Scene, solver: Solver, limit: float) -> Check
     reference = positions_along(robot, run.scene, run.plan, instants, solver, size)
     scale = float(np.linalg.norm(reference - rigid, axis=1).max())
     error = float(np.linalg.norm(positions - reference, axis=1).max()) / scale
-    return Check(f"{ERROR} ({solver.method})", error, limit)
+    return Criterion(f"{ERROR} ({solver.method})", error, limit)
 
 
 def _sampled(run: Run) -> NDArray[np.int64]:
@@ -103,24 +103,24 @@ def _positions(recording: Recording) -> RealArray:
     return np.stack([recording[name].values for name in POSITION], axis=1)
 
 
-def soundness(run: Run) -> tuple[Check, ...]:
+def soundness(run: Run) -> tuple[Criterion, ...]:
     """It reached its end, with numbers alone, and the mechanism is assembled at every instant, on the branch of its start."""
     geometry = loop_geometry(run.scene.mechanism, run.recording)
     end = float(run.recording.time[-1])
     return (
-        Check(UNFINISHED, 1.0 - end / run.plan.stop_time, 0.0),
+        Criterion(UNFINISHED, 1.0 - end / run.plan.stop_time, 0.0),
         not_finite(run.recording),
-        Check(CLOSURE, float(geometry.residual.max()), ROUNDING, "m"),
+        Criterion(CLOSURE, float(geometry.residual.max()), ROUNDING, "m"),
         off_branch(geometry.sine),
     )
 
 
-def off_branch(sine: RealArray) -> Check:
+def off_branch(sine: RealArray) -> Criterion:
     """At how many instants the end effector is on the other side of the elbows, or nowhere."""
-    return Check(OFF_BRANCH, float(np.count_nonzero(~(sine > 0.0))), 0.0)
+    return Criterion(OFF_BRANCH, float(np.count_nonzero(~(sine > 0.0))), 0.0)
 
 
-def not_finite(recording: Recording) -> Check:
+def not_finite(recording: Recording) -> Criterion:
     """How many recorded numbers are infinite or none at all, derivatives included."""
     tables = [
         table
@@ -128,4 +128,4 @@ def not_finite(recording: Recording) -> Check:
         for table in (column.values, column.first, column.second)
         if table is not None
     ]
-    return Check(NOT_FINITE, float(sum(np.count_nonzero(~np.isfinite(table)) for table in tables)), 0.0)
+    return Criterion(NOT_FINITE, float(sum(np.count_nonzero(~np.isfinite(table)) for table in tables)), 0.0)

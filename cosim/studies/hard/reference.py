@@ -15,8 +15,8 @@ from flexfmu.cosim.control.blocks.code import compile_function
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.parameters import parameters_for
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.studies.workprec.equations import NUMBERS, BoundFunction, Symbol, joint_motion, pieces
-from flexfmu.cosim.studies.workprec.solver_trials import Method, ends
+from flexfmu.cosim.studies.workprec.equations import NUMBERS, BoundFunction, Symbol, joint_motion, motion_polynomials
+from flexfmu.cosim.studies.workprec.solver_trials import ScipyMethod, ends
 from flexfmu.cosim.studies.workprec.trial import RunError
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.schema import Scene
@@ -24,7 +24,7 @@ from flexfmu.model.statics import static_equilibrium
 
 
 @dataclass(frozen=True)
-class Drive:
+class JointReferences:
     """How the six references u = [q_a, v_a, a_a] of the joints come about.
 
     Attributes:
@@ -36,14 +36,14 @@ class Drive:
     references: Callable[[Symbol, Symbol], Symbol]
 
 
-def _held(t: Symbol, numbers: Symbol) -> Symbol:
+def _constant(t: Symbol, numbers: Symbol) -> Symbol:
     return numbers
 
 
-ALONG_POLYNOMIALS = Drive(NUMBERS, joint_motion)
-"""The numbers of a `flexfmu.cosim.studies.workprec.equations.Piece`."""
+ALONG_POLYNOMIALS = JointReferences(NUMBERS, joint_motion)
+"""The numbers of a `flexfmu.cosim.studies.workprec.equations.MotionPolynomial`."""
 
-HELD = Drive(6, _held)
+CONSTANT_REFERENCES = JointReferences(6, _constant)
 """u itself, constant."""
 
 
@@ -67,7 +67,7 @@ class RobotEquations:
 
 
 @lru_cache(maxsize=8)
-def robot_equations(robot: Scene, drive: Drive, signals: tuple[str, ...], compiled: bool) -> RobotEquations:
+def robot_equations(robot: Scene, drive: JointReferences, signals: tuple[str, ...], compiled: bool) -> RobotEquations:
     """The equations of a motion-driven robot, with free parameters.
 
     Args:
@@ -111,7 +111,7 @@ class Solver:
         compiled: whether the equations are compiled, which takes a second.
     """
 
-    method: Method = "DOP853"
+    method: ScipyMethod = "DOP853"
     tolerance: float = 1e-10
     compiled: bool = True
 
@@ -147,12 +147,12 @@ def positions_along(
         RunError: the solver gives up.
     """
     equations = robot_equations(robot, ALONG_POLYNOMIALS, POSITION, solver.compiled)
-    phases = [Phase(p.begin, p.end, p.numbers) for p in pieces(motion.joints, float(instants[-1]))]
+    phases = [Phase(p.begin, p.end, p.numbers) for p in motion_polynomials(motion.joints, float(instants[-1]))]
     start = _start(scene, motion, equations.n)
     return _follow(equations, scene, phases, start, instants, solver, size)
 
 
-def signals_of_held(
+def signals_of_constant_references(
     robot: Scene,
     scene: Scene,
     phases: Sequence[Phase],
@@ -165,7 +165,7 @@ def signals_of_held(
 
     Args and errors: as for `positions_along`.
     """
-    equations = robot_equations(robot, HELD, signals, solver.compiled)
+    equations = robot_equations(robot, CONSTANT_REFERENCES, signals, solver.compiled)
     return _follow(equations, scene, phases, np.zeros(2 * equations.n), instants, solver, size)
 
 

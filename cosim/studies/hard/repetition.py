@@ -15,7 +15,7 @@ from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.studies.hard.case import Check, Finding, HardCase, fmu_of, paper_robot
+from flexfmu.cosim.studies.hard.case import CaseReport, Criterion, HardCase, fmu_of, paper_robot
 from flexfmu.cosim.studies.hard.judging import LOOP_SIGNALS, soundness
 from flexfmu.cosim.studies.hard.reference import POSITION
 from flexfmu.model.numeric import numeric_model
@@ -52,11 +52,11 @@ def cases(cycles: int = CYCLES) -> Iterator[HardCase]:
     yield HardCase(f"{cycles} cycles in one run", hard, partial(_run, cycles))
 
 
-def _run(cycles: int) -> Finding:
+def _run(cycles: int) -> CaseReport:
     """Every cycle against the first settled one, at every breakpoint."""
     run = many_cycles(cycles)
     if not run.completed:
-        return Finding(run.message, soundness(run))
+        return CaseReport(run.message, soundness(run))
     index = _marks(run, cycles)
     positions = np.stack([run.recording[name].values for name in POSITION], axis=-1)[index]
     rigid = run.plan.task.evaluate(run.recording.time[index[0]], 0, "left")[0]
@@ -69,7 +69,7 @@ def _run(cycles: int) -> Finding:
         *soundness(run),
     )
     steps = run.health.statistics["steps"]
-    return Finding(f"{run.message}; {steps} steps of the integrator, all cycles alike", checks)
+    return CaseReport(f"{run.message}; {steps} steps of the integrator, all cycles alike", checks)
 
 
 def many_cycles(cycles: int) -> Run:
@@ -98,11 +98,11 @@ def _marks(run: Run, cycles: int) -> NDArray[np.intp]:
     return np.searchsorted(run.recording.time, np.append(points, run.plan.stop_time)).reshape(cycles, -1)
 
 
-def _time_error(run: Run, cycles: int) -> Check:
+def _time_error(run: Run, cycles: int) -> Criterion:
     """Last instant against exact arithmetic."""
     exact = 2 * cycles * (Fraction(run.plan.once.duration) + Fraction(DWELL))
     last = float(run.recording.time[-1])
-    return Check("time off by", float(abs(Fraction(last) - exact)), LEAST_DIGITS * float(np.spacing(last)), "s")
+    return Criterion("time off by", float(abs(Fraction(last) - exact)), LEAST_DIGITS * float(np.spacing(last)), "s")
 
 
 def link_energy(run: Run, index: NDArray[np.intp]) -> RealArray:
@@ -117,12 +117,12 @@ def link_energy(run: Run, index: NDArray[np.intp]) -> RealArray:
     return np.asarray(bent - straight)
 
 
-def _drift(name: str, values: RealArray) -> tuple[Check, Check]:
+def _drift(name: str, values: RealArray) -> tuple[Criterion, Criterion]:
     """How cycles differ, and whether they differ more and more; values (cycles, marks, any), relative."""
     settled = values[SETTLED:]
     halves = np.array_split(settled, 2)
     drift = np.abs(halves[1].mean(axis=0) - halves[0].mean(axis=0)).max()
     return (
-        Check(f"{name} of cycles differs by", float(np.abs(settled - settled[0]).max()), SCATTER),
-        Check(f"{name} drifts by", float(drift), DRIFT),
+        Criterion(f"{name} of cycles differs by", float(np.abs(settled - settled[0]).max()), SCATTER),
+        Criterion(f"{name} drifts by", float(drift), DRIFT),
     )

@@ -15,7 +15,7 @@ from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.studies.hard.case import ALLOWED, Check, Finding, HardCase, paper_robot, run_case
+from flexfmu.cosim.studies.hard.case import ALLOWED, CaseReport, Criterion, HardCase, paper_robot, run_case
 from flexfmu.cosim.studies.hard.judging import error_against, loop_geometry, not_finite, off_branch, soundness
 from flexfmu.cosim.studies.hard.reference import Solver
 from flexfmu.model.kinematics import RigidKinematics
@@ -32,7 +32,7 @@ PROFILE = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 
 
 @dataclass(frozen=True)
-class StraightLine:
+class RestToRestLine:
     """Implements `flexfmu.trajectories.Trajectory`.
 
     Attributes:
@@ -82,7 +82,7 @@ class Unguarded:
 def straight_motion(
     base: MotionPlan,
     scene: Scene,
-    line: StraightLine,
+    line: RestToRestLine,
     guard: Callable[[RigidKinematics], InverseKinematics] = lambda kinematics: kinematics,
 ) -> MotionPlan:
     """A plan with the line in place of the scene's path.
@@ -155,7 +155,7 @@ def motion_to(half_distance: float, guarded: bool) -> MotionPlan:
         TrajectoryError: the planner keeps away from it.
     """
     robot = hanging_robot()
-    line = StraightLine(START, pose(robot.mechanism, half_distance), DURATION)
+    line = RestToRestLine(START, pose(robot.mechanism, half_distance), DURATION)
     keep = (lambda kinematics: kinematics) if guarded else Unguarded
     return straight_motion(plan(paper_robot()), robot, line, keep)
 
@@ -165,22 +165,22 @@ def approach(half_distance: float) -> Run:
     return run_case(hanging_robot(), motion=motion_to(half_distance, guarded=False))
 
 
-def _approach(half_distance: float) -> Finding:
+def _approach(half_distance: float) -> CaseReport:
     """Finished runs are compared with SciPy's; stopped ones have to say where and why."""
     run, planner = approach(half_distance), _planner(half_distance)
     happened = f"{planner}{run.message}"
     if run.completed:
-        return Finding(happened, (error_against(run, hanging_robot(), REFERENCE, ALLOWED), *soundness(run)))
+        return CaseReport(happened, (error_against(run, hanging_robot(), REFERENCE, ALLOWED), *soundness(run)))
     geometry = loop_geometry(run.scene.mechanism, run.recording)
     unnamed = sum(part not in run.message for part in NAMED)
     checks = (
-        Check("outcomes other than a failed step", float(run.outcome is not Outcome.STEP_FAILED), 0.0),
-        Check("pose, measure or time not named", float(unnamed), 0.0),
-        Check("least sine overrun", max(0.0, MINIMUM_SINE - float(geometry.sine.min())), 0.0),
+        Criterion("outcomes other than a failed step", float(run.outcome is not Outcome.STEP_FAILED), 0.0),
+        Criterion("pose, measure or time not named", float(unnamed), 0.0),
+        Criterion("least sine overrun", max(0.0, MINIMUM_SINE - float(geometry.sine.min())), 0.0),
         not_finite(run.recording),
         off_branch(geometry.sine),
     )
-    return Finding(happened, checks)
+    return CaseReport(happened, checks)
 
 
 def _planner(half_distance: float) -> str:

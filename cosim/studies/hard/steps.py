@@ -15,9 +15,18 @@ from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.studies.hard.case import ALLOWED, STEP, TOLERANCE, Check, Finding, HardCase, fmu_of, paper_robot
+from flexfmu.cosim.studies.hard.case import (
+    ALLOWED,
+    STEP,
+    TOLERANCE,
+    CaseReport,
+    Criterion,
+    HardCase,
+    fmu_of,
+    paper_robot,
+)
 from flexfmu.cosim.studies.hard.judging import ERROR, NOT_FINITE, not_finite
-from flexfmu.cosim.studies.hard.reference import Phase, Solver, signals_of_held
+from flexfmu.cosim.studies.hard.reference import Phase, Solver, signals_of_constant_references
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
 
@@ -37,7 +46,7 @@ DAMPING = 0.01
 
 
 @dataclass(frozen=True)
-class HeldRun:
+class StepwiseRun:
     """The paper's robot, little damped, from links that are straight and at rest.
 
     Attributes:
@@ -71,7 +80,9 @@ class HeldRun:
     def reference(self, size: float) -> RealArray:
         """(N, signals) by SciPy; ``size`` is about how far links deflect [m]."""
         damped = paper_robot().replace({"effects.damping.ratio": DAMPING})
-        return signals_of_held(paper_robot(), damped, self._phases(), SIGNALS, self.times[1:], SOLVER, size)
+        return signals_of_constant_references(
+            paper_robot(), damped, self._phases(), SIGNALS, self.times[1:], SOLVER, size
+        )
 
     def _phases(self) -> list[Phase]:
         """Times over which the references stay; each instant belongs to the one that ends there."""
@@ -106,31 +117,31 @@ def step_cases() -> Iterator[HardCase]:
     tiny = f"{TINY_STEPS} steps: links bend by 0.5 nm; 1 ns is 2e-5 of the shortest period"
     huge = "18 800 periods of the fastest mode in one communication step"
     jumps = f"joint angles jump by {1e3 * JUMP:g} mrad, accelerations by {ACCELERATION:g} rad/s2, in steps of 1 ms that know no derivatives"
-    yield HardCase("steps of 1 ns", tiny, partial(_run_held, tiny_steps))
-    yield HardCase("a step of 1 s", huge, partial(_run_held, huge_step))
-    yield HardCase("inputs that jump", jumps, partial(_run_held, jumping_inputs))
+    yield HardCase("steps of 1 ns", tiny, partial(_run_stepwise, tiny_steps))
+    yield HardCase("a step of 1 s", huge, partial(_run_stepwise, huge_step))
+    yield HardCase("inputs that jump", jumps, partial(_run_stepwise, jumping_inputs))
 
 
-def tiny_steps() -> HeldRun:
+def tiny_steps() -> StepwiseRun:
     """Straight links begin to bend under the weight."""
     times = TINY * np.arange(TINY_STEPS + 1, dtype=np.float64)
-    return HeldRun(times, np.tile(start_references(), (TINY_STEPS, 1)))
+    return StepwiseRun(times, np.tile(start_references(), (TINY_STEPS, 1)))
 
 
-def huge_step() -> HeldRun:
+def huge_step() -> StepwiseRun:
     """Free vibration under the weight."""
-    return HeldRun(np.array([0.0, 1.0]), start_references()[np.newaxis])
+    return StepwiseRun(np.array([0.0, 1.0]), start_references()[np.newaxis])
 
 
-def jumping_inputs() -> HeldRun:
+def jumping_inputs() -> StepwiseRun:
     """Angles jump forth and back, then accelerations, in steps of 1 ms."""
     references = np.tile(start_references(), (60, 1))
     references[10:30, :2] += JUMP, -JUMP
     references[20:40, 4:] += ACCELERATION, -ACCELERATION
-    return HeldRun(1e-3 * np.arange(61, dtype=np.float64), references)
+    return StepwiseRun(1e-3 * np.arange(61, dtype=np.float64), references)
 
 
-def _run_held(make: Callable[[], HeldRun]) -> Finding:
+def _run_stepwise(make: Callable[[], StepwiseRun]) -> CaseReport:
     """Against SciPy, each signal relative to its own range."""
     run = make()
     found = run.outputs()
@@ -140,11 +151,11 @@ def _run_held(make: Callable[[], HeldRun]) -> Finding:
     position = float(np.abs(found - expected)[:, :2].max()) / size
     bent = f"all of {len(found)} made; links bend by up to {size:.2g} m"
     checks = (
-        Check(f"{ERROR} (DOP853)", error, ALLOWED),
-        Check("error of the end effector", position, ALLOWED),
-        Check(NOT_FINITE, float(np.count_nonzero(~np.isfinite(found))), 0.0),
+        Criterion(f"{ERROR} (DOP853)", error, ALLOWED),
+        Criterion("error of the end effector", position, ALLOWED),
+        Criterion(NOT_FINITE, float(np.count_nonzero(~np.isfinite(found))), 0.0),
     )
-    return Finding(bent, checks)
+    return CaseReport(bent, checks)
 
 
 INERTIA = 0.1
@@ -188,19 +199,19 @@ def controlled_robot(step: float) -> Scene:
     )
 
 
-def _unstable() -> Finding:
+def _unstable() -> CaseReport:
     """Reported as what it is, and cured by what the report says."""
     run, cured = (
         run_scene(controlled_robot(step), fmu_path=fmu_of(controlled_robot(STEP))) for step in STABILITY_STEPS
     )
     unnamed = sum(part not in run.message for part in NAMED)
     checks = (
-        Check("outcomes other than an unstable coupling", float(run.outcome is not Outcome.COUPLING_UNSTABLE), 0.0),
-        Check("slaves or time not named", float(unnamed), 0.0),
+        Criterion("outcomes other than an unstable coupling", float(run.outcome is not Outcome.COUPLING_UNSTABLE), 0.0),
+        Criterion("slaves or time not named", float(unnamed), 0.0),
         not_finite(run.recording),
-        Check(f"tracking error in steps of {1e3 * SHORT_STEP:g} ms", _tracking_error(cured), TRACKING, "rad"),
+        Criterion(f"tracking error in steps of {1e3 * SHORT_STEP:g} ms", _tracking_error(cured), TRACKING, "rad"),
     )
-    return Finding(run.message, checks)
+    return CaseReport(run.message, checks)
 
 
 def _tracking_error(run: Run) -> float:

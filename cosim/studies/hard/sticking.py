@@ -11,11 +11,11 @@ from scipy.integrate import solve_ivp
 
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.studies.hard.case import ALLOWED, TOLERANCE, Check, Finding, HardCase, fmu_of, paper_robot
+from flexfmu.cosim.studies.hard.case import ALLOWED, TOLERANCE, CaseReport, Criterion, HardCase, fmu_of, paper_robot
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.schema import Scene
 
-Modes = tuple[int, ...]
+FrictionModes = tuple[int, ...]
 
 COULOMB, BREAKAWAY = 2.0, 3.0
 """Of both motors [N.m]."""
@@ -59,26 +59,26 @@ class Reference:
         self._derived = self._model.functions["derive"](parameters).full().ravel()
         self.start = self._model.functions["initial_coordinates"](parameters).full().ravel()
 
-    def forces(self, x: RealArray, a: RealArray, u: RealArray, modes: Modes) -> RealArray:
+    def forces(self, x: RealArray, a: RealArray, u: RealArray, modes: FrictionModes) -> RealArray:
         """Residual (2,): the torques that the motion lacks [N m]."""
         d = self._derived.copy()
         for friction, mode in zip(self._model.frictions, modes, strict=True):
             d[friction.direction] = mode
         return np.asarray(self._model.functions["residual"](x[:2], x[2:], a, u, d).full()).ravel()
 
-    def acceleration(self, x: RealArray, u: RealArray, modes: Modes) -> RealArray:
+    def acceleration(self, x: RealArray, u: RealArray, modes: FrictionModes) -> RealArray:
         """(2,), zero for what sticks."""
         mass = self._model.functions["mass_matrix"](x[:2], u, self._derived).full()
         free, a = np.flatnonzero(modes), np.zeros(2)
         a[free] = np.linalg.solve(mass[np.ix_(free, free)], -self.forces(x, a, u, modes)[free])
         return a
 
-    def indicators(self, x: RealArray, u: RealArray, modes: Modes) -> RealArray:
+    def indicators(self, x: RealArray, u: RealArray, modes: FrictionModes) -> RealArray:
         """(2,) Torque that is left until a motor breaks away, or rate in the direction of slip."""
         held = BREAKAWAY - np.abs(self.forces(x, self.acceleration(x, u, modes), u, modes))
         return np.where(modes, np.array(modes) * x[2:], held)
 
-    def modes(self, x: RealArray, u: RealArray, released: Modes) -> Modes:
+    def modes(self, x: RealArray, u: RealArray, released: FrictionModes) -> FrictionModes:
         """The only modes, or those with the fewest slipping motors, that contradict neither torques nor accelerations."""
         rates = [int(r) for r in np.sign(x[2:])]
         choices = [(rates[i] or released[i],) if rates[i] or released[i] else (0, -1, 1) for i in range(2)]
@@ -106,7 +106,7 @@ class Reference:
             released = (direction, 0) if happened == 0 else (0, direction)
 
     def _to_event(
-        self, x: RealArray, u: RealArray, modes: Modes, begin: float, end: float
+        self, x: RealArray, u: RealArray, modes: FrictionModes, begin: float, end: float
     ) -> tuple[float, RealArray, int | None]:
         """Time and state at the first event, with the motor that has it, or at the end."""
 
@@ -126,7 +126,7 @@ class Reference:
         return float(solution.t[-1]), solution.y[:, -1], happened
 
 
-def _sticking() -> Finding:
+def _sticking() -> CaseReport:
     """Swinging torques against SciPy, an hour of standstill, and the torque that ends it."""
     scene = sticking_robot()
     # swinging torques, step by step
@@ -145,12 +145,12 @@ def _sticking() -> Finding:
     still = _stepped(scene, np.tile(holding + (1.0 - 1e-6) * load, (3600, 1)), 1.0)
     freed = _stepped(scene, (holding + (1.0 + 1e-6) * load)[np.newaxis], 1e-2)
     checks = (
-        Check("error (DOP853)", float(np.abs(found - wanted)[:, :2].max() / np.ptp(wanted[:, :2])), ALLOWED),
-        Check("steps that stick in one of the two only", float(np.sum((found == 0.0) != (wanted == 0.0))), 0.0),
-        Check("drift in an hour", float(np.abs(still[-1] - still[0]).max()), 0.0, "rad"),
-        Check("motors not freed by a millionth more", float(not freed[0, 2] > 0.0), 0.0),
+        Criterion("error (DOP853)", float(np.abs(found - wanted)[:, :2].max() / np.ptp(wanted[:, :2])), ALLOWED),
+        Criterion("steps that stick in one of the two only", float(np.sum((found == 0.0) != (wanted == 0.0))), 0.0),
+        Criterion("drift in an hour", float(np.abs(still[-1] - still[0]).max()), 0.0, "rad"),
+        Criterion("motors not freed by a millionth more", float(not freed[0, 2] > 0.0), 0.0),
     )
-    return Finding(f"they stopped and broke away {events} times in {COUNT * INTERVAL:g} s", checks)
+    return CaseReport(f"they stopped and broke away {events} times in {COUNT * INTERVAL:g} s", checks)
 
 
 def _stepped(scene: Scene, torques: RealArray, step: float) -> RealArray:

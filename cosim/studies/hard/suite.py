@@ -15,7 +15,7 @@ from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.text import markdown_table, titled_table
 from flexfmu.cosim.studies.hard import repetition, singularity, sticking
-from flexfmu.cosim.studies.hard.case import Check, Finding, HardCase
+from flexfmu.cosim.studies.hard.case import CaseReport, Criterion, HardCase
 from flexfmu.cosim.studies.hard.extremes import motion_cases, parameter_cases, stiffness_cases
 from flexfmu.cosim.studies.hard.steps import gain_cases, step_cases
 from flexfmu.model.scene.errors import EquilibriumError
@@ -35,16 +35,16 @@ FAMILIES: tuple[Callable[[], Iterable[HardCase]], ...] = (
 
 
 @dataclass(frozen=True)
-class CaseResult:
+class HardCaseResult:
     """A case with what happened.
 
     Attributes:
         case: what was run.
-        finding: what was found.
+        report: what was found.
     """
 
     case: HardCase
-    finding: Finding
+    report: CaseReport
 
 
 def hard_cases(only: Sequence[str] = ()) -> tuple[HardCase, ...]:
@@ -65,7 +65,7 @@ def hard_cases(only: Sequence[str] = ()) -> tuple[HardCase, ...]:
     return tuple(case for case in cases if not only or any(_has(case, part) for part in only))
 
 
-def run_cases(cases: Iterable[HardCase], announce: Callable[[str], object]) -> list[CaseResult]:
+def run_cases(cases: Iterable[HardCase], announce: Callable[[str], object]) -> list[HardCaseResult]:
     """Run them one after the other; a case that can't be run has failed.
 
     Args:
@@ -78,15 +78,15 @@ def run_cases(cases: Iterable[HardCase], announce: Callable[[str], object]) -> l
     results = []
     for case in cases:
         announce(case.name)
-        results.append(CaseResult(case, _finding(case)))
+        results.append(HardCaseResult(case, _report(case)))
     return results
 
 
-def _finding(case: HardCase) -> Finding:
+def _report(case: HardCase) -> CaseReport:
     try:
         return case.run()
     except (CosimError, EquilibriumError, TrajectoryError) as failure:
-        return Finding(f"{type(failure).__name__}: {failure}", ())
+        return CaseReport(f"{type(failure).__name__}: {failure}", ())
 
 
 def _has(case: HardCase, part: str) -> bool:
@@ -105,7 +105,7 @@ same equations (neither our integrator nor our master), relative to what elastic
 end effector isn't on the side of the elbows where it started. Each figure stands with the limit it was held to."""
 
 
-def terminal_table(results: Sequence[CaseResult]) -> Table:
+def terminal_table(results: Sequence[HardCaseResult]) -> Table:
     """One line for each case."""
     shares = zip(COLUMNS, (3, 4, 8, 1), strict=True)
     columns = (Column(name, ratio=ratio, min_width=7, overflow="fold") for name, ratio in shares)
@@ -115,50 +115,50 @@ def terminal_table(results: Sequence[CaseResult]) -> Table:
     return table
 
 
-def row(result: CaseResult) -> tuple[str, ...]:
+def row(result: HardCaseResult) -> tuple[str, ...]:
     """Cells of a case."""
-    happened = f"{result.finding.happened}. {figures(result.finding)}"
-    return result.case.name, result.case.hard, happened, "passed" if result.finding.passed else "FAILED"
+    happened = f"{result.report.happened}. {figures(result.report)}"
+    return result.case.name, result.case.hard, happened, "passed" if result.report.passed else "FAILED"
 
 
-def figures(finding: Finding) -> str:
+def figures(report: CaseReport) -> str:
     """What was measured; values that must be zero and are, in one list."""
-    zero = [check.name for check in finding.checks if check.value == 0.0]
-    others = [_figure(check) for check in finding.checks if check.value != 0.0]
+    zero = [check.name for check in report.checks if check.value == 0.0]
+    others = [_figure(check) for check in report.checks if check.value != 0.0]
     return "; ".join([*others, *([f"none or zero: {', '.join(zero)}"] if zero else [])])
 
 
-def _figure(check: Check) -> str:
+def _figure(check: Criterion) -> str:
     unit = f" {check.unit}" if check.unit else ""
     return f"{check.name} {check.value:.2g}{unit} ({'<=' if check.passed else 'NOT <='} {check.limit:.2g})"
 
 
-def conclusion(results: Sequence[CaseResult]) -> str:
+def conclusion(results: Sequence[HardCaseResult]) -> str:
     """One sentence."""
-    failed = [result.case.name for result in results if not result.finding.passed]
+    failed = [result.case.name for result in results if not result.report.passed]
     if failed:
         return f"{len(failed)} of {len(results)} hard cases failed: {', '.join(failed)}."
     return f"All {len(results)} hard cases passed."
 
 
-def markdown(results: Sequence[CaseResult]) -> str:
+def markdown(results: Sequence[HardCaseResult]) -> str:
     """Introduction, table and conclusion."""
     rows = [[cell.replace("|", "\\|").replace("*", "\\*") for cell in row(result)] for result in results]
     table = markdown_table(COLUMNS, (":--",) * len(COLUMNS), rows)
     return "\n\n".join([INTRODUCTION, table, conclusion(results)]) + "\n"
 
 
-def data(results: Sequence[CaseResult]) -> dict[str, Any]:
+def data(results: Sequence[HardCaseResult]) -> dict[str, Any]:
     """Everything for machines; a value that is no finite number is null."""
     return {
-        "passed": all(result.finding.passed for result in results),
+        "passed": all(result.report.passed for result in results),
         "cases": [
             {
                 "name": result.case.name,
                 "hard": result.case.hard,
-                "happened": result.finding.happened,
-                "passed": result.finding.passed,
-                "checks": [_check_data(check) for check in result.finding.checks],
+                "happened": result.report.happened,
+                "passed": result.report.passed,
+                "checks": [_check_data(check) for check in result.report.checks],
             }
             for result in results
         ],
@@ -166,6 +166,6 @@ def data(results: Sequence[CaseResult]) -> dict[str, Any]:
     }
 
 
-def _check_data(check: Check) -> dict[str, Any]:
+def _check_data(check: Criterion) -> dict[str, Any]:
     value = check.value if isfinite(check.value) else None
     return {"name": check.name, "value": value, "limit": check.limit, "unit": check.unit, "passed": check.passed}

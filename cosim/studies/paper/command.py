@@ -7,39 +7,39 @@ from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
-from matplotlib.figure import Figure as Drawing
+from matplotlib.figure import Figure
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.reports.figure_style import save, style
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.studies.paper import motions, path_figures, spectra
-from flexfmu.cosim.studies.paper.comparison import Evaluate, compare
+from flexfmu.cosim.studies.paper.comparison import EvaluateCell, compare
 from flexfmu.cosim.studies.paper.reference import printed_table, printed_tables, source
-from flexfmu.cosim.studies.paper.report import Figure, PaperReport, write_report
+from flexfmu.cosim.studies.paper.report import PaperFigure, PaperReport, write_report
 from flexfmu.cosim.studies.paper.result_figures import overview, path_errors
 from flexfmu.cosim.studies.paper.simulations import (
-    Case,
-    Simulation,
+    PaperCase,
+    SimulatedCase,
     simulate,
     simulated_cases,
     simulation_evaluators,
     write_simulations,
 )
 
-Draw = Callable[[], Drawing]
+DrawFigure = Callable[[], Figure]
 
-TRAJECTORY_FIGURES: tuple[tuple[Figure, Draw], ...] = (
+TRAJECTORY_FIGURES: tuple[tuple[PaperFigure, DrawFigure], ...] = (
     (
-        Figure("figure-06", "Figure 6", "The three blends overlaid, d = e = 25 mm."),
+        PaperFigure("figure-06", "Figure 6", "The three blends overlaid, d = e = 25 mm."),
         path_figures.blends,
     ),
     (
-        Figure("figure-07", "Figure 7", "The motion profiles for a cycle time of 1 s."),
+        PaperFigure("figure-07", "Figure 7", "The motion profiles for a cycle time of 1 s."),
         path_figures.motion_profiles,
     ),
     (
-        Figure(
+        PaperFigure(
             "figure-08",
             "Figure 8",
             "Joint motion on the Lamé path with the seventh-degree polynomial in 1 s, and the power spectral density "
@@ -48,27 +48,33 @@ TRAJECTORY_FIGURES: tuple[tuple[Figure, Draw], ...] = (
         spectra.joint_motion,
     ),
     (
-        Figure("figure-09", "Figure 9", "The path, the mechanism at its start, middle and end, and the workspace."),
+        PaperFigure(
+            "figure-09", "Figure 9", "The path, the mechanism at its start, middle and end, and the workspace."
+        ),
         path_figures.placement,
     ),
     (
-        Figure("figure-10", "Figure 10", "Spectral content of the polynomial on the Lamé path for three cycle times."),
+        PaperFigure(
+            "figure-10", "Figure 10", "Spectral content of the polynomial on the Lamé path for three cycle times."
+        ),
         spectra.cycle_times,
     ),
     (
-        Figure("figure-11", "Figure 11", "Spectral content of the same motion in 1 s for three lengths of the blends."),
+        PaperFigure(
+            "figure-11", "Figure 11", "Spectral content of the same motion in 1 s for three lengths of the blends."
+        ),
         spectra.blend_lengths,
     ),
 )
 """Figures that need no simulation."""
 
-PATH_ERRORS = Figure(
+PATH_ERRORS = PaperFigure(
     "figure-12",
     "Figure 12",
     "Path-tracking error of the end effector with the payload of 6 kg, over the motion of 0.43 s and the dwell.",
 )
 
-OVERVIEW = Figure(
+OVERVIEW = PaperFigure(
     "overview",
     "Overview",
     "The flexible five-bar robot on its pick-and-place path, the error that its elasticity leaves, "
@@ -77,7 +83,7 @@ OVERVIEW = Figure(
 )
 
 
-def draw_figure(figure: Figure, draw: Draw, folder: Path) -> None:
+def draw_figure(figure: PaperFigure, draw: DrawFigure, folder: Path) -> None:
     """Draw a figure and write it as PNG and SVG into the report's folder.
 
     Raises:
@@ -98,11 +104,11 @@ DEFAULT_FOLDER = RESULTS / "paper"
 
 TRAJECTORY_TABLES = ("table-02", "table-05", "table-06")
 
-Progress = Callable[[str, float], None]
+PaperProgress = Callable[[str, float], None]
 """Called with what is being done and the finished fraction, 0..1."""
 
 
-def run_paper(out: Path = DEFAULT_FOLDER, *, progress: Progress | None = None) -> PaperReport:
+def run_paper(out: Path = DEFAULT_FOLDER, *, progress: PaperProgress | None = None) -> PaperReport:
     """Run the paper's experiment and write tables and figures.
 
     Everything is written as soon as it is known: a run that is interrupted leaves what it has computed so far.
@@ -131,13 +137,13 @@ def run_paper(out: Path = DEFAULT_FOLDER, *, progress: Progress | None = None) -
     return report
 
 
-def _trajectory_tables(report: PaperReport, out: Path, progress: Progress) -> PaperReport:
+def _trajectory_tables(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
     progress("tables of the trajectories", 0.0)
     evaluate = motions.motion_evaluators()
     return replace(report, tables=tuple(compare(printed_table(key), evaluate) for key in TRAJECTORY_TABLES))
 
 
-def _trajectory_figures(report: PaperReport, out: Path, progress: Progress) -> PaperReport:
+def _trajectory_figures(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
     for index, (figure, draw) in enumerate(TRAJECTORY_FIGURES):
         progress(figure.label, 0.10 + 0.02 * index)
         draw_figure(figure, draw, out)
@@ -145,27 +151,27 @@ def _trajectory_figures(report: PaperReport, out: Path, progress: Progress) -> P
     return report
 
 
-def _frequencies(report: PaperReport, out: Path, progress: Progress) -> PaperReport:
+def _frequencies(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
     progress("natural frequencies along the path", 0.25)
     table = compare(printed_table("frequencies"), motions.frequency_evaluators())
     return replace(report, tables=(*report.tables, table))
 
 
-def _simulations(report: PaperReport, out: Path, progress: Progress) -> PaperReport:
+def _simulations(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
     tables = [table for table in printed_tables() if table.scene]
-    simulations = run_cases(simulated_cases(tables), out, progress)
+    simulations = simulate_cases(simulated_cases(tables), out, progress)
     compared = (compare(table, _simulated_evaluators(table.scene, simulations)) for table in tables)
     report = replace(report, tables=(*report.tables, *compared), versions=versions(_fmu(simulations)))
     return _simulation_figures(report, simulations, out, progress)
 
 
-def run_cases(cases: Sequence[Case], out: Path, progress: Progress) -> Mapping[Case, Simulation]:
+def simulate_cases(cases: Sequence[PaperCase], out: Path, progress: PaperProgress) -> Mapping[PaperCase, SimulatedCase]:
     """Simulate the cases, and write ``simulations.csv`` after each of them.
 
     Raises:
         PaperError, ResultsError, BuildError: as `run_paper`.
     """
-    done: dict[Case, Simulation] = {}
+    done: dict[PaperCase, SimulatedCase] = {}
     progress("building the FMU", 0.30)
     for simulation in simulate(cases):
         done[simulation.case] = simulation
@@ -174,17 +180,17 @@ def run_cases(cases: Sequence[Case], out: Path, progress: Progress) -> Mapping[C
     return done
 
 
-def _fmu(simulations: Mapping[Case, Simulation]) -> Path:
+def _fmu(simulations: Mapping[PaperCase, SimulatedCase]) -> Path:
     """The FMU that served all simulations."""
     return next(iter(simulations.values())).fmu_path
 
 
-def _simulated_evaluators(scene: str, simulations: Mapping[Case, Simulation]) -> Mapping[str, Evaluate]:
+def _simulated_evaluators(scene: str, simulations: Mapping[PaperCase, SimulatedCase]) -> Mapping[str, EvaluateCell]:
     return {**motions.motion_evaluators(), **simulation_evaluators(simulations, scene)}
 
 
 def _simulation_figures(
-    report: PaperReport, simulations: Mapping[Case, Simulation], out: Path, progress: Progress
+    report: PaperReport, simulations: Mapping[PaperCase, SimulatedCase], out: Path, progress: PaperProgress
 ) -> PaperReport:
     progress(PATH_ERRORS.label, 0.95)
     draw_figure(PATH_ERRORS, lambda: path_errors(simulations), out)
@@ -198,7 +204,7 @@ def _silent(what: str, fraction: float) -> None:
     """Progress that isn't shown."""
 
 
-STAGES: Mapping[str, Callable[[PaperReport, Path, Progress], PaperReport]] = {
+STAGES: Mapping[str, Callable[[PaperReport, Path, PaperProgress], PaperReport]] = {
     "trajectory tables": _trajectory_tables,
     "trajectory figures": _trajectory_figures,
     "frequencies": _frequencies,

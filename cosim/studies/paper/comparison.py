@@ -11,7 +11,7 @@ from typing import Any
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.studies.paper.reference import PrintedQuantity, PrintedTable, Remark, Verdict
 
-Evaluate = Callable[[str, str], float]
+EvaluateCell = Callable[[str, str], float]
 """Computed value [SI] of a cell from its row's and its column's label."""
 
 
@@ -72,7 +72,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class QuantityComparison:
     """A printed quantity with its cells, row by row."""
 
     quantity: PrintedQuantity
@@ -105,14 +105,14 @@ class ComparisonTable:
     """A table of the paper with all its quantities computed."""
 
     printed: PrintedTable
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[QuantityComparison, ...]
 
     @property
     def cells(self) -> tuple[Cell, ...]:
         """The cells of all quantities."""
         return tuple(cell for comparison in self.comparisons for cell in comparison.cells)
 
-    def comparison(self, metric: str) -> Comparison:
+    def comparison(self, metric: str) -> QuantityComparison:
         """The comparison of a quantity by its metric's name.
 
         Raises:
@@ -135,7 +135,7 @@ class ComparisonTable:
         }
 
 
-def compare(table: PrintedTable, evaluate: Mapping[str, Evaluate]) -> ComparisonTable:
+def compare(table: PrintedTable, evaluate: Mapping[str, EvaluateCell]) -> ComparisonTable:
     """Compute every cell of a table.
 
     Args:
@@ -148,12 +148,13 @@ def compare(table: PrintedTable, evaluate: Mapping[str, Evaluate]) -> Comparison
     return ComparisonTable(
         table,
         tuple(
-            Comparison(quantity, _cells(table, quantity, evaluate[quantity.metric])) for quantity in table.quantities
+            QuantityComparison(quantity, _cells(table, quantity, evaluate[quantity.metric]))
+            for quantity in table.quantities
         ),
     )
 
 
-def _cells(table: PrintedTable, quantity: PrintedQuantity, evaluate: Evaluate) -> tuple[Cell, ...]:
+def _cells(table: PrintedTable, quantity: PrintedQuantity, evaluate: EvaluateCell) -> tuple[Cell, ...]:
     return tuple(
         Cell(
             row=row,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.studies.paper.comparison import Evaluate
+from flexfmu.cosim.studies.paper.comparison import EvaluateCell
 from flexfmu.cosim.studies.paper.simulations import case_scene, profiles, trajectory_scene
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.trajectories.trajectory import Trajectory
@@ -19,7 +19,7 @@ POINTS = 2001
 """Instants between two breakpoints: a smooth maximum is met to about (pi / POINTS)²/8 < 1e-6 relative."""
 
 
-def motion_evaluators() -> Mapping[str, Evaluate]:
+def motion_evaluators() -> Mapping[str, EvaluateCell]:
     """Metric → function of row and column, for the metrics that need no simulation."""
     return {
         "blend_length": lambda row, column: blend_length(row),
@@ -94,7 +94,7 @@ def frequencies_along_path(scene_name: str) -> NDArray[np.float64]:
     return np.stack([natural_frequencies(scene, pose) for pose in poses])
 
 
-def frequency_evaluators() -> Mapping[str, Evaluate]:
+def frequency_evaluators() -> Mapping[str, EvaluateCell]:
     """The metric of the frequencies' comparison → function of row and column."""
     frequencies = {name: frequencies_along_path(name) for name, _ in ROWS.values()}
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Drawing
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from flexfmu.cosim.engine.slave import RealArray
@@ -109,7 +109,7 @@ PIECE = 401
 """RealArray drawn between two breakpoints."""
 
 
-def blends() -> Drawing:
+def blends() -> Figure:
     """Fig. 6: the three blends of 25 mm overlaid, in the corner that they round."""
     drawing = draw(5.2, 4.6)
     axes = drawing.add_subplot()
@@ -127,7 +127,7 @@ def blends() -> Drawing:
     return drawing
 
 
-def motion_profiles() -> Drawing:
+def motion_profiles() -> Figure:
     """Fig. 7: fraction of the path, its rate and its second derivative for a cycle time of 1 s."""
     drawing = draw(6.4, 6.6)
     panels = drawing.subplots(3, 1, sharex=True)
@@ -163,7 +163,7 @@ def _corner(curve: str) -> tuple[RealArray, RealArray]:
     return crossing[near], (offset @ lift)[near]
 
 
-def placement() -> Drawing:
+def placement() -> Figure:
     """Fig. 9: the path in the workspace, with the mechanism at the start, the middle and the end of the motion."""
     drawing = draw(7.4, 6.6)
     axes = drawing.add_subplot()

@@ -44,7 +44,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class Source:
+class PaperSource:
     """Bibliographic data of the paper, and what holds for the reproduction as a whole."""
 
     authors: tuple[str, ...]
@@ -126,10 +126,10 @@ def read_data(name: str) -> dict[str, Any]:
 
 
 @cache
-def source() -> Source:
+def source() -> PaperSource:
     """The paper itself."""
     data = read_data("source")
-    return Source(
+    return PaperSource(
         authors=tuple(data["authors"]),
         title=data["title"],
         event=data["event"],

@@ -16,12 +16,12 @@ from rich.text import Text
 
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.studies.paper.comparison import Agreement, ComparisonTable, count_agreement
-from flexfmu.cosim.studies.paper.reference import Source
+from flexfmu.cosim.studies.paper.reference import PaperSource
 from flexfmu.cosim.studies.paper.tables import lay_out, print_page, table_to_csv, table_to_markdown
 
 
 @dataclass(frozen=True)
-class Figure:
+class PaperFigure:
     """A drawn figure.
 
     Attributes:
@@ -53,10 +53,10 @@ class PaperReport:
         versions: what it was computed with: packages, platform, compiler; None where unknown.
     """
 
-    source: Source
+    source: PaperSource
     tables: tuple[ComparisonTable, ...] = ()
-    figures: tuple[Figure, ...] = ()
-    overview: Figure | None = None
+    figures: tuple[PaperFigure, ...] = ()
+    overview: PaperFigure | None = None
     timing: Mapping[str, float] = field(default_factory=dict)
     versions: Mapping[str, str | None] = field(default_factory=dict)
 
@@ -125,7 +125,7 @@ def report_to_html(report: PaperReport, folder: Path) -> str:
     )
 
 
-def _embedded(figure: Figure, folder: Path) -> dict[str, Any]:
+def _embedded(figure: PaperFigure, folder: Path) -> dict[str, Any]:
     """The figure with its SVG file as a data URL: identifiers of different figures can't clash."""
     data = base64.b64encode((folder / figure.file(".svg")).read_bytes()).decode("ascii")
     return {

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Drawing
+from matplotlib.figure import Figure
 
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.reports.figure_style import GREY, INK, draw, mark_end
@@ -18,12 +18,12 @@ from flexfmu.cosim.studies.paper.path_figures import (
     draw_mechanism,
     draw_path,
 )
-from flexfmu.cosim.studies.paper.simulations import Case, Simulation, case_scene
+from flexfmu.cosim.studies.paper.simulations import PaperCase, SimulatedCase, case_scene
 
 HEAVY_SCENE = "barnard2012-6kg"
 
 
-def path_errors(simulations: Mapping[Case, Simulation]) -> Drawing:
+def path_errors(simulations: Mapping[PaperCase, SimulatedCase]) -> Figure:
     """Fig. 12: norm of the position error for the payload of 6 kg, one panel for each curve."""
     drawing = draw(7.6, 8.2)
     panels = drawing.subplots(3, 1, sharex=True, sharey=True)
@@ -35,7 +35,7 @@ def path_errors(simulations: Mapping[Case, Simulation]) -> Drawing:
     return drawing
 
 
-def draw_errors(axes: Axes, simulations: Mapping[Case, Simulation], curve: str) -> None:
+def draw_errors(axes: Axes, simulations: Mapping[PaperCase, SimulatedCase], curve: str) -> None:
     """Draw the position error of every motion profile on one curve."""
     for profile, colour in PROFILE_COLOURS.items():
         simulation = simulations[HEAVY_SCENE, profile, curve]
@@ -59,7 +59,7 @@ UNITS = {"mm": 1e3}
 """What to multiply figures of a unit with, so that all of them share one pair of axes."""
 
 
-def overview(simulations: Mapping[Case, Simulation], tables: Sequence[ComparisonTable]) -> Drawing:
+def overview(simulations: Mapping[PaperCase, SimulatedCase], tables: Sequence[ComparisonTable]) -> Figure:
     """The picture for the README."""
     drawing = draw(11.0, 5.0)
     grid = drawing.add_gridspec(2, 2, width_ratios=(1.15, 1.0))

@@ -16,7 +16,7 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.metrics.metrics import measure_run
-from flexfmu.cosim.studies.paper.comparison import Evaluate
+from flexfmu.cosim.studies.paper.comparison import EvaluateCell
 from flexfmu.cosim.studies.paper.reference import PrintedTable, read_data
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
@@ -32,7 +32,7 @@ TRAJECTORY_SCENE = "barnard2012-6kg"
 TRAJECTORY_DURATION = 1.0
 """Cycle time of the paper's comparison of trajectories (Tables 5 and 6, Figs. 7 to 11) [s]."""
 
-Case = tuple[str, str, str]
+PaperCase = tuple[str, str, str]
 """A simulation: shipped scene, motion profile (row), curve (column)."""
 
 
@@ -67,7 +67,7 @@ def trajectory_scene(profile: str, curve: str, **changes: Any) -> Scene:
     return case_scene(TRAJECTORY_SCENE, profile, curve, duration=TRAJECTORY_DURATION, **changes)
 
 
-def simulated_cases(tables: Iterable[PrintedTable]) -> tuple[Case, ...]:
+def simulated_cases(tables: Iterable[PrintedTable]) -> tuple[PaperCase, ...]:
     """Every simulation that the tables need, once each and in the order of the tables.
 
     The two labels of the clothoid pair (``Clothoid``, ``Clot.``) are one simulation.
@@ -95,7 +95,7 @@ def _cases() -> dict[str, dict[str, Any]]:
 
 
 @dataclass(frozen=True)
-class Simulation:
+class SimulatedCase:
     """What is kept of a run.
 
     Attributes:
@@ -107,7 +107,7 @@ class Simulation:
         simulation_time: wall-clock time [s].
     """
 
-    case: Case
+    case: PaperCase
     metrics: Mapping[str, float | None]
     duration: float
     time: RealArray
@@ -116,7 +116,7 @@ class Simulation:
     simulation_time: float
 
 
-def simulate(cases: Iterable[Case]) -> Iterator[Simulation]:
+def simulate(cases: Iterable[PaperCase]) -> Iterator[SimulatedCase]:
     """Run the cases one after the other; the FMU of the first, with other parameters, serves them all.
 
     Raises:
@@ -131,7 +131,7 @@ def simulate(cases: Iterable[Case]) -> Iterator[Simulation]:
         yield _simulation(case, run)
 
 
-def simulation_evaluators(simulations: Mapping[Case, Simulation], scene: str) -> Mapping[str, Evaluate]:
+def simulation_evaluators(simulations: Mapping[PaperCase, SimulatedCase], scene: str) -> Mapping[str, EvaluateCell]:
     """Metric → function of row and column, for a table about the simulations of a scene."""
     return {metric: _evaluator(simulations, scene, metric) for metric in METRICS}
 
@@ -146,8 +146,8 @@ def path_error(run: Run) -> RealArray:
     return np.hypot(x, y)
 
 
-def _simulation(case: Case, run: Run) -> Simulation:
-    return Simulation(
+def _simulation(case: PaperCase, run: Run) -> SimulatedCase:
+    return SimulatedCase(
         case=case,
         metrics={name: measurement.value for name, measurement in measure_run(run, companions=0).items()},
         duration=run.plan.duration,
@@ -158,7 +158,7 @@ def _simulation(case: Case, run: Run) -> Simulation:
     )
 
 
-def _evaluator(simulations: Mapping[Case, Simulation], scene: str, metric: str) -> Evaluate:
+def _evaluator(simulations: Mapping[PaperCase, SimulatedCase], scene: str, metric: str) -> EvaluateCell:
     def evaluate(row: str, column: str) -> float:
         value = simulations[scene, row, canonical_curve(column)].metrics[metric]
         if value is None:
@@ -168,7 +168,7 @@ def _evaluator(simulations: Mapping[Case, Simulation], scene: str, metric: str) 
     return evaluate
 
 
-def write_simulations(simulations: Iterable[Simulation], folder: Path) -> None:
+def write_simulations(simulations: Iterable[SimulatedCase], folder: Path) -> None:
     """Write all metrics of the simulations (SI units) to ``simulations.csv``, one line each.
 
     Raises:

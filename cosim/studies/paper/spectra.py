@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Drawing
+from matplotlib.figure import Figure
 from scipy.signal import periodogram
 
 from flexfmu.cosim.engine.slave import RealArray
@@ -81,7 +81,7 @@ BLEND_LENGTHS = (0.025, 0.0125, 0.006125)
 """Blend lengths d = e of Fig. 11 [m]; the last one as printed (half of 12.5 mm would be 6.25 mm)."""
 
 
-def joint_motion() -> Drawing:
+def joint_motion() -> Figure:
     """Fig. 8: joint angles and accelerations of the Lamé path for 1 s, and the spectra of all motion profiles."""
     drawing = draw(9.6, 7.0)
     # both joints above, spectra below
@@ -105,7 +105,7 @@ def joint_motion() -> Drawing:
     return drawing
 
 
-def cycle_times() -> Drawing:
+def cycle_times() -> Figure:
     """Fig. 10: spectra for cycle times of 1, 0.5 and 0.25 s."""
     scenes = [
         (f"{time:g} s", trajectory_scene(POLYNOMIAL, LAME).replace({"trajectory.duration": time}), colour)
@@ -114,7 +114,7 @@ def cycle_times() -> Drawing:
     return _one_panel(scenes, "Cycle times: polynomial on the Lamé path, joint 1", "cycle time")
 
 
-def blend_lengths() -> Drawing:
+def blend_lengths() -> Figure:
     """Fig. 11: spectra for symmetric blends of 25, 12.5 and 6.125 mm."""
     scenes = [
         (
@@ -129,7 +129,7 @@ def blend_lengths() -> Drawing:
     return _one_panel(scenes, "Blend lengths: polynomial on the Lamé path, 1 s, joint 1", "d = e")
 
 
-def _one_panel(scenes: Iterable[tuple[str, Scene, str]], title: str, legend: str) -> Drawing:
+def _one_panel(scenes: Iterable[tuple[str, Scene, str]], title: str, legend: str) -> Figure:
     drawing = draw(7.2, 4.4)
     axes = drawing.add_subplot()
     _spectra(axes, scenes, joint=0)

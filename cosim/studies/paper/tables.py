@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.reports.text import markdown_table
-from flexfmu.cosim.studies.paper.comparison import Cell, Comparison, ComparisonTable, count_agreement
+from flexfmu.cosim.studies.paper.comparison import Cell, ComparisonTable, QuantityComparison, count_agreement
 from flexfmu.cosim.studies.paper.reference import Remark
 
 CLOSE, NEAR = 0.005, 0.035
@@ -43,7 +43,7 @@ class CellText:
 
 
 @dataclass(frozen=True)
-class Block:
+class QuantityBlock:
     """A quantity: heading with unit and marks, meaning, columns, rows of label and cells."""
 
     name: str
@@ -55,7 +55,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Page:
+class TablePage:
     """A table of the paper, ready to be laid out.
 
     Attributes:
@@ -70,15 +70,15 @@ class Page:
     label: str
     title: str
     remarks: tuple[str, ...]
-    blocks: tuple[Block, ...]
+    blocks: tuple[QuantityBlock, ...]
     footnotes: tuple[tuple[str, str], ...]
     summary: str
 
 
-def lay_out(table: ComparisonTable) -> Page:
+def lay_out(table: ComparisonTable) -> TablePage:
     """Turn a comparison into texts with numbered footnotes."""
     remarks = tuple(remark for comparison in table.comparisons for remark in comparison.quantity.remarks)
-    return Page(
+    return TablePage(
         key=table.printed.key,
         label=table.printed.label,
         title=table.printed.title,
@@ -96,9 +96,9 @@ def percentage(relative: float) -> str:
     return f"{value:+.{decimals}f}\N{NO-BREAK SPACE}%".replace("-", "\N{MINUS SIGN}")
 
 
-def _block(comparison: Comparison, remarks: tuple[Remark, ...]) -> Block:
+def _block(comparison: QuantityComparison, remarks: tuple[Remark, ...]) -> QuantityBlock:
     quantity = comparison.quantity
-    return Block(
+    return QuantityBlock(
         name=quantity.name,
         unit=quantity.unit,
         marks=_marks([remark for remark in quantity.remarks if _is_general(remark)], remarks),
@@ -147,7 +147,7 @@ def _footnote(remark: Remark) -> str:
     return f"{remark.verdict.value.capitalize()}: {remark.text}"
 
 
-def table_to_markdown(page: Page) -> str:
+def table_to_markdown(page: TablePage) -> str:
     """One table of the paper: every cell as paper → computed (relative error)."""
     parts = [f"## {page.label}. {page.title}", *page.remarks, *(_block_to_markdown(block) for block in page.blocks)]
     if page.footnotes:
@@ -155,7 +155,7 @@ def table_to_markdown(page: Page) -> str:
     return "\n\n".join([*parts, f"**{page.summary}**"]) + "\n"
 
 
-def _block_to_markdown(block: Block) -> str:
+def _block_to_markdown(block: QuantityBlock) -> str:
     lines = [
         f"**{block.name}** [{block.unit}]{block.marks}: {block.meaning}; paper → computed (relative error)",
         "",
@@ -176,7 +176,7 @@ def _cell_to_markdown(cell: CellText) -> str:
 _COLOURS = {Grade.CLOSE: "green", Grade.NEAR: "yellow", Grade.FAR: "red", Grade.MISPRINT: "bright_black"}
 
 
-def print_page(page: Page, console: Console) -> None:
+def print_page(page: TablePage, console: Console) -> None:
     """Print one table of the paper."""
     console.print()
     console.print(Text(f"{page.label}. {page.title}", style="bold"))
@@ -189,7 +189,7 @@ def print_page(page: Page, console: Console) -> None:
     console.print(Text(page.summary, style="bold"))
 
 
-def _block_to_rich(block: Block) -> Table:
+def _block_to_rich(block: QuantityBlock) -> Table:
     title = Text(f"{block.name} [{block.unit}]{block.marks}: paper → computed", style="italic")
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("")
@@ -236,7 +236,7 @@ def table_to_csv(table: ComparisonTable) -> str:
     return text.getvalue()
 
 
-def _csv_line(table: ComparisonTable, comparison: Comparison, cell: Cell) -> list[str]:
+def _csv_line(table: ComparisonTable, comparison: QuantityComparison, cell: Cell) -> list[str]:
     quantity = comparison.quantity
     return [
         table.printed.label,

@@ -35,7 +35,7 @@ SMALLEST = 2.0**-12
 
 
 @dataclass(frozen=True)
-class Piece:
+class MotionPolynomial:
     """Joint angles over an interval of time.
 
     Attributes:
@@ -53,13 +53,13 @@ class Piece:
         return np.concatenate([[self.begin, self.end], self.coefficients.ravel(order="F")])
 
 
-def pieces(motion: Trajectory, stop: float) -> tuple[Piece, ...]:
+def motion_polynomials(motion: Trajectory, stop: float) -> tuple[MotionPolynomial, ...]:
     """Polynomials that follow a joint motion, and its standstill afterwards, up to ``stop`` [s]."""
     points = [*motion.breakpoints, *([stop] if stop > motion.duration else [])]
     return tuple(piece for begin, end in pairwise(points) for piece in _split(motion, begin, end, end - begin))
 
 
-def _split(motion: Trajectory, begin: float, end: float, whole: float) -> Iterator[Piece]:
+def _split(motion: Trajectory, begin: float, end: float, whole: float) -> Iterator[MotionPolynomial]:
     piece, error = _fit(motion, begin, end)
     if error <= ACCURACY or end - begin <= SMALLEST * whole:
         yield piece
@@ -69,7 +69,7 @@ def _split(motion: Trajectory, begin: float, end: float, whole: float) -> Iterat
     yield from _split(motion, middle, end, whole)
 
 
-def _fit(motion: Trajectory, begin: float, end: float) -> tuple[Piece, float]:
+def _fit(motion: Trajectory, begin: float, end: float) -> tuple[MotionPolynomial, float]:
     """Interpolation in Chebyshev's points, and its error in between."""
     half, centre = 0.5 * (end - begin), 0.5 * (begin + end)
     nodes = chebyshev.chebpts1(DEGREE + 1)
@@ -77,7 +77,7 @@ def _fit(motion: Trajectory, begin: float, end: float) -> tuple[Piece, float]:
     values = motion.evaluate(centre + half * np.concatenate([nodes, between]), 2)
     series = np.stack([chebyshev.chebfit(nodes, each[: DEGREE + 1], DEGREE) for each in values])
     error = np.abs(chebyshev.chebval(between, series[0]).T - values[0, DEGREE + 1 :]).max()
-    return Piece(begin, end, series), float(error / max(1.0, np.ptp(values[0])))
+    return MotionPolynomial(begin, end, series), float(error / max(1.0, np.ptp(values[0])))
 
 
 Symbol = Any
@@ -88,7 +88,7 @@ NUMBERS = 2 + 3 * (DEGREE + 1) * 2
 
 
 @dataclass(frozen=True)
-class Equations:
+class InitialValueProblem:
     """dz/dt = f(t, z) with z = [q_e, dq_e/dt / pace]: solvers have one absolute tolerance for both.
 
     Attributes:
@@ -117,7 +117,7 @@ class Equations:
 
 
 @lru_cache(maxsize=4)
-def equations(scene: Scene, joints: tuple[float, float]) -> Equations:
+def equations(scene: Scene, joints: tuple[float, float]) -> InitialValueProblem:
     """The equations of a scene, that starts at these joint angles [rad]."""
     model, pace = numeric_model(scene), _pace(scene, joints)
     n, t = model.n, casadi.SX.sym("t")
@@ -139,7 +139,7 @@ def equations(scene: Scene, joints: tuple[float, float]) -> Equations:
     # compiled with its Jacobian
     compiled = compile_function(rate, jacobian)
     position = casadi.densify(model.motion(q, v, acceleration, u)[0])
-    return Equations(
+    return InitialValueProblem(
         n=n,
         rate=compiled,
         jacobian=compiled.jacobian(),

@@ -18,7 +18,7 @@ from matplotlib.ticker import LogFormatter
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.reports.figure_style import GREY, draw, save, style
-from flexfmu.cosim.studies.workprec.study import FAMILIES, Study, sentence
+from flexfmu.cosim.studies.workprec.study import FAMILIES, WorkPrecisionStudy, sentence
 from flexfmu.cosim.studies.workprec.trial import Trial
 
 FONT_SIZE = 5.5
@@ -145,7 +145,7 @@ FLOOR = 1e-12
 """Errors below are drawn here: the references agree no better."""
 
 
-def save_figures(study: Study, folder: Path) -> list[str]:
+def save_figures(study: WorkPrecisionStudy, folder: Path) -> list[str]:
     """Write ``workprec.png`` with all diagrams and one picture for each family; the names.
 
     Raises:
@@ -168,7 +168,7 @@ def save_figures(study: Study, folder: Path) -> list[str]:
     return names
 
 
-def _all(study: Study, names: Sequence[str]) -> Figure:
+def _all(study: WorkPrecisionStudy, names: Sequence[str]) -> Figure:
     """All diagrams beside each other."""
     rows = max(1, (len(names) + 1) // 2)
     figure = draw(13.0, 4.8 * rows)
@@ -180,13 +180,13 @@ def _all(study: Study, names: Sequence[str]) -> Figure:
     return figure
 
 
-def lines_of(study: Study, name: str) -> dict[str, list[Trial]]:
+def lines_of(study: WorkPrecisionStudy, name: str) -> dict[str, list[Trial]]:
     """Line → its trials."""
     trials = study.family(name)
     return {line: [each for each in trials if each.line == line] for line in dict.fromkeys(t.line for t in trials)}
 
 
-def draw_family(axes: Axes, study: Study, name: str) -> None:
+def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
     """One diagram."""
     # a line for each method; failures as crosses at the right
     lines = lines_of(study, name)
@@ -218,7 +218,7 @@ def draw_family(axes: Axes, study: Study, name: str) -> None:
     factor.set_ylabel("times real time")
 
 
-def html(study: Study) -> str:
+def html(study: WorkPrecisionStudy) -> str:
     """The page; the drawing library is inside, nothing is fetched."""
     import plotly.io as pio
 
@@ -231,7 +231,7 @@ def html(study: Study) -> str:
     return f"<!doctype html><html lang=en><head>{head}</head><body><h1>{title}</h1><p>{sentence(study)}</p>{''.join(parts)}</body></html>"
 
 
-def _figure(study: Study, name: str) -> Any:
+def _figure(study: WorkPrecisionStudy, name: str) -> Any:
     import plotly.graph_objects as go
 
     figure = go.Figure()

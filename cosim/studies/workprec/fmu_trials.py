@@ -12,7 +12,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import fastest, fastest_in_turns
-from flexfmu.cosim.studies.workprec.trial import Subject, Trial, completed
+from flexfmu.cosim.studies.workprec.trial import SceneUnderTest, Trial, completed
 from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.scene.loop import SampledSection
 from flexfmu.model.scene.schema import Scene
@@ -41,7 +41,7 @@ FAILURES = (CosimError, BuildError)
 
 
 def integrator_trials(
-    subject: Subject,
+    subject: SceneUnderTest,
     step: float,
     announce: Announce,
     controlled: Sequence[str] = CONTROLLED,
@@ -60,7 +60,7 @@ def integrator_trials(
         yield fmu_trial(subject, "integrators", "rk4", f"{1e6 * fixed:g} µs", scene, {"communication_step": step})
 
 
-def coupling_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
+def coupling_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[Trial]:
     """Communication steps for each order of the input polynomials, with a tight tolerance of the integrator."""
     for order in ORDERS:
         for step in STEPS:
@@ -69,7 +69,7 @@ def coupling_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
             yield fmu_trial(subject, "communication", f"inputs of degree {order}", f"{1e3 * step:g} ms", {}, options)
 
 
-def algorithm_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
+def algorithm_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[Trial]:
     """Coupling algorithms of the master over communication steps, for scenes with something to couple."""
     section = subject.scene.cosimulation
     samples = [each.sample_time for each in subject.scene.controller if isinstance(each, SampledSection)]
@@ -83,7 +83,7 @@ def algorithm_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
 
 
 def fmu_trial(
-    subject: Subject,
+    subject: SceneUnderTest,
     family: str,
     line: str,
     label: str,
@@ -158,7 +158,7 @@ def ladder() -> tuple[Rung, ...]:
     )
 
 
-def effect_trials(subject: Subject, step: float, tolerance: float, announce: Announce) -> Iterator[Trial]:
+def effect_trials(subject: SceneUnderTest, step: float, tolerance: float, announce: Announce) -> Iterator[Trial]:
     """Every rung, its error against the richest set, its time in turns with the others; the scene's damping and loads stay."""
     announce("richest set of effects")
     options = {"communication_step": step, "tolerance": tolerance}
@@ -178,7 +178,7 @@ def effect_trials(subject: Subject, step: float, tolerance: float, announce: Ann
     yield from (replace(trial, time=time) for (trial, _), time in zip(runs, times, strict=True))
 
 
-def _rung_trial(truth: Subject, rung: Rung, options: Mapping[str, float]) -> tuple[Trial, PreparedScene | None]:
+def _rung_trial(truth: SceneUnderTest, rung: Rung, options: Mapping[str, float]) -> tuple[Trial, PreparedScene | None]:
     """A rung's error, and its run where there is one to be timed."""
     try:
         scene = _with(truth.scene, rung)

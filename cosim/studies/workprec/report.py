@@ -8,13 +8,13 @@ from rich.table import Column, Table
 
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.text import markdown_table, titled_table
-from flexfmu.cosim.studies.workprec.study import Study, advantages, sentence
+from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy, advantages, sentence
 from flexfmu.cosim.studies.workprec.trial import Trial
 
 COLUMNS = ("family", "line", "setting", "error", "time ms", "x real time", "note")
 
 
-def terminal_table(study: Study) -> Table:
+def terminal_table(study: WorkPrecisionStudy) -> Table:
     """One line for each trial."""
     title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, what elasticity does"
     words = [Column(each, no_wrap=True) for each in COLUMNS[:3]]
@@ -25,7 +25,7 @@ def terminal_table(study: Study) -> Table:
     return table
 
 
-def row(study: Study, trial: Trial) -> tuple[str, ...]:
+def row(study: WorkPrecisionStudy, trial: Trial) -> tuple[str, ...]:
     """Cells of a trial."""
     if trial.error is None or trial.time is None:
         return (trial.family, trial.line, trial.label, "failed", "", "", trial.note)
@@ -41,7 +41,7 @@ def row(study: Study, trial: Trial) -> tuple[str, ...]:
     )
 
 
-def notes(study: Study) -> list[str]:
+def notes(study: WorkPrecisionStudy) -> list[str]:
     """What stands below the table."""
     found = [sentence(study)]
     agreement = f", which agree within {study.agreement:.1e}" if study.agreement is not None else ""
@@ -53,14 +53,14 @@ def notes(study: Study) -> list[str]:
     return found
 
 
-def markdown(study: Study) -> str:
+def markdown(study: WorkPrecisionStudy) -> str:
     """Table and notes."""
     rule = [":--", ":--", ":--", "--:", "--:", "--:", ":--"]
     table = markdown_table(COLUMNS, rule, [row(study, trial) for trial in study.trials])
     return "\n\n".join([f"# Work and precision: {study.scene.name}", *notes(study), table]) + "\n"
 
 
-def data(study: Study) -> dict[str, Any]:
+def data(study: WorkPrecisionStudy) -> dict[str, Any]:
     """Everything for machines."""
     return {
         "scene": study.scene.name,

@@ -16,20 +16,20 @@ from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.studies.workprec.equations import (
     NUMBERS,
     BoundFunction,
-    Equations,
-    Piece,
+    InitialValueProblem,
+    MotionPolynomial,
     equations,
     joint_motion,
-    pieces,
+    motion_polynomials,
 )
 from flexfmu.cosim.studies.workprec.fmu_trials import Announce
-from flexfmu.cosim.studies.workprec.trial import Curve, RunError, Subject, Trial, sweep
+from flexfmu.cosim.studies.workprec.trial import Curve, RunError, SceneUnderTest, Trial, sweep
 from flexfmu.model.multipliers import PASSIVE, ConstrainedModel, constrained_model
 
-Method = Literal["Radau", "BDF", "LSODA", "DOP853"]
+ScipyMethod = Literal["Radau", "BDF", "LSODA", "DOP853"]
 
-SCIPY: tuple[Method, ...] = ("Radau", "BDF", "LSODA", "DOP853")
-IMPLICIT: tuple[Method, ...] = ("Radau", "BDF", "LSODA")
+SCIPY: tuple[ScipyMethod, ...] = ("Radau", "BDF", "LSODA", "DOP853")
+IMPLICIT: tuple[ScipyMethod, ...] = ("Radau", "BDF", "LSODA")
 """Those that take a Jacobian."""
 
 TOLERANCES = tuple(float(f"1e-{digits}") for digits in range(2, 13))
@@ -40,12 +40,12 @@ ABSOLUTE = 1e-4
 of this size bend."""
 
 
-def scipy_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[Trial]:
+def scipy_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[Trial]:
     """SciPy's solvers with the exact Jacobian, restarted at every breakpoint, positions at the instants of comparison."""
     system, parts = system_of(subject)
     for method in SCIPY:
 
-        def trial(tolerance: float, method: Method = method) -> Trial:
+        def trial(tolerance: float, method: ScipyMethod = method) -> Trial:
             announce(f"SciPy {method}, tolerance {tolerance:.0e}")
             run = scipy_run(subject, system, parts, method, tolerance)
             return solver_trial(subject, f"SciPy {method}", f"{tolerance:.0e}", run)
@@ -53,7 +53,7 @@ def scipy_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[
         yield from sweep(TOLERANCES, trial, ours)
 
 
-def sundials_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[Trial]:
+def sundials_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[Trial]:
     """CVODES through CasADi, rate and exact Jacobian compiled, restarted at every breakpoint."""
     system, parts = system_of(subject)
 
@@ -65,13 +65,13 @@ def sundials_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterat
     yield from sweep(TOLERANCES, trial, ours)
 
 
-def system_of(subject: Subject) -> tuple[Equations, tuple[Piece, ...]]:
+def system_of(subject: SceneUnderTest) -> tuple[InitialValueProblem, tuple[MotionPolynomial, ...]]:
     """Equations and motion of a motion-driven scene."""
     q1, q2 = subject.motion.joints.evaluate(0.0, 0)[0, 0]
-    return equations(subject.scene, (float(q1), float(q2))), pieces(subject.motion.joints, subject.stop)
+    return equations(subject.scene, (float(q1), float(q2))), motion_polynomials(subject.motion.joints, subject.stop)
 
 
-def solver_trial(subject: Subject, line: str, label: str, run: Callable[[], RealArray]) -> Trial:
+def solver_trial(subject: SceneUnderTest, line: str, label: str, run: Callable[[], RealArray]) -> Trial:
     """One run of a solver: (N, 2) positions at the instants of comparison."""
     try:
         error = subject.error(run())
@@ -80,13 +80,13 @@ def solver_trial(subject: Subject, line: str, label: str, run: Callable[[], Real
     return Trial("tools", line, label, error, fastest(run))
 
 
-def independent_reference(subject: Subject, tolerance: float = 1e-11) -> RealArray:
+def independent_reference(subject: SceneUnderTest, tolerance: float = 1e-11) -> RealArray:
     """(N, 2) positions [m] by DOP853, which shares neither integrator nor master with ours."""
     system, parts = system_of(subject)
     return scipy_run(subject, system, parts, "DOP853", tolerance)()
 
 
-def compared(subject: Subject, piece: Piece) -> RealArray:
+def compared(subject: SceneUnderTest, piece: MotionPolynomial) -> RealArray:
     """Instants of comparison that belong to a piece, its beginning but not its end; the very last one to the last."""
     is_last = piece.end >= subject.stop * (1.0 - 1e-12)
     up_to = np.inf if is_last else piece.end
@@ -99,10 +99,10 @@ def ends(instants: RealArray, end: float) -> RealArray:
 
 
 def scipy_run(
-    subject: Subject,
-    system: Equations,
-    parts: tuple[Piece, ...],
-    method: Method,
+    subject: SceneUnderTest,
+    system: InitialValueProblem,
+    parts: tuple[MotionPolynomial, ...],
+    method: ScipyMethod,
     tolerance: float,
     exact_jacobian: bool = True,
 ) -> Callable[[], RealArray]:
@@ -148,7 +148,11 @@ def scipy_run(
 
 
 def _sundials(
-    subject: Subject, system: Equations, parts: tuple[Piece, ...], plugin: str, tolerance: float
+    subject: SceneUnderTest,
+    system: InitialValueProblem,
+    parts: tuple[MotionPolynomial, ...],
+    plugin: str,
+    tolerance: float,
 ) -> Callable[[], RealArray]:
     t, z, p = casadi.MX.sym("t"), casadi.MX.sym("z", 2 * system.n), casadi.MX.sym("p", NUMBERS)
     problem = {"t": t, "x": z, "p": p, "ode": system.rate(t, z, p)}
@@ -172,14 +176,14 @@ def _sundials(
     return run
 
 
-SOLVER: Method = "Radau"
+SOLVER: ScipyMethod = "Radau"
 FORMULATION_TOLERANCES = (1e-3, 1e-5, 1e-7)
 
 RATES = {"index 1": 0.0, "index 1, Baumgarte 100/s": 100.0}
 """Line → rate of the stabilisation [1/s]."""
 
 
-def formulation_trials(subject: Subject, announce: Announce) -> Iterator[Trial]:
+def formulation_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[Trial]:
     """SciPy's Radau on every formulation; notes have the largest violation of the constraints."""
     system, parts = system_of(subject)
     for tolerance in FORMULATION_TOLERANCES:
@@ -211,10 +215,10 @@ def index_one(model: ConstrainedModel, rate: float) -> casadi.Function:
 
 
 def _index_one_trial(
-    subject: Subject,
+    subject: SceneUnderTest,
     model: ConstrainedModel,
     function: casadi.Function,
-    parts: tuple[Piece, ...],
+    parts: tuple[MotionPolynomial, ...],
     line: str,
     tolerance: float,
 ) -> Trial:
@@ -231,7 +235,11 @@ def _index_one_trial(
 
 
 def _index_one_run(
-    subject: Subject, model: ConstrainedModel, function: casadi.Function, parts: tuple[Piece, ...], tolerance: float
+    subject: SceneUnderTest,
+    model: ConstrainedModel,
+    function: casadi.Function,
+    parts: tuple[MotionPolynomial, ...],
+    tolerance: float,
 ) -> Callable[[], RealArray]:
     rates = [BoundFunction(function, piece.numbers) for piece in parts]
     joints = subject.motion.joints.evaluate(0.0, 0)[0, 0]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from flexfmu.cosim.studies.workprec import fmu_trials, solver_trials, tool_trials
 from flexfmu.cosim.studies.workprec.fmu_trials import Announce
 from flexfmu.cosim.studies.workprec.tool_trials import PAPER_LINE
-from flexfmu.cosim.studies.workprec.trial import Curve, Subject, Trial, subject_of
+from flexfmu.cosim.studies.workprec.trial import Curve, SceneUnderTest, Trial, subject_of
 from flexfmu.model.scene.schema import Scene
 
 STEP = 1e-3
@@ -22,7 +22,7 @@ LADDER_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
-class Study:
+class WorkPrecisionStudy:
     """What was found out about a scene.
 
     Attributes:
@@ -50,7 +50,7 @@ FAMILIES = ("integrators", "communication", "algorithms", "effects", "formulatio
 """Questions that can be asked, in this order."""
 
 
-def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: float = STEP) -> Study:
+def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: float = STEP) -> WorkPrecisionStudy:
     """Measure.
 
     Args:
@@ -71,11 +71,11 @@ def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: f
     makers = _makers(subject, step, announce, trials)
     for name in (each for each in FAMILIES if each in families):
         trials += makers[name]()
-    return Study(scene, subject.stop, subject.scale, agreement, references, tuple(trials))
+    return WorkPrecisionStudy(scene, subject.stop, subject.scale, agreement, references, tuple(trials))
 
 
 def _makers(
-    subject: Subject, step: float, announce: Announce, known: Sequence[Trial]
+    subject: SceneUnderTest, step: float, announce: Announce, known: Sequence[Trial]
 ) -> dict[str, Callable[[], Iterator[Trial]]]:
     """Family → what makes its trials, given those of the families before it."""
     has_equations = is_differential_equation(subject.scene)
@@ -110,7 +110,7 @@ def is_differential_equation(scene: Scene) -> bool:
     return scene.cosimulation.drive == "motion" and not (scene.controller or scene.imperfection or is_sampled)
 
 
-def _check_reference(subject: Subject, announce: Announce) -> tuple[float | None, str]:
+def _check_reference(subject: SceneUnderTest, announce: Announce) -> tuple[float | None, str]:
     """Compare the reference with one that shares neither integrator nor master."""
     own = "our FMU, Gauss collocation at 1e-12, 0.25 ms steps"
     if not is_differential_equation(subject.scene):
@@ -135,7 +135,7 @@ def cheapest(trials: Iterable[Trial], error: float) -> Trial | None:
     return min(good, key=lambda each: each.time or 0.0, default=None)
 
 
-def sentence(study: Study) -> str:
+def sentence(study: WorkPrecisionStudy) -> str:
     """What accuracy costs on this scene."""
     ours = [each for each in study.trials if each.family in CHOICES]
     first, second = (cheapest(ours, error) for error in ASKED)
@@ -165,7 +165,7 @@ class Advantage:
     ratio: float
 
 
-def advantages(study: Study) -> dict[str, Advantage]:
+def advantages(study: WorkPrecisionStudy) -> dict[str, Advantage]:
     """Line of another tool → what it takes for an error of `COMPARED`, or for the nearest one that it has reached."""
     tools = study.family("tools")
     curves = {

@@ -19,7 +19,7 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.studies.references import DAMPING_TIME, compare_motions
 from flexfmu.cosim.studies.workprec.fmu_trials import Announce
-from flexfmu.cosim.studies.workprec.trial import SAMPLING, Curve, RunError, Subject, Trial, completed, sweep
+from flexfmu.cosim.studies.workprec.trial import SAMPLING, Curve, RunError, SceneUnderTest, Trial, completed, sweep
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.model.scene.effects import ModalDamping
 from flexfmu.model.scene.errors import SceneError
@@ -38,7 +38,7 @@ PAPER_SHARE = 50
 """A run at 10 MHz is simulated over this fraction of the whole time, and its time multiplied: it would take a minute."""
 
 
-def model_exchange_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[Trial]:
+def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[Trial]:
     """fmpy integrates the FMU with CVODE; the references are a table of values, as fmpy takes no derivatives.
 
     What is measured is fmpy's import: it sets inputs at the ends of output intervals alone, an error of first order that no tolerance
@@ -72,7 +72,7 @@ def model_exchange_trials(subject: Subject, ours: Curve, announce: Announce) -> 
     yield from sweep(CVODE_SETTINGS, trial, ours)
 
 
-def input_table(subject: Subject, spacing: float) -> Any:
+def input_table(subject: SceneUnderTest, spacing: float) -> Any:
     """Joint references every ``spacing`` [s], as fmpy takes them."""
     time = spacing * np.arange(round(subject.stop / spacing) + 2)
     motion = subject.motion.joints.evaluate(time, 2)
@@ -84,7 +84,7 @@ def input_table(subject: Subject, spacing: float) -> Any:
     return table
 
 
-def paper_trial(subject: Subject, announce: Announce) -> Trial:
+def paper_trial(subject: SceneUnderTest, announce: Announce) -> Trial:
     """The classical Runge-Kutta method at 10 MHz over the beginning of the motion, its time scaled up."""
     announce(PAPER_LINE)
     changes = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": PAPER_STEP}
@@ -100,7 +100,7 @@ def paper_trial(subject: Subject, announce: Announce) -> Trial:
     return Trial("tools", PAPER_LINE, "0.1 µs", subject.error(subject.positions(run)), time, note)
 
 
-def _fmpy_trial(subject: Subject, arguments: dict[str, Any], label: str) -> Trial:
+def _fmpy_trial(subject: SceneUnderTest, arguments: dict[str, Any], label: str) -> Trial:
     def run() -> Any:
         return fmpy.simulate_fmu(**arguments)
 
@@ -127,7 +127,7 @@ CONVERGED_ELEMENTS, CONVERGED_STEP = 4, 2.5e-5
 """Exudyn's own reference."""
 
 
-def exudyn_trials(subject: Subject, ours: Curve, announce: Announce) -> Iterator[Trial]:
+def exudyn_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[Trial]:
     """The same mechanism by ANCF beam elements; errors are counted from Exudyn's own converged run, since all its links bend
     and stretch whatever the scene chooses, and it has no modal damping."""
     if find_spec("exudyn") is None:

@@ -25,7 +25,7 @@ REFERENCE_STEP = 2.5e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class SceneUnderTest:
     """A scene under test.
 
     Attributes:
@@ -74,9 +74,9 @@ class Subject:
         return float(np.nanmax(distance)) / self.scale
 
 
-def subject_of(scene: Scene) -> Subject:
+def subject_of(scene: Scene) -> SceneUnderTest:
     """A scene with its planned motion, shapers included."""
-    return Subject(scene, loop_of(scene).motion)
+    return SceneUnderTest(scene, loop_of(scene).motion)
 
 
 def completed(run: Run) -> Run:
@@ -100,7 +100,7 @@ TOO_SLOW = 100.0
 TINY = 1e-300
 """Error of a result without any, as far as logarithms are concerned."""
 
-Setting = TypeVar("Setting")
+TrialSetting = TypeVar("TrialSetting")
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class Curve:
         return float(np.exp(np.interp(np.log(error), np.log(np.maximum(errors, TINY)), np.log(times))))
 
 
-def sweep(settings: Iterable[Setting], run: Callable[[Setting], Trial], ours: Curve) -> Iterator[Trial]:
+def sweep(settings: Iterable[TrialSetting], run: Callable[[TrialSetting], Trial], ours: Curve) -> Iterator[Trial]:
     """Trials of another tool, the loosest setting first, until it is as accurate as our best or `TOO_SLOW` for its error."""
     for setting in settings:
         trial = run(setting)

@@ -12,7 +12,7 @@ from ssp_support.packages import CONNECTION, NAMESPACES, SSD, binding, inline, o
 from flexfmu.cosim.engine.master.linear_map import LinearMap
 from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
-from flexfmu.cosim.exchange.ssp.structure import SspError, Unit, ValueMap
+from flexfmu.cosim.exchange.ssp.structure import SspError, SspUnit, ValueMap
 
 MakeSsp = Callable[..., Path]
 STEP, COUNT = 0.125, 8
@@ -85,15 +85,15 @@ def test_units_are_converted(
 
 def test_units_with_offsets() -> None:
     """Temperatures: 20 °C are 68 °F, 293.15 K and 293150 mK, there and back; a length is no temperature."""
-    celsius, kelvin = Unit("degC", {"K": 1}, 1.0, 273.15), Unit("K", {"K": 1})
-    fahrenheit, millikelvin = Unit("degF", {"K": 1}, 5.0 / 9.0, 459.67 * 5.0 / 9.0), Unit("mK", {"K": 1}, 1e-3)
+    celsius, kelvin = SspUnit("degC", {"K": 1}, 1.0, 273.15), SspUnit("K", {"K": 1})
+    fahrenheit, millikelvin = SspUnit("degF", {"K": 1}, 5.0 / 9.0, 459.67 * 5.0 / 9.0), SspUnit("mK", {"K": 1}, 1e-3)
     for unit, expected in ((fahrenheit, 68.0), (kelvin, 293.15), (millikelvin, 293150.0)):
         there, back = celsius.to(unit), unit.to(celsius)
         assert there is not None
         assert back is not None
         assert there(20.0) == pytest.approx(expected, rel=1e-13)
         assert back(expected) == pytest.approx(20.0, rel=1e-13)
-    assert celsius.to(Unit("m", {"m": 1})) is None
+    assert celsius.to(SspUnit("m", {"m": 1})) is None
 
 
 SET = parameter_set(

@@ -17,14 +17,14 @@ from flexfmu.cosim.exchange.ssp.reading import read_structure
 from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
     Component,
-    Connection,
     Connector,
     MappingEntry,
     Parameter,
     ParameterSet,
+    SspConnection,
+    SspUnit,
     Structure,
-    System,
-    Unit,
+    Subsystem,
     ValueMap,
 )
 from flexfmu.cosim.exchange.ssp.writing import ssd_xml, ssv_xml
@@ -34,7 +34,7 @@ NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 FACTORS = NUMBERS.filter(bool)
 LINEAR = st.builds(LinearMap, NUMBERS, NUMBERS)
 UNITS = st.builds(
-    Unit,
+    SspUnit,
     NAMES,
     st.dictionaries(st.sampled_from(BASE_UNITS), st.integers(-4, 4).filter(bool)),
     FACTORS,
@@ -88,9 +88,9 @@ COMPONENTS = st.builds(
     implementation=st.sampled_from(["any", "CoSimulation", "ModelExchange"]),
 )
 ENDS = st.tuples(st.none() | NAMES, NAMES)
-CONNECTIONS = few(st.builds(Connection, ENDS, ENDS, TRANSFORMATIONS, st.booleans()))
+CONNECTIONS = few(st.builds(SspConnection, ENDS, ENDS, TRANSFORMATIONS, st.booleans()))
 SYSTEM = (NAMES, few(COMPONENTS, "name"), CONNECTIONS, few(connectors(), "name"), few(BINDINGS))
-SYSTEMS = st.builds(System, *SYSTEM) | st.builds(System, *SYSTEM, few(st.builds(System, *SYSTEM), "name"))
+SYSTEMS = st.builds(Subsystem, *SYSTEM) | st.builds(Subsystem, *SYSTEM, few(st.builds(Subsystem, *SYSTEM), "name"))
 STRUCTURES = st.builds(
     Structure,
     NAMES,

@@ -18,15 +18,15 @@ from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.studies.hard import extremes, judging, singularity, suite
-from flexfmu.cosim.studies.hard.case import Check, Finding, HardCase, paper_robot, run_case
+from flexfmu.cosim.studies.hard.case import CaseReport, Criterion, HardCase, paper_robot, run_case
 from flexfmu.cosim.studies.hard.extremes import STIFF
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
 
 ROOT = Path(__file__).parents[4]
-PASSED = Finding("all is well", (Check("error", 1e-6, 1e-5), Check("numbers not finite", 0.0, 0.0)))
-FAILED = Finding("it blew | up", (Check("error", nan, 1e-5, "m"),))
+PASSED = CaseReport("all is well", (Criterion("error", 1e-6, 1e-5), Criterion("numbers not finite", 0.0, 0.0)))
+FAILED = CaseReport("it blew | up", (Criterion("error", nan, 1e-5, "m"),))
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +42,15 @@ def changed(run: Run, name: str, change: Callable[[np.ndarray], np.ndarray]) -> 
     return replace(run, recording=Recording(run.recording.time, columns))
 
 
-def values(checks: tuple[Check, ...]) -> dict[str, bool]:
+def values(checks: tuple[Criterion, ...]) -> dict[str, bool]:
     """Name → passed."""
     return {check.name: check.passed for check in checks}
 
 
 def test_a_number_that_is_none_never_passes() -> None:
     """NaN compares false with everything, which must not count as within the limit; nothing measured is no success."""
-    assert not Check("error", nan, 1.0).passed
-    assert not Finding("nothing was looked at", ()).passed
+    assert not Criterion("error", nan, 1.0).passed
+    assert not CaseReport("nothing was looked at", ()).passed
     assert not FAILED.passed
     assert PASSED.passed
 
@@ -125,7 +125,7 @@ def test_figures_that_make_models_stiff() -> None:
 def test_command_tells_what_happened(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A failed case, and one that can't even be run, are shown beside the others, and the exit status is 1."""
 
-    def broken() -> Finding:
+    def broken() -> CaseReport:
         raise SlaveError("plant", "it refuses")
 
     suspects = [("good", lambda: PASSED), ("bad", lambda: FAILED), ("broken", broken)]

@@ -12,22 +12,22 @@ import pytest
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.studies.paper import command
-from flexfmu.cosim.studies.paper.simulations import Case, PaperError, Simulation, simulation_evaluators
+from flexfmu.cosim.studies.paper.simulations import PaperCase, PaperError, SimulatedCase, simulation_evaluators
 
-CASES: tuple[Case, ...] = (
+CASES: tuple[PaperCase, ...] = (
     ("barnard2012-6kg", "Bang-bang", "Lamé"),
     ("barnard2012-6kg", "Bang-bang", "Clothoid"),
     ("barnard2012-6kg", "Bang-bang", "Polar"),
 )
 
 
-def simulation(case: Case) -> Simulation:
+def simulation(case: PaperCase) -> SimulatedCase:
     """A simulation whose metrics are 1, 2, 3, ... in the order of `METRICS`."""
     metrics = {name: float(index) for index, name in enumerate(METRICS, 1)}
-    return Simulation(case, metrics, 0.43, np.array([0.0, 0.68]), np.array([0.0, 1e-4]), Path("plant.fmu"), 0.2)
+    return SimulatedCase(case, metrics, 0.43, np.array([0.0, 0.68]), np.array([0.0, 1e-4]), Path("plant.fmu"), 0.2)
 
 
-def fail_after_two(cases: Iterable[Case]) -> Iterator[Simulation]:
+def fail_after_two(cases: Iterable[PaperCase]) -> Iterator[SimulatedCase]:
     done = [simulation(case) for case in cases]
     yield from done[:2]
     raise PaperError("the FMU gave up at 0.1 s")
@@ -37,7 +37,7 @@ def test_simulations_before_a_failure_are_kept(tmp_path: Path, monkeypatch: pyte
     """An interruption after two of three simulations leaves two lines of metrics."""
     monkeypatch.setattr(command, "simulate", fail_after_two)
     with pytest.raises(PaperError, match="gave up"):
-        command.run_cases(CASES, tmp_path, lambda what, fraction: None)
+        command.simulate_cases(CASES, tmp_path, lambda what, fraction: None)
     lines = list(csv.DictReader((tmp_path / "simulations.csv").read_text(encoding="utf-8").splitlines()))
     assert [(line["scene"], line["profile"], line["curve"]) for line in lines] == list(CASES[:2])
     assert float(lines[0]["peak_torque_1"]) == 1.0
@@ -54,7 +54,7 @@ def test_progress_never_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """The bar that the user sees grows from 0 to 1."""
     monkeypatch.setattr(command, "simulate", lambda cases: map(simulation, cases))
     seen: list[float] = []
-    command.run_cases(CASES, tmp_path, lambda what, fraction: seen.append(fraction))
+    command.simulate_cases(CASES, tmp_path, lambda what, fraction: seen.append(fraction))
     assert seen == sorted(seen)
     assert 0.0 <= seen[0] <= seen[-1] <= 1.0
 
@@ -69,6 +69,6 @@ def test_both_names_of_the_clothoid_pair_are_one_simulation() -> None:
 def test_a_metric_without_a_value_is_an_error() -> None:
     """A run that was cut short must not become an empty cell."""
     case = CASES[0]
-    broken = Simulation(case, dict.fromkeys(METRICS), 0.43, np.zeros(1), np.zeros(1), Path("plant.fmu"), 0.0)
+    broken = SimulatedCase(case, dict.fromkeys(METRICS), 0.43, np.zeros(1), np.zeros(1), Path("plant.fmu"), 0.0)
     with pytest.raises(PaperError, match="Bang-bang, Lamé: the simulation has no peak_torque_1"):
         simulation_evaluators({case: broken}, case[0])["peak_torque_1"]("Bang-bang", "Lamé")

@@ -7,7 +7,7 @@ import pytest
 
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.studies.paper import motions
-from flexfmu.cosim.studies.paper.comparison import Comparison, ComparisonTable, compare
+from flexfmu.cosim.studies.paper.comparison import ComparisonTable, QuantityComparison, compare
 from flexfmu.cosim.studies.paper.reference import printed_table
 from flexfmu.cosim.studies.paper.simulations import trajectory_scene
 from flexfmu.cosim.studies.paper.spectra import WINDOW, acceleration_spectrum, band_average
@@ -18,12 +18,12 @@ def computed(key: str) -> ComparisonTable:
 
 
 @pytest.fixture(scope="module")
-def task_accelerations() -> Comparison:
+def task_accelerations() -> QuantityComparison:
     return computed("table-05").comparisons[0]
 
 
 @pytest.fixture(scope="module")
-def joint_accelerations() -> Comparison:
+def joint_accelerations() -> QuantityComparison:
     return computed("table-06").comparisons[0]
 
 
@@ -44,7 +44,7 @@ def test_path_lengths(curve: str, printed: float) -> None:
     assert round(motions.path_length(curve), 4) == printed
 
 
-def test_task_accelerations(task_accelerations: Comparison) -> None:
+def test_task_accelerations(task_accelerations: QuantityComparison) -> None:
     """Table 5: Lamé and polar within 0.1 %, but for the one cell that is 1.1 % off."""
     for cell in task_accelerations.cells:
         if cell.column != "Clothoid":
@@ -52,7 +52,7 @@ def test_task_accelerations(task_accelerations: Comparison) -> None:
             assert abs(cell.relative_error) < bound, cell
 
 
-def test_joint_accelerations(joint_accelerations: Comparison) -> None:
+def test_joint_accelerations(joint_accelerations: QuantityComparison) -> None:
     """Table 6: Lamé within 0.5 %; the other curves within 2.5 %."""
     for cell in joint_accelerations.cells:
         assert abs(cell.relative_error) < (0.005 if cell.column == "Lamé" else 0.025), cell

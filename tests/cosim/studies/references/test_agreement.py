@@ -21,7 +21,7 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.studies.references import (
     FREQUENCIES,
     Beam,
-    Motion,
+    ComputedMotion,
     compare_at_rest,
     compare_motions,
     full_scene,
@@ -39,7 +39,7 @@ SCENES = ("barnard2012-6kg", "barnard2012-0.1kg")
 WITH, WITHOUT = 1e-3, 2e-3
 """Bounds with and without foreshortening."""
 
-Reference = Callable[[Scene, MotionPlan, RealArray], Motion]
+Reference = Callable[[Scene, MotionPlan, RealArray], ComputedMotion]
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -107,11 +107,11 @@ def fmu_of_shapes(foreshortening: bool) -> Path:
     return build_scene(full_scene(load_scene(SCENES[0]), "euler-bernoulli", foreshortening)).path
 
 
-def by_elements(scene: Scene, motion: MotionPlan, instants: RealArray) -> Motion:
+def by_elements(scene: Scene, motion: MotionPlan, instants: RealArray) -> ComputedMotion:
     return simulate(finite_element_robot(scene, 2), motion.joints, instants, 5e-4)
 
 
-def by_exudyn(scene: Scene, motion: MotionPlan, instants: RealArray) -> Motion:
+def by_exudyn(scene: Scene, motion: MotionPlan, instants: RealArray) -> ComputedMotion:
     from flexfmu.cosim.studies.workprec.exudyn_peer import simulate_exudyn
 
     return simulate_exudyn(scene, motion, instants, step=1e-4 if scene.payload.mass > 1.0 else 5e-5, elements=4)

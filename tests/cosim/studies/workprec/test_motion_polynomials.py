@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.studies.workprec.equations import joint_motion, pieces
+from flexfmu.cosim.studies.workprec.equations import joint_motion, motion_polynomials
 from flexfmu.model.scene.file import load_scene
 
 casadi = pytest.importorskip("casadi")
@@ -20,7 +20,7 @@ def test_angles_rates_and_accelerations(profile: dict[str, object], blend: str) 
     """Between breakpoints and up to both of their sides, for every kind of motion, dwell included."""
     scene = load_scene("barnard2012-6kg").replace({"trajectory.profile": profile, "trajectory.blend.kind": blend})
     motion = plan(scene)
-    parts = pieces(motion.joints, motion.stop_time)
+    parts = motion_polynomials(motion.joints, motion.stop_time)
     assert parts[0].begin == 0.0
     assert parts[-1].end == motion.stop_time
     assert all(a.end == b.begin for a, b in pairwise(parts))
@@ -37,7 +37,7 @@ def test_angles_rates_and_accelerations(profile: dict[str, object], blend: str) 
 def test_the_solvers_read_the_same_numbers() -> None:
     """The order of the coefficients in the vector that solvers get is the one in which they read it."""
     motion = plan(load_scene("barnard2012-6kg"))
-    part = pieces(motion.joints, motion.stop_time)[3]
+    part = motion_polynomials(motion.joints, motion.stop_time)[3]
     t, numbers = casadi.SX.sym("t"), casadi.SX.sym("piece", part.numbers.size)
     function = casadi.Function("u", [t, numbers], [joint_motion(t, numbers)])
     time = 0.3 * part.begin + 0.7 * part.end

@@ -11,7 +11,7 @@ from matplotlib.text import Annotation
 
 from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.studies.workprec.figures import draw_family, keep_apart, label_points
-from flexfmu.cosim.studies.workprec.study import Study
+from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy
 from flexfmu.cosim.studies.workprec.trial import Trial
 from flexfmu.model.scene.file import load_scene
 
@@ -72,7 +72,7 @@ def test_axes_have_plain_numbers() -> None:
     )
     figure = draw(6.6, 4.8)
     axes = figure.subplots()
-    draw_family(axes, Study(load_scene("barnard2012-6kg"), 0.27, 2e-4, None, "", trials), "tools")
+    draw_family(axes, WorkPrecisionStudy(load_scene("barnard2012-6kg"), 0.27, 2e-4, None, "", trials), "tools")
     figure.draw_without_rendering()
     (factor,) = axes.child_axes
     for side, numbers in ((axes, {"10", "100", "1000"}), (factor, {"0.1", "1", "10"})):

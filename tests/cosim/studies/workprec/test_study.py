@@ -21,13 +21,13 @@ from flexfmu.cosim.studies.workprec.report import data, markdown, notes
 from flexfmu.cosim.studies.workprec.solver_trials import formulation_trials
 from flexfmu.cosim.studies.workprec.study import (
     FAMILIES,
-    Study,
+    WorkPrecisionStudy,
     advantages,
     cheapest,
     is_differential_equation,
     sentence,
 )
-from flexfmu.cosim.studies.workprec.trial import Curve, Subject, Trial, subject_of, sweep
+from flexfmu.cosim.studies.workprec.trial import Curve, SceneUnderTest, Trial, subject_of, sweep
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -48,19 +48,19 @@ def silent(text: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def subject() -> Subject:
+def subject() -> SceneUnderTest:
     """A short motion of a robot with few modes."""
     return subject_of(SCENE)
 
 
 @pytest.mark.slow
-def test_independent_references_agree(subject: Subject) -> None:
+def test_independent_references_agree(subject: SceneUnderTest) -> None:
     """Gauss collocation in our FMU and DOP853 on the compiled equations share neither integrator nor master."""
     assert subject.error(solver_trials.independent_reference(subject)) < 1e-10
     assert 1e-4 < subject.scale < 1e-2
 
 
-def test_other_solvers_get_the_exact_jacobian(subject: Subject) -> None:
+def test_other_solvers_get_the_exact_jacobian(subject: SceneUnderTest) -> None:
     """What SciPy's methods and CasADi's solvers are given is compiled, and the derivative of the rate to the accuracy of
     central differences."""
     system, (_, part, *_) = solver_trials.system_of(subject)
@@ -77,7 +77,7 @@ def test_other_solvers_get_the_exact_jacobian(subject: Subject) -> None:
 
 
 @pytest.mark.slow
-def test_other_tools_reach_our_errors(subject: Subject) -> None:
+def test_other_tools_reach_our_errors(subject: SceneUnderTest) -> None:
     """Each implicit solver gets there with its own tolerance; fmpy's import, which holds inputs, with shorter output intervals."""
     ours = Curve((Trial("tools", "flexfmu", "", 1e-5, 1e9),))
     trials = [*solver_trials.scipy_trials(subject, ours, silent), *solver_trials.sundials_trials(subject, ours, silent)]
@@ -97,7 +97,7 @@ def test_shaped_scenes_are_compared_with_themselves() -> None:
 
 
 @pytest.mark.slow
-def test_errors_fall_with_tolerance_and_order(subject: Subject) -> None:
+def test_errors_fall_with_tolerance_and_order(subject: SceneUnderTest) -> None:
     """A tighter tolerance and a higher degree of the inputs are worth their time: each lowers the error."""
     changes, options = {"cosimulation.integrator": "radau3"}, {"communication_step": 1e-3}
     errors = []
@@ -117,7 +117,7 @@ def test_errors_fall_with_tolerance_and_order(subject: Subject) -> None:
 
 
 @pytest.mark.slow
-def test_failures_are_trials_too(subject: Subject) -> None:
+def test_failures_are_trials_too(subject: SceneUnderTest) -> None:
     """A fixed step beyond the stability limit makes a cross in the diagram, with the FMU's own words."""
     changes = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": 1e-3}
     trial = fmu_trials.fmu_trial(subject, "integrators", "rk4", "1 ms", changes, {"communication_step": 1e-3})
@@ -127,7 +127,7 @@ def test_failures_are_trials_too(subject: Subject) -> None:
 
 
 @pytest.mark.slow
-def test_formulations(subject: Subject) -> None:
+def test_formulations(subject: SceneUnderTest) -> None:
     """All formulations move alike; without stabilisation the constraints drift more."""
     trials = list(formulation_trials(subject, silent))
     best = {
@@ -141,7 +141,7 @@ def test_formulations(subject: Subject) -> None:
 
 
 @pytest.mark.slow
-def test_the_ladder_climbs(subject: Subject) -> None:
+def test_the_ladder_climbs(subject: SceneUnderTest) -> None:
     """Rigid links are wrong by all that elasticity does, and every effect that is added brings the robot nearer to the
     one with all of them. A run takes the less time the less there is in the model."""
     trials = {trial.label: trial for trial in effect_trials(subject, 1e-3, 1e-8, silent)}
@@ -171,12 +171,12 @@ TRIALS = (
 
 
 @pytest.fixture
-def study() -> Study:
+def study() -> WorkPrecisionStudy:
     """A study of made-up figures."""
-    return Study(SCENE, 0.27, 2e-4, 1e-10, "two", TRIALS)
+    return WorkPrecisionStudy(SCENE, 0.27, 2e-4, 1e-10, "two", TRIALS)
 
 
-def test_sentence_and_advantages(study: Study) -> None:
+def test_sentence_and_advantages(study: WorkPrecisionStudy) -> None:
     """The cheapest settings that are accurate enough, failures left out; others compared at an error that both have, by
     interpolation on both curves, and nearest to it where they have not reached it."""
     assert sentence(study) == (
@@ -209,12 +209,12 @@ def test_curves_and_sweeps() -> None:
     assert list(sweep(slow, lambda trial: trial, Curve(()))) == slow
 
 
-def test_nothing_accurate_enough(study: Study) -> None:
+def test_nothing_accurate_enough(study: WorkPrecisionStudy) -> None:
     """The sentence says so."""
     assert sentence(replace(study, trials=TRIALS[1:3])) == "No setting reached 1e-05."
 
 
-def test_results_hold_everything(study: Study, tmp_path: Path) -> None:
+def test_results_hold_everything(study: WorkPrecisionStudy, tmp_path: Path) -> None:
     """Table, data, pictures and page name every line, failures included; the page fetches nothing."""
     names = save_figures(study, tmp_path)
     assert names == ["integrators", "communication", "tools"]
