@@ -23,9 +23,8 @@ from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, display
 from flexfmu.cosim.metrics.metrics import Measurement, measure_run
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.summary import summarise
-from flexfmu.cosim.studies.paper.motions import blend_length, peak_task_acceleration
-from flexfmu.cosim.studies.paper.reference import printed_table
-from flexfmu.cosim.studies.paper.simulations import case_scene
+from flexfmu.cosim.studies.paper.computed import blend_length, case_scene, peak_task_acceleration
+from flexfmu.cosim.studies.paper.printed import printed_table
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import parse_scene
 

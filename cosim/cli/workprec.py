@@ -67,4 +67,4 @@ def hard_command(source: str | None, out: Path | None, names: Sequence[str], as_
     else:
         print_rich(terminal_table(results), Text(conclusion(results)))
         print_text(f"{HARD_CASES}.json and {HARD_CASES}.md are in {folder.path}\n")
-    return 0 if all(result.finding.passed for result in results) else FAILURE
+    return 0 if all(result.report.passed for result in results) else FAILURE

@@ -13,30 +13,22 @@ from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.reports.figure_style import save, style
 from flexfmu.cosim.reports.summary import versions
-from flexfmu.cosim.studies.paper import motions, path_figures, spectra
-from flexfmu.cosim.studies.paper.comparison import EvaluateCell, compare
-from flexfmu.cosim.studies.paper.reference import printed_table, printed_tables, source
+from flexfmu.cosim.studies.paper import computed, figures, spectra
+from flexfmu.cosim.studies.paper.comparison import compare
+from flexfmu.cosim.studies.paper.computed import PaperCase, SimulatedCase, simulate, write_simulations
+from flexfmu.cosim.studies.paper.printed import printed_table, printed_tables, source
 from flexfmu.cosim.studies.paper.report import PaperFigure, PaperReport, write_report
-from flexfmu.cosim.studies.paper.result_figures import overview, path_errors
-from flexfmu.cosim.studies.paper.simulations import (
-    PaperCase,
-    SimulatedCase,
-    simulate,
-    simulated_cases,
-    simulation_evaluators,
-    write_simulations,
-)
 
 DrawFigure = Callable[[], Figure]
 
 TRAJECTORY_FIGURES: tuple[tuple[PaperFigure, DrawFigure], ...] = (
     (
         PaperFigure("figure-06", "Figure 6", "The three blends overlaid, d = e = 25 mm."),
-        path_figures.blends,
+        figures.blends,
     ),
     (
         PaperFigure("figure-07", "Figure 7", "The motion profiles for a cycle time of 1 s."),
-        path_figures.motion_profiles,
+        figures.motion_profiles,
     ),
     (
         PaperFigure(
@@ -51,7 +43,7 @@ TRAJECTORY_FIGURES: tuple[tuple[PaperFigure, DrawFigure], ...] = (
         PaperFigure(
             "figure-09", "Figure 9", "The path, the mechanism at its start, middle and end, and the workspace."
         ),
-        path_figures.placement,
+        figures.placement,
     ),
     (
         PaperFigure(
@@ -84,7 +76,7 @@ OVERVIEW = PaperFigure(
 
 
 def draw_figure(figure: PaperFigure, draw: DrawFigure, folder: Path) -> None:
-    """Draw a figure and write it as PNG and SVG into the report's folder.
+    """Draw a figure and write it as PNG and SVG to the report's folder.
 
     Raises:
         ResultsError: the folder can't be written.
@@ -131,7 +123,7 @@ def run_paper(out: Path = DEFAULT_FOLDER, *, progress: PaperProgress | None = No
     report = PaperReport(source(), versions=versions())
     for name, stage in STAGES.items():
         started = perf_counter()
-        report = stage(report, out, progress or _silent)
+        report = stage(report, out, progress or (lambda what, fraction: None))
         report = replace(report, timing={**report.timing, name: perf_counter() - started})
         write_report(report, out)
     return report
@@ -139,7 +131,7 @@ def run_paper(out: Path = DEFAULT_FOLDER, *, progress: PaperProgress | None = No
 
 def _trajectory_tables(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
     progress("tables of the trajectories", 0.0)
-    evaluate = motions.motion_evaluators()
+    evaluate = computed.motion_evaluators()
     return replace(report, tables=tuple(compare(printed_table(key), evaluate) for key in TRAJECTORY_TABLES))
 
 
@@ -153,16 +145,28 @@ def _trajectory_figures(report: PaperReport, out: Path, progress: PaperProgress)
 
 def _frequencies(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
     progress("natural frequencies along the path", 0.25)
-    table = compare(printed_table("frequencies"), motions.frequency_evaluators())
+    table = compare(printed_table("frequencies"), computed.frequency_evaluators())
     return replace(report, tables=(*report.tables, table))
 
 
 def _simulations(report: PaperReport, out: Path, progress: PaperProgress) -> PaperReport:
+    # tables about simulations, each with the evaluators of its own scene
     tables = [table for table in printed_tables() if table.scene]
-    simulations = simulate_cases(simulated_cases(tables), out, progress)
-    compared = (compare(table, _simulated_evaluators(table.scene, simulations)) for table in tables)
-    report = replace(report, tables=(*report.tables, *compared), versions=versions(_fmu(simulations)))
-    return _simulation_figures(report, simulations, out, progress)
+    simulations = simulate_cases(computed.simulated_cases(tables), out, progress)
+    motions = computed.motion_evaluators()
+    compared = tuple(
+        compare(table, {**motions, **computed.simulation_evaluators(simulations, table.scene)}) for table in tables
+    )
+    # one FMU serves all simulations, so its versions are those of every table
+    fmu = next(iter(simulations.values())).fmu_path
+    report = replace(report, tables=(*report.tables, *compared), versions=versions(fmu))
+    # figures of the results
+    progress(PATH_ERRORS.label, 0.95)
+    draw_figure(PATH_ERRORS, lambda: figures.path_errors(simulations), out)
+    progress(OVERVIEW.label, 0.97)
+    draw_figure(OVERVIEW, lambda: figures.overview(simulations, report.tables), out)
+    progress("done", 1.0)
+    return replace(report, figures=(*report.figures, PATH_ERRORS), overview=OVERVIEW)
 
 
 def simulate_cases(cases: Sequence[PaperCase], out: Path, progress: PaperProgress) -> Mapping[PaperCase, SimulatedCase]:
@@ -178,30 +182,6 @@ def simulate_cases(cases: Sequence[PaperCase], out: Path, progress: PaperProgres
         write_simulations(done.values(), out)
         progress(f"simulated {', '.join(simulation.case)}", 0.30 + 0.65 * len(done) / len(cases))
     return done
-
-
-def _fmu(simulations: Mapping[PaperCase, SimulatedCase]) -> Path:
-    """The FMU that served all simulations."""
-    return next(iter(simulations.values())).fmu_path
-
-
-def _simulated_evaluators(scene: str, simulations: Mapping[PaperCase, SimulatedCase]) -> Mapping[str, EvaluateCell]:
-    return {**motions.motion_evaluators(), **simulation_evaluators(simulations, scene)}
-
-
-def _simulation_figures(
-    report: PaperReport, simulations: Mapping[PaperCase, SimulatedCase], out: Path, progress: PaperProgress
-) -> PaperReport:
-    progress(PATH_ERRORS.label, 0.95)
-    draw_figure(PATH_ERRORS, lambda: path_errors(simulations), out)
-    progress(OVERVIEW.label, 0.97)
-    draw_figure(OVERVIEW, lambda: overview(simulations, report.tables), out)
-    progress("done", 1.0)
-    return replace(report, figures=(*report.figures, PATH_ERRORS), overview=OVERVIEW)
-
-
-def _silent(what: str, fraction: float) -> None:
-    """Progress that isn't shown."""
 
 
 STAGES: Mapping[str, Callable[[PaperReport, Path, PaperProgress], PaperReport]] = {

@@ -9,7 +9,7 @@ from decimal import Decimal
 from typing import Any
 
 from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.studies.paper.reference import PrintedQuantity, PrintedTable, Remark, Verdict
+from flexfmu.cosim.studies.paper.printed import PrintedQuantity, PrintedTable, Remark, Verdict
 
 EvaluateCell = Callable[[str, str], float]
 """Computed value [SI] of a cell from its row's and its column's label."""

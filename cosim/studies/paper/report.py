@@ -16,7 +16,7 @@ from rich.text import Text
 
 from flexfmu.cosim.engine.files import OutputFolder
 from flexfmu.cosim.studies.paper.comparison import Agreement, ComparisonTable, count_agreement
-from flexfmu.cosim.studies.paper.reference import PaperSource
+from flexfmu.cosim.studies.paper.printed import PaperSource
 from flexfmu.cosim.studies.paper.tables import lay_out, print_page, table_to_csv, table_to_markdown
 
 

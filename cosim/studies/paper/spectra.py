@@ -1,4 +1,9 @@
-"""Spectra of the joint accelerations, and their figures (Figs. 8, 10 and 11)."""
+"""Spectra of the joint accelerations, and their figures (Figs. 8, 10 and 11).
+
+A motion excites the links at the frequencies that its acceleration contains. The spectrum is the periodogram of the acceleration
+over a window that all motions share (Oppenheim and Schafer, Discrete-Time Signal Processing, ch. 10), without a taper, since the
+signal is zero at both ends.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +17,8 @@ from scipy.signal import periodogram
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.reports.figure_style import GREY, draw
-from flexfmu.cosim.studies.paper.motions import smooth_pieces
-from flexfmu.cosim.studies.paper.path_figures import PROFILE_COLOURS, SEQUENCE
-from flexfmu.cosim.studies.paper.simulations import trajectory_scene
+from flexfmu.cosim.studies.paper.computed import smooth_pieces, trajectory_scene
+from flexfmu.cosim.studies.paper.figures import POLYNOMIAL, PROFILE_COLOURS, SEQUENCE
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
 
@@ -60,8 +64,6 @@ def band_average(frequency: RealArray, density: RealArray, width: float) -> Real
     return np.asarray((total[last] - total[first]) / (last - first))
 
 
-POLYNOMIAL, LAME = "7th order polynomial", "Lamé"
-
 HIGHEST_FREQUENCY = 200.0
 """Frequencies shown [Hz]: beyond the first natural frequency of the robot with the light payload."""
 
@@ -88,7 +90,7 @@ def joint_motion() -> Figure:
     grid = drawing.add_gridspec(2, 2)
     angle, acceleration = drawing.add_subplot(grid[0, 0]), drawing.add_subplot(grid[0, 1])
     spectrum = drawing.add_subplot(grid[1, :])
-    joints = plan(trajectory_scene(POLYNOMIAL, LAME)).joints
+    joints = plan(trajectory_scene(POLYNOMIAL, "Lamé")).joints
     for joint, colour in zip((0, 1), SEQUENCE, strict=False):
         for piece, (time, derivatives) in enumerate(smooth_pieces(joints, 401)):
             label = f"joint {joint + 1}" if piece == 0 else None
@@ -99,7 +101,7 @@ def joint_motion() -> Figure:
     angle.legend()
     acceleration.legend()
     # spectra of all motion profiles
-    scenes = [(profile, trajectory_scene(profile, LAME), colour) for profile, colour in PROFILE_COLOURS.items()]
+    scenes = [(profile, trajectory_scene(profile, "Lamé"), colour) for profile, colour in PROFILE_COLOURS.items()]
     _spectra(spectrum, scenes, joint=0, band=BAND)
     spectrum.set_title("Spectrum of the acceleration, the same for both joints since the path is symmetric")
     return drawing
@@ -108,7 +110,7 @@ def joint_motion() -> Figure:
 def cycle_times() -> Figure:
     """Fig. 10: spectra for cycle times of 1, 0.5 and 0.25 s."""
     scenes = [
-        (f"{time:g} s", trajectory_scene(POLYNOMIAL, LAME).replace({"trajectory.duration": time}), colour)
+        (f"{time:g} s", trajectory_scene(POLYNOMIAL, "Lamé").replace({"trajectory.duration": time}), colour)
         for time, colour in zip(CYCLE_TIMES, SEQUENCE, strict=True)
     ]
     return _one_panel(scenes, "Cycle times: polynomial on the Lamé path, joint 1", "cycle time")
@@ -119,7 +121,7 @@ def blend_lengths() -> Figure:
     scenes = [
         (
             f"{1e3 * length:g} mm",
-            trajectory_scene(POLYNOMIAL, LAME).replace(
+            trajectory_scene(POLYNOMIAL, "Lamé").replace(
                 {"trajectory.blend": {"kind": "lame", "height": length, "width": length}}
             ),
             colour,
@@ -153,15 +155,12 @@ def _spectra(axes: Axes, scenes: Iterable[tuple[str, Scene, str]], *, joint: int
     axes.set_ylim(peak * 10.0**-DECADES, peak * 10.0)
     axes.set(xlabel="frequency [Hz]", ylabel="power spectral density [(rad/s²)²/Hz]", xlim=(0.0, HIGHEST_FREQUENCY))
     axes.legend(loc="upper right", ncols=2, fontsize=8)
-    _mark_natural_frequencies(axes)
-
-
-def _mark_natural_frequencies(axes: Axes) -> None:
-    for frequency, payload in FIRST_FREQUENCIES:
-        axes.axvline(frequency, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)))
+    # the robot's first natural frequencies
+    for first, payload in FIRST_FREQUENCIES:
+        axes.axvline(first, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)))
         axes.annotate(
             f"f₁, {payload}",
-            (frequency, 0.0),
+            (first, 0.0),
             xycoords=("data", "axes fraction"),
             xytext=(3, 4),
             textcoords="offset points",

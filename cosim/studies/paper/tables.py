@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -14,7 +15,7 @@ from rich.text import Text
 
 from flexfmu.cosim.reports.text import markdown_table
 from flexfmu.cosim.studies.paper.comparison import Cell, ComparisonTable, QuantityComparison, count_agreement
-from flexfmu.cosim.studies.paper.reference import Remark
+from flexfmu.cosim.studies.paper.printed import Remark
 
 CLOSE, NEAR = 0.005, 0.035
 """Relative errors up to which a cell is graded close (the bound of torque and deflection) and near (RMS errors)."""
@@ -78,13 +79,14 @@ class TablePage:
 def lay_out(table: ComparisonTable) -> TablePage:
     """Turn a comparison into texts with numbered footnotes."""
     remarks = tuple(remark for comparison in table.comparisons for remark in comparison.quantity.remarks)
+    footnotes = (f"{remark.verdict.value.capitalize()}: {remark.text}" for remark in remarks)
     return TablePage(
         key=table.printed.key,
         label=table.printed.label,
         title=table.printed.title,
         remarks=table.printed.remarks,
         blocks=tuple(_block(comparison, remarks) for comparison in table.comparisons),
-        footnotes=tuple((_mark([index]), _footnote(remark)) for index, remark in enumerate(remarks, 1)),
+        footnotes=tuple((str(n).translate(_SUPERSCRIPTS), text) for n, text in enumerate(footnotes, 1)),
         summary=count_agreement(table.cells).sentence(),
     )
 
@@ -97,27 +99,28 @@ def percentage(relative: float) -> str:
 
 
 def _block(comparison: QuantityComparison, remarks: tuple[Remark, ...]) -> QuantityBlock:
+    """A quantity's texts; a remark on all of its cells is marked at the heading, the others at their cells."""
     quantity = comparison.quantity
+
+    def marks(chosen: Iterable[Remark], general: bool) -> str:
+        # by identity, since two quantities may have remarks of the same wording
+        wanted = {id(remark) for remark in chosen if (not remark.rows and not remark.columns) == general}
+        numbers = (str(number) for number, remark in enumerate(remarks, 1) if id(remark) in wanted)
+        return " ".join(numbers).translate(_SUPERSCRIPTS)
+
+    def text(cell: Cell) -> CellText:
+        difference = percentage(cell.relative_error)
+        return CellText(cell.printed, cell.rounded(), difference, marks(cell.remarks, general=False), _grade(cell))
+
     return QuantityBlock(
         name=quantity.name,
         unit=quantity.unit,
-        marks=_marks([remark for remark in quantity.remarks if _is_general(remark)], remarks),
+        marks=marks(quantity.remarks, general=True),
         meaning=quantity.meaning,
         columns=quantity.columns,
         rows=tuple(
-            (row, tuple(_cell(comparison.cell(row, column), remarks) for column in quantity.columns))
-            for row in quantity.rows
+            (row, tuple(text(comparison.cell(row, column)) for column in quantity.columns)) for row in quantity.rows
         ),
-    )
-
-
-def _cell(cell: Cell, remarks: tuple[Remark, ...]) -> CellText:
-    return CellText(
-        paper=cell.printed,
-        computed=cell.rounded(),
-        difference=percentage(cell.relative_error),
-        marks=_marks([remark for remark in cell.remarks if not _is_general(remark)], remarks),
-        grade=_grade(cell),
     )
 
 
@@ -129,46 +132,21 @@ def _grade(cell: Cell) -> Grade:
     return Grade.NEAR if abs(cell.relative_error) <= NEAR else Grade.FAR
 
 
-def _is_general(remark: Remark) -> bool:
-    """A remark on all cells of a quantity is marked at its heading."""
-    return not remark.rows and not remark.columns
-
-
-def _marks(chosen: list[Remark], remarks: tuple[Remark, ...]) -> str:
-    # by identity: two quantities may carry remarks of the same wording
-    return _mark([index for index, remark in enumerate(remarks, 1) if any(remark is other for other in chosen)])
-
-
-def _mark(indices: list[int]) -> str:
-    return " ".join(str(index) for index in indices).translate(_SUPERSCRIPTS)
-
-
-def _footnote(remark: Remark) -> str:
-    return f"{remark.verdict.value.capitalize()}: {remark.text}"
-
-
 def table_to_markdown(page: TablePage) -> str:
     """One table of the paper: every cell as paper → computed (relative error)."""
-    parts = [f"## {page.label}. {page.title}", *page.remarks, *(_block_to_markdown(block) for block in page.blocks)]
+    parts = [f"## {page.label}. {page.title}", *page.remarks]
+    for block in page.blocks:
+        heading = f"**{block.name}** [{block.unit}]{block.marks}: {block.meaning}; paper → computed (relative error)"
+        rule = ["---", *("---:" for _ in block.columns)]
+        rows = [[label, *map(_markdown_cell, cells)] for label, cells in block.rows]
+        parts.append(f"{heading}\n\n{markdown_table(['', *block.columns], rule, rows)}")
     if page.footnotes:
         parts.append("\n".join(f"- {mark} {text}" for mark, text in page.footnotes))
     return "\n\n".join([*parts, f"**{page.summary}**"]) + "\n"
 
 
-def _block_to_markdown(block: QuantityBlock) -> str:
-    lines = [
-        f"**{block.name}** [{block.unit}]{block.marks}: {block.meaning}; paper → computed (relative error)",
-        "",
-        markdown_table(
-            ["", *block.columns],
-            ["---", *("---:" for _ in block.columns)],
-            [[label, *(_cell_to_markdown(cell) for cell in cells)] for label, cells in block.rows],
-        ),
-    ]
-    return "\n".join(lines)
-
-
-def _cell_to_markdown(cell: CellText) -> str:
+def _markdown_cell(cell: CellText) -> str:
+    """``paper → **computed** (relative error)``, a misprint struck out."""
     paper = f"~~{cell.paper}~~" if cell.grade is Grade.MISPRINT else cell.paper
     return f"{paper} → **{cell.computed}** ({cell.difference}){cell.marks}"
 
@@ -182,25 +160,24 @@ def print_page(page: TablePage, console: Console) -> None:
     console.print(Text(f"{page.label}. {page.title}", style="bold"))
     for remark in page.remarks:
         console.print(Text(remark, style="italic"))
+    # a table for each quantity
     for block in page.blocks:
-        console.print(_block_to_rich(block))
+        title = Text(f"{block.name} [{block.unit}]{block.marks}: paper → computed", style="italic")
+        table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
+        table.add_column("")
+        for column in block.columns:
+            table.add_column(column, justify="right")
+        for label, cells in block.rows:
+            table.add_row(label, *map(_rich_cell, cells))
+        console.print(table)
+    # what the marks mean, and how well the table agrees
     for mark, text in page.footnotes:
         console.print(Text(f"{mark} {text}", style="dim"))
     console.print(Text(page.summary, style="bold"))
 
 
-def _block_to_rich(block: QuantityBlock) -> Table:
-    title = Text(f"{block.name} [{block.unit}]{block.marks}: paper → computed", style="italic")
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
-    table.add_column("")
-    for column in block.columns:
-        table.add_column(column, justify="right")
-    for label, cells in block.rows:
-        table.add_row(label, *(_cell_to_rich(cell) for cell in cells))
-    return table
-
-
-def _cell_to_rich(cell: CellText) -> Text:
+def _rich_cell(cell: CellText) -> Text:
+    """``paper → computed (relative error)`` in the colour of the grade, a misprint struck out."""
     difference = cell.difference.replace("\N{NO-BREAK SPACE}", "")  # rich would break the line there
     return Text.assemble(
         (cell.paper, "strike" if cell.grade is Grade.MISPRINT else ""),
@@ -232,23 +209,22 @@ def table_to_csv(table: ComparisonTable) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
     for comparison in table.comparisons:
-        writer.writerows(_csv_line(table, comparison, cell) for cell in comparison.cells)
+        quantity = comparison.quantity
+        for cell in comparison.cells:
+            writer.writerow(
+                [
+                    table.printed.label,
+                    quantity.name,
+                    quantity.metric,
+                    quantity.unit,
+                    cell.row,
+                    cell.column,
+                    cell.printed,
+                    f"{cell.computed:.9g}",
+                    f"{cell.relative_error:.3e}",
+                    str(cell.agrees_to_the_digits).lower(),
+                    str(cell.believable).lower(),
+                    " ".join(f"{remark.verdict.value}: {remark.text}" for remark in cell.remarks),
+                ]
+            )
     return text.getvalue()
-
-
-def _csv_line(table: ComparisonTable, comparison: QuantityComparison, cell: Cell) -> list[str]:
-    quantity = comparison.quantity
-    return [
-        table.printed.label,
-        quantity.name,
-        quantity.metric,
-        quantity.unit,
-        cell.row,
-        cell.column,
-        cell.printed,
-        f"{cell.computed:.9g}",
-        f"{cell.relative_error:.3e}",
-        str(cell.agrees_to_the_digits).lower(),
-        str(cell.believable).lower(),
-        " ".join(f"{remark.verdict.value}: {remark.text}" for remark in cell.remarks),
-    ]

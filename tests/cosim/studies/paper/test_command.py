@@ -12,7 +12,7 @@ import pytest
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.studies.paper import command
-from flexfmu.cosim.studies.paper.simulations import PaperCase, PaperError, SimulatedCase, simulation_evaluators
+from flexfmu.cosim.studies.paper.computed import PaperCase, PaperError, SimulatedCase, simulation_evaluators
 
 CASES: tuple[PaperCase, ...] = (
     ("barnard2012-6kg", "Bang-bang", "Lamé"),

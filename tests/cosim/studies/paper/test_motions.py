@@ -6,15 +6,21 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.planning import plan
-from flexfmu.cosim.studies.paper import motions
 from flexfmu.cosim.studies.paper.comparison import ComparisonTable, QuantityComparison, compare
-from flexfmu.cosim.studies.paper.reference import printed_table
-from flexfmu.cosim.studies.paper.simulations import trajectory_scene
+from flexfmu.cosim.studies.paper.computed import (
+    POINTS,
+    maximum,
+    motion_evaluators,
+    path_length,
+    smooth_pieces,
+    trajectory_scene,
+)
+from flexfmu.cosim.studies.paper.printed import printed_table
 from flexfmu.cosim.studies.paper.spectra import WINDOW, acceleration_spectrum, band_average
 
 
 def computed(key: str) -> ComparisonTable:
-    return compare(printed_table(key), motions.motion_evaluators())
+    return compare(printed_table(key), motion_evaluators())
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +47,7 @@ def test_blend_lengths() -> None:
 )
 def test_path_lengths(curve: str, printed: float) -> None:
     """Table 11: all four paths are as long as printed."""
-    assert round(motions.path_length(curve), 4) == printed
+    assert round(path_length(curve), 4) == printed
 
 
 def test_task_accelerations(task_accelerations: QuantityComparison) -> None:
@@ -61,8 +67,8 @@ def test_joint_accelerations(joint_accelerations: QuantityComparison) -> None:
 def test_a_maximum_is_not_missed_between_samples() -> None:
     """Twice as many samples change no peak by more than 1e-6: the tables' digits don't depend on the sampling."""
     joints = plan(trajectory_scene("7th order polynomial", "Clothoid")).joints
-    coarse = motions.maximum(joints, lambda derivatives: derivatives[2, :, 0])
-    fine = max(d[2, :, 0].max() for _, d in motions.smooth_pieces(joints, 2 * motions.POINTS))
+    coarse = maximum(joints, lambda derivatives: derivatives[2, :, 0])
+    fine = max(d[2, :, 0].max() for _, d in smooth_pieces(joints, 2 * POINTS))
     assert coarse == pytest.approx(fine, rel=1e-6)
 
 
@@ -70,7 +76,7 @@ def test_spectrum_has_the_energy_of_the_motion() -> None:
     """Parseval: the integral of the density over frequency is the mean square over the window."""
     joints = plan(trajectory_scene("7th order polynomial", "Lamé")).joints
     frequency, density = acceleration_spectrum(joints, 0)
-    energy = sum(np.trapezoid(d[2, :, 0] ** 2, time) for time, d in motions.smooth_pieces(joints, 2001))
+    energy = sum(np.trapezoid(d[2, :, 0] ** 2, time) for time, d in smooth_pieces(joints, 2001))
     assert np.sum(density) * (frequency[1] - frequency[0]) == pytest.approx(energy / WINDOW, rel=1e-6)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from flexfmu.cosim.metrics.metric_table import METRICS
-from flexfmu.cosim.studies.paper import motions
-from flexfmu.cosim.studies.paper.reference import TABLES, PrintedTable, Verdict, printed_table, printed_tables, source
-from flexfmu.cosim.studies.paper.simulations import curves, profiles, simulated_cases
+from flexfmu.cosim.studies.paper import computed
+from flexfmu.cosim.studies.paper.computed import curves, profiles, simulated_cases
+from flexfmu.cosim.studies.paper.printed import TABLES, PrintedTable, Verdict, printed_table, printed_tables, source
 
 SHAPES = {
     "table-02": (1, 5),
@@ -52,7 +52,7 @@ def test_remarks_name_existing_rows_and_columns(table: PrintedTable) -> None:
 
 def test_metrics_can_be_computed(table: PrintedTable) -> None:
     """Every quantity names something that the package computes."""
-    known = {*motions.motion_evaluators(), *METRICS, "natural_frequency"}
+    known = {*computed.motion_evaluators(), *METRICS, "natural_frequency"}
     assert {quantity.metric for quantity in table.quantities} <= known
 
 

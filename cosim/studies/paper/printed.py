@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -144,12 +143,33 @@ def source() -> PaperSource:
 def printed_table(key: str) -> PrintedTable:
     """Read one table of `TABLES`."""
     data = read_data(key)
+    quantities = []
+    for block in data["quantities"]:
+        # labels of rows and columns are those of the table unless the block has its own
+        rows, columns = block.get("rows", data["rows"]), block.get("columns", data["columns"])
+        remarks = tuple(
+            Remark(each["text"], Verdict(each["verdict"]), tuple(each.get("rows", ())), tuple(each.get("columns", ())))
+            for each in block.get("remarks", ())
+        )
+        quantities.append(
+            PrintedQuantity(
+                name=block["name"],
+                unit=block["unit"],
+                meaning=block["meaning"],
+                metric=block["metric"],
+                scale=block["scale"],
+                rows=tuple(rows),
+                columns=tuple(columns),
+                values=tuple(tuple(row) for row in block["values"]),
+                remarks=remarks,
+            )
+        )
     return PrintedTable(
         key=key,
         label=data["table"],
         title=data["title"],
         scene=data.get("scene", ""),
-        quantities=tuple(_quantity(block, data) for block in data["quantities"]),
+        quantities=tuple(quantities),
         remarks=tuple(data.get("remarks", ())),
     )
 
@@ -157,21 +177,3 @@ def printed_table(key: str) -> PrintedTable:
 def printed_tables() -> tuple[PrintedTable, ...]:
     """All tables, in the order of the report."""
     return tuple(printed_table(key) for key in TABLES)
-
-
-def _quantity(block: Mapping[str, Any], table: Mapping[str, Any]) -> PrintedQuantity:
-    return PrintedQuantity(
-        name=block["name"],
-        unit=block["unit"],
-        meaning=block["meaning"],
-        metric=block["metric"],
-        scale=block["scale"],
-        rows=tuple(block.get("rows", table["rows"])),
-        columns=tuple(block.get("columns", table["columns"])),
-        values=tuple(tuple(row) for row in block["values"]),
-        remarks=tuple(_remark(remark) for remark in block.get("remarks", ())),
-    )
-
-
-def _remark(data: Mapping[str, Any]) -> Remark:
-    return Remark(data["text"], Verdict(data["verdict"]), tuple(data.get("rows", ())), tuple(data.get("columns", ())))
