@@ -19,8 +19,7 @@ HARD_CASES = "hard-cases"
 def workprec_command(source: str | None, out: Path | None, families: Sequence[str], as_json: bool) -> int:
     """Measure, write the results, and print them; the exit status."""
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
-    from flexfmu.cosim.studies.workprec.report import data, markdown, notes, terminal_table
-    from flexfmu.cosim.studies.workprec.study import FAMILIES, run_study
+    from flexfmu.cosim.studies.workprec.study import FAMILIES, data, markdown, notes, run_study, terminal_table
 
     # usage
     if source is None:

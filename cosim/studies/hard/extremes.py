@@ -14,7 +14,7 @@ from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.studies.hard.case import ALLOWED, STEP, CaseReport, Criterion, HardCase, paper_robot, run_case
 from flexfmu.cosim.studies.hard.judging import error_against, soundness
-from flexfmu.cosim.studies.hard.reference import Solver
+from flexfmu.cosim.studies.hard.scipy_solution import Solver
 from flexfmu.model.scene.schema import Scene
 
 STIFF = Solver("LSODA", 1e-11)

@@ -11,7 +11,7 @@ from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.studies.hard.case import Criterion
-from flexfmu.cosim.studies.hard.reference import POSITION, Solver, positions_along
+from flexfmu.cosim.studies.hard.scipy_solution import POSITION, Solver, positions_along
 from flexfmu.model.scene.assembly import bases
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene

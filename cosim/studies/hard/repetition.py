@@ -17,7 +17,7 @@ from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.studies.hard.case import CaseReport, Criterion, HardCase, fmu_of, paper_robot
 from flexfmu.cosim.studies.hard.judging import LOOP_SIGNALS, soundness
-from flexfmu.cosim.studies.hard.reference import POSITION
+from flexfmu.cosim.studies.hard.scipy_solution import POSITION
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.schema import Scene
 

@@ -17,7 +17,7 @@ from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.studies.hard.case import ALLOWED, CaseReport, Criterion, HardCase, paper_robot, run_case
 from flexfmu.cosim.studies.hard.judging import error_against, loop_geometry, not_finite, off_branch, soundness
-from flexfmu.cosim.studies.hard.reference import Solver
+from flexfmu.cosim.studies.hard.scipy_solution import Solver
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.plant_functions import MINIMUM_SINE
 from flexfmu.model.scene.mechanism import Mechanism

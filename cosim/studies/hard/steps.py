@@ -26,7 +26,7 @@ from flexfmu.cosim.studies.hard.case import (
     paper_robot,
 )
 from flexfmu.cosim.studies.hard.judging import ERROR, NOT_FINITE, not_finite
-from flexfmu.cosim.studies.hard.reference import Phase, Solver, signals_of_constant_references
+from flexfmu.cosim.studies.hard.scipy_solution import Phase, Solver, signals_of_constant_references
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
 

@@ -1,7 +1,8 @@
-"""The motion-driven robot as a differential equation, compiled, for solvers that aren't ours.
+"""The motion-driven robot as an initial value problem, compiled, for solvers of other libraries.
 
-They ask for one time at a time, so that the planned joint motion becomes Chebyshev polynomials between its breakpoints, evaluated by
-Clenshaw's recurrence within the equations."""
+Solvers evaluate the equations at one instant at a time. The planned joint motion is therefore interpolated by Chebyshev polynomials
+between its breakpoints, which the equations evaluate by Clenshaw's recurrence (Clenshaw, Math. Comp. 9, 1955).
+"""
 
 from __future__ import annotations
 
@@ -119,7 +120,10 @@ class InitialValueProblem:
 @lru_cache(maxsize=4)
 def equations(scene: Scene, joints: tuple[float, float]) -> InitialValueProblem:
     """The equations of a scene, that starts at these joint angles [rad]."""
-    model, pace = numeric_model(scene), _pace(scene, joints)
+    # rates are larger than coordinates by the first natural frequency [rad/s] at the start
+    frequencies = natural_frequencies(scene, joints)
+    pace = float(2.0 * np.pi * frequencies[0]) if frequencies.size else 1.0
+    model = numeric_model(scene)
     n, t = model.n, casadi.SX.sym("t")
     z, piece, a = casadi.SX.sym("z", 2 * n), casadi.SX.sym("piece", NUMBERS), casadi.SX.sym("a", n)
     # the rate
@@ -129,7 +133,7 @@ def equations(scene: Scene, joints: tuple[float, float]) -> InitialValueProblem:
     acceleration = casadi.solve(mass, -model.elastic_forces(q, v, casadi.SX.zeros(n), u))
     rate = casadi.Function("rate", [t, z, piece], [casadi.densify(casadi.cse(casadi.vertcat(v, acceleration / pace)))])
 
-    # M a + b = 0 holds for all z, so that M da/dz = -d(M a + b)/dz with a held
+    # M a + b = 0 holds for all z, so that M da/dz = -d(M a + b)/dz at constant a
     change = casadi.substitute(casadi.jacobian(model.elastic_forces(q, v, a, u), z), a, acceleration)
     rows = casadi.vertcat(casadi.jacobian(v, z), -casadi.solve(mass, casadi.densify(change)) / pace)
     by_z, unused = casadi.densify(casadi.cse(rows)), casadi.SX.sym("dz", 2 * n)
@@ -144,19 +148,14 @@ def equations(scene: Scene, joints: tuple[float, float]) -> InitialValueProblem:
         rate=compiled,
         jacobian=compiled.jacobian(),
         position=compile_function(casadi.Function("position", [t, z, piece], [casadi.cse(position)])),
-        start=_start(scene, joints, n),
+        start=start_state(scene, np.array(joints), n),
     )
 
 
-def _pace(scene: Scene, joints: tuple[float, float]) -> float:
-    """First natural frequency [rad/s] at the start, by which rates are larger than coordinates."""
-    frequencies = natural_frequencies(scene, joints)
-    return float(2.0 * np.pi * frequencies[0]) if frequencies.size else 1.0
-
-
-def _start(scene: Scene, joints: tuple[float, float], n: int) -> RealArray:
+def start_state(scene: Scene, joints: RealArray, n: int) -> RealArray:
+    """[q_e, dq_e/dt] at the start (2 n,) for joint angles (2,) [rad]: at rest, in static equilibrium or undeformed as the scene says."""
     is_static = scene.cosimulation.initial == "static"
-    elastic = static_equilibrium(scene, np.array(joints)).elastic if is_static else np.zeros(n)
+    elastic = static_equilibrium(scene, joints).elastic if is_static else np.zeros(n)
     return np.concatenate([elastic, np.zeros(n)])
 
 
@@ -169,15 +168,12 @@ def joint_motion(t: Symbol, piece: Symbol) -> Symbol:
     for derivative in range(3):
         for joint in range(2):
             series = [coefficients[derivative, k + joint * (DEGREE + 1)] for k in range(DEGREE + 1)]
-            rows.append(_clenshaw(x, series))
+            # from the highest coefficient down
+            last = before = 0.0 * x
+            for coefficient in series[:0:-1]:
+                last, before = coefficient + 2.0 * x * last - before, last
+            rows.append(series[0] + x * last - before)
     return casadi.vertcat(*rows)
-
-
-def _clenshaw(x: Symbol, series: list[Symbol]) -> Symbol:
-    last = before = 0.0 * x
-    for coefficient in series[:0:-1]:
-        last, before = coefficient + 2.0 * x * last - before, last
-    return series[0] + x * last - before
 
 
 class BoundFunction:

@@ -1,5 +1,10 @@
 """Trials with other solvers on the same equations, compiled: SciPy's, and SUNDIALS through CasADi; and with another formulation of
-the same robot: all coordinates with multipliers (index 1), with and without Baumgarte's stabilisation."""
+the same robot: all coordinates with multipliers (index 1), with and without Baumgarte's stabilisation.
+
+All solvers restart where the motion's derivatives jump. Sources: SciPy's `solve_ivp` (Radau: Hairer and Wanner, Solving Ordinary
+Differential Equations II, sec. IV.8; DOP853: the same, I, sec. II.5); SUNDIALS: Hindmarsh et al., ACM Trans. Math. Softw. 31
+(2005); Baumgarte, Comput. Methods Appl. Mech. Eng. 1 (1972).
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ from typing import Any, Literal
 
 import casadi
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from flexfmu.cosim.control.blocks.code import compile_function
@@ -98,6 +104,40 @@ def ends(instants: RealArray, end: float) -> RealArray:
     return instants if instants.size and instants[-1] == end else np.append(instants, end)
 
 
+def solve_piece(
+    rate: Callable[[float, RealArray], RealArray],
+    span: tuple[float, float],
+    state: RealArray,
+    instants: RealArray,
+    method: ScipyMethod,
+    tolerance: float,
+    absolute: ArrayLike,
+    **options: Any,
+) -> tuple[RealArray, RealArray]:
+    """Integrate from one jump of the equations to the next.
+
+    Args:
+        rate: (t, z) → dz/dt.
+        span: beginning and end [s].
+        state: z at the beginning (m,).
+        instants: (N,) ascending, within the span [s].
+        method: one of SciPy's.
+        tolerance, absolute: relative and absolute tolerance.
+        options: for `scipy.integrate.solve_ivp`.
+
+    Returns:
+        States at the instants (N, m) and at the end (m,).
+
+    Raises:
+        RunError: the solver gives up.
+    """
+    wanted = ends(instants, span[1])
+    solution = solve_ivp(rate, span, state, method, wanted, rtol=tolerance, atol=absolute, **options)
+    if not solution.success:
+        raise RunError(solution.message)
+    return solution.y.T[: instants.size], solution.y[:, -1]
+
+
 def scipy_run(
     subject: SceneUnderTest,
     system: InitialValueProblem,
@@ -126,22 +166,9 @@ def scipy_run(
         state, found = system.start, []
         # the solver starts anew at each piece, where derivatives of the motion jump
         for piece, rate, position, options in zip(parts, rates, positions, extra, strict=True):
-            instants = compared(subject, piece)
-            wanted = ends(instants, piece.end)
-            solution = solve_ivp(
-                rate,
-                (piece.begin, piece.end),
-                state,
-                method,
-                wanted,
-                rtol=tolerance,
-                atol=ABSOLUTE * tolerance,
-                **options,
-            )
-            if not solution.success:
-                raise RunError(solution.message)
-            found += [position(t, z) for t, z in zip(instants, solution.y.T, strict=False)]
-            state = solution.y[:, -1]
+            span, instants = (piece.begin, piece.end), compared(subject, piece)
+            states, state = solve_piece(rate, span, state, instants, method, tolerance, ABSOLUTE * tolerance, **options)
+            found += [position(t, z) for t, z in zip(instants, states, strict=True)]
         return np.array(found)
 
     return run
@@ -222,25 +249,8 @@ def _index_one_trial(
     line: str,
     tolerance: float,
 ) -> Trial:
-    run = _index_one_run(subject, model, function, parts, tolerance)
-    label = f"{tolerance:.0e}"
-    try:
-        states = run()
-    except (RunError, ValueError) as failure:
-        return Trial("formulations", line, label, None, None, " ".join(str(failure).split()))
-    size = 10 + model.n
-    violation = max(float(np.abs(model.constraints(state[:size]).full()).max()) for state in states)
-    note = f"constraints violated by up to {violation:.1e} m"
-    return Trial("formulations", line, label, subject.error(states[:, size - 2 : size]), fastest(run), note)
-
-
-def _index_one_run(
-    subject: SceneUnderTest,
-    model: ConstrainedModel,
-    function: casadi.Function,
-    parts: tuple[MotionPolynomial, ...],
-    tolerance: float,
-) -> Callable[[], RealArray]:
+    """A run of all coordinates with multipliers, its error, and by how much it violates the constraints."""
+    # start in static equilibrium, or undeformed, with the passive coordinates that assemble the mechanism
     rates = [BoundFunction(function, piece.numbers) for piece in parts]
     joints = subject.motion.joints.evaluate(0.0, 0)[0, 0]
     elastic, still = system_of(subject)[0].start[: model.n], np.zeros(model.n)
@@ -250,16 +260,19 @@ def _index_one_run(
         """(N, 2 (10 + n)) states at the instants of comparison."""
         state, found = start, []
         for piece, rate in zip(parts, rates, strict=True):
-            instants = compared(subject, piece)
-            span, wanted = (piece.begin, piece.end), ends(instants, piece.end)
-            with np.errstate(
-                over="ignore"
-            ):  # SciPy's finite difference by a coordinate that nothing depends on grows without bound
-                solution = solve_ivp(rate, span, state, SOLVER, wanted, rtol=tolerance, atol=ABSOLUTE * tolerance)
-            if not solution.success:
-                raise RunError(solution.message)
-            found.append(solution.y.T[: instants.size])
-            state = solution.y[:, -1]
+            span, instants = (piece.begin, piece.end), compared(subject, piece)
+            # SciPy's finite difference by a coordinate without influence grows without bound
+            with np.errstate(over="ignore"):
+                states, state = solve_piece(rate, span, state, instants, SOLVER, tolerance, ABSOLUTE * tolerance)
+            found.append(states)
         return np.concatenate(found)
 
-    return run
+    label = f"{tolerance:.0e}"
+    try:
+        states = run()
+    except (RunError, ValueError) as failure:
+        return Trial("formulations", line, label, None, None, " ".join(str(failure).split()))
+    size = 10 + model.n
+    violation = max(float(np.abs(model.constraints(state[:size]).full()).max()) for state in states)
+    note = f"constraints violated by up to {violation:.1e} m"
+    return Trial("formulations", line, label, subject.error(states[:, size - 2 : size]), fastest(run), note)

@@ -1,10 +1,21 @@
-"""The whole study of a scene: every family of trials, the references that errors are counted from, and what they say in a sentence."""
+"""The whole study of a scene: every family of trials, the references that errors are relative to, what they say in a sentence, and
+the results as a table for the terminal, Markdown, and plain data.
+
+A work-precision study measures processor time against error for each method over its own settings (Hairer, Norsett and Wanner,
+Solving Ordinary Differential Equations I, sec. II.10). Methods are compared at equal errors, between two settings by
+interpolation of logarithms.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+from rich.table import Column, Table
+
+from flexfmu.cosim.reports.summary import versions
+from flexfmu.cosim.reports.text import markdown_table, titled_table
 from flexfmu.cosim.studies.workprec import fmu_trials, solver_trials, tool_trials
 from flexfmu.cosim.studies.workprec.fmu_trials import Announce
 from flexfmu.cosim.studies.workprec.tool_trials import PAPER_LINE
@@ -64,9 +75,15 @@ def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: f
         TrajectoryError, InputError, BuildError: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
     """
     subject = subject_of(scene)
+    # the reference, compared with one that shares neither integrator nor master where the scene has one
     announce("reference")
     _ = subject.reference
-    agreement, references = _check_reference(subject, announce)
+    agreement, references = None, "our FMU, Gauss collocation at 1e-12, 0.25 ms steps"
+    if is_differential_equation(scene):
+        announce("second reference")
+        agreement = subject.error(solver_trials.independent_reference(subject))
+        references += "; SciPy's DOP853 at 1e-11"
+    # families in their order, since later ones use the trials of earlier ones
     trials: list[Trial] = []
     makers = _makers(subject, step, announce, trials)
     for name in (each for each in FAMILIES if each in families):
@@ -108,15 +125,6 @@ def is_differential_equation(scene: Scene) -> bool:
     """Whether the scene is one smooth equation between breakpoints: motion-driven, elastic, nothing in the loop or sampled."""
     is_sampled = any(getattr(each, "apply", "sampled") == "sampled" for each in scene.shaper)
     return scene.cosimulation.drive == "motion" and not (scene.controller or scene.imperfection or is_sampled)
-
-
-def _check_reference(subject: SceneUnderTest, announce: Announce) -> tuple[float | None, str]:
-    """Compare the reference with one that shares neither integrator nor master."""
-    own = "our FMU, Gauss collocation at 1e-12, 0.25 ms steps"
-    if not is_differential_equation(subject.scene):
-        return None, own
-    announce("second reference")
-    return subject.error(solver_trials.independent_reference(subject)), f"{own}; SciPy's DOP853 at 1e-11"
 
 
 ASKED = 1e-5, 1e-3
@@ -180,3 +188,68 @@ def advantages(study: WorkPrecisionStudy) -> dict[str, Advantage]:
         if own and theirs:
             found[line] = Advantage(error, theirs / own)
     return found
+
+
+COLUMNS = ("family", "line", "setting", "error", "time ms", "x real time", "note")
+
+
+def terminal_table(study: WorkPrecisionStudy) -> Table:
+    """One line for each trial."""
+    title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, the effect of elasticity"
+    texts = [Column(each, no_wrap=True) for each in COLUMNS[:3]]
+    numbers = [Column(each, justify="right", no_wrap=True) for each in COLUMNS[3:6]]
+    table = titled_table(title, *texts, *numbers, *COLUMNS[6:])
+    for trial in study.trials:
+        table.add_row(*row(study, trial))
+    return table
+
+
+def row(study: WorkPrecisionStudy, trial: Trial) -> tuple[str, ...]:
+    """Cells of a trial."""
+    if trial.error is None or trial.time is None:
+        return (trial.family, trial.line, trial.label, "failed", "", "", trial.note)
+    factor = study.duration / trial.time
+    return (
+        trial.family,
+        trial.line,
+        trial.label,
+        f"{trial.error:.1e}",
+        f"{1e3 * trial.time:.1f}",
+        f"{factor:.3g}",
+        trial.note,
+    )
+
+
+def notes(study: WorkPrecisionStudy) -> list[str]:
+    """What stands below the table."""
+    found = [sentence(study)]
+    agreement = f", which agree within {study.agreement:.1e}" if study.agreement is not None else ""
+    found.append(f"References: {study.references}{agreement}.")
+    compared = advantages(study)
+    for error in sorted({each.error for each in compared.values()}):
+        ratios = [f"{line} {each.ratio:.0f} times" for line, each in compared.items() if each.error == error]
+        found.append(f"For an error of {error:.1e} other tools take longer than flexfmu: {', '.join(ratios)}.")
+    return found
+
+
+def markdown(study: WorkPrecisionStudy) -> str:
+    """Table and notes."""
+    rule = [":--", ":--", ":--", "--:", "--:", "--:", ":--"]
+    table = markdown_table(COLUMNS, rule, [row(study, trial) for trial in study.trials])
+    return "\n\n".join([f"# Work and precision: {study.scene.name}", *notes(study), table]) + "\n"
+
+
+def data(study: WorkPrecisionStudy) -> dict[str, Any]:
+    """Everything for machines."""
+    return {
+        "scene": study.scene.name,
+        "duration": study.duration,
+        "scale": study.scale,
+        "references": study.references,
+        "agreement": study.agreement,
+        "sentence": sentence(study),
+        "advantages": {line: each.ratio for line, each in advantages(study).items()},
+        "advantage_errors": {line: each.error for line, each in advantages(study).items()},
+        "trials": [vars(trial) for trial in study.trials],
+        "versions": versions(),
+    }

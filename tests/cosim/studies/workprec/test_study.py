@@ -17,14 +17,16 @@ from flexfmu.cosim.experiment.timing import MOST, fastest, fastest_in_turns
 from flexfmu.cosim.studies.workprec import fmu_trials, solver_trials, tool_trials
 from flexfmu.cosim.studies.workprec.figures import html, lines_of, save_figures
 from flexfmu.cosim.studies.workprec.fmu_trials import effect_trials, ladder
-from flexfmu.cosim.studies.workprec.report import data, markdown, notes
 from flexfmu.cosim.studies.workprec.solver_trials import formulation_trials
 from flexfmu.cosim.studies.workprec.study import (
     FAMILIES,
     WorkPrecisionStudy,
     advantages,
     cheapest,
+    data,
     is_differential_equation,
+    markdown,
+    notes,
     sentence,
 )
 from flexfmu.cosim.studies.workprec.trial import Curve, SceneUnderTest, Trial, subject_of, sweep

@@ -1,5 +1,4 @@
-"""What SciPy's solvers make of the equations that an FMU is made from: the references that the suite's errors are counted from.
-Neither our integrator nor our master takes part."""
+"""Reference solutions of the suite: the equations that an FMU is built from, solved by SciPy, without our integrator and our master."""
 
 from __future__ import annotations
 
@@ -9,26 +8,30 @@ from functools import lru_cache
 
 import casadi
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from flexfmu.cosim.control.blocks.code import compile_function
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.parameters import parameters_for
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.studies.workprec.equations import NUMBERS, BoundFunction, Symbol, joint_motion, motion_polynomials
-from flexfmu.cosim.studies.workprec.solver_trials import ScipyMethod, ends
-from flexfmu.cosim.studies.workprec.trial import RunError
+from flexfmu.cosim.studies.workprec.equations import (
+    NUMBERS,
+    BoundFunction,
+    Symbol,
+    joint_motion,
+    motion_polynomials,
+    start_state,
+)
+from flexfmu.cosim.studies.workprec.solver_trials import ScipyMethod, solve_piece
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.statics import static_equilibrium
 
 
 @dataclass(frozen=True)
 class JointReferences:
-    """How the six references u = [q_a, v_a, a_a] of the joints come about.
+    """How the six references u = [q_a, v_a, a_a] of the joints are calculated.
 
     Attributes:
-        count: how many numbers say it.
+        count: how many numbers they depend on.
         references: (t, numbers) → u (6, 1).
     """
 
@@ -36,14 +39,10 @@ class JointReferences:
     references: Callable[[Symbol, Symbol], Symbol]
 
 
-def _constant(t: Symbol, numbers: Symbol) -> Symbol:
-    return numbers
-
-
 ALONG_POLYNOMIALS = JointReferences(NUMBERS, joint_motion)
 """The numbers of a `flexfmu.cosim.studies.workprec.equations.MotionPolynomial`."""
 
-CONSTANT_REFERENCES = JointReferences(6, _constant)
+CONSTANT_REFERENCES = JointReferences(6, lambda t, numbers: numbers)
 """u itself, constant."""
 
 
@@ -77,13 +76,13 @@ def robot_equations(robot: Scene, drive: JointReferences, signals: tuple[str, ..
         compiled: whether to compile them, which takes a second.
     """
     model = build_model(robot)
-    n, given = model.degrees_of_freedom, model.functions
+    n, functions = model.degrees_of_freedom, model.functions
     t, z = casadi.SX.sym("t"), casadi.SX.sym("z", 2 * n)
-    numbers = casadi.SX.sym("numbers", drive.count + given["derive"].numel_out(0))
+    numbers = casadi.SX.sym("numbers", drive.count + functions["derive"].numel_out(0))
     u, d, q, v = drive.references(t, numbers[: drive.count]), numbers[drive.count :], z[:n], z[n:]
-    bias = given["residual"](q, v, casadi.SX.zeros(n), u, d)
-    rate = casadi.vertcat(v, casadi.solve(given["mass_matrix"](q, u, d), -bias))
-    outputs = given["outputs"](q, v, casadi.SX.zeros(n), u, d)
+    bias = functions["residual"](q, v, casadi.SX.zeros(n), u, d)
+    rate = casadi.vertcat(v, casadi.solve(functions["mass_matrix"](q, u, d), -bias))
+    outputs = functions["outputs"](q, v, casadi.SX.zeros(n), u, d)
     names = [output.name for output in model.outputs]
     chosen = casadi.vertcat(*(outputs[names.index(name)] for name in signals))
     made = [
@@ -91,7 +90,7 @@ def robot_equations(robot: Scene, drive: JointReferences, signals: tuple[str, ..
         for name, expression in (("rate", rate), ("signals", chosen))
     ]
     ready = [compile_function(each) if compiled else each for each in made]
-    return RobotEquations(n, tuple(p.name for p in model.parameters), given["derive"], *ready)
+    return RobotEquations(n, tuple(p.name for p in model.parameters), functions["derive"], *ready)
 
 
 FREQUENCY = 1e3
@@ -148,7 +147,7 @@ def positions_along(
     """
     equations = robot_equations(robot, ALONG_POLYNOMIALS, POSITION, solver.compiled)
     phases = [Phase(p.begin, p.end, p.numbers) for p in motion_polynomials(motion.joints, float(instants[-1]))]
-    start = _start(scene, motion, equations.n)
+    start = start_state(scene, motion.joints.evaluate(0.0, 0)[0, 0], equations.n)
     return _follow(equations, scene, phases, start, instants, solver, size)
 
 
@@ -169,14 +168,6 @@ def signals_of_constant_references(
     return _follow(equations, scene, phases, np.zeros(2 * equations.n), instants, solver, size)
 
 
-def _start(scene: Scene, motion: MotionPlan, n: int) -> RealArray:
-    """z at the start (2 n,)."""
-    joints = motion.joints.evaluate(0.0, 0)[0, 0]
-    is_static = scene.cosimulation.initial == "static"
-    elastic = static_equilibrium(scene, joints).elastic if is_static else np.zeros(n)
-    return np.concatenate([elastic, np.zeros(n)])
-
-
 def _follow(
     equations: RobotEquations,
     scene: Scene,
@@ -195,18 +186,7 @@ def _follow(
         within = instants[(instants > phase.begin) & (instants <= phase.end)]
         numbers = np.concatenate([phase.numbers, derived])
         rate, signals = (BoundFunction(function, numbers) for function in (equations.rate, equations.signals))
-        states = _solve(rate, phase, state, ends(within, phase.end), solver, absolute)
-        found += [signals(t, z) for t, z in zip(within, states, strict=False)]
-        state = states[-1]
+        span = phase.begin, phase.end
+        states, state = solve_piece(rate, span, state, within, solver.method, solver.tolerance, absolute)
+        found += [signals(t, z) for t, z in zip(within, states, strict=True)]
     return np.array(found)
-
-
-def _solve(
-    rate: BoundFunction, phase: Phase, state: RealArray, wanted: RealArray, solver: Solver, absolute: RealArray
-) -> RealArray:
-    """z at the wanted instants (N, 2 n)."""
-    span = phase.begin, phase.end
-    solution = solve_ivp(rate, span, state, solver.method, wanted, rtol=solver.tolerance, atol=absolute)
-    if not solution.success:
-        raise RunError(solution.message)
-    return np.asarray(solution.y.T)
