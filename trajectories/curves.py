@@ -53,7 +53,7 @@ class StraightLine:
 
 @dataclass(frozen=True, eq=False)
 class ParametricPiece:
-    """A smooth curve given by a regular parametrisation, evaluated by its exact arc length.
+    """A smooth curve with a regular parametrisation, evaluated by its exact arc length.
 
     Attributes:
         curve: coordinates [m] as jets from the parameter as a jet.
@@ -66,7 +66,12 @@ class ParametricPiece:
     @cached_property
     def table(self) -> ArcLengthTable:
         """Arc length as a function of the parameter."""
-        return tabulate(self._speed, self.end)
+
+        def speed(u: RealArray) -> RealArray:
+            x, y = self.curve(Jet.variable(u, 1))
+            return np.asarray(np.hypot(x.coefficients[1], y.coefficients[1]))
+
+        return tabulate(speed, self.end)
 
     @property
     def length(self) -> float:
@@ -82,11 +87,7 @@ class ParametricPiece:
         x, y = self.curve(Jet.variable(u, order))
         x_slope, y_slope = x.differentiate(), y.differentiate()
         arc = sqrt(x_slope * x_slope + y_slope * y_slope).integrate()
-        return unstack(compose(stack((x, y)), revert(arc).truncate(order)))
-
-    def _speed(self, u: RealArray) -> RealArray:
-        x, y = self.curve(Jet.variable(u, 1))
-        return np.asarray(np.hypot(x.coefficients[1], y.coefficients[1]))
+        return unstack(compose(stack((x, y)), revert(arc)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,11 +174,6 @@ class PiecewiseCurve:
             for row, jet in zip(result, self.pieces[i].jets(s[here] - self.edges[i], order), strict=True):
                 row[:, here] = jet.coefficients
         return Jet(result[0]), Jet(result[1])
-
-
-def placed(piece: Piece) -> PlacedPiece:
-    """The piece as one that has been moved, if only to where it was."""
-    return piece if isinstance(piece, PlacedPiece) else PlacedPiece(piece, (0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 
 
 def checked_side(side: Side) -> Side:

@@ -61,7 +61,7 @@ class Jet:
 
     @classmethod
     def from_derivatives(cls, derivatives: ArrayLike) -> Jet:
-        """The series of a function with the given value and derivatives, shape (order + 1, ...)."""
+        """The series of a function with this value and these derivatives, shape (order + 1, ...)."""
         derivatives = np.asarray(derivatives, dtype=float)
         return cls(derivatives / _factorials(derivatives))
 
@@ -83,10 +83,6 @@ class Jet:
     def value(self) -> RealArray:
         """The function's value, shape (...)."""
         return np.asarray(self.coefficients[0])
-
-    def truncate(self, order: int) -> Jet:
-        """The same function to a lower (or the same) order."""
-        return Jet(self.coefficients[: checked_order(order) + 1])
 
     def differentiate(self) -> Jet:
         """The derivative's series, one order lower."""

@@ -1,7 +1,7 @@
 """Joint trajectories through the mechanism's inverse kinematics, checked along the whole path while planning.
 
 Inverse kinematics gives angles modulo 2π; samples along the path, unwrapped, say which turn each belongs to. A margin is
-looked at on the same samples; around its local minima the grid is refined until the minimum cannot fall below what is
+evaluated at the same samples; around its local minima the grid is refined until the minimum cannot fall below what is
 required any more, or its place is exact.
 """
 
@@ -21,7 +21,7 @@ from flexfmu.trajectories.jets import Jet, RealArray, checked_order
 from flexfmu.trajectories.trajectory import Trajectory, limits
 
 SAMPLES_PER_INTERVAL = 200
-"""Points between two breakpoints at which margins and angles are first looked at; between two of them a margin has at
+"""Points between two breakpoints at which margins and angles are evaluated first; between two of them a margin has at
 most one minimum."""
 
 LARGEST_TURN = 1.0
@@ -35,7 +35,7 @@ interval, which is below the rounding of the margin itself."""
 
 @dataclass(frozen=True, eq=False)
 class Margin:
-    """A distance to trouble, such as the workspace's boundary or a singularity.
+    """A distance from what a motion must avoid, such as the workspace's boundary or a singularity.
 
     Attributes:
         name: what is measured, for messages.
@@ -80,7 +80,7 @@ class JointTrajectory:
     kinematics: InverseKinematics
 
     def __post_init__(self) -> None:
-        check_margins(self.task, self.kinematics, self._first_look)
+        check_margins(self.task, self.kinematics, self._first_samples)
 
     @property
     def duration(self) -> float:
@@ -110,14 +110,14 @@ class JointTrajectory:
         return result
 
     @cached_property
-    def _first_look(self) -> tuple[RealArray, RealArray]:
-        """See `look_at`."""
-        return look_at(self.task)
+    def _first_samples(self) -> tuple[RealArray, RealArray]:
+        """See `sampled_positions`."""
+        return sampled_positions(self.task)
 
     @cached_property
     def _samples(self) -> tuple[RealArray, RealArray]:
         """Sample times [s], shape (N,), and continuous joint angles [rad], shape (N, 2)."""
-        time, positions = self._first_look
+        time, positions = self._first_samples
         for _ in range(REFINEMENTS):
             joints = self.kinematics.joints(Jet(positions[None, :, 0]), Jet(positions[None, :, 1]))
             angles = np.unwrap(np.stack([joint.value for joint in joints], axis=-1), axis=0)
@@ -126,34 +126,34 @@ class JointTrajectory:
             if not wide.size:
                 break
             time = np.insert(time, wide + 1, 0.5 * (time[wide] + time[wide + 1]))
-            positions = _positions(self.task, time)
+            positions = np.asarray(self.task.evaluate(time, 0)[0])
         return time, angles
 
 
-def look_at(task: Trajectory) -> tuple[RealArray, RealArray]:
+def sampled_positions(task: Trajectory) -> tuple[RealArray, RealArray]:
     """Times [s], shape (N,), from 0 to the duration with all breakpoints, and positions [m] there, shape (N, 2)."""
     spans = [np.linspace(a, b, SAMPLES_PER_INTERVAL, endpoint=False) for a, b in pairwise(task.breakpoints)]
     time = np.concatenate([*spans, [task.duration]])
-    return time, _positions(task, time)
+    return time, np.asarray(task.evaluate(time, 0)[0])
 
 
 def check_margins(
-    task: Trajectory, kinematics: InverseKinematics, first_look: tuple[RealArray, RealArray] | None = None
+    task: Trajectory, kinematics: InverseKinematics, samples: tuple[RealArray, RealArray] | None = None
 ) -> None:
     """Refuse a motion along which a margin falls below what it requires.
 
     Args:
         task: motion of the end effector.
         kinematics: the mechanism's inverse kinematics.
-        first_look: what `look_at` gives for the motion, where that is known.
+        samples: what `sampled_positions` returns for the motion, where that is known.
 
     Raises:
         TrajectoryError: names the margin, its worst point and time, its value there and what is required.
     """
-    time, positions = look_at(task) if first_look is None else first_look
+    time, positions = sampled_positions(task) if samples is None else samples
     violations = []
     for index, margin in enumerate(kinematics.margins(positions)):
-        worst_time, worst = _smallest(task, kinematics, index, time, _defined(margin.values), margin.required)
+        worst_time, worst = _smallest(task, kinematics, index, time, margin.values, margin.required)
         if worst < margin.required:
             violations.append((not np.isfinite(worst), index, margin, worst_time, worst))
     if not violations:
@@ -162,7 +162,7 @@ def check_margins(
     _, _, margin, worst_time, worst = min(violations, key=lambda violation: violation[:2])
     unit = "" if margin.unit in ("", "1") else f" {margin.unit}"
     found = f"{worst:.6g}{unit}" if np.isfinite(worst) else "undefined"
-    x, y = _positions(task, np.array([worst_time]))[0]
+    x, y = task.evaluate(worst_time, 0)[0, 0]
     raise TrajectoryError(
         f"{margin.name} is {found} at (x, y) = ({x:.6g}, {y:.6g}) m, t = {worst_time:.6g} s; "
         f"it must be at least {margin.required:.6g}{unit} along the whole path: move the path or change the mechanism"
@@ -174,10 +174,15 @@ def _smallest(
 ) -> tuple[float, float]:
     """Time [s] and value of the smallest margin number ``index``, refined around the samples' local minima.
 
-    Around a minimum a convex margin rises by more than it may still fall between the points looked at; where that is less
+    Around a minimum a convex margin rises by more than it may still fall between the samples; where that is less
     than what is left above ``required``, it won't get there.
     """
-    # local minima of the samples, each with its neighbours
+
+    def defined(margins: RealArray) -> RealArray:
+        return np.where(np.isnan(margins), -np.inf, margins)
+
+    # local minima of the samples, each with its neighbours; undefined is the smallest of all
+    values = defined(values)
     padded = np.concatenate([[np.inf], values, [np.inf]])
     minima = np.flatnonzero((values <= padded[:-2]) & (values < padded[2:]))
     low, high = time[np.maximum(minima - 1, 0)], time[np.minimum(minima + 1, len(time) - 1)]
@@ -189,7 +194,8 @@ def _smallest(
     for _ in range(0 if is_far else REFINEMENTS):
         # nine points in each neighbourhood, all minima at once
         grid = low + (high - low) * np.linspace(0.0, 1.0, 9)[:, None]
-        found = _defined(kinematics.margins(_positions(task, grid.ravel()))[index].values).reshape(grid.shape)
+        positions = task.evaluate(grid.ravel(), 0)[0]
+        found = defined(kinematics.margins(positions)[index].values).reshape(grid.shape)
         at = np.argmin(found, axis=0), np.arange(len(minima))
         best = grid[at], found[at]
         with np.errstate(invalid="ignore"):
@@ -201,12 +207,3 @@ def _smallest(
         low, high = np.maximum(low, best[0] - quarter), np.minimum(high, best[0] + quarter)
     worst = int(np.argmin(best[1]))
     return float(best[0][worst]), float(best[1][worst])
-
-
-def _positions(task: Trajectory, time: RealArray) -> RealArray:
-    return np.asarray(task.evaluate(time, 0)[0])
-
-
-def _defined(values: RealArray) -> RealArray:
-    """Margins with -∞ in place of NaN."""
-    return np.where(np.isnan(values), -np.inf, values)

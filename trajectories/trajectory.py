@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side, placed
+from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side
 from flexfmu.trajectories.errors import positive, times
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order, compose, joined, stack, unstack
 from flexfmu.trajectories.path import PickAndPlacePath
@@ -174,7 +174,9 @@ class TaskTrajectory:
             middle = np.array([0.5 * (start + end)])
             profile = next(piece for piece in self.profile.pieces if middle[0] <= piece.end)
             index = int(np.searchsorted(curve.knots, profile.jet(middle, 0).value[0] * curve.length))
-            piece = placed(curve.pieces[index])
+            piece = curve.pieces[index]
+            if not isinstance(piece, PlacedPiece):
+                piece = PlacedPiece(piece, (0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
             intervals.append(Interval(start * self.duration, profile, piece, float(curve.edges[index])))
         return tuple(intervals)
 

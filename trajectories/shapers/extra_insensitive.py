@@ -1,7 +1,7 @@
 """Extra-insensitive shapers: EI, two-hump, three-hump and further, that leave a tolerable residual over a wide range.
 
 The residual of the undamped n-hump shaper is the Chebyshev polynomial of degree n + 1, as that of an antenna array by
-Dolph (1946): the widest range of frequencies for n + 2 impulses half a period apart and a given tolerance. One, two and
+Dolph (1946): the widest range of frequencies for n + 2 impulses half a period apart and one tolerance. One, two and
 three humps are those of the literature in closed form:
 
 - Singhose, Seering and Singer, "Residual Vibration Reduction Using Vector Diagrams to Generate Shaped Inputs",

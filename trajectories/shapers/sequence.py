@@ -29,7 +29,7 @@ TOUCH = 1e-6
 """Relative excess over a level that still counts as touching it: an EI shaper's hump meets its tolerance exactly."""
 
 FURTHEST = 100.0
-"""Multiple of the design frequency up to which the end of the insensitive range is looked for."""
+"""Multiple of the design frequency up to which the end of the insensitive range is searched."""
 
 FINENESS = 200
 """Samples within 1/duration, the narrowest feature of a sensitivity curve."""

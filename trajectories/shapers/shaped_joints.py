@@ -1,4 +1,4 @@
-"""Shaping the joint references: the shaped motion, the end effector's motion that follows, and how far it strays.
+"""Shaping the joint references: the shaped motion, the end effector's motion that follows, and its distance from the path.
 
 A motion convolved with an impulse sequence is the sum Σ A_i q(t - T_i), which is evaluated as it stands, with all its
 derivatives. The rigid end effector leaves its path by a little, since the kinematics are not linear.
@@ -23,10 +23,10 @@ from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory, merged
 
 POINTS_ON_PATH = 2000
-"""Points of the path among which the nearest one is looked up first; 0.2 mm apart on a path of 0.4 m."""
+"""Points of the path among which the nearest one is found first; 0.2 mm apart on a path of 0.4 m."""
 
 POINTS_PER_INTERVAL = 60
-"""Instants between two breakpoints at which the distance is looked at first."""
+"""Instants between two breakpoints at which the distance is evaluated first."""
 
 NEWTON_STEPS = 6
 """Steps to the foot of the perpendicular; quadratic convergence from 0.1 mm ends at rounding after four. The nearest of

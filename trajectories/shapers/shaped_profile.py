@@ -23,7 +23,7 @@ BACKWARDS = 1e-9
 """Slowest relative speed along the path that counts as going backwards, not as rounding."""
 
 SAMPLES, REFINEMENTS = 65, 3
-"""Points between two joins at which the speed is looked at, and rounds in which its smallest one is surrounded anew."""
+"""Points between two joins at which the speed is evaluated, and rounds in which the grid around its minimum is refined."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,20 @@ class ShapedProfile:
     def pieces(self) -> tuple[SmoothPiece, ...]:
         """Sums of shifted pieces between all shifted joins."""
         joins = self._shifted([edge for piece in self.profile.pieces for edge in (piece.start, piece.end)])
-        return tuple(self._piece(start, end) for start, end in pairwise(merged([0.0, 1.0], joins)))
+        pieces = []
+        for start, end in pairwise(merged([0.0, 1.0], joins)):
+            # a shifted motion is under way, over, or has not begun
+            terms, done = [], 0.0
+            for delay, amplitude in zip(self._delays, self.sequence.amplitudes, strict=True):
+                inside = (0.5 * (start + end) - delay) / self._share
+                if 0.0 < inside < 1.0:
+                    terms.append((amplitude, delay, next(p for p in self.profile.pieces if inside <= p.end)))
+                done += amplitude * (inside >= 1.0)
+            # the end is 1 to the last bit but one, whatever the amplitudes' sum is rounded to
+            if end == 1.0:
+                done = 1.0 - sum(amplitude for amplitude, _, _ in terms)
+            pieces.append(_Sum(start, end, tuple(terms), done, self._share))
+        return tuple(pieces)
 
     @cached_property
     def jumps(self) -> tuple[float, ...]:
@@ -72,19 +85,6 @@ class ShapedProfile:
 
     def _shifted(self, fractions: Sequence[float]) -> list[float]:
         return [delay + self._share * fraction for delay in self._delays for fraction in fractions]
-
-    def _piece(self, start: float, end: float) -> SmoothPiece:
-        """The sum between two neighbouring joins: motions under way, and what those at their end amount to."""
-        # a shifted motion is under way, over, or has not begun
-        terms, done = [], 0.0
-        for delay, amplitude in zip(self._delays, self.sequence.amplitudes, strict=True):
-            inside = (0.5 * (start + end) - delay) / self._share
-            if 0.0 < inside < 1.0:
-                terms.append((amplitude, delay, next(p for p in self.profile.pieces if inside <= p.end)))
-            done += amplitude * (inside >= 1.0)
-        if end == 1.0:  # the end is 1 to the last bit but one, whatever the amplitudes' sum is rounded to
-            done = 1.0 - sum(amplitude for amplitude, _, _ in terms)
-        return _Sum(start, end, tuple(terms), done, self._share)
 
     def _check_direction(self) -> None:
         """Refuse a negative speed anywhere along the path."""

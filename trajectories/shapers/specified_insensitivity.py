@@ -1,4 +1,4 @@
-"""Specified-insensitivity shapers: the shortest sequence whose residual stays tolerable over a given frequency range.
+"""Specified-insensitivity shapers: the shortest sequence whose residual stays tolerable over a frequency range.
 
 Found by optimisation over a sampled range (Singhose, Seering and Singer, "Input Shaping for Vibration Reduction with
 Specified Insensitivity to Modeling Errors", Japan-USA Symposium on Flexible Automation, 1996; Vaughan, Yano and Singhose,
@@ -26,7 +26,7 @@ SAMPLES_PER_IMPULSE = 40
 """Frequencies for each impulse at which the residual is limited while optimising; a hump spans about one impulse's share."""
 
 DENSITY = 10
-"""How many times more frequencies are looked at when the result is judged."""
+"""How many times more frequencies the result is checked at."""
 
 EXCESS = 1e-3
 """Excess of the residual over the tolerance, relative to it, that is accepted between the sampled frequencies."""
