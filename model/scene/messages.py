@@ -17,27 +17,41 @@ def listed(names: Any) -> str:
 def sentence(error: dict[str, Any], root: type[BaseModel]) -> str:
     """One sentence for one of pydantic's errors in the section ``root``."""
     keys, model, unit = _locate(error["loc"], root)
-    key = ".".join(keys)
-    unit_text = "" if unit in ("", "1") else f" {unit}"
-    kind, context = error["type"], error.get("ctx", {})
+    key, annotation = ".".join(keys), _annotation(model, keys)
+    kind, context, value = error["type"], error.get("ctx", {}), error["input"]
+    unit = "" if unit == "1" else unit
+    # a key that is missing or unknown
     if kind == "missing":
-        return f"`{key}` is missing: add it{f' (in {unit})' if unit_text else _one_of(_annotation(model, keys))}"
+        words = get_args(annotation) if get_origin(annotation) is Literal else ()
+        remedy = f" (in {unit})" if unit else f", one of {', '.join(map(repr, words))}" if words else ""
+        return f"`{key}` is missing: add it{remedy}"
     if kind == "extra_forbidden":
-        return _unknown_key(keys, model)
+        known = list(model.model_fields) if model is not None else []
+        close = difflib.get_close_matches(keys[-1], known, n=1)
+        remedy = f"did you mean `{close[0]}`?" if close else f"known keys here: {listed(known)}"
+        return f"`{key}` is not a known key: {remedy}"
+    # what a validator of ours says
     if kind == "value_error":
         return f"{f'in `{key}`: ' if key else ''}{context['error']}"
-    if kind == "tuple_type" and any(_sections(_annotation(model, keys))):
-        return _list_of_tables(key, error["input"])
-    if kind in _BOUNDS:
-        return f"`{key}` must be {_BOUNDS[kind].format(**context)}{unit_text}, got {error['input']!r}{unit_text}"
+    # tables and their kinds
+    if kind == "tuple_type" and any(_sections(annotation)):
+        remedy = f"instead of [{key}]" if isinstance(value, dict) else f"and the keys below it, got {value!r}"
+        return f"`{key}` is a list of tables: write [[{key}]] {remedy}"
     if kind == "union_tag_invalid":
-        return f"`{key}.kind` must be one of {context['expected_tags']}, got {error['input'].get('kind')!r}"
+        return f"`{key}.kind` must be one of {context['expected_tags']}, got {value.get('kind')!r}"
     if kind == "union_tag_not_found":
-        return f"`{key}.kind` must be one of {_tags(_annotation(model, keys))}, but is missing"
+        kinds = [tag for each in _sections(annotation) for tag in get_args(each.model_fields["kind"].annotation)]
+        return f"`{key}.kind` must be one of {', '.join(map(repr, kinds))}, but is missing"
+    # a value out of range, of the wrong form, or anything else that pydantic finds
+    if kind in _BOUNDS:
+        unit = f" {unit}" if unit else ""
+        return f"`{key}` must be {_BOUNDS[kind].format(**context)}{unit}, got {value!r}{unit}"
+    in_unit = f" in {unit}" if unit else ""
     if kind in _FORMS:
         form = _FORMS[kind].format(**context, example=array_example(model, keys[-1]) if keys else "")
-        return f"`{key}` must be {form}{f' in {unit}' if unit_text else ''}, got {_as_toml(error['input'])}"
-    return f"`{key}` {_plain(error['msg'])}{f' in {unit}' if unit_text else ''}, got {error['input']!r}"
+        return f"`{key}` must be {form}{in_unit}, got {list(value) if isinstance(value, tuple) else value!r}"
+    found = error["msg"].replace("Input should be", "must be").replace("Field required", "is missing")
+    return f"`{key}` {found}{in_unit}, got {value!r}"
 
 
 _FORMS = {
@@ -67,37 +81,9 @@ def _annotation(model: type[BaseModel] | None, keys: list[str]) -> Any:
     return None if field is None else field.annotation
 
 
-def _one_of(annotation: Any) -> str:
-    """The words of which a key takes one; empty where it takes something else."""
-    words = get_args(annotation) if get_origin(annotation) is Literal else ()
-    return f", one of {', '.join(map(repr, words))}" if words else ""
-
-
-def _tags(annotation: Any) -> str:
-    """All kinds of the section that a key holds."""
-    kinds = [kind for model in _sections(annotation) for kind in get_args(model.model_fields["kind"].annotation)]
-    return ", ".join(map(repr, kinds))
-
-
-def _list_of_tables(key: str, value: Any) -> str:
-    """What is wrong where several tables should be."""
-    if isinstance(value, dict):
-        return f"`{key}` is a list of tables: write [[{key}]] instead of [{key}]"
-    return f"`{key}` is a list of tables: write [[{key}]] and the keys below it, got {value!r}"
-
-
-def _as_toml(value: Any) -> str:
-    """A value as it stands in the scene file, where vectors are arrays."""
-    return repr(list(value)) if isinstance(value, tuple) else repr(value)
-
-
-def _plain(message: str) -> str:
-    """Pydantic's sentence as the end of ours: `Input should be a valid number` → `must be a valid number`."""
-    return message.replace("Input should be", "must be").replace("Field required", "is missing")
-
-
 def _locate(location: tuple[Any, ...], root: type[BaseModel]) -> tuple[list[str], type[BaseModel] | None, str]:
     """Keys of the scene file, the section that holds the last one, and the unit, for one of pydantic's locations."""
+    # follow the location downwards: keys so far, sections that the next part may belong to, the section of the last key
     keys: list[str] = []
     variants: list[type[BaseModel]] = [root]
     holder: type[BaseModel] | None = root
@@ -136,13 +122,6 @@ def _variant(variants: list[type[BaseModel]], tag: Any) -> type[BaseModel] | Non
     return next((model for model in variants if tag in get_args(model.model_fields["kind"].annotation)), None)
 
 
-def _unknown_key(keys: list[str], model: type[BaseModel] | None) -> str:
-    known = list(model.model_fields) if model is not None else []
-    close = difflib.get_close_matches(keys[-1], known, n=1)
-    remedy = f"did you mean `{close[0]}`?" if close else f"known keys here: {listed(known)}"
-    return f"`{'.'.join(keys)}` is not a known key: {remedy}"
-
-
 def array_example(section: type[BaseModel] | None, key: str) -> str:
     """What the array of a section's key may look like: numbers, texts, or arrays of them.
 
@@ -165,13 +144,8 @@ def _example(element: Any) -> str:
     if get_origin(element) is tuple:
         row = _example(_element(element))
         return f"[{row}, {row}]"
-    if get_origin(element) is Literal:
-        return _quoted(get_args(element)[:2])
-    return _quoted(("a", "b")) if element is str else "[1.0, 2.0]"
-
-
-def _quoted(texts: tuple[str, ...]) -> str:
-    return "[" + ", ".join(f'"{text}"' for text in texts) + "]"
+    texts = get_args(element)[:2] if get_origin(element) is Literal else ("a", "b") if element is str else ()
+    return "[" + ", ".join(f'"{text}"' for text in texts) + "]" if texts else "[1.0, 2.0]"
 
 
 def _element(annotation: Any) -> Any:

@@ -1,7 +1,7 @@
 """The choice itself: the cheapest set of effects for a scene, with what each effect is estimated to be worth.
 
-The search starts with all effects and leaves out what is worth least, alone or in pairs. What the robot gives a scene, gravity for
-example, is never left out; its worth is estimated too.
+The search is a backward elimination: it starts with all effects and leaves out what is worth least, alone or in pairs, as long as
+the estimated errors allow it. Loads of the robot, gravity for example, are never left out; their worth is estimated too.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from flexfmu.model.selection.estimator import Estimator, richest, with_set
 from flexfmu.model.selection.motion_grid import JointMotion
 
 SAFETY = 1.5
-"""By what estimated errors are multiplied: one step of Newton's method and finite time steps leave a few percent."""
-
+"""Factor on estimated errors: one step of Newton's method and finite time steps leave a few percent."""
 
 CONVERGED = 0.1
 """By how many tolerances the richest set may differ from the next richer one."""
@@ -95,9 +94,20 @@ def choose_effects(
     chosen = cheapest(
         estimates.richest, with_set(scene, {}), lambda each: error(each, False), lambda each: error(each, True), limit
     )
+    # every effect, in the set or not, with what the metrics change without it, or with it
+    worth = tuple(
+        EstimatedEffect(
+            effect=each.effect,
+            change=each.change,
+            chosen=is_chosen,
+            contribution=tuple(estimates.changes(chosen.effects, each.scene.effects).values()),
+        )
+        for each, is_chosen in neighbours(estimates, chosen)
+    )
     error_of = estimates.errors(chosen.effects)
-    errors = tuple(factor[name] * error_of[name] for name in of)
-    choice = Choice(tolerance=tolerance, of=of, error=errors, effects=tuple(_estimated(estimates, chosen)))
+    choice = Choice(
+        tolerance=tolerance, of=of, error=tuple(factor[name] * error_of[name] for name in of), effects=worth
+    )
     return chosen.replace({"effects.choice": choice.model_dump()})
 
 
@@ -110,19 +120,6 @@ def neighbours(estimator: Estimator, chosen: Scene) -> list[tuple[Neighbour, boo
     """Scenes with one effect less, True, and with one more, False, as far as the richest set goes."""
     found = [(each, True) for each in poorer(chosen)] + [(each, False) for each in richer(chosen)]
     return [pair for pair in found if estimator.covers(pair[0].scene.effects)]
-
-
-def _estimated(estimator: Estimator, chosen: Scene) -> list[EstimatedEffect]:
-    """Every effect, in the set or not, with what the metrics change without it, or with it."""
-    return [
-        EstimatedEffect(
-            effect=each.effect,
-            change=each.change,
-            chosen=is_chosen,
-            contribution=tuple(estimator.changes(chosen.effects, each.scene.effects).values()),
-        )
-        for each, is_chosen in neighbours(estimator, chosen)
-    ]
 
 
 Error = Callable[[Scene], float]
@@ -152,17 +149,16 @@ def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: fl
         promising = (each for error, each in ranked if error <= HOPELESS * limit)
         return next((each for each in promising if sharp(each) <= limit), None)
 
+    def two_poorer(scene: Scene) -> Iterable[Scene]:
+        """All scenes with two effects or modes less, each once."""
+        pairs = [second.scene for first in poorer(scene) for second in poorer(first.scene)]
+        return {each.effects.model_dump_json(): each for each in pairs}.values()
+
     scene: Scene | None = richest
     while scene is not None:
         found = scene
-        scene = best(each.scene for each in poorer(found)) or best(_two_poorer(found))
+        scene = best(each.scene for each in poorer(found)) or best(two_poorer(found))
     return found
-
-
-def _two_poorer(scene: Scene) -> Iterable[Scene]:
-    """All scenes with two effects or modes less, each once."""
-    pairs = [second.scene for first in poorer(scene) for second in poorer(first.scene)]
-    return {each.effects.model_dump_json(): each for each in pairs}.values()
 
 
 def poorer(scene: Scene) -> Iterator[Neighbour]:
@@ -178,7 +174,7 @@ def richer(scene: Scene) -> Iterator[Neighbour]:
 def given_effects(
     estimator: Estimator, chosen: Scene, motion: JointMotion
 ) -> Iterator[tuple[Neighbour, EstimatedEffect]]:
-    """Each effect that the robot gives, as the scene without it and what that would change in the metrics.
+    """Each load of the robot, as the scene without it and what that would change in the metrics.
 
     Args:
         estimator: of the scene.
@@ -196,5 +192,5 @@ def given_effects(
 
 
 def absent_effects(scene: Scene) -> tuple[str, ...]:
-    """What a robot may give that this one doesn't: keys of the scene."""
+    """Keys of loads that the robot doesn't have."""
     return tuple(key for key in LOADS if key not in scene.loads)

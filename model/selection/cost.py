@@ -40,18 +40,14 @@ def costs(scenes: Sequence[Scene]) -> tuple[Cost, ...]:
     runs = [_run(model) for model in models]
     times = [min(column) for column in zip(*([run() for run in runs] for _ in range(ROUNDS)), strict=True)]
     return tuple(
-        Cost(model.n, sum(function.n_instructions() for function in _functions(model)), time)
+        Cost(model.n, model.elastic_forces.n_instructions() + model.motion.n_instructions(), time)
         for model, time in zip(models, times, strict=True)
     )
 
 
-def _functions(model: NumericModel) -> tuple[casadi.Function, casadi.Function]:
-    return model.elastic_forces, model.motion
-
-
 def _run(model: NumericModel) -> Callable[[], float]:
     """Evaluates a model's functions many times; the time of one evaluation [s]."""
-    mapped = [function.map(EVALUATIONS) for function in _functions(model)]
+    mapped = [function.map(EVALUATIONS) for function in (model.elastic_forces, model.motion)]
     at_rest = (np.zeros((model.n, EVALUATIONS)),) * 3
     arguments = [casadi.DM(each) for each in (*at_rest, np.tile(POSE, EVALUATIONS))]
 

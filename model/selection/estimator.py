@@ -84,8 +84,10 @@ class Estimator:
         self._static_start = scene.cosimulation.initial == "static"
         self._robots: dict[tuple[str, bool], LinearizedMotion] = {}
         self._known: dict[tuple[str, bool], Metrics] = {}
+        # what the robot would do if it were rigid
         robot = self._robot(self.richest.effects)
-        self._rigid = robot.outputs(_still(robot.load.shape))
+        rest = np.zeros(robot.load.shape)
+        self._rigid = robot.outputs(Motion(rest, rest, rest))
 
     @cached_property
     def reference(self) -> Metrics:
@@ -148,8 +150,3 @@ class Estimator:
             deflected = replace(motion, position=motion.position + robot.deflections(motion, statics))
             outputs = replace(outputs, position=robot.outputs(deflected).position)
         return Behaviour(self._grid, outputs, self._rigid, robot.rest_position(self._grid.rests[1], states, statics))
-
-
-def _still(shape: tuple[int, ...]) -> Motion:
-    rest = np.zeros(shape)
-    return Motion(rest, rest, rest)

@@ -28,6 +28,10 @@ NEWTON_STEPS = 3
 """Steps to a static equilibrium: small deflections need no more, see `flexfmu.model.statics`."""
 
 
+_NAME = re.compile(r"link(?P<leg>\d)(?P<link>\d)\.(?P<direction>\w+)\[(?P<mode>\d+)\]")
+"""A coordinate of a link, like ``link11.bending[1]``."""
+
+
 @dataclass(frozen=True, eq=False)
 class Outputs:
     """What a robot does at N instants: end effector [m, m/s, m/s²] and torques [N m], each (N, 2)."""
@@ -56,8 +60,17 @@ class LinearizedMotion:
 
     @cached_property
     def linear(self) -> LinearSystem:
-        """Matrices of small motions about the undeformed robot."""
-        return _linear_system(self._scene, self._grid)
+        """Matrices of small motions about the undeformed robot: evaluated at every few instants, straight lines between."""
+        grid = self._grid
+        # some instants of each span, both ends included
+        every = [np.linspace(a, b - 1, (b - a) // MATRICES_EVERY + 2).round().astype(np.intp) for a, b in grid.spans]
+        coarse = np.concatenate([np.unique(some) for some in every])
+        count, n = coarse.size, self._model.n
+        found = _full(_matrices(self._scene).map(count)(grid.joints[coarse].T))
+        matrices = [matrix.reshape(n, count, n).transpose(1, 0, 2) for matrix in found]
+        # instants at jumps are different ones at the same time, so that the index is what is interpolated along
+        between = interp1d(coarse, np.stack(matrices), axis=1)(np.arange(grid.time.size))
+        return LinearSystem(between[0], between[1], between[2], grid.spans, grid.steps)
 
     @cached_property
     def load(self) -> RealArray:
@@ -66,10 +79,21 @@ class LinearizedMotion:
         return -self.forces(Motion(rest, rest, rest))
 
     def coordinates(self, effects: Effects, *, static: bool = False) -> Indices:
-        """Indices of the coordinates that are states with such effects, or of those that deflect statically."""
-        return np.array(
-            [i for i, name in enumerate(self._model.names) if _belongs(name, effects, static)], dtype=np.intp
-        )
+        """Indices of the coordinates that are states with such effects, or of those that deflect statically.
+
+        What belongs to no link (twists of the transmissions) isn't chosen and always a state.
+        """
+        found = []
+        for i, name in enumerate(self._model.names):
+            match = _NAME.fullmatch(name)
+            if match is None:
+                belongs = not static
+            else:
+                family = f"{'proximal' if match['link'] == '1' else 'distal'}_{match['direction']}"
+                has_mode = int(match["mode"]) <= getattr(effects, family)
+                belongs = has_mode and (family in effects.quasi_static) is static
+            found += [i] if belongs else []
+        return np.array(found, dtype=np.intp)
 
     def response(self, states: Indices, start: RealArray) -> Motion:
         """Elastic motion in linear approximation (N, n), with `states` alone moving, from rest at `start`."""
@@ -97,8 +121,9 @@ class LinearizedMotion:
 
     def rest_position(self, rest: RealArray, states: Indices, statics: Indices) -> RealArray:
         """End effector in the static equilibrium at a standstill (2,) [m]."""
-        q, zeros = self._static(rest, np.zeros(self._model.n), states), np.zeros(self._model.n)
-        q = self._static(rest, q, statics)
+        # the states first, without the others; then what deflects statically under their forces
+        zeros = np.zeros(self._model.n)
+        q = self._static(rest, self._static(rest, zeros, states), statics)
         return np.asarray(self._model.motion(q, zeros, zeros, rest)[0].full()).ravel()
 
     def _static(self, rest: RealArray, q: RealArray, free: Indices) -> RealArray:
@@ -119,7 +144,8 @@ class LinearizedMotion:
     def forces(self, motion: Motion) -> RealArray:
         """Forces that all coordinates need for a motion (N, n)."""
         function = self._model.elastic_forces.map(motion.position.shape[0])
-        return _full([function(*self._arguments(motion))])[0].T
+        arguments = motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
+        return _full([function(*arguments)])[0].T
 
     def hardening(self, motion: Motion) -> RealArray:
         """Forces of bending beyond linear theory (N, n), which no set of effects contains."""
@@ -129,26 +155,8 @@ class LinearizedMotion:
     def outputs(self, motion: Motion) -> Outputs:
         """End effector and torques of a motion."""
         function = self._model.motion.map(motion.position.shape[0])
-        return Outputs(*(result.T for result in _full(function(*self._arguments(motion)))))
-
-    def _arguments(self, motion: Motion) -> tuple[RealArray, ...]:
-        return motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
-
-
-def _linear_system(scene: Scene, grid: MotionGrid) -> LinearSystem:
-    """Matrices along the motion, straight lines between every few instants."""
-    coarse = np.concatenate([_some(a, b) for a, b in grid.spans])
-    count, n = coarse.size, numeric_model(scene).n
-    found = _full(_matrices(scene).map(count)(grid.joints[coarse].T))
-    matrices = [matrix.reshape(n, count, n).transpose(1, 0, 2) for matrix in found]
-    # instants at jumps are different ones at the same time, so that the index is what is interpolated along
-    between = interp1d(coarse, np.stack(matrices), axis=1)(np.arange(grid.time.size))
-    return LinearSystem(between[0], between[1], between[2], grid.spans, grid.steps)
-
-
-def _some(a: int, b: int) -> Indices:
-    """Some of the indices a..b-1, both ends included."""
-    return np.unique(np.linspace(a, b - 1, (b - a) // MATRICES_EVERY + 2).round().astype(np.intp))
+        arguments = motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
+        return Outputs(*(result.T for result in _full(function(*arguments))))
 
 
 def _full(results: Iterable[casadi.DM]) -> list[RealArray]:
@@ -167,18 +175,3 @@ def _matrices(scene: Scene) -> casadi.Function:
     results = [casadi.substitute(casadi.jacobian(force, x), state, rest) for x in (a, v, q)]
     dense = [casadi.densify(result) for result in casadi.cse(results)]
     return casadi.Function("matrices", [u], dense)
-
-
-_NAME = re.compile(r"link(?P<leg>\d)(?P<link>\d)\.(?P<direction>\w+)\[(?P<mode>\d+)\]")
-
-
-def _belongs(name: str, effects: Effects, static: bool) -> bool:
-    """Whether a coordinate like ``link11.bending[1]`` is a state, or deflects statically, with such effects.
-
-    What belongs to no link (twists of the transmissions) isn't chosen and always a state.
-    """
-    match = _NAME.fullmatch(name)
-    if match is None:
-        return not static
-    family = f"{'proximal' if match['link'] == '1' else 'distal'}_{match['direction']}"
-    return int(match["mode"]) <= getattr(effects, family) and (family in effects.quasi_static) is static
