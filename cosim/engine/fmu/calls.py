@@ -1,4 +1,4 @@
-"""The FMI 2.0 functions of a loaded FMU as plain C calls on addresses, without any conversion on the way.
+"""The FMI 2.0 and 3.0 functions of a loaded FMU as plain C calls on addresses, without any conversion on the way.
 
 fmpy's methods turn lists into C arrays at every call; here arrays are numpy buffers whose addresses are taken once.
 """
@@ -6,11 +6,11 @@ fmpy's methods turn lists into C arrays at every call; here arrays are numpy buf
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from ctypes import CFUNCTYPE, c_char_p, c_double, c_int, c_size_t, c_void_p
+from ctypes import CFUNCTYPE, c_bool, c_char_p, c_double, c_int, c_size_t, c_void_p
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 """fmi2Status."""
@@ -21,7 +21,10 @@ DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3
 CO_SIMULATION = 1
 """fmi2Type."""
 
-SIGNATURES: dict[str, tuple[Any, ...]] = {
+Signature = tuple[Any, ...]
+"""Types of result and arguments; pointers as addresses."""
+
+FMI2_SIGNATURES: dict[str, Signature] = {
     "fmi2Instantiate": (c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int),
     "fmi2FreeInstance": (None, c_void_p),
     "fmi2SetupExperiment": (c_int, c_void_p, c_int, c_double, c_double, c_int, c_double),
@@ -46,7 +49,47 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "fmi2SetFMUstate": (c_int, c_void_p, c_void_p),
     "fmi2FreeFMUstate": (c_int, c_void_p, c_void_p),
 }
-"""Function → (result, arguments); pointers as addresses."""
+"""Functions of FMI 2.0."""
+
+DTYPES: dict[str, DTypeLike] = {
+    "Float32": np.float32,
+    "Float64": np.float64,
+    "Int8": np.int8,
+    "UInt8": np.uint8,
+    "Int16": np.int16,
+    "UInt16": np.uint16,
+    "Int32": np.int32,
+    "UInt32": np.uint32,
+    "Int64": np.int64,
+    "UInt64": np.uint64,
+    "Boolean": np.bool_,
+}
+"""Types of variables that are numbers → element types of the C arrays; enumerations are reached as Int64."""
+
+_TRANSFER: Signature = (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)
+
+FMI3_SIGNATURES: dict[str, Signature] = {
+    "fmi3InstantiateCoSimulation": (
+        *(c_void_p, c_char_p, c_char_p, c_char_p, c_bool, c_bool, c_bool, c_bool),
+        *(c_void_p, c_size_t, c_void_p, c_void_p, c_void_p),
+    ),
+    "fmi3FreeInstance": (None, c_void_p),
+    "fmi3EnterConfigurationMode": (c_int, c_void_p),
+    "fmi3ExitConfigurationMode": (c_int, c_void_p),
+    "fmi3EnterInitializationMode": (c_int, c_void_p, c_bool, c_double, c_double, c_bool, c_double),
+    "fmi3ExitInitializationMode": (c_int, c_void_p),
+    "fmi3EnterEventMode": (c_int, c_void_p),
+    "fmi3UpdateDiscreteStates": (c_int, *[c_void_p] * 7),
+    "fmi3EnterStepMode": (c_int, c_void_p),
+    "fmi3Terminate": (c_int, c_void_p),
+    "fmi3DoStep": (c_int, c_void_p, c_double, c_double, c_bool, *[c_void_p] * 4),
+    "fmi3GetOutputDerivatives": (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_void_p, c_size_t),
+    "fmi3GetFMUState": (c_int, c_void_p, c_void_p),
+    "fmi3SetFMUState": (c_int, c_void_p, c_void_p),
+    "fmi3FreeFMUState": (c_int, c_void_p, c_void_p),
+    **{f"fmi3{verb}{kind}": _TRANSFER for kind in (*DTYPES, "String") for verb in ("Get", "Set")},
+}
+"""Functions of FMI 3.0; fmi3Boolean is C's bool."""
 
 _RARE = ("String", "Derivatives", "Status", "FMUstate")
 """How functions end that some libraries lack, though FMI has them all."""

@@ -1,4 +1,8 @@
-"""FMU files: unpacked once per content, described, and checked for what a slave needs."""
+"""FMU files: unpacked once per content, described, and checked for what a slave needs.
+
+Our own FMUs say more of themselves than FMI provides for, in vendor annotations: sample times, breakpoints, and names of
+numbered choices.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +13,20 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
+from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+from xml.etree import ElementTree
 
 import fmpy
 from fmpy.model_description import Item, SimpleType, read_model_description
 
 from flexfmu.cosim.engine.errors import FmuFileError
-from flexfmu.cosim.engine.fmu.annotations import breakpoints, choices, names, sampling
 from flexfmu.cosim.engine.fmu.fmi3_variables import flattened, structural_sizes
+from flexfmu.fmu_build.choices import ANNOTATION
+from flexfmu.fmu_build.naming import NAMES
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -55,7 +64,7 @@ class UnpackedFmu:
         Raises:
             FmuFileError: the annotation doesn't make sense.
         """
-        return sampling(self.path, self.folder)
+        return _sampling(self.path, self.folder)
 
     @property
     def breakpoints(self) -> tuple[float, ...] | None:
@@ -64,7 +73,7 @@ class UnpackedFmu:
         Raises:
             FmuFileError: the annotation doesn't make sense.
         """
-        return breakpoints(self.path, self.folder)
+        return _breakpoints(self.path, self.folder)
 
     @property
     def is_ours(self) -> bool:
@@ -120,8 +129,8 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
         attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
         if str(description.generationTool).startswith("flexfmu "):
-            _restore_names(description, names(path, folder))
-            _name_choices(description, choices(path, folder))
+            _restore_names(description, _names(path, folder))
+            _name_choices(description, _choices(path, folder))
         if description.fmiVersion.startswith("3."):
             _check_clocks(path, description)
             description = flattened(description, folder, {})
@@ -182,3 +191,63 @@ def _check(fmu: UnpackedFmu) -> None:
         platforms = sorted(each.name for each in (fmu.folder / "binaries").glob("*") if each.is_dir())
         found = ", ".join(platforms) or "none"
         raise FmuFileError(f"{path} has no binary for {platform} (it has: {found}); build it for this platform")
+
+
+def _sampling(path: Path, folder: Path) -> tuple[float, float] | None:
+    """Sample time and offset [s] of an exported block; None for any other FMU.
+
+    Args:
+        path: the FMU file.
+        folder: where it has been unpacked.
+
+    Raises:
+        FmuFileError: the annotation doesn't make sense.
+    """
+    return _annotation(path, folder, "Sampling", lambda at: (_number(at["sampleTime"]), _number(at["offset"])))
+
+
+def _breakpoints(path: Path, folder: Path) -> tuple[float, ...] | None:
+    """Breakpoints [s] of an exported trajectory, ascending; None for any other FMU. Arguments as for `_sampling`.
+
+    Raises:
+        FmuFileError: the annotation doesn't make sense.
+    """
+    return _annotation(path, folder, "Breakpoints", lambda at: tuple(map(_number, at["times"].split())))
+
+
+def _choices(path: Path, folder: Path) -> Mapping[str, Mapping[str, int]]:
+    """Integer parameters whose values have names: parameter → name → value; none in any other FMU. Arguments as for
+    `_sampling`.
+
+    Raises:
+        FmuFileError: the annotation doesn't make sense.
+    """
+    return _annotation(path, folder, ANNOTATION, lambda at: {name: _numbered(text) for name, text in at.items()}) or {}
+
+
+def _names(path: Path, folder: Path) -> Mapping[str, str]:
+    """Structured names of variables with flat ones: flat → structured; none in any other FMU. Arguments as for `_sampling`."""
+    return _annotation(path, folder, NAMES, dict) or {}
+
+
+def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
+    root = ElementTree.parse(folder / "modelDescription.xml")
+    found = root.find(f"VendorAnnotations/Tool[@name='flexfmu']//{element}")
+    if found is None:
+        return None
+    try:
+        return parse(found.attrib)
+    except (KeyError, ValueError) as error:
+        raise FmuFileError(f"{path} is a broken FMU: its {element} are {found.attrib}; build it again") from error
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not isfinite(value):
+        raise ValueError(text)
+    return value
+
+
+def _numbered(text: str) -> dict[str, int]:
+    """``"static=1 undeformed=2"`` as a dictionary."""
+    return {name: int(number) for name, _, number in (item.partition("=") for item in text.split())}

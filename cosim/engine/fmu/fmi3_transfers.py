@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import SlaveError
-from flexfmu.cosim.engine.fmu.calls import OK, WARNING, address, value_references
+from flexfmu.cosim.engine.fmu.calls import DTYPES, OK, WARNING, address, value_references
 from flexfmu.cosim.engine.fmu.fmi3 import Fmi3Instance
-from flexfmu.cosim.engine.fmu.fmi3_calls import DTYPES
 from flexfmu.cosim.engine.fmu.fmi3_variables import ElementHandle
 from flexfmu.cosim.engine.fmu.instance import StatusCall
 from flexfmu.cosim.engine.fmu.variables import Handle, Setting, Value

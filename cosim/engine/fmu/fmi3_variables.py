@@ -17,7 +17,7 @@ from attrs import asdict, define, evolve
 from fmpy.model_description import ModelVariable, Unknown
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.fmu.fmi3_calls import DTYPES
+from flexfmu.cosim.engine.fmu.calls import DTYPES
 from flexfmu.cosim.engine.fmu.variables import Handle, Value, settable_variables, settings
 
 _KINDS = {"Float32": "Real", "Float64": "Real", "Enumeration": "Enumeration", "Boolean": "Boolean", "String": "String"}

@@ -9,14 +9,13 @@ from functools import cache, partial
 from itertools import count
 from pathlib import Path
 from time import sleep
-from typing import Any
+from typing import Any, cast
 
 from fmpy.fmi1 import _FMU
 
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import FmuFileError, SlaveEnded, SlaveError
 from flexfmu.cosim.engine.fmu import calls as fmi2
-from flexfmu.cosim.engine.fmu import fmi3_calls as fmi3
 from flexfmu.cosim.engine.fmu.capabilities import needs, only_once_per_process
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu, attempt
 from flexfmu.cosim.engine.fmu.log import FmuLog
@@ -69,7 +68,7 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
             in_child(lambda: bool(_loaded(fmu, arguments)), lambda: None, CALL_LIMIT)
         except ChildLostError as lost:
             raise FmuFileError(f"{fmu.path} is a broken FMU: loading its library, {lost}{needs(fmu)}") from lost
-    library, signatures = _loaded(fmu, arguments), fmi3.SIGNATURES if fmu.is_fmi3 else fmi2.SIGNATURES
+    library, signatures = _loaded(fmu, arguments), fmi2.FMI3_SIGNATURES if fmu.is_fmi3 else fmi2.FMI2_SIGNATURES
     calls: fmi2.Calls = attempt(fmu.path, lambda: fmi2.bound_calls(library, signatures))
     return calls
 
@@ -323,3 +322,42 @@ class Checked:
     def error(self, status: int) -> SlaveError:
         """What the FMU says about a failure."""
         return self._instance.error(self._what, status)
+
+
+class FmuStates:
+    """Saved states of an instance: their memory is used again, and freed with the instance at the end of a run."""
+
+    def __init__(self, instance: Instance) -> None:
+        self.instance = instance
+        self.no_rollback = 1
+        self._states: list[c_void_p] = []
+        self._spare: list[c_void_p] = []
+
+    def save(self) -> object:
+        """The complete state, in the memory of a released one where there is any."""
+        state = self._spare.pop() if self._spare else c_void_p()
+        try:
+            self.instance.check("saving the state", lambda: self.instance.get_state(state))
+        finally:
+            # whatever it points to now must be freed at the end
+            if state.value is not None and not any(each is state for each in self._states):
+                self._states.append(state)
+        self.no_rollback = 0
+        return state
+
+    def release(self, state: object) -> None:
+        """Keep the memory of a saved state for the next one."""
+        if isinstance(state, c_void_p) and not any(each is state for each in self._spare):
+            self._spare.append(state)
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved state."""
+        saved = cast(c_void_p, state)
+        self.instance.check("restoring a state", lambda: self.instance.set_state(saved))
+
+    def free(self) -> None:
+        """Free states and instance; to be called once."""
+        if self.instance.alive:
+            for state in self._states:
+                self.instance.free_state(state)
+        self.instance.free()

@@ -25,10 +25,8 @@ from flexfmu.cosim.engine.fmu.file import UnpackedFmu, open_fmu, resized
 from flexfmu.cosim.engine.fmu.fmi3 import Fmi3Instance
 from flexfmu.cosim.engine.fmu.fmi3_transfers import Fmi3Transfers
 from flexfmu.cosim.engine.fmu.fmi3_variables import by_elements
-from flexfmu.cosim.engine.fmu.instance import BoundStep, Checked, FmuInstance, Instance, load_calls
-from flexfmu.cosim.engine.fmu.states import FmuStates
-from flexfmu.cosim.engine.fmu.statistics import Statistics
-from flexfmu.cosim.engine.fmu.transfers import Transfers
+from flexfmu.cosim.engine.fmu.instance import BoundStep, Checked, FmuInstance, FmuStates, Instance, load_calls
+from flexfmu.cosim.engine.fmu.transfers import Statistics, Transfers
 from flexfmu.cosim.engine.fmu.variables import (
     FmuVariables,
     Handle,
@@ -107,7 +105,7 @@ class FmuSlave:
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
         self.needs_regular_steps = needs_regular_steps(self._fmu)
         self._instance, self._transfers = _interface(self._fmu)
-        self._counters = Statistics(known.others, self._transfers)
+        self._counters = Statistics(known.others, self._transfers.get)
         self._starts = self._given_starts = self._starting(self._given)
         self._presets: dict[int, float] = {}
         self._run: FmuStates | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from ctypes import c_char_p, c_void_p
 from functools import partial
 
@@ -182,3 +182,30 @@ def _all(calls: Sequence[Callable[[], int]]) -> StatusCall:
     if len(calls) == 1:
         return calls[0]
     return lambda: max((call() for call in calls), default=OK)
+
+
+PREFIX = "statistics."
+"""How the names of the variables begin."""
+
+
+class Statistics:
+    """An FMU's counters of its run: its integer variables ``statistics.*``.
+
+    Args:
+        variables: all variables that can be read; among them the counters.
+        get: makes a call that reads variables into a buffer.
+    """
+
+    def __init__(
+        self, variables: Mapping[str, Handle], get: Callable[[Sequence[Handle], RealArray], StatusCall]
+    ) -> None:
+        counters = {n: each for n, each in variables.items() if n.startswith(PREFIX) and each.kind == "Integer"}
+        self._names = [name.removeprefix(PREFIX) for name in counters]
+        self._values = np.zeros(len(counters))
+        self._read = get([*counters.values()], self._values)
+
+    def read(self) -> dict[str, int]:
+        """Name without prefix → value; nothing where they can't be read."""
+        if not self._names or self._read() > WARNING:
+            return {}
+        return {name: int(value) for name, value in zip(self._names, self._values.tolist(), strict=True)}
