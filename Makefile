@@ -25,11 +25,11 @@ demo: $(VENV)/bin/python
 test: $(VENV)/.test
 	rm -rf build/wheel build/lib && $(BIN)/python -m build --quiet --wheel --outdir build/wheel .
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps build/wheel/*.whl
-	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGUMENTS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGUMENTS)
 
 check: lint $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
-	$(BIN)/python -m pytest -n 2 -q -m "not slow" $(PYTEST_ARGUMENTS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -q -m "not slow" $(PYTEST_ARGUMENTS)
 
 fuzz: $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"

@@ -1,5 +1,5 @@
-"""What tests of everything use: tools that must not be missing where they can be had, and how much work something is, counted
-instead of timed."""
+"""What tests of everything use: one cache of FMUs, tools that must not be missing where they can be had, and how much work
+something is, counted instead of timed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import gc
 import os
 import re
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
 from typing import TypeVar
 
 import pytest
@@ -43,6 +44,17 @@ def _required(report: Report) -> Report:
         report.outcome = "failed"
         report.longrepr = f"{report.longreprtext}: FLEXFMU_REQUIRE_TOOLS asks for every tool; .ci/tools gets them"
     return report
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The cache of all tests, processes that they start included: no test writes into the user's own, and no FMU is built twice."""
+    folder = tmp_path_factory.getbasetemp()
+    # pytest-xdist gives each of its processes a folder of its own within that of the session
+    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "cache"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FLEXFMU_CACHE", str(folder))
+        yield folder
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ def numbers(text: str) -> list[float]:
 def test_all_examples_are_tested() -> None:
     """An example that nobody runs would rot."""
     here = Path(__file__)
-    loops = here.with_name("loop") / "test_loop_examples.py"
+    loops = here.parent / "cosim" / "experiment" / "test_loop_examples.py"
     tested = "".join(path.read_text(encoding="utf-8") for path in (here, loops))
     assert all(f'"{path.name}"' in tested for path in EXAMPLES.glob("*.py"))
 

@@ -17,9 +17,11 @@ MASS, STIFFNESS, COUPLING, DAMPING, FORCE = 2.0, 800.0, 150.0, 0.0, 3.0
 
 
 @pytest.fixture(scope="session")
-def object_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def object_folder(shared_cache: Path) -> Path:
     """Object files that all tests share, so that the runtime is compiled once."""
-    return tmp_path_factory.mktemp("objects")
+    folder = shared_cache / "objects"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 @pytest.fixture(autouse=True)

@@ -50,14 +50,12 @@ def robot_sources(robot: SymbolicModel) -> Sources:
 
 
 @pytest.fixture(scope="session")
-def library_for(robot_sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> LibraryFor:
+def library_for(robot_sources: Sources) -> LibraryFor:
     """Function that compiles it for a platform, each once; with zig even where the machine has another compiler."""
-    folder = tmp_path_factory.mktemp("platforms")
 
     @cache
     def compile_once(name: str, with_zig: bool = False) -> bytes:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("FLEXFMU_CACHE", str(folder))
             if with_zig:
                 patch.setenv("PATH", "")
                 patch.delenv("CC", raising=False)

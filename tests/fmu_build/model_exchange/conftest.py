@@ -107,6 +107,12 @@ def scene_of(changes: Mapping[str, object]) -> Scene:
     return load_scene("barnard2012-6kg").replace(changes)
 
 
+@pytest.fixture(autouse=True)
+def cache_folder(shared_cache: Path) -> Path:
+    """These tests need no empty cache."""
+    return shared_cache
+
+
 @pytest.fixture(scope="module")
 def plant_path(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Path, Path]]:
     """Function from changes of the 6 kg scene to its FMU and where that is unpacked."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
@@ -13,14 +13,6 @@ from flexfmu.model.symbolic import SymbolicBlock
 
 Array = NDArray[np.float64]
 Respond = Callable[[SymbolicBlock, Mapping[str, ArrayLike]], dict[str, Array]]
-
-
-@pytest.fixture(scope="session", autouse=True)
-def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """No test writes into the user's own cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FLEXFMU_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,9 +1,8 @@
-"""How tests run a block over many samples, and where its compiled code goes."""
+"""How tests run a block over many samples."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
 
 import casadi
 import numpy as np
@@ -35,12 +34,3 @@ def sampled(block: SymbolicBlock, inputs: ArrayLike, parameters: Mapping[str, fl
 def run() -> Run:
     """Function (block, inputs (N, inputs), parameters) → outputs (N, outputs)."""
     return sampled
-
-
-@pytest.fixture(scope="session", autouse=True)
-def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """No test writes into the user's own cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.mktemp("imperfections")
-        patch.setenv("FLEXFMU_CACHE", str(folder))
-        yield folder

@@ -1,4 +1,4 @@
-"""Where exported FMUs are built, and how tests get at their instances."""
+"""How tests get at instances of exported FMUs."""
 
 from __future__ import annotations
 
@@ -15,19 +15,6 @@ sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without t
 from export_support.instance import opened
 
 from flexfmu.fmu_build.block_build import build_block_fmu
-
-
-@pytest.fixture(scope="session", autouse=True)
-def export_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of all caches of this session; object files in it are shared by all tests."""
-    return tmp_path_factory.mktemp("export")
-
-
-@pytest.fixture(autouse=True)
-def cache_folder(export_cache: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """No test writes into the user's own cache."""
-    monkeypatch.setenv("FLEXFMU_CACHE", str(export_cache))
-    return export_cache
 
 
 @pytest.fixture

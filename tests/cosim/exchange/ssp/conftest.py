@@ -64,18 +64,6 @@ def make_ssp(make_decay: Callable[..., bytes], tmp_path: Path) -> Callable[..., 
     return make
 
 
-@pytest.fixture(scope="session", autouse=True)
-def ssp_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of all caches of this session."""
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def cache_folder(ssp_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No test writes into the user's own cache."""
-    monkeypatch.setenv("FLEXFMU_CACHE", str(ssp_cache))
-
-
 PD = {"kind": "pd", "proportional": 5e3, "derivative": 50.0, "sample_time": 1e-3}
 
 
@@ -108,7 +96,7 @@ def controlled_scene() -> Scene:
 
 
 @pytest.fixture(scope="session")
-def staggered_ssp(controlled_scene: Scene, ssp_cache: Path) -> Path:
+def staggered_ssp(controlled_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The controlled scene as an SSP file, each block sampling after those that feed it."""
     sections = controlled_scene.model_dump(exclude_none=True)
     (pd, feedforward), (encoder, lag, payload) = sections["controller"], sections["imperfection"]
@@ -117,23 +105,21 @@ def staggered_ssp(controlled_scene: Scene, ssp_cache: Path) -> Path:
         "controller": [pd | {"offset": 1e-4}, feedforward | {"offset": 5e-5}],
         "imperfection": [encoder, lag | {"offset": 5e-5}, payload],
     }
-    return _exported(controlled_scene.replace(changes), ssp_cache)
+    return _exported(controlled_scene.replace(changes), tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
-def motion_ssp(motion_scene: Scene, ssp_cache: Path) -> Path:
+def motion_ssp(motion_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The motion-driven scene as an SSP file."""
-    return _exported(motion_scene, ssp_cache)
+    return _exported(motion_scene, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
-def controlled_ssp(controlled_scene: Scene, ssp_cache: Path) -> Path:
+def controlled_ssp(controlled_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The controlled scene as an SSP file."""
-    return _exported(controlled_scene, ssp_cache)
+    return _exported(controlled_scene, tmp_path_factory)
 
 
-def _exported(scene: Scene, folder: Path) -> Path:
-    """A scene as an SSP file, built in the session's cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FLEXFMU_CACHE", str(folder))
-        return export_ssp(scene, folder / f"{scene.name}.ssp")
+def _exported(scene: Scene, folders: pytest.TempPathFactory) -> Path:
+    """A scene as an SSP file."""
+    return export_ssp(scene, folders.mktemp("exported") / f"{scene.name}.ssp")
