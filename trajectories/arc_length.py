@@ -122,6 +122,7 @@ def tabulate(speed: Callable[[RealArray], RealArray], end: float) -> ArcLengthTa
 
 def _panels(speed: Callable[[RealArray], RealArray], end: float) -> RealArray:
     """Edges of panels on each of which the speed is resolved, found by halving."""
+    # panels are resolved from left to right, so that their edges ascend
     waiting, edges = [(0.0, end)], [0.0]
     rounding = ROUNDING * float(np.max(speed(np.linspace(0.0, end, 8 * NODES))))
     while waiting:

@@ -110,6 +110,7 @@ class Clothoid:
 
     def jets(self, s: RealArray, order: int) -> PlaneJets:
         """See `flexfmu.trajectories.curves.Piece`; the position is a pair of Fresnel integrals."""
+        # the Fresnel integrals run over (s/length) sqrt(2 turning / π)
         unit = self.length * math.sqrt(QUARTER / self.turning)
         across, along = fresnel(s / unit)
         if order == 0:
@@ -129,6 +130,7 @@ class ClothoidPair(Blend):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # beyond these ratios no two clothoids have these extents
         ratio = self.width / self.height
         if not LOWEST_RATIO < ratio < HIGHEST_RATIO:
             raise TrajectoryError(
@@ -166,6 +168,7 @@ def unit_extent(first_turning: float) -> tuple[float, float]:
         unit = 2.0 * math.sqrt(turning * QUARTER)
         return unit * float(across), unit * float(along)
 
+    # the second one is seen from the other end, its axes exchanged
     (across_1, along_1), (across_2, along_2) = end(first_turning), end(QUARTER - first_turning)
     return across_1 + along_2, along_1 + across_2
 

@@ -215,6 +215,7 @@ def arctan2(y: Jet, x: Jet) -> Jet:
     angle = np.arctan2(y.value, x.value)
     if min(x.order, y.order) == 0:
         return Jet(angle[None])
+    # derivative by the quotient, value by the angle itself
     rate = (x * y.differentiate() - y * x.differentiate()) / (x * x + y * y)
     return rate.integrate(angle)
 

@@ -100,6 +100,7 @@ class JointTrajectory:
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `flexfmu.trajectories.trajectory.HasLimits`."""
         time = times(time)
+        # inverse kinematics of the series in time
         motion = Jet.from_derivatives(limits(self.task, time, left, checked_order(order)))
         x, y = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))
         result = np.stack([joint.derivatives() for joint in self.kinematics.joints(x, y)], axis=-1)
@@ -150,6 +151,7 @@ def check_margins(
     Raises:
         TrajectoryError: names the margin, its worst point and time, its value there and what is required.
     """
+    # every margin that falls short, with its worst point
     time, positions = sampled_positions(task) if samples is None else samples
     violations = []
     for index, margin in enumerate(kinematics.margins(positions)):

@@ -45,12 +45,14 @@ class PickAndPlacePath:
     blend: Blend
 
     def __post_init__(self) -> None:
+        # kept as plain pairs, whatever sequences they were
         object.__setattr__(self, "start", plane_vector("path start", self.start, "m"))
         object.__setattr__(self, "lift", plane_vector("path lift", self.lift, "1"))
         if self.lift == (0.0, 0.0):
             raise TrajectoryError("path lift must be a direction other than (0, 0), for example (0, 1)")
         positive("path height", self.height, "m")
         positive("path width", self.width, "m")
+        # the blends must not overlap
         _check_fit("height d", self.blend.height, "the path's height", self.height)
         _check_fit("width e", self.blend.width, "half the path's width", 0.5 * self.width)
 

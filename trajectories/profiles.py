@@ -57,6 +57,7 @@ class ProfilePiece:
 
     def jet(self, eta: RealArray, order: int) -> Jet:
         """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
+        # powers of the distance from the centre, times binomial coefficients
         powers = np.ones((len(self.coefficients), *eta.shape))
         powers[1:] = eta - self.centre
         np.multiply.accumulate(powers, axis=0, out=powers)
@@ -64,6 +65,7 @@ class ProfilePiece:
 
     def value(self, eta: float) -> float:
         """σ at one fraction of the duration."""
+        # Horner's scheme
         result, x = 0.0, eta - self.centre
         for coefficient in reversed(self.coefficients):
             result = result * x + coefficient
@@ -101,7 +103,7 @@ class SeventhDegreePolynomial:
 
 @dataclass(frozen=True)
 class BangBang:
-    """Constant acceleration 4 to the middle, then -4."""
+    """Constant acceleration 4 to the middle, then -4: the shortest motion within a limit of the acceleration."""
 
     @property
     def pieces(self) -> tuple[ProfilePiece, ...]:
@@ -148,6 +150,7 @@ class Trapezoidal:
     @property
     def pieces(self) -> tuple[ProfilePiece, ...]:
         """Two parabolas, and a straight line between them unless the ramps fill the duration."""
+        # the area under the velocity is 1
         velocity = 1.0 / (1.0 - self.ramp)
         first, last = _symmetric((0.0, 0.0, 0.5 * velocity / self.ramp), self.ramp)
         middle = ProfilePiece(self.ramp, 1.0 - self.ramp, 0.5, (0.5, velocity))
@@ -185,6 +188,7 @@ PROFILES: Mapping[str, ProfileKind] = {
 def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Side = "right") -> Jet:
     """σ and its derivatives by η at the fractions ``eta`` of the duration, 0 to 1, a number or shape (N,)."""
     eta, order = within("fraction of the duration", eta, 1.0, "(the whole)"), checked_order(order)
+    # each piece for all fractions in it at once
     index = np.searchsorted([piece.start for piece in profile.pieces[1:]], eta, side=checked_side(side))
     coefficients = np.empty((order + 1, len(eta)))
     for i in np.unique(index):
@@ -194,7 +198,7 @@ def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Sid
 
 def time_at(profile: Profile, fraction: float) -> float:
     """The fraction of the duration at which the profile passes ``fraction`` of the path, 0 to 1 exclusive."""
-
+    # a profile is monotonic, so that there is one root
     pieces = profile.pieces
     starts = [piece.start for piece in pieces[1:]]
 
@@ -218,7 +222,7 @@ def _shifted(coefficients: tuple[float, ...], order: int) -> RealArray:
 
 
 def _symmetric(coefficients: tuple[float, ...], end: float) -> tuple[ProfilePiece, ProfilePiece]:
-    """A piece from 0 to ``end`` expanded about 0, and its point reflection that ends at 1."""
+    """A piece from 0 to ``end`` expanded about 0, and its point reflection that ends at 1: 1 - σ(1 - η)."""
     reflected = [-c * (-1.0) ** k for k, c in enumerate(coefficients)]
     reflected[0] += 1.0
     return ProfilePiece(0.0, end, 0.0, coefficients), ProfilePiece(1.0 - end, 1.0, 1.0, tuple(reflected))

@@ -113,6 +113,7 @@ class TaskTrajectory:
     @cached_property
     def breakpoints(self) -> tuple[float, ...]:
         """Times [s] of the profile's jumps and of the path's knots, 0 and the duration, sorted."""
+        # jumps first: a knot that is passed at a jump is merged into it
         passages = [time_at(self.profile, knot / self.path.length) for knot in self.path.knots]
         return tuple(self.duration * eta for eta in merged([0.0, 1.0], [*self.profile.jumps, *passages]))
 

@@ -77,10 +77,12 @@ def plan(scene: Scene) -> MotionPlan:
     Raises:
         TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
     """
+    # the path, and the motion along it
     section = scene.trajectory
     corner = section.blend.kind, section.blend.height, section.blend.width
     path = _path(section.start, section.lift, section.height, section.width, corner)
     profile = PROFILES[section.profile.kind].make(**section.profile.parameters)
+    # joints follow by inverse kinematics, which checks the margins along the path
     task = TaskTrajectory(path, profile, section.duration)
     kinematics = RigidKinematics(scene.mechanism)
     return MotionPlan(scene, task, kinematics, task, JointTrajectory(task, kinematics))

@@ -29,6 +29,7 @@ class ProfileSection(Section):
 
     @model_validator(mode="after")
     def _parameters_belong_to_the_kind(self) -> Self:
+        # all that the kind needs, and nothing of another kind
         own = PROFILES[self.kind].parameters
         for name, range_ in own.items():
             if name not in self.parameters:

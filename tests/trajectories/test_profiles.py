@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 
 import numpy as np
@@ -16,6 +17,7 @@ from flexfmu.trajectories import (
     TrajectoryError,
     Trapezoidal,
     evaluate_profile,
+    profiles,
 )
 from flexfmu.trajectories.profiles import time_at
 
@@ -104,6 +106,15 @@ def test_ramps_out_of_range_are_refused(ramp: float) -> None:
     """Protects against ramps longer than the motion."""
     with pytest.raises(TrajectoryError, match=f"ramp must be above 0 and at most 0.5 of the duration, got {ramp:g}"):
         Trapezoidal(ramp)
+
+
+def test_table_names_the_parameters_of_each_profile() -> None:
+    """Protects scene files: their keys are the fields of the profile's class, and a key has one range for all profiles."""
+    ranges: dict[str, profiles.Parameter] = {}
+    for kind in profiles.PROFILES.values():
+        assert set(inspect.signature(kind.make).parameters) == set(kind.parameters)
+        for name, parameter in kind.parameters.items():
+            assert ranges.setdefault(name, parameter) == parameter
 
 
 @pytest.mark.parametrize("eta", [-1e-9, 1.1, math.nan])

@@ -56,7 +56,16 @@ def extra_insensitive(mode: Oscillator, tolerance: float = 0.05, humps: int = 1)
     unknowns = conditions.undamped()
     steps = math.ceil(mode.ratio / CONTINUATION_STEP)
     for ratio in np.linspace(0.0, mode.ratio, steps + 1)[1:]:
-        unknowns = _followed(conditions, unknowns, float(ratio))
+        found = root(conditions.equations, unknowns, args=(float(ratio),), tol=1e-14)
+        unknowns = np.asarray(found.x)
+        # another root of the equations, or none, shows by its order or its residual
+        _, *ordered = conditions.unpack(unknowns)
+        ascending = all(np.all(np.diff(values) > 0.0) for values in ordered)
+        if np.max(np.abs(conditions.equations(unknowns, float(ratio)))) > SOLVED or not ascending:
+            raise TrajectoryError(
+                f"no EI shaper with {humps} hump(s) exists near a damping ratio of {ratio:.3g}: "
+                "use fewer humps, ZVD or ZV; the vibration decays quickly"
+            )
     amplitudes, angles, _, _ = conditions.unpack(unknowns)
     return ImpulseSequence(tuple(angles / mode.angular_frequency), tuple(amplitudes))
 
@@ -72,6 +81,7 @@ def chebyshev_amplitudes(impulses: int, tolerance: float) -> RealArray:
     response = tolerance * np.polynomial.chebyshev.Chebyshev.basis(degree)(
         _chebyshev_edge(impulses, tolerance) * np.cos(0.5 * phases)
     )
+    # back from the response at N phases to amplitudes about the middle
     places = np.arange(impulses) - 0.5 * degree
     return np.asarray(np.cos(np.outer(places, phases)) @ response / impulses)
 
@@ -79,19 +89,6 @@ def chebyshev_amplitudes(impulses: int, tolerance: float) -> RealArray:
 def _chebyshev_edge(impulses: int, tolerance: float) -> float:
     """x0."""
     return math.cosh(math.acosh(1.0 / tolerance) / (impulses - 1))
-
-
-def _followed(conditions: _Conditions, unknowns: RealArray, ratio: float) -> RealArray:
-    """The solution for a damping ratio, from that for a slightly smaller one."""
-    found = root(conditions.equations, unknowns, args=(ratio,), tol=1e-14)
-    _, angles, zeros, tops = conditions.unpack(found.x)
-    ascending = all(np.all(np.diff(values) > 0.0) for values in (angles, zeros, tops))
-    if np.max(np.abs(conditions.equations(found.x, ratio))) > SOLVED or not ascending:
-        raise TrajectoryError(
-            f"no EI shaper with {conditions.humps} hump(s) exists near a damping ratio of {ratio:.3g}: "
-            "use fewer humps, ZVD or ZV; the vibration decays quickly"
-        )
-    return np.asarray(found.x)
 
 
 @dataclass(frozen=True)
@@ -135,6 +132,7 @@ class _Conditions:
     def equations(self, unknowns: RealArray, ratio: float) -> RealArray:
         """No residual at the zeros; at the tops the tolerance, and no slope."""
         amplitudes, angles, zeros, tops = self.unpack(unknowns)
+        # relative to the last impulse; the derivative by the frequency multiplies each wave by its exponent
         exponents = complex(ratio, math.sqrt(1.0 - ratio**2)) * angles - ratio * angles[-1]
         at_zeros = np.exp(np.outer(zeros, exponents)) @ amplitudes
         waves = np.exp(np.outer(tops, exponents))

@@ -104,8 +104,10 @@ class ImpulseSequence:
             raise TrajectoryError(
                 f"an impulse sequence needs as many times as amplitudes, at least one; got {len(times)} and {len(amplitudes)}"
             )
+        # the first impulse begins the motion
         if times[0] != 0.0 or any(a >= b for a, b in pairwise(times)):
             raise TrajectoryError(f"impulse times must start at 0 and ascend, got {_listed(times)} s")
+        # published amplitudes are rounded; what is left is scaled away
         total = math.fsum(amplitudes)
         if not abs(total - 1.0) <= SUM_ROUNDING * max(1.0, math.fsum(map(abs, amplitudes))):
             raise TrajectoryError(
@@ -178,6 +180,7 @@ class ImpulseSequence:
         limit = checked_fraction("level", level) * (1.0 + TOUCH)
         if self.residual(frequency, ratio)[0] > limit or self.duration == 0.0:
             return 0.0
+        # the ends of the range, from the design frequency downwards and upwards
         low = self._crossing(frequency, 0.0, limit, ratio)
         high = self._crossing(frequency, FURTHEST * frequency, limit, ratio)
         return (high - low) / frequency
@@ -201,6 +204,7 @@ class ImpulseSequence:
 
         Coinciding impulses are added up.
         """
+        # every impulse of one sequence starts the other
         pairs = sorted(
             (t1 + t2, a1 * a2)
             for t1, a1 in zip(self.times, self.amplitudes, strict=True)
@@ -230,6 +234,7 @@ class ImpulseSequence:
         positive("sample time", sample_time, "s")
         shares: dict[int, float] = {}
         for time, amplitude in zip(self.times, self.amplitudes, strict=True):
+            # impulses that share a sample are added up
             sample, later = sample_share(time, sample_time)
             for index, share in ((sample, 1.0 - later), (sample + 1, later)):
                 if share:

@@ -65,6 +65,7 @@ class ShapedTrajectory:
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Coordinates and their time derivatives; see `flexfmu.trajectories.Trajectory.evaluate`."""
+        # all delays in one call, then the weighted sum
         delayed = times(time) - np.array(self.sequence.times)[:, np.newaxis]
         parts = self.trajectory.evaluate(delayed.ravel(), checked_order(order), side)
         parts = parts.reshape(order + 1, *delayed.shape, parts.shape[-1])
@@ -115,45 +116,37 @@ def path_deviation(motion: Trajectory, path: PickAndPlacePath) -> float:
         motion: end effector, x and y [m] in time.
         path: the planned path.
     """
-    # samples between breakpoints
-    spans = [np.linspace(a, b, POINTS_PER_INTERVAL, endpoint=False) for a, b in pairwise(motion.breakpoints)]
-    time = np.concatenate([*spans, [motion.duration]])
-    nearest = _NearestPoint(path)
-    distance = nearest.distances(motion.evaluate(time, 0)[0])
-    worst = int(np.argmax(distance))
-    # then around the largest distance, on a finer grid in every round
-    low, high = time[max(worst - 1, 0)], time[min(worst + 1, len(time) - 1)]
-    largest = float(distance[worst])
-    for _ in range(REFINEMENTS):
-        grid = np.linspace(low, high, 9)
-        found = nearest.distances(motion.evaluate(grid, 0)[0])
-        best = int(np.argmax(found))
-        largest = max(largest, float(found[best]))
-        low, high = grid[max(best - 1, 0)], grid[min(best + 1, 8)]
-    return largest
+    arc_lengths = np.linspace(0.0, path.length, POINTS_ON_PATH)
+    tree = cKDTree(np.stack([jet.value for jet in path.jets(arc_lengths, 0)], axis=-1))
 
-
-class _NearestPoint:
-    """Distances from a path, by its nearest sample and Newton's method from there."""
-
-    def __init__(self, path: PickAndPlacePath) -> None:
-        self._path = path
-        self._arc_lengths = np.linspace(0.0, path.length, POINTS_ON_PATH)
-        self._tree = cKDTree(np.stack([jet.value for jet in path.jets(self._arc_lengths, 0)], axis=-1))
-
-    def distances(self, positions: RealArray) -> RealArray:
-        """Distances [m] of positions (N, 2) [m], shape (N,)."""
-        distance, index = self._tree.query(positions)
-        s = self._arc_lengths[index]
+    def distances(positions: RealArray) -> RealArray:
+        """From positions (N, 2) [m] to the path [m], shape (N,): from the nearest sample by Newton's method."""
+        distance, index = tree.query(positions)
+        s = arc_lengths[index]
         for _ in range(NEWTON_STEPS):
             point, tangent, curvature = (
-                np.stack([x, y], axis=-1)
-                for x, y in zip(*(jet.derivatives() for jet in self._path.jets(s, 2)), strict=True)
+                np.stack([x, y], axis=-1) for x, y in zip(*(jet.derivatives() for jet in path.jets(s, 2)), strict=True)
             )
             # the foot of the perpendicular is where the offset has no part along the tangent
             offset = point - positions
             distance = np.minimum(distance, np.linalg.norm(offset, axis=-1))
             slope = np.sum(tangent**2 + offset * curvature, axis=-1)
             step = np.sum(offset * tangent, axis=-1) / np.maximum(slope, FLATTEST)
-            s = np.clip(s - step, 0.0, self._path.length)
+            s = np.clip(s - step, 0.0, path.length)
         return np.asarray(distance)
+
+    # the largest of the samples between breakpoints
+    spans = [np.linspace(a, b, POINTS_PER_INTERVAL, endpoint=False) for a, b in pairwise(motion.breakpoints)]
+    time = np.concatenate([*spans, [motion.duration]])
+    distance = distances(motion.evaluate(time, 0)[0])
+    worst = int(np.argmax(distance))
+    # then around it, on a finer grid in every round
+    low, high = time[max(worst - 1, 0)], time[min(worst + 1, len(time) - 1)]
+    largest = float(distance[worst])
+    for _ in range(REFINEMENTS):
+        grid = np.linspace(low, high, 9)
+        found = distances(motion.evaluate(grid, 0)[0])
+        best = int(np.argmax(found))
+        largest = max(largest, float(found[best]))
+        low, high = grid[max(best - 1, 0)], grid[min(best + 1, 8)]
+    return largest

@@ -51,6 +51,7 @@ class ShapedProfile:
     @cached_property
     def pieces(self) -> tuple[SmoothPiece, ...]:
         """Sums of shifted pieces between all shifted joins."""
+        # between two joins the same shifted pieces are under way
         joins = self._shifted([edge for piece in self.profile.pieces for edge in (piece.start, piece.end)])
         pieces = []
         for start, end in pairwise(merged([0.0, 1.0], joins)):

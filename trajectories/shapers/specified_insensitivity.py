@@ -53,6 +53,7 @@ def specified_insensitivity(
         raise TrajectoryError(f"highest frequency must be at least the lowest, {lowest:g} Hz, got {highest:g} Hz")
     checked_fraction("tolerable residual", tolerance)
     checked_ratio(ratio)
+    # one more impulse until the range is wide enough; each is judged at more frequencies than it was optimised for
     middle = 0.5 * (lowest + highest)
     for impulses in range(2, MOST_IMPULSES + 1):
         problem = _Problem(impulses, lowest / middle, highest / middle, tolerance, ratio)
@@ -129,6 +130,7 @@ class _Problem:
         omega = 2.0 * np.pi * frequencies
         pole = complex(self.ratio, math.sqrt(1.0 - self.ratio**2))
         waves = np.exp(np.outer(omega, pole * times - self.ratio * times[latest]))
+        # |Σ A_i w_i|² and its derivatives; the latest time is in all waves
         response = waves @ amplitudes
         squares = np.abs(response) ** 2
         by_amplitudes = 2.0 * (np.conj(response)[:, None] * waves).real

@@ -59,10 +59,12 @@ def unity_magnitude(mode: Oscillator) -> ImpulseSequence:
     Control 119, 1997). The damped times solve the two equations of zero vibration exactly instead of by that paper's
     polynomials in ζ, which are good to 2e-3 of a period.
     """
+    # the undamped angles, followed in small steps of the damping ratio
     angles = np.array([np.pi / 3.0, 2.0 * np.pi / 3.0])
     for ratio in np.linspace(0.0, mode.ratio, math.ceil(mode.ratio / CONTINUATION_STEP) + 1):
         found = root(_unity_magnitude_equations, angles, args=(float(ratio),), tol=1e-14)
         angles = found.x
+    # another root of the equations, or none, shows by its order or its residual
     cancelled = np.max(np.abs(_unity_magnitude_equations(angles, mode.ratio))) <= CANCELLED
     if not (cancelled and 0.0 < angles[0] < angles[1]):
         raise TrajectoryError(f"no UM-ZV shaper was found for a damping ratio of {mode.ratio:g}: use ZV")
@@ -80,5 +82,6 @@ def _unity_magnitude_equations(angles: RealArray, ratio: float) -> RealArray:
 def _equidistant(mode: Oscillator, spacing: float, undamped: list[float]) -> ImpulseSequence:
     """Impulses ``spacing`` [s] apart with amplitudes in proportion to the undamped ones times the decay."""
     weights = [amplitude * mode.decay(i * spacing) for i, amplitude in enumerate(undamped)]
+    # the sum is 1, so that the motion keeps its end
     total = math.fsum(weights)
     return ImpulseSequence(tuple(i * spacing for i in range(len(weights))), tuple(w / total for w in weights))
