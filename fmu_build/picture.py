@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from flexfmu.fmu_build.labels import ROOM, Label, Stamp, place_labels
 from flexfmu.model.symbolic import Drawing, Part, Point
+from flexfmu.trajectories.jets import RealArray
 
 COLOURS: dict[Part, str] = {
     "proximal": "#1f3a5f",
@@ -163,8 +164,6 @@ ICON_FILE = "model.png"
 ICON_SIZE = 96
 """Pixels in each direction."""
 
-Array = NDArray[np.float64]
-
 
 def png(picture: Picture) -> bytes:
     """The picture without its labels, on a transparent ground, edges smoothed over a pixel."""
@@ -176,7 +175,7 @@ def png(picture: Picture) -> bytes:
     return _encode(np.rint(255 * image).astype(np.uint8))
 
 
-def _distance(image: Array, start: Point, end: Point) -> Array:
+def _distance(image: RealArray, start: Point, end: Point) -> RealArray:
     """Distance of each pixel's centre from a straight line between two points."""
     y, x = np.indices(image.shape[:2]) + 0.5
     along = np.subtract(end, start)
@@ -186,7 +185,7 @@ def _distance(image: Array, start: Point, end: Point) -> Array:
     return np.asarray(np.linalg.norm(offset - fraction[..., None] * along, axis=-1))
 
 
-def _paint(image: Array, outside: Array, colour: str) -> None:
+def _paint(image: RealArray, outside: RealArray, colour: str) -> None:
     """Lay a colour over the image where the signed distance ``outside`` is negative."""
     cover = np.clip(0.5 - outside, 0.0, 1.0)[..., None]
     ink = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])

@@ -13,14 +13,12 @@ from math import comb, factorial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.fmu_build.errors import ModelError
+from flexfmu.trajectories.jets import RealArray
 
 if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 KINDS = ("position", "velocity", "acceleration")
 """What is put out: the trajectory and its first two derivatives."""
@@ -55,8 +53,8 @@ class TrajectoryTable:
         errors: largest difference to the trajectory between the knots, of each of `KINDS`, relative to its largest value.
     """
 
-    times: Array
-    jets: Array
+    times: RealArray
+    jets: RealArray
     errors: tuple[float, ...]
 
 
@@ -69,7 +67,7 @@ def tabulate(trajectory: Trajectory, tolerance: float = TOLERANCE) -> Trajectory
     points = np.array(trajectory.breakpoints, dtype=np.float64)
     scales = _scales(trajectory, points)
     begins, ends = points[:-1], points[1:]
-    accepted: list[tuple[Array, Array, Array]] = []
+    accepted: list[tuple[RealArray, RealArray, RealArray]] = []
     while begins.size:
         _refuse_short(trajectory, begins, ends)
         error = _errors(trajectory, begins, ends, _CHECKED) / scales
@@ -83,7 +81,7 @@ def tabulate(trajectory: Trajectory, tolerance: float = TOLERANCE) -> Trajectory
     return _assemble(trajectory, begins[order], ends[order], points, error.max(axis=0))
 
 
-def hermite(left: Array, right: Array, width: Array, fraction: float) -> Array:
+def hermite(left: RealArray, right: RealArray, width: RealArray, fraction: float) -> RealArray:
     """Value of the polynomials through value and four derivatives at both ends.
 
     Args:
@@ -99,7 +97,7 @@ def hermite(left: Array, right: Array, width: Array, fraction: float) -> Array:
     known = np.array([[comb(j, i) for j in range(5)] for i in range(5)], dtype=np.float64)
     rest = np.tensordot(np.array(end_matrix(), dtype=np.float64), b - np.tensordot(known, a, axes=1), axes=1)
     powers = fraction ** np.arange(10.0)
-    value: Array = np.tensordot(powers, np.concatenate([a, rest]), axes=1)
+    value: RealArray = np.tensordot(powers, np.concatenate([a, rest]), axes=1)
     return value
 
 
@@ -110,14 +108,14 @@ def end_matrix() -> list[list[int]]:
     return inverse
 
 
-def _scales(trajectory: Trajectory, points: Array) -> Array:
+def _scales(trajectory: Trajectory, points: RealArray) -> RealArray:
     """(3,) largest absolute value of each of `KINDS`; where all is zero, one."""
     times = np.concatenate([np.linspace(a, b, _SCALE_POINTS) for a, b in pairwise(points)])
     largest = abs(trajectory.evaluate(times, len(KINDS) - 1, "right")).max(axis=(1, 2))
     return np.where(largest > 0.0, largest, 1.0)
 
 
-def _errors(trajectory: Trajectory, begins: Array, ends: Array, fractions: Array) -> Array:
+def _errors(trajectory: Trajectory, begins: RealArray, ends: RealArray, fractions: RealArray) -> RealArray:
     """(N, 3) largest difference between polynomials and trajectory, of each of `KINDS`."""
     left = trajectory.evaluate(begins, ORDERS - 1, "right")
     right = trajectory.evaluate(ends, ORDERS - 1, "left")
@@ -132,7 +130,7 @@ def _errors(trajectory: Trajectory, begins: Array, ends: Array, fractions: Array
     return errors
 
 
-def _refuse_short(trajectory: Trajectory, begins: Array, ends: Array) -> None:
+def _refuse_short(trajectory: Trajectory, begins: RealArray, ends: RealArray) -> None:
     shortest = int(np.argmin(ends - begins))
     if not ends[shortest] - begins[shortest] > SHORTEST * trajectory.duration:
         raise ModelError(
@@ -141,7 +139,9 @@ def _refuse_short(trajectory: Trajectory, begins: Array, ends: Array) -> None:
         )
 
 
-def _assemble(trajectory: Trajectory, begins: Array, ends: Array, points: Array, errors: Array) -> TrajectoryTable:
+def _assemble(
+    trajectory: Trajectory, begins: RealArray, ends: RealArray, points: RealArray, errors: RealArray
+) -> TrajectoryTable:
     """One knot between two intervals, two where a breakpoint is."""
     after_jump = begins[np.isin(begins, points)]
     times = np.concatenate([ends, after_jump])

@@ -1,13 +1,16 @@
-"""What the archive holds beside description and binaries."""
+"""The FMU's zip archive: how it is written, and what it holds besides description and binaries."""
 
 from __future__ import annotations
 
+import io
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
+from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 
 FOLDERS = {"binaries", "documentation", "extra", "licenses", "resources", "sources", "terminalsAndIcons"}
@@ -17,7 +20,53 @@ FILES = {"modelDescription.xml", "model.png"}
 
 _METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 _LINK = 0o120000
+_FLAGS, _ENCRYPTED = 6, 1
+"""Where the flags are in the header before each file of an archive, and the one for encryption."""
+
 _PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], list[str]]:
+    """Directory and content of the archive, path inside → bytes, and paths whose own header says that they are encrypted.
+
+    Every entry is read, so its checksum is checked.
+
+    Raises:
+        ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
+    """
+    try:
+        content = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
+        raise ArchiveError(
+            f"no FMU at {path}; build one with: flexfmu build SCENE -o {path.name or 'NAME.fmu'}"
+        ) from error
+    except OSError as error:
+        raise ArchiveError(f"cannot read the FMU {path}: {error.strerror}; check its permissions") from error
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            entries = archive.infolist()
+            files = {entry.filename: archive.read(entry) for entry in entries if not entry.is_dir()}
+            encrypted = [entry.filename for entry in entries if content[entry.header_offset + _FLAGS] & _ENCRYPTED]
+    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError) as error:
+        raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
+    if "modelDescription.xml" not in files:
+        nested = next((name for name in files if name.endswith("/modelDescription.xml")), None)
+        where = f": it is at {nested}, pack the content of that folder" if nested else ""
+        other = next((name for name in files if name.lower() == "modeldescription.xml"), None)
+        where = f": it is called {other}, rename it" if other else where
+        raise ArchiveError(f"{path} is a zip archive but no FMU: modelDescription.xml is missing{where}")
+    return entries, files, encrypted
+
+
+def unpack(files: dict[str, bytes], folder: Path) -> None:
+    """Write the files that an FMU may need to run."""
+    (folder / "resources").mkdir(parents=True)
+    for name, content in files.items():
+        path = PurePosixPath(name.replace("\\", "/"))
+        if not path.is_absolute() and ".." not in path.parts and path.parts[0] != "sources":
+            target = folder / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(content)
 
 
 def check_entries(entries: list[zipfile.ZipInfo], encrypted: Sequence[str] = ()) -> Iterator[Finding]:

@@ -10,7 +10,7 @@ from fmpy.fmi1 import FMICallException
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
-from flexfmu.fmu_build.validation.instance import CANARY, announce
+from flexfmu.fmu_build.validation.library import CANARY, announce
 
 NO_VARIABLE = 0x7FFFFFF1
 """A value reference that the description does not have."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 from flexfmu.fmu_build.validation.calls import refuses_illegal_calls
 from flexfmu.fmu_build.validation.dependencies import declared_dependencies_hold, initial_dependencies_hold
 from flexfmu.fmu_build.validation.derivatives import (
@@ -16,8 +18,9 @@ from flexfmu.fmu_build.validation.exchange import (
     interfaces_agree,
     states_are_the_variables,
 )
-from flexfmu.fmu_build.validation.life import (
-    Check,
+from flexfmu.fmu_build.validation.finding import Finding
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest
+from flexfmu.fmu_build.validation.lifecycle import (
     accepts_odd_uris,
     gives_memory_back,
     instantiates,
@@ -39,6 +42,9 @@ from flexfmu.fmu_build.validation.steps import (
     tells_the_time,
 )
 from flexfmu.fmu_build.validation.values import one_call_does_what_several_do, parameters_are_kept, starts_are_kept
+
+Check = Callable[[FmuUnderTest], Iterator[Finding]]
+"""Tries one thing with an FMU and yields what it finds. A failed FMI call may raise."""
 
 CHECKS: dict[str, Check] = {
     "instantiation": instantiates,

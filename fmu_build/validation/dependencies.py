@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, size_of
-
-Vector = NDArray[np.float64]
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.instance import RealArray
+from flexfmu.fmu_build.validation.variables import size_of
 
 SHARE = 0.01
 """How far knowns are moved, relative to their size."""
@@ -36,10 +35,10 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
         inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
     with fmu.instance("dependencies") as instance:
 
-        def set_input(known: Any, value: Vector) -> None:
+        def set_input(known: Any, value: RealArray) -> None:
             instance.set([known], value)
 
-        def set_state(known: Any, value: Vector) -> None:
+        def set_state(known: Any, value: RealArray) -> None:
             x = instance.continuous_states()
             x[fmu.states.index(known)] = value[0]
             instance.set_continuous_states(x)
@@ -62,7 +61,7 @@ def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
     with fmu.instance("initial_dependencies") as instance:
         instance.enter_initialization()
 
-        def set_known(known: Any, value: Vector) -> None:
+        def set_known(known: Any, value: RealArray) -> None:
             instance.set([known], value)
 
         for finding in _violations(unknowns, knowns, instance, set_known, set()):
@@ -79,7 +78,7 @@ def _violations(
     unknowns: Sequence[Any],
     knowns: Sequence[Any],
     instance: Any,
-    set_known: Callable[[Any, Vector], None],
+    set_known: Callable[[Any, RealArray], None],
     told: set[str],
 ) -> Iterator[Finding]:
     """Findings about unknowns that change with a known other than declared, but for those that have been ``told``."""
@@ -125,8 +124,8 @@ def _violations(
 
 
 def _answers(
-    variables: Sequence[Any], known: Any, instance: Any, set_known: Callable[[Any, Vector], None]
-) -> tuple[Vector, Vector, Vector, Vector] | None:
+    variables: Sequence[Any], known: Any, instance: Any, set_known: Callable[[Any, RealArray], None]
+) -> tuple[RealArray, RealArray, RealArray, RealArray] | None:
     """Unknowns as they are and with the known moved up and down, and the two steps; None where that can't be told."""
     try:
         value = instance.get([known])

@@ -13,10 +13,10 @@ from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
 from flexfmu.fmu_build.validation.finding import Finding
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, moved, size_of
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.instance import RealArray
 from flexfmu.fmu_build.validation.steps import KICK, kicked_states
-
-Vector = NDArray[np.float64]
+from flexfmu.fmu_build.validation.variables import moved, size_of
 
 DIFFERENCES = (1e-5, 1e-4)
 """Steps of the difference quotients relative to a variable's size: rounding and truncation are about equal."""
@@ -87,14 +87,14 @@ def _listed(items: Iterable[str]) -> str:
     return ", ".join(first[:4]) + ", ..." * (len(first) > 4)
 
 
-def _seeds(knowns: int) -> Iterator[Vector]:
+def _seeds(knowns: int) -> Iterator[RealArray]:
     """Seeds that are neither 0 nor 1: all knowns together, then some of them."""
     seed = 1.5 + np.cos(np.arange(knowns))
     yield from (seed, -0.5 * seed, np.where(np.arange(knowns) % 2, 0.0, -2.5))
 
 
 def _not_linear(
-    unknowns: Sequence[Any], knowns: Sequence[Any], matrix: Vector, seeded: list[tuple[Vector, Vector]]
+    unknowns: Sequence[Any], knowns: Sequence[Any], matrix: RealArray, seeded: list[tuple[RealArray, RealArray]]
 ) -> Iterator[Finding]:
     """A finding if derivatives along several knowns aren't the sum of those along each, times its seed."""
     for seed, given in seeded:
@@ -127,7 +127,7 @@ def _states(fmu: FmuUnderTest) -> list[Any]:
     return [unknown.variable.derivative for unknown in fmu.description.derivatives or ()]
 
 
-def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known: Any, share: float) -> Vector:
+def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known: Any, share: float) -> RealArray:
     """Central difference quotient of all unknowns."""
     states = _states(fmu)
     value = instance.get([known])
@@ -140,7 +140,7 @@ def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known
     return np.asarray((ends[0] - ends[1]) / (2.0 * step))
 
 
-def _set(instance: Any, states: Sequence[Any], known: Any, value: Vector) -> None:
+def _set(instance: Any, states: Sequence[Any], known: Any, value: RealArray) -> None:
     """Set an input, or a state, which goes with all the others."""
     if known not in states:
         instance.set([known], value)
@@ -151,7 +151,7 @@ def _set(instance: Any, states: Sequence[Any], known: Any, value: Vector) -> Non
 
 
 def _compare(
-    unknowns: Sequence[Any], knowns: Sequence[Any], matrix: Vector, differences: Vector, coarse: Vector
+    unknowns: Sequence[Any], knowns: Sequence[Any], matrix: RealArray, differences: RealArray, coarse: RealArray
 ) -> Iterator[Finding]:
     """A finding about the worst entry, each measured by the largest of its row in units of the known's size.
 
@@ -249,7 +249,7 @@ class _Contradiction:
     differences: float
 
 
-def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Vector) -> _Contradiction | None:
+def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: RealArray) -> _Contradiction | None:
     """The first derivative that is contradicted by differences, over steps of two sizes: of one size they may alias.
 
     The step is refined until differences resolve what happens; what no step resolves is not judged.
@@ -294,7 +294,9 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Vec
     return None
 
 
-def _comparison(jets: Vector, step: float, accuracy: float, size: Vector) -> tuple[Vector, Vector, NDArray[np.bool_]]:
+def _comparison(
+    jets: RealArray, step: float, accuracy: float, size: RealArray
+) -> tuple[RealArray, RealArray, NDArray[np.bool_]]:
     """Derivatives given, central differences of fourth order, and where these resolve them; shape (points - 4, orders, columns)."""
     lower, given = jets[:, :-1], jets[2:-2, 1:]
     near = (lower[3:-1] - lower[1:-3]) / (2.0 * step)
@@ -308,7 +310,7 @@ def _comparison(jets: Vector, step: float, accuracy: float, size: Vector) -> tup
     return given, differences, moves & (np.abs(near - wide) <= RESOLVED * scale) & (noise <= RESOLVED * scale)
 
 
-def _discrepancy(given: Vector, differences: Vector, clear: NDArray[np.bool_], slack: Any) -> Vector:
+def _discrepancy(given: RealArray, differences: RealArray, clear: NDArray[np.bool_], slack: Any) -> RealArray:
     """How far derivatives are off by a factor or on average, relative to the differences; 0 where no more than by chance.
 
     A solver's tolerance makes the higher derivatives of vibrations noisy, which leaves factor and average alone.
@@ -339,7 +341,7 @@ def _begin(fmu: FmuUnderTest) -> int:
     return min(BEGIN, fmu.steps // 4)
 
 
-def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> Vector:
+def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> RealArray:
     """Values and their derivatives after steps of a size, shape (points, orders + 1, columns).
 
     Inputs stay as they are, so that nothing jumps.

@@ -10,12 +10,11 @@ from typing import Any
 import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from numpy.typing import NDArray
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, moved, size_of, start_of
-
-Rows = NDArray[np.float64]
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.instance import RealArray
+from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
 AGREEMENT = 0.01
 """What co-simulation and model exchange may differ, relative to how far an output moves: most solvers do better."""
@@ -211,7 +210,7 @@ def _parts(fmu: FmuUnderTest) -> tuple[int, ...]:
     return (1, 4) if fmu.description.coSimulation.canHandleVariableCommunicationStepSize else (1,)
 
 
-def _kicks(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], Rows]]:
+def _kicks(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], RealArray]]:
     """Other starts of the states with inputs at their starts, then other inputs; then all as it is."""
     states = {v: moved(v, KICK) for v in fmu.states if v in fmu.settable("output", "local")}
     still = np.array([start_of(variable) for variable in fmu.inputs])
@@ -222,7 +221,7 @@ def _kicks(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], Rows]]:
     yield {}, still
 
 
-def _apart(fmu: FmuUnderTest, first: Rows, second: Rows) -> Rows:
+def _apart(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> RealArray:
     """Median difference of each output relative to how far it moves, shape (outputs,)."""
     motion = np.maximum(np.ptp(first, axis=0), np.ptp(second, axis=0))
     size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
@@ -231,8 +230,8 @@ def _apart(fmu: FmuUnderTest, first: Rows, second: Rows) -> Rows:
 
 
 def _integrated(
-    fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, tolerance: float = INTEGRATION_TOLERANCE
-) -> Rows:
+    fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, tolerance: float = INTEGRATION_TOLERANCE
+) -> RealArray:
     """Outputs after each step by fmpy's CVODE with constant inputs."""
     steps = min(fmu.steps, POINTS)
     stop = fmu.start + steps * fmu.step
@@ -264,7 +263,7 @@ def _simulate(fmu: FmuUnderTest, starts: dict[Any, float], signals: Any, stop: f
     )
 
 
-def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, parts: int) -> Rows:
+def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, parts: int) -> RealArray:
     """Outputs of co-simulation after each step with constant inputs."""
     slave = replace(fmu, kind=Kind.COSIMULATION, _library=None)
     rows = []
@@ -277,7 +276,9 @@ def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, parts: i
     return np.array(rows)
 
 
-def _is_euler(fmu: FmuUnderTest, starts: dict[Any, float], inputs: Rows, slave: Rows, exact: Rows) -> bool:
+def _is_euler(
+    fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, slave: RealArray, exact: RealArray
+) -> bool:
     """Whether Euler's method with some step gives what co-simulation gives."""
     steps = [fmu.step / parts for parts in EULER]
     steps += [step for step in (1e-2, 1e-3, 1e-4) if fmu.step / 100 <= step < fmu.step]

@@ -17,17 +17,16 @@ from typing import Any
 import numpy as np
 from fmpy import fmi2
 from fmpy.logging import addLoggerProxy
-from numpy.typing import NDArray
 
-from flexfmu.fmu_build.validation.instance import (
+from flexfmu.fmu_build.validation.instance import CosimulationInstance, ExchangeInstance, Instance, RealArray
+from flexfmu.fmu_build.validation.library import (
     GUARD,
-    CosimulationInstance,
-    ExchangeInstance,
     FMU2ModelLibrary,
     FMU2SlaveLibrary,
-    Instance,
     MisbehaviourError,
+    is_guarded,
 )
+from flexfmu.fmu_build.validation.variables import is_smooth, size_of, start_of, start_value, within
 
 _DEFAULT_STEPS = 500
 """Communication steps of an FMU that proposes no step size."""
@@ -140,7 +139,7 @@ class FmuUnderTest:
         """Whether a communication step of any size may be made."""
         return self.kind is Kind.COSIMULATION and bool(self.element.canHandleVariableCommunicationStepSize)
 
-    def input_values(self, n: int, size: float = 1.0) -> NDArray[np.float64]:
+    def input_values(self, n: int, size: float = 1.0) -> RealArray:
         """Inputs at step ``n``: their starts, and a little more that changes from step to step; shape (inputs,)."""
         return np.array(
             [
@@ -276,80 +275,6 @@ class FmuUnderTest:
         return callbacks
 
 
-def is_guarded(block: Any) -> bool:
-    """Whether the guards of a block are as they were."""
-    content = bytes(memoryview(block))
-    return content.startswith(GUARD) and content.endswith(GUARD)
-
-
 def _time(experiment: Any, key: str) -> float | None:
     value = getattr(experiment, key, None)
     return None if value is None else float(value)
-
-
-def is_smooth(variable: Any) -> bool:
-    """Whether it is a Real that changes continuously."""
-    return variable.type == "Real" and (variable.variability or "continuous") == "continuous"
-
-
-def attribute(variable: Any, name: str) -> float | None:
-    """The number min, max or nominal of a variable or of its type; None where there is none."""
-    for owner in (variable, variable.declaredType):
-        text = getattr(owner, name, None)
-        if text is not None:
-            with suppress(ValueError):
-                return float(text)
-    return None
-
-
-def start_value(variable: Any) -> Any | None:
-    """The start value as a number, bool or text; None where there is none, or none that can be read."""
-    text = variable.start
-    if text is None or variable.type == "String":
-        return text
-    with suppress(ValueError):
-        if variable.type == "Boolean":
-            return {"true": True, "1": True, "false": False, "0": False}.get(str(text).strip())
-        return float(text) if variable.type == "Real" else int(float(text))
-    return None
-
-
-def start_of(variable: Any) -> float:
-    """The start value of a Real, 0 where there is none."""
-    value = start_value(variable)
-    return float(value) if value is not None and math.isfinite(value) else 0.0
-
-
-def size_of(variable: Any) -> float:
-    """Order of magnitude of a variable: its nominal, its start, or 1."""
-    return abs(attribute(variable, "nominal") or 0.0) or abs(start_of(variable)) or 1.0
-
-
-def within(variable: Any, value: float) -> float:
-    """The value, or the bound of the variable that it is beyond."""
-    low, high = attribute(variable, "min"), attribute(variable, "max")
-    return min(max(value, -math.inf if low is None else low), math.inf if high is None else high)
-
-
-def moved(variable: Any, share: float) -> float:
-    """Another value of a Real than its start, by a share of its size, within its bounds."""
-    start = start_of(variable)
-    up = within(variable, start + share * size_of(variable))
-    return up if up != start else within(variable, start - share * size_of(variable))
-
-
-def other_value(variable: Any, share: float = 0.0213) -> Any | None:
-    """Another value than the start, of the variable's type, a Real by a share of its size; None where there may be none."""
-    start = start_value(variable)
-    if variable.type == "Real":
-        value = moved(variable, share)
-        return value if value != start else None
-    if variable.type == "Boolean":
-        return not start
-    if variable.type == "String":
-        return f"{start}x"
-    if variable.type == "Enumeration":
-        items = [int(item.value) for item in (variable.declaredType.items if variable.declaredType else None) or ()]
-        return next((item for item in items if item != start), None)
-    value = int(within(variable, int(start or 0) + 1))
-    return value if value != start else None

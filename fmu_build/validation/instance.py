@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 import struct
-import sys
 from abc import ABC, abstractmethod
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from ctypes import POINTER, byref, c_double, c_size_t, cast, create_string_buffer
-from time import monotonic, sleep
-from typing import Any, ClassVar, Protocol
+from time import sleep
+from typing import Any, Protocol
 
 import numpy as np
 from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from flexfmu.fmu_build.validation.library import CANARY, GUARD, MisbehaviourError
 
-GUARD = bytes(range(0xA0, 0xC0))
-"""What lies before and behind each block of memory that an FMU gets, to see whether it writes there."""
+RealArray = NDArray[np.float64]
 
 _MOST_EVENT_ITERATIONS = 100
-CANARY = -4.25e11
-"""What lies behind an array that the FMU fills."""
-
 _WANDER = 1e-4
 """How far states are moved, relative to their size, to have something to evaluate."""
 
-_WARNING, _DISCARD, _PENDING = 1, 2, 5
+_DISCARD, _PENDING = 2, 5
 _ACCESS = {
     "Real": "Real",
     "Integer": "Integer",
@@ -38,60 +32,6 @@ _ACCESS = {
     "String": "String",
 }
 """Type of a variable → ending of the functions that get and set it."""
-
-
-TRY = "flexfmu tries:"
-"""Beginning of a line on standard error that says what is tried, should the FMU crash."""
-
-
-def announce(what: str) -> None:
-    """Say what is tried next."""
-    with suppress(OSError):  # an FMU may have closed it
-        print(f"{TRY}{what}", file=sys.stderr, flush=True)
-
-
-class MisbehaviourError(RuntimeError):
-    """An FMU doesn't do what the standard demands.
-
-    Attributes:
-        remedy: what would be right.
-    """
-
-    def __init__(self, message: str, remedy: str) -> None:
-        super().__init__(message)
-        self.remedy = remedy
-
-
-class Watch:
-    """Which FMI call is under way, and since when; another thread may look. How often functions were called, and warned."""
-
-    call = ""
-    since = 0.0
-    calls: ClassVar[Counter[str]] = Counter()
-    warnings: ClassVar[Counter[str]] = Counter()
-
-
-class _Watched:
-    """Tells `Watch` of each call."""
-
-    def _call(self, name: str, *arguments: Any) -> Any:
-        Watch.since = monotonic()
-        Watch.call = name
-        Watch.calls[name] += 1
-        try:
-            status = super()._call(name, *arguments)  # type: ignore[misc]
-            Watch.warnings[name] += status == _WARNING
-            return status
-        finally:
-            Watch.call = ""
-
-
-class FMU2SlaveLibrary(_Watched, fmi2.FMU2Slave):  # type: ignore[misc]
-    """The functions for co-simulation; fmpy looks at the beginning of the class's name."""
-
-
-class FMU2ModelLibrary(_Watched, fmi2.FMU2Model):  # type: ignore[misc]
-    """The functions for model exchange."""
 
 
 class Subject(Protocol):
@@ -120,7 +60,7 @@ class Subject(Protocol):
     def steps(self) -> int:
         """Communication steps of a run."""
 
-    def input_values(self, n: int, size: float = 1.0) -> Vector:
+    def input_values(self, n: int, size: float = 1.0) -> RealArray:
         """Inputs at step ``n``, with changes multiplied by ``size``."""
 
 
@@ -143,14 +83,16 @@ class Instance(ABC):
         """Everything up to the first step, with the default experiment; ``values`` are set first of all, by variable."""
 
     @abstractmethod
-    def advance(self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None) -> Vector:
+    def advance(
+        self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None
+    ) -> RealArray:
         """Go through the steps ``first`` to ``last`` with small changes of the inputs; what comes out, one row a step.
 
         It ends earlier where the FMU ends the simulation. ``size`` multiplies the changes; ``between`` is called in each step
         after the inputs are set.
         """
 
-    def run(self) -> Vector:
+    def run(self) -> RealArray:
         """Some steps of the default experiment; what comes out, one row a step."""
         self.initialize()
         rows = self.advance(0, self.fmu.steps)
@@ -170,14 +112,14 @@ class Instance(ABC):
         """FMI version and types platform that the binary tells."""
         return self.library.getVersion(), self.library.getTypesPlatform()
 
-    def get(self, variables: Sequence[Any]) -> Vector:
+    def get(self, variables: Sequence[Any]) -> RealArray:
         """Values of numbers and Booleans, shape (variables,)."""
         if all(variable.type == "Real" for variable in variables):
             references = [variable.valueReference for variable in variables]
             return np.array(self.library.getReal(references) if references else [], dtype=np.float64)
         return np.array(self.read(variables), dtype=np.float64)
 
-    def set(self, variables: Sequence[Any], values: Vector) -> None:
+    def set(self, variables: Sequence[Any], values: RealArray) -> None:
         """Set Real variables; ``values`` has shape (variables,)."""
         if variables:
             self.library.setReal([variable.valueReference for variable in variables], list(values))
@@ -197,7 +139,7 @@ class Instance(ABC):
         for variable, value in zip(variables, values, strict=True):
             getattr(self.library, f"set{_ACCESS[variable.type]}")([variable.valueReference], [value])
 
-    def directional(self, unknowns: Sequence[Any], knowns: Sequence[Any], seed: Vector) -> Vector:
+    def directional(self, unknowns: Sequence[Any], knowns: Sequence[Any], seed: RealArray) -> RealArray:
         """What the FMU says of the unknowns' derivatives along ``seed``, shape (unknowns,)."""
         references = [[v.valueReference for v in variables] for variables in (unknowns, knowns)]
         return np.array(self.library.getDirectionalDerivative(*references, list(seed)), dtype=np.float64)
@@ -260,7 +202,9 @@ class CosimulationInstance(Instance):
         self.enter_initialization(values)
         self.library.exitInitializationMode()
 
-    def advance(self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None) -> Vector:
+    def advance(
+        self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None
+    ) -> RealArray:
         fmu = self.fmu
         rows = []
         for n in range(first, last):
@@ -327,9 +271,11 @@ class ExchangeInstance(Instance):
         self.states = len(self.fmu.description.derivatives or ())
         self.handle_events()
 
-    def advance(self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None) -> Vector:
+    def advance(
+        self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None
+    ) -> RealArray:
         fmu = self.fmu
-        rows: list[Vector] = []
+        rows: list[RealArray] = []
         for n in range(first, last):
             if self.finished:
                 break
@@ -348,23 +294,23 @@ class ExchangeInstance(Instance):
                 self.handle_events()
         return _table(rows, self.states + len(fmu.outputs))
 
-    def continuous_states(self) -> Vector:
+    def continuous_states(self) -> RealArray:
         """The states x, shape (states,)."""
         return self._vector(self.library.getContinuousStates)
 
-    def set_continuous_states(self, x: Vector) -> None:
+    def set_continuous_states(self, x: RealArray) -> None:
         """Set the states x, shape (states,)."""
         self.library.setContinuousStates(_pointer(np.ascontiguousarray(x)), self.states)
 
-    def derivatives(self) -> Vector:
+    def derivatives(self) -> RealArray:
         """Derivatives of the states, shape (states,)."""
         return self._vector(self.library.getDerivatives)
 
-    def nominals(self) -> Vector:
+    def nominals(self) -> RealArray:
         """Orders of magnitude of the states, shape (states,)."""
         return self._vector(self.library.getNominalsOfContinuousStates)
 
-    def event_indicators(self) -> Vector:
+    def event_indicators(self) -> RealArray:
         """The event indicators, as many as the description has.
 
         Raises:
@@ -378,7 +324,7 @@ class ExchangeInstance(Instance):
             raise MisbehaviourError(f"fmi2GetEventIndicators writes more than {count} values", "fill ni values")
         return z[:count]
 
-    def _vector(self, getter: Any) -> Vector:
+    def _vector(self, getter: Any) -> RealArray:
         x = np.zeros(self.states)
         if self.states:
             getter(_pointer(x), self.states)
@@ -400,9 +346,9 @@ class ExchangeInstance(Instance):
         )
 
 
-def _table(rows: list[Vector], width: int) -> Vector:
+def _table(rows: list[RealArray], width: int) -> RealArray:
     return np.array(rows, dtype=np.float64).reshape(len(rows), width)
 
 
-def _pointer(values: Vector) -> Any:
+def _pointer(values: RealArray) -> Any:
     return cast(values.ctypes.data, POINTER(c_double))

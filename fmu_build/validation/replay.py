@@ -10,12 +10,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from fmpy.model_description import read_model_description
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, moved, start_of
-
-Rows = NDArray[np.float64]
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.instance import RealArray
+from flexfmu.fmu_build.validation.variables import moved, start_of
 
 FRACTIONS = (0.0, 0.25, 0.75)
 """Parts of the run at which states are saved."""
@@ -42,7 +42,7 @@ def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
     differing = _differing(fmu, first, second)
     if not differing:
         return
-    fresh = [_elsewhere(fmu, "run") for _ in range(2)]  # where no instance has been before
+    fresh = [_in_new_process(fmu, "run") for _ in range(2)]  # where no instance has been before
     random = [variable for variable in differing if variable in _differing(fmu, *fresh)]
     if random and set(random) == set(differing):
         names = ", ".join(variable.name for variable in random)
@@ -60,7 +60,7 @@ def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
         )
 
 
-def _differing(fmu: FmuUnderTest, first: Rows, second: Rows) -> list[Any]:
+def _differing(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> list[Any]:
     """Outputs that are not the same in two recordings."""
     rows = min(len(first), len(second))
     offset = first.shape[1] - len(fmu.outputs)
@@ -87,7 +87,7 @@ def repeats_after_reset(fmu: FmuUnderTest) -> Iterator[Finding]:
     yield from findings
 
 
-def _run_changed(fmu: FmuUnderTest, instance: Any) -> Rows:
+def _run_changed(fmu: FmuUnderTest, instance: Any) -> RealArray:
     """A run with other parameters and inputs; it ends where the FMU can't go on with them."""
     try:
         instance.initialize({variable: moved(variable, KICK) for variable in changeable(fmu)})
@@ -117,7 +117,7 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
             parts.append(instance.advance(mark, end))
         saving = list(_compare(fmu, "state", undisturbed, np.vstack(parts), _ON_THE_WAY, _SAVING))
         yield from saving
-        futures: dict[int, Rows] = {}
+        futures: dict[int, RealArray] = {}
         found: list[Finding] = []
         for turn in (0, 1):
             for mark, state in list(zip(marks, states, strict=True))[:: 1 - 2 * turn]:
@@ -221,10 +221,10 @@ def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
         return
     when = "with a serialised state in another process"
     remedy = "serialised states must hold values, no addresses"
-    yield from _compare(fmu, "serialisation", rows, _elsewhere(fmu, "continue", data), when, remedy)
+    yield from _compare(fmu, "serialisation", rows, _in_new_process(fmu, "continue", data), when, remedy)
 
 
-def continue_from(fmu: FmuUnderTest, data: bytes) -> Rows:
+def _continue_from(fmu: FmuUnderTest, data: bytes) -> RealArray:
     """The second half of the run from a serialised state; without one, all of it."""
     with fmu.instance("other process") as instance:
         if not data:
@@ -234,8 +234,8 @@ def continue_from(fmu: FmuUnderTest, data: bytes) -> Rows:
         return np.asarray(instance.advance(fmu.steps // 2, fmu.steps))
 
 
-def _elsewhere(fmu: FmuUnderTest, what: str, data: bytes = b"") -> Rows:
-    """`continue_from` in a new process.
+def _in_new_process(fmu: FmuUnderTest, what: str, data: bytes = b"") -> RealArray:
+    """`_continue_from` in a new process.
 
     Raises:
         RuntimeError: it ends in another way than it should.
@@ -243,7 +243,7 @@ def _elsewhere(fmu: FmuUnderTest, what: str, data: bytes = b"") -> Rows:
     with TemporaryDirectory(prefix="flexfmu-replay-") as home:
         state, result = Path(home) / "state", Path(home) / "rows.npy"
         state.write_bytes(data)
-        module = "flexfmu.fmu_build.validation.elsewhere"
+        module = "flexfmu.fmu_build.validation.replay"
         command = [sys.executable, "-m", module, str(fmu.folder), fmu.kind.name, repr(fmu.pace)]
         outcome = subprocess.run(
             [*command, str(state), str(result)], capture_output=True, timeout=OTHER_PROCESS_TIMEOUT, check=False
@@ -251,7 +251,7 @@ def _elsewhere(fmu: FmuUnderTest, what: str, data: bytes = b"") -> Rows:
         if outcome.returncode != 0 or not result.exists():
             last = (outcome.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
             raise RuntimeError(f"another process that has to {what} ends with {outcome.returncode}: {last}")
-        rows: Rows = np.load(result)
+        rows: RealArray = np.load(result)
         return rows
 
 
@@ -290,8 +290,8 @@ _STATE_REMEDY = "the state must hold everything that the future depends on: inte
 def _compare(
     fmu: FmuUnderTest,
     check: str,
-    first: Rows,
-    second: Rows,
+    first: RealArray,
+    second: RealArray,
     when: str,
     remedy: str,
     least: float = 0.0,
@@ -322,3 +322,14 @@ def _compare(
         return
     severity = Severity.ERROR if worst > negligible * scale[column] else Severity.WARNING
     yield Finding(check, f"{name} differs by up to {worst:.3g} {when}; it should be identical", remedy, severity)
+
+
+def _main() -> None:
+    """Write what the FMU outputs in this process: ``FOLDER KIND PACE STATE RESULT``, see `_in_new_process`."""
+    folder, kind, pace, state, result = sys.argv[1:]
+    fmu = FmuUnderTest(read_model_description(folder, validate=False), Path(folder), Kind[kind], float(pace))
+    np.save(result, _continue_from(fmu, Path(state).read_bytes()))
+
+
+if __name__ == "__main__":
+    _main()

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from numpy.typing import NDArray
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, moved, size_of, start_of
-from flexfmu.fmu_build.validation.instance import MisbehaviourError
-
-Rows = NDArray[np.float64]
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest
+from flexfmu.fmu_build.validation.instance import RealArray
+from flexfmu.fmu_build.validation.library import MisbehaviourError
+from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
 PARTS = (1, 2, 4)
 """Parts into which steps are split."""
@@ -154,7 +153,7 @@ def _wrong_ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any]) -> tuple[i
     return None
 
 
-def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how: str, parts: int) -> Rows:
+def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how: str, parts: int) -> RealArray:
     """Outputs after an input has risen from its start, given in one way or another.
 
     A continuous input rises over several communication steps, each of some stairs that have the ramp's mean; then comes a step

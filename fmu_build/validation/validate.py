@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import fmpy
 
-from flexfmu.fmu_build.errors import ArchiveError
-from flexfmu.fmu_build.validation.archive import check_archive, check_entries
+from flexfmu.fmu_build.validation.archive import check_archive, check_entries, read_archive, unpack
 from flexfmu.fmu_build.validation.binaries import check_binaries, library_name
 from flexfmu.fmu_build.validation.catalogue import CHECKS, SEVERAL
 from flexfmu.fmu_build.validation.description import (
@@ -25,14 +21,10 @@ from flexfmu.fmu_build.validation.description import (
 )
 from flexfmu.fmu_build.validation.finding import Finding, Severity, ranked
 from flexfmu.fmu_build.validation.fmu import Kind
-from flexfmu.fmu_build.validation.parent import check_in_child
+from flexfmu.fmu_build.validation.supervisor import run_checks
 
 TIME_LIMIT = 120.0
 """Longest time for what runs the FMU [s]; the paper's scene needs a few seconds."""
-
-
-_FLAGS, _ENCRYPTED = 6, 1
-"""Where the flags are in the header before each file of an archive, and the one for encryption."""
 
 _FMI3 = Finding(
     "model description",
@@ -62,7 +54,7 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     Raises:
         ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
     """
-    entries, files, encrypted = _read(path)
+    entries, files, encrypted = read_archive(path)
     version = fmi_version(files["modelDescription.xml"])
     if version.startswith("3."):
         broken = [replace(finding, section=_FMI3.section) for finding in read_description(path)[1]]
@@ -89,25 +81,14 @@ def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) 
     jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS if not single or check not in SEVERAL]
     with TemporaryDirectory(prefix="flexfmu-validate-", ignore_cleanup_errors=True) as home:
         folder = Path(home) / "fmu"
-        _unpack(files, folder)
-        reported = check_in_child(folder, jobs, not single, limit)
+        unpack(files, folder)
+        reported = run_checks(folder, jobs, not single, limit)
     found = {}
     for kind, element in offered.items():
         found[kind.value] = reported[kind.name]
         if element.needsExecutionTool and any(finding.check == "instantiation" for finding in found[kind.value]):
             found[kind.value] = [_no_tool(kind.value)]
     return _merged(found)
-
-
-def _unpack(files: dict[str, bytes], folder: Path) -> None:
-    """Write the files that an FMU may need to run."""
-    (folder / "resources").mkdir(parents=True)
-    for name, content in files.items():
-        path = PurePosixPath(name.replace("\\", "/"))
-        if not path.is_absolute() and ".." not in path.parts and path.parts[0] != "sources":
-            target = folder / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(content)
 
 
 def _no_tool(interface: str) -> Finding:
@@ -125,32 +106,3 @@ def _merged(found: dict[str, list[Finding]]) -> list[Finding]:
         for name, findings in found.items()
         for finding in findings
     ]
-
-
-def _read(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], list[str]]:
-    """Directory and content of the archive, path inside → bytes, and paths whose own header says that they are encrypted.
-
-    Every entry is read, so its checksum is checked.
-    """
-    try:
-        content = path.read_bytes()
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
-        raise ArchiveError(
-            f"no FMU at {path}; build one with: flexfmu build SCENE -o {path.name or 'NAME.fmu'}"
-        ) from error
-    except OSError as error:
-        raise ArchiveError(f"cannot read the FMU {path}: {error.strerror}; check its permissions") from error
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            entries = archive.infolist()
-            files = {entry.filename: archive.read(entry) for entry in entries if not entry.is_dir()}
-            encrypted = [entry.filename for entry in entries if content[entry.header_offset + _FLAGS] & _ENCRYPTED]
-    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError) as error:
-        raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
-    if "modelDescription.xml" not in files:
-        nested = next((name for name in files if name.endswith("/modelDescription.xml")), None)
-        where = f": it is at {nested}, pack the content of that folder" if nested else ""
-        other = next((name for name in files if name.lower() == "modeldescription.xml"), None)
-        where = f": it is called {other}, rename it" if other else where
-        raise ArchiveError(f"{path} is a zip archive but no FMU: modelDescription.xml is missing{where}")
-    return entries, files, encrypted

@@ -10,7 +10,8 @@ from zlib import crc32
 import numpy as np
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, other_value, size_of, start_value
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest
+from flexfmu.fmu_build.validation.variables import other_value, size_of, start_value
 
 MOST_TOGETHER = 200
 """Variables that are set and read in one call."""

@@ -38,7 +38,7 @@ from flexfmu.fmu_build.archive import pack
 from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.life import disturbances
+from flexfmu.fmu_build.validation.process_state import disturbances
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.scene.file import load_scene
 
@@ -187,7 +187,7 @@ def processes(group_of: str) -> list[str]:
             lines.append(path.read_bytes().replace(b"\0", b" ").decode(errors="replace"))
         except OSError:
             continue  # it has just ended
-    return [line for line in lines if group_of in line and "validation.child" in line]
+    return [line for line in lines if group_of in line and "validation.worker" in line]
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])

@@ -1,11 +1,10 @@
 """A short life of an FMU in a process of its own; what it finds goes to a file, line by line, as it is found.
 
-python -m flexfmu.fmu_build.validation.child PARENT FOLDER REPORT CALL_LIMIT PACE KIND:CHECK [KIND:CHECK...]
+python -m flexfmu.fmu_build.validation.worker PARENT FOLDER REPORT CALL_LIMIT PACE KIND:CHECK [KIND:CHECK...]
 """
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import shutil
@@ -21,11 +20,18 @@ from typing import Any, TextIO
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import read_model_description
 
-from flexfmu.fmu_build.validation.catalogue import CHECKS
+from flexfmu.fmu_build.validation.catalogue import CHECKS, Check
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, NoMoreInstancesError, OnlyOnceError
-from flexfmu.fmu_build.validation.instance import Watch, announce
-from flexfmu.fmu_build.validation.life import Check, disturbances, surroundings
+from flexfmu.fmu_build.validation.library import Watch, announce
+from flexfmu.fmu_build.validation.process_state import (
+    closed_streams,
+    disturbances,
+    files_left,
+    printed_bytes,
+    printed_text,
+    surroundings,
+)
 
 LOOK = 0.1
 """How often the watcher looks [s]."""
@@ -88,7 +94,7 @@ def _findings(
         before: what the process looked like.
         standard: copies of standard input, output and error.
     """
-    printed, folder = _printed(), Path.cwd()
+    printed, folder = printed_bytes(), Path.cwd()
     try:
         yield from check(fmu)
     except OnlyOnceError:
@@ -101,11 +107,11 @@ def _findings(
         yield Finding(name, _with_messages(what, fmu), remedy, severity)
     finally:
         fmu.messages.clear()
-        yield from _closed(standard)
+        yield from closed_streams(standard)
         yield from disturbances(before, surroundings(fmu.folder))
-        yield from _new_output(printed)
+        yield from printed_text(printed)
         os.chdir(folder)
-        yield from _new_files()
+        yield from files_left()
 
 
 def _with_messages(error: Exception | str, fmu: FmuUnderTest) -> str:
@@ -131,48 +137,6 @@ def _explained(error: Exception) -> tuple[str, str]:
         )
         return f"{error.function} returns {name}", remedy
     return str(error), getattr(error, "remedy", "the call is legal here: carry it out")
-
-
-def _closed(standard: list[int]) -> Iterator[Finding]:
-    """A finding about standard input, output and error if the FMU has closed them; they are opened again."""
-    names = ("input", "output", "error")
-    for number, (name, copy) in enumerate(zip(names, standard, strict=True)):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.dup2(copy, number)
-            message = f"the FMU closes standard {name}, which belongs to the importing tool"
-            yield Finding("process", message, "leave it open", Severity.WARNING)
-
-
-def _printed() -> int:
-    """Bytes on standard output so far."""
-    ctypes.CDLL(None).fflush(None)
-    return os.fstat(1).st_size
-
-
-def _new_output(before: int) -> Iterator[Finding]:
-    """A finding about what an FMU prints."""
-    now = _printed()
-    if now > before:
-        text = os.pread(1, min(now - before, 200), before).decode(errors="replace").strip().splitlines()
-        message = "the FMU prints to standard output" + (f": {text[0]!r}" if text else "")
-        yield Finding(
-            "process", message, "log through the callback: the importing tool's output is its own", Severity.WARNING
-        )
-
-
-def _new_files() -> Iterator[Finding]:
-    """A finding about files that an FMU leaves in the working directory, which is empty at the start."""
-    for path in sorted(Path.cwd().iterdir()):
-        yield Finding(
-            "process",
-            f"{path.name} is left in the working directory",
-            "write where the importing tool says, or nowhere",
-            Severity.WARNING,
-            path.name,
-        )
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from time import monotonic, sleep
 from typing import Any
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.instance import TRY
+from flexfmu.fmu_build.validation.library import TRY
 
 CALL_SHARE = 0.2
 """Part of the time limit that one FMI call may take."""
@@ -45,7 +45,7 @@ class _Outcome:
     again: bool = False
 
 
-def check_in_child(folder: Path, jobs: Sequence[str], together: bool, limit: float) -> dict[str, list[Finding]]:
+def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) -> dict[str, list[Finding]]:
     """Findings of the checks by interface, also of those that end or block their process.
 
     Args:
@@ -95,7 +95,7 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
     """Run a child: the check it got to, what it found, and how it ended if not as it should."""
     with TemporaryDirectory(prefix="flexfmu-validate-", dir=folder.parent) as home:
         report = Path(home) / "report"
-        module = "flexfmu.fmu_build.validation.child"
+        module = "flexfmu.fmu_build.validation.worker"
         numbers = [repr(call_limit), repr(pace)]
         command = [sys.executable, "-m", module, str(os.getpid()), str(folder), str(report), *numbers, *jobs]
         status, last = _end_of(command, Path(home), timeout)

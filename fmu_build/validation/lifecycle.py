@@ -1,14 +1,11 @@
-"""Birth, names and death of an instance; what it does to the process that it lives in."""
+"""The life cycle of an instance: instantiation, a run over the default experiment, and what is left when it is freed."""
 
 from __future__ import annotations
 
 import ctypes
 import gc
-import locale
-import os
-import platform
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,11 +17,9 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, NoMoreInstancesError, OnlyOnceError, attribute, is_guarded
-from flexfmu.fmu_build.validation.instance import Watch, announce
-
-Check = Callable[[FmuUnderTest], Iterator[Finding]]
-"""Tries one thing with an FMU and yields what it finds. A failed FMI call may raise."""
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, NoMoreInstancesError, OnlyOnceError
+from flexfmu.fmu_build.validation.library import Watch, announce, is_guarded
+from flexfmu.fmu_build.validation.variables import attribute
 
 WHOLE_RUN = 5.0
 """Longest time for the run over the whole default experiment [s]."""
@@ -37,9 +32,6 @@ MORE_SAVINGS = 4
 
 LIVES = 12
 """Instances that are made and freed to see whether memory is lost."""
-
-_ROUNDING = {0: "nearest", 0x400: "downwards", 0x800: "upwards", 0xC00: "towards zero"}
-"""Names of what fegetround returns on x86."""
 
 _OUTSIDE = 1e-6
 """How far an output may leave its range, relative to its largest value: rounding."""
@@ -258,73 +250,3 @@ class _MallocInfo(ctypes.Structure):
             "keepcost",
         ]
     ]
-
-
-def surroundings(fmu: Path) -> dict[str, Any]:
-    """What an FMU shares with the process that it runs in, and has to leave alone.
-
-    Args:
-        fmu: the folder in which it is.
-    """
-    seen: dict[str, Any] = {
-        "working directory": os.getcwd(),
-        "locale for numbers": locale.setlocale(locale.LC_NUMERIC),
-        "rounding of numbers": float(np.float64(1.0) / np.float64(3.0)) + float(np.float64(-1.0) / np.float64(3.0)),
-        "treatment of denormal numbers": bool(np.float64(5e-324) * np.float64(1.0)),
-        "resources": {
-            str(path.relative_to(fmu)): path.stat().st_mtime_ns
-            for path in (fmu / "resources").rglob("*")
-            if path.is_file()
-        },
-    }
-    if os.name == "posix":
-        libc = ctypes.CDLL(None)
-        seen["rounding of numbers"] = libc.fegetround() if hasattr(libc, "fegetround") else 0
-        seen["environment"] = _environment(libc)
-        seen["mask of new files"] = os.umask(0)
-        os.umask(seen["mask of new files"])
-    status = Path("/proc/self/status")
-    if status.exists():
-        lines = (
-            line.split(":", 1) for line in status.read_text().splitlines() if line.startswith(("SigCgt", "SigIgn"))
-        )
-        seen["signal handlers"] = [value.strip() for _, value in lines]
-        seen["open files"] = len(os.listdir("/proc/self/fd"))
-    return seen
-
-
-def _environment(libc: Any) -> dict[bytes, bytes]:
-    """The environment as C code sees it."""
-    pointer = ctypes.POINTER(ctypes.c_char_p).in_dll(libc, "environ")
-    entries: list[bytes] = []
-    while pointer and (entry := pointer[len(entries)]) is not None:
-        entries.append(entry)
-    return dict(entry.partition(b"=")[::2] for entry in entries)
-
-
-def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Finding]:
-    """Findings about what an FMU has changed in its process; what is told is taken out of ``before``."""
-    for what, old in list(before.items()):
-        new = after[what]
-        if new != old:
-            del before[what]
-        if what == "open files" and new > old:
-            yield _disturbance("leaves files open", "close them")
-        elif what == "resources" and new != old:
-            names = sorted(name for name in {*old, *new} if old.get(name) != new.get(name))
-            message = f"the FMU writes into its resources: {', '.join(names[:3])}"
-            remedy = "write elsewhere: they may be read-only, and other instances use them"
-            yield Finding("process", message, remedy, Severity.WARNING)
-        elif what == "environment" and new != old:
-            names = sorted(name.decode(errors="replace") for name in {*old, *new} if old.get(name) != new.get(name))
-            yield _disturbance(f"changes the environment: {', '.join(names)}", "leave it alone")
-        elif what != "open files" and new != old:
-            shown = {"mask of new files": f"{new:#05o}" if isinstance(new, int) else ""}
-            if what == "rounding of numbers" and platform.machine() in ("x86_64", "AMD64"):
-                shown[what] = _ROUNDING.get(new, str(new))
-            change = "" if what == "signal handlers" else f" to {shown.get(what, new)}"
-            yield _disturbance(f"changes the {what}{change}", "restore it before each FMI call returns")
-
-
-def _disturbance(what: str, remedy: str) -> Finding:
-    return Finding("process", f"the FMU {what}, which belongs to the importing tool", remedy, Severity.WARNING)
