@@ -61,7 +61,7 @@ def _cannot_write(path: Path, error: OSError) -> ArchiveError:
 
 @dataclass(frozen=True)
 class FmuFacts:
-    """What an FMU file tells about itself: its GUID and the size of the generated C inside."""
+    """What an FMU file says of itself: its GUID and the size of the generated C inside."""
 
     guid: str
     code_bytes: int

@@ -157,7 +157,7 @@ def _cache_key(key: str, platforms: tuple[Platform, ...], experiment: DefaultExp
 
 
 def _keep(name: str, content: bytes, is_needed: bool) -> Path:
-    """Put a built FMU into the cache; its path. No room even for temporary files is no obstacle where it goes elsewhere."""
+    """Put a built FMU into the cache; its path. A full disk is no obstacle where an output file is named."""
     try:
         store(digest_name(name), digest(content))
         return store(name, content)

@@ -32,7 +32,7 @@ LOG_CATEGORIES = {
     "logStatusFatal": "Errors that make every instance unusable",
     "statistics": "Work done since initialisation",
 }
-"""Categories of the log messages: name → what they tell."""
+"""Categories of the log messages: name → what they report."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Description:
 
     Attributes:
         name: model name.
-        text: one or two sentences for people.
+        text: one or two sentences for the user.
         interface: variables and structure.
         choices: parameters whose values have names.
         enumerations: whether these are FMI enumerations; Integers otherwise, which every importer takes.

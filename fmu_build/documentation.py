@@ -52,7 +52,7 @@ def documentation_files(
         description: what the model description says.
         experiment: default experiment.
         picture: drawn at the top of the page.
-        values: whatever else the template shows.
+        values: what else the template shows.
     """
     page = render(
         template,
@@ -85,7 +85,7 @@ def _groups(variables: Sequence[FmiVariable]) -> dict[str, list[FmiVariable]]:
 
 
 def _start_text(variable: FmiVariable, description: Description) -> str:
-    """The start value with its unit, and as a person would rather read it; choices by name."""
+    """The start value with its unit, and in its display unit; choices by name."""
     if variable.start is None:
         return ""
     for choice in description.choices:

@@ -9,7 +9,7 @@ Part of the structured name            in the flat name            example
 ``der(name,n)``                        ``der`` n ``_`` in front    ``der(x.y,2)`` ``der2_x_y``
 =====================================  ==========================  ==============================
 
-An FMU with flat names tells the structured ones in the vendor annotation `NAMES`; two variables with the same flat name are
+An FMU with flat names lists the structured ones in the vendor annotation `NAMES`; two variables with the same flat name are
 refused.
 """
 

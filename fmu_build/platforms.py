@@ -1,4 +1,4 @@
-"""The platforms of FMI 2.0 and what a compiler has to be told for each."""
+"""The platforms of FMI 2.0 and the options that a compiler needs for each."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def native_platform() -> Platform:
 def find_platforms(names: Iterable[str] | None) -> tuple[Platform, ...]:
     """Platforms by name, sorted, without repetition; the native one when no name is given.
 
-    A name means what the standard says, whatever this machine is: ``linux64`` is for x86.
+    A name means what the standard says, on every machine: ``linux64`` is for x86.
 
     Raises:
         PlatformError: a name is unknown.

@@ -136,7 +136,7 @@ def elementary_sources() -> dict[str, str]:
 
 
 def _belongs(name: str, kind: Kind) -> bool:
-    """Whether a file is a part of the runtime for that kind; its name tells."""
+    """Whether a file is a part of the runtime for that kind, by its name."""
     if not name.endswith((".c", ".h")):
         return False
     if kind == "plant":
@@ -145,7 +145,7 @@ def _belongs(name: str, kind: Kind) -> bool:
 
 
 def c_files(names: Iterable[str]) -> tuple[str, ...]:
-    """The names that a compiler is given, sorted: headers left out."""
+    """The files to compile, sorted, without headers."""
     return tuple(sorted(name for name in names if name.endswith(".c")))
 
 

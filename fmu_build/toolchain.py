@@ -66,7 +66,7 @@ class Compiler:
     platform: Platform
 
     def identity(self) -> str:
-        """What tells this compiler from another or from its next version: command, file, time and size."""
+        """What distinguishes this compiler from another one or from its next version: command, file, time and size."""
         facts = self.executable.stat()
         return f"{self.command} {self.executable} {facts.st_mtime_ns} {facts.st_size}"
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
 
 KINDS = ("position", "velocity", "acceleration")
-"""What is put out: the trajectory and its first two derivatives."""
+"""What the FMU outputs: the trajectory and its first two derivatives."""
 
 END_ORDER = 4
 """Derivatives of each of them that a polynomial meets at both knots."""

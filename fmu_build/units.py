@@ -35,7 +35,7 @@ _DEGREE = 180.0 / pi
 
 @dataclass(frozen=True)
 class DisplayUnit:
-    """A unit in which people read a value: its number there is ``factor`` times the one in the model's unit."""
+    """A display unit: its number there is ``factor`` times the one in the model's unit."""
 
     name: str
     factor: float
@@ -50,7 +50,7 @@ _DISPLAY_UNITS: Mapping[str, tuple[DisplayUnit, ...]] = {
     "s": (DisplayUnit("ms", 1e3),),
     "Pa": (DisplayUnit("GPa", 1e-9), DisplayUnit("MPa", 1e-6)),
 }
-"""What a person may rather read; the first is what the variables propose, but for those in `_READ_AS_THEY_ARE`."""
+"""Display units; the first is what the variables propose, but for those in `_READ_AS_THEY_ARE`."""
 
 _READ_AS_THEY_ARE = {"m/s", "s"}
 """Units whose display units are an offer, not the proposal."""
@@ -111,7 +111,7 @@ class RealType:
     Attributes:
         name: its name, also the quantity's, as the Modelica standard library spells them.
         unit: the one unit of its variables.
-        display_unit: what a person would rather read; None for the unit itself.
+        display_unit: in which tools show its values; None for the unit itself.
     """
 
     name: str
@@ -140,12 +140,12 @@ def unit_exponents(name: str) -> dict[str, int]:
 
 
 def display_unit(name: str) -> str | None:
-    """Name of the unit in which a person would rather read ``name``, None for the unit itself."""
+    """Name of the display unit of ``name``, None for the unit itself."""
     return _DISPLAY_UNITS[name][0].name if name in _DISPLAY_UNITS and name not in _READ_AS_THEY_ARE else None
 
 
 def displayed(value: float, unit: str) -> str | None:
-    """A value as a person would rather read it, such as ``240 mm``; None where the unit itself does."""
+    """A value in its display unit, such as ``240 mm``; None where that is the unit itself."""
     name = display_unit(unit)
     return None if name is None else f"{value * _DISPLAY_UNITS[unit][0].factor:.6g} {name}"
 

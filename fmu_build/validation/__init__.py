@@ -1,1 +1,1 @@
-"""Judges anybody's FMU: archive, description, binaries and behaviour."""
+"""Checks FMUs of any tool: archive, description, binaries and behaviour."""

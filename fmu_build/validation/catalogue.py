@@ -39,7 +39,7 @@ from flexfmu.fmu_build.validation.replay import (
 from flexfmu.fmu_build.validation.steps import (
     halving_the_step_changes_little,
     interpolates_inputs,
-    tells_the_time,
+    reports_the_time,
 )
 from flexfmu.fmu_build.validation.values import one_call_does_what_several_do, parameters_are_kept, starts_are_kept
 
@@ -64,7 +64,7 @@ CHECKS: dict[str, Check] = {
     "instances": two_instances_are_independent,
     "rates": states_follow_their_derivatives,
     "variable step": halving_the_step_changes_little,
-    "time": tells_the_time,
+    "time": reports_the_time,
     "input derivatives": interpolates_inputs,
     "output derivatives": output_derivatives_are_right,
     "directional derivatives": directional_derivatives_are_right,

@@ -30,7 +30,7 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
     unknowns = [*(structure.outputs or ())]
     if fmu.kind is Kind.EXCHANGE:
         unknowns += structure.derivatives or ()
-    inputs, told, done = fmu.inputs, set[str](), 0
+    inputs, reported, done = fmu.inputs, set[str](), 0
     if fmu.kind is Kind.COSIMULATION:  # in model exchange discrete ones are set at events alone
         inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
     with fmu.instance("dependencies") as instance:
@@ -49,9 +49,9 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
             done = max(done, instant)
             if instance.finished:
                 return
-            yield from _violations(unknowns, inputs, instance, set_input, told)
+            yield from _violations(unknowns, inputs, instance, set_input, reported)
             if fmu.kind is Kind.EXCHANGE:
-                yield from _violations(unknowns, fmu.states, instance, set_state, told)
+                yield from _violations(unknowns, fmu.states, instance, set_state, reported)
 
 
 def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -79,9 +79,9 @@ def _violations(
     knowns: Sequence[Any],
     instance: Any,
     set_known: Callable[[Any, RealArray], None],
-    told: set[str],
+    reported: set[str],
 ) -> Iterator[Finding]:
-    """Findings about unknowns that change with a known other than declared, but for those that have been ``told``."""
+    """Findings about unknowns that change with a known other than declared, but for those in ``reported``."""
     declared = [unknown for unknown in unknowns if unknown.dependencies is not None and unknown.variable.type == "Real"]
     if not declared:
         return
@@ -99,12 +99,12 @@ def _violations(
         )
         for n, unknown in enumerate(declared):
             name = unknown.variable.name
-            if name in told or unknown.variable is known or unknown.variable.valueReference == known.valueReference:
+            if name in reported or unknown.variable is known or unknown.variable.valueReference == known.valueReference:
                 continue
             listed = [dependency.valueReference for dependency in unknown.dependencies]
             if known.valueReference not in listed:
                 if change[n] > INFLUENCE:
-                    told.add(name)
+                    reported.add(name)
                     yield Finding(
                         "dependencies of variables",
                         f"{name} changes with {known.name}, which its dependencies don't name",
@@ -114,7 +114,7 @@ def _violations(
                 continue
             kind = unknown.dependenciesKind[listed.index(known.valueReference)] if unknown.dependenciesKind else ""
             if kind in _LINEAR and bend[n] > INFLUENCE + 1e-4 * change[n]:
-                told.add(name)
+                reported.add(name)
                 yield Finding(
                     "dependencies of variables",
                     f"{name} is no linear function of {known.name}, which its dependenciesKind {kind} says",
@@ -126,7 +126,7 @@ def _violations(
 def _answers(
     variables: Sequence[Any], known: Any, instance: Any, set_known: Callable[[Any, RealArray], None]
 ) -> tuple[RealArray, RealArray, RealArray, RealArray] | None:
-    """Unknowns as they are and with the known moved up and down, and the two steps; None where that can't be told."""
+    """Unknowns as they are and with the known moved up and down, and the two steps; None where the FMU refuses the values."""
     try:
         value = instance.get([known])
         step = SHARE * max(size_of(known), abs(float(value[0])))

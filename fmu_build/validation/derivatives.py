@@ -155,7 +155,7 @@ def _compare(
 ) -> Iterator[Finding]:
     """A finding about the worst entry, each measured by the largest of its row in units of the known's size.
 
-    Where differences of two sizes disagree they can't tell: at kinks, and where an inner iteration leaves its tolerance.
+    Where differences of two sizes disagree they prove nothing: at kinks, and where an inner iteration leaves its tolerance.
     """
     sizes = np.array([size_of(known) for known in knowns])
     apart, unsure = np.abs(matrix - differences) * sizes, np.abs(coarse - differences) * sizes
@@ -222,7 +222,7 @@ def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
     pairs = [(v.derivative, v) for v in fmu.description.modelVariables if v.derivative is not None and v.type == "Real"]
     if fmu.kind is not Kind.COSIMULATION or not pairs:
         return
-    with suppress(FMICallException):  # where the FMU refuses to tell derivatives there is nothing to compare
+    with suppress(FMICallException):  # where the FMU refuses derivatives there is nothing to compare
         found = _contradiction(
             fmu,
             lambda instance: [instance.get([pair[which] for pair in pairs]) for which in (0, 1)],
@@ -277,9 +277,9 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Rea
         given, differences, clear = _comparison(jets, step, fmu.accuracy, size)
         lag = 0.0
         if not fmu.has_variable_step:
-            # a method of first order follows the derivative of the step's beginning; smaller steps would tell that apart
+            # a method of first order follows the derivative of the step's beginning; smaller steps would show the difference
             lag = 0.5 * np.abs(given[2:] - given[:-2]).max(axis=0) / np.abs(differences).max(axis=0).clip(1e-300)
-            # a vibration that differences alias is faster than they tell
+            # a vibration that differences alias is faster than they show
             clear = clear & (np.abs(given).max(axis=0) <= 3.0 * np.abs(differences).max(axis=0))
         by = _discrepancy(given, differences, clear, lag)
         if not fmu.has_variable_step:

@@ -22,7 +22,7 @@ from flexfmu.fmu_build.validation.unit_check import check_units
 _NUMBERS = {"Real", "Integer", "Enumeration"}
 _SETTABLE = {"input", "parameter"}
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
-_STUMBLES = {"list index out of range", "'NoneType' object has no attribute 'get'"}
+_FMPY_ERRORS = {"list index out of range", "'NoneType' object has no attribute 'get'"}
 """Exceptions of Python that fmpy passes on as problems."""
 
 _UNREADABLE = "fmpy cannot read modelDescription.xml"
@@ -38,18 +38,18 @@ def fmi_version(content: bytes) -> str:
 def read_description(path: Path) -> tuple[Any | None, list[Finding]]:
     """The description as fmpy reads it, None where it cannot; and what fmpy's rules find."""
     findings = [_broken(problem) for problem in validate_by_fmpy(str(path)) if "contains a backslash" not in problem]
-    # where fmpy stumbles, what is wrong is found below; this stays if nothing is
-    stumbled = [problem for problem in findings if problem.message in _STUMBLES]
-    findings = [problem for problem in findings if problem not in stumbled]
-    findings += [_broken(f"{_UNREADABLE}: {problem.message}") for problem in stumbled[:1]]
+    # where fmpy fails on a broken description, the rules below find why; its own message stays where they do not
+    failures = [problem for problem in findings if problem.message in _FMPY_ERRORS]
+    findings = [problem for problem in findings if problem not in failures]
+    findings += [_broken(f"{_UNREADABLE}: {problem.message}") for problem in failures[:1]]
     try:
         return read_model_description(str(path), validate=False), findings
     except Exception as error:  # whatever fmpy and lxml make of a broken description
         return None, findings or [_broken(str(error))]
 
 
-def is_stumble(finding: Finding) -> bool:
-    """Whether it says no more than that fmpy stumbled."""
+def is_fmpy_error(finding: Finding) -> bool:
+    """Whether it says no more than that fmpy failed."""
     return finding.message.startswith(_UNREADABLE)
 
 
@@ -68,7 +68,7 @@ def check_description(content: bytes) -> Iterator[Finding]:
         yield Finding("model description", message, "leave it out", Severity.WARNING)
     try:
         root = ElementTree.fromstring(content)
-    except (ElementTree.ParseError, LookupError, ValueError):  # fmpy's rules have told
+    except (ElementTree.ParseError, LookupError, ValueError):  # fmpy's rules report it
         return
     yield from _check_root(root)
     yield from _check_experiment(root)
@@ -288,7 +288,7 @@ def _number(text: str | None, default: Any) -> Any:
         return default
     try:
         return float(text)
-    except ValueError:  # fmpy's rules have told
+    except ValueError:  # fmpy's rules report it
         return default
 
 

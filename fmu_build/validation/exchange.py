@@ -239,7 +239,7 @@ def _integrated(
     signals["time"] = (fmu.start, stop)
     for variable, value in zip(fmu.inputs, inputs, strict=True):
         signals[variable.name] = value
-    with redirect_stdout(None):  # fmpy tells of inputs that it isn't given
+    with redirect_stdout(None):  # fmpy prints which inputs it has no values for
         result = _simulate(fmu, starts, signals, stop, tolerance)
     return np.column_stack([result[variable.name] for variable in fmu.smooth_outputs])[1:]
 

@@ -76,7 +76,7 @@ class FmuUnderTest:
         kind: the interface under test.
         pace: how long a communication step takes, where that is known [s].
         messages: log messages of all instances so far.
-        memory: what instances got through the callbacks and have not given back, address → block with its guards.
+        memory: what instances got through the callbacks and have not freed, address → block with its guards.
         misuse: what they did wrong with it.
     """
 
@@ -243,7 +243,7 @@ class FmuUnderTest:
         ]
 
     def _callbacks(self) -> Any:
-        """The callbacks of all instances: they have to live as long as these."""
+        """The callbacks of all instances: they must exist as long as these."""
         if self._kept_callbacks is None:
             self._kept_callbacks = self._new_callbacks()
         return self._kept_callbacks
@@ -261,7 +261,7 @@ class FmuUnderTest:
         def free(address: int | None) -> None:
             block = self.memory.pop(address or 0, None)
             if block is None and address:
-                self.misuse.append("gives back through freeMemory what allocateMemory has not given")
+                self.misuse.append("frees through freeMemory what allocateMemory has not allocated")
             elif block is not None and not is_guarded(block):
                 self.misuse.append(f"writes beyond a block of {len(block) - 2 * len(GUARD)} bytes")
 

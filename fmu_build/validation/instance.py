@@ -109,7 +109,7 @@ class Instance(ABC):
         self.library.enterInitializationMode()
 
     def version(self) -> tuple[str, str]:
-        """FMI version and types platform that the binary tells."""
+        """FMI version and types platform that the binary returns."""
         return self.library.getVersion(), self.library.getTypesPlatform()
 
     def get(self, variables: Sequence[Any]) -> RealArray:
@@ -174,7 +174,7 @@ class Instance(ABC):
         """The complete state as bytes, what the importing tool has to know of it first.
 
         Raises:
-            MisbehaviourError: the FMU writes beyond the size that it has told.
+            MisbehaviourError: the FMU writes beyond the size that it has returned.
         """
         state, size = self.save(), c_size_t()
         self.library.fmi2SerializedFMUstateSize(self.library.component, state[0], byref(size))
@@ -184,7 +184,7 @@ class Instance(ABC):
         if buffer.raw[size.value :] != GUARD:
             raise MisbehaviourError(
                 f"fmi2SerializeFMUstate writes beyond its buffer of {size.value} bytes",
-                "write as many as fmi2SerializedFMUstateSize tells",
+                "write as many as fmi2SerializedFMUstateSize returns",
             )
         return struct.pack("d", self.next_event) + buffer.raw[: size.value]
 
@@ -250,7 +250,7 @@ class CosimulationInstance(Instance):
         return False
 
     def _await(self) -> None:
-        """Wait for the end of a step that goes on elsewhere."""
+        """Wait for the end of a step that the FMU computes asynchronously."""
         if not self.fmu.element.canRunAsynchronuously:
             raise MisbehaviourError(
                 "fmi2DoStep returns fmi2Pending, canRunAsynchronuously is not claimed",

@@ -1,4 +1,4 @@
-"""The functions of an FMU's library: each call is watched, so that a hang or a crash can be told by its name.
+"""The functions of an FMU's library: each call is watched, so that a finding about a hang or a crash names the call.
 
 Memory that the FMU fills lies between guards, so that a write beyond its end is seen.
 """
@@ -54,7 +54,7 @@ class Watch:
 
 
 class _Watched:
-    """Tells `Watch` of each call."""
+    """Reports each call to `Watch`."""
 
     def _call(self, name: str, *arguments: Any) -> Any:
         Watch.since = monotonic()

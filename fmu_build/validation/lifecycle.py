@@ -30,7 +30,7 @@ LAG = 0.2
 MORE_SAVINGS = 4
 """How often a state is saved again in the memory of the one before."""
 
-LIVES = 12
+MEMORY_RUNS = 12
 """Instances that are made and freed to see whether memory is lost."""
 
 _OUTSIDE = 1e-6
@@ -47,7 +47,7 @@ def instantiates(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def refuses_wrong_guid(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """A binary must not run with somebody else's description."""
+    """A binary must not run with the description of another FMU."""
     with suppress(RuntimeError), fmu.instance("wrong_guid", guid="{00000000-0000-0000-0000-000000000000}"):
         yield Finding("guid", "fmi2Instantiate accepts a wrong GUID", "compare it with the one of the description")
 
@@ -86,7 +86,7 @@ def _starts_with(fmu: FmuUnderTest, uri: str) -> str | None:
 
 
 def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """The whole default experiment gives numbers, within their ranges; also tells how fast the FMU is."""
+    """The whole default experiment gives numbers, within their ranges; measures how fast the FMU is too."""
     Watch.calls.clear()
     Watch.warnings.clear()
     with fmu.instance("finite") as instance:
@@ -174,7 +174,7 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     """What was allocated is free again when the last instance is, and nothing beside it was touched."""
     fmu.memory.clear()
     fmu.misuse.clear()
-    _live(fmu)
+    _short_run(fmu)
     for misuse in dict.fromkeys(fmu.misuse):
         yield Finding("memory", f"the FMU {misuse}", "run it under AddressSanitizer")
     if any(not is_guarded(block) for block in fmu.memory.values()):
@@ -194,11 +194,11 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
         message, remedy = f"fmi2FreeFMUstate leaves {lost} bytes of a state behind", "free all of it"
         yield Finding("memory", message, remedy, Severity.WARNING, section="2.1.8")
     if again >= MORE_SAVINGS:
-        message = f"fmi2GetFMUstate leaves {again // MORE_SAVINGS} bytes behind where it is given a state to use again"
+        message = f"fmi2GetFMUstate leaves {again // MORE_SAVINGS} bytes behind where it shall use the memory of an earlier state"
         yield Finding("memory", message, "use its memory, or free it", Severity.WARNING, section="2.1.8")
 
 
-def _live(fmu: FmuUnderTest, savings: int = 0) -> None:
+def _short_run(fmu: FmuUnderTest, savings: int = 0) -> None:
     """Some steps, after which the state is saved so many times in the same memory."""
     with fmu.instance("memory") as instance:
         instance.initialize()
@@ -211,24 +211,24 @@ def _live(fmu: FmuUnderTest, savings: int = 0) -> None:
 
 
 def _lost_bytes(fmu: FmuUnderTest, savings: int = 0) -> int:
-    """What a life costs in memory that is never given back; only glibc tells."""
+    """Bytes of malloc that an instance never frees; 0 where the C library cannot count them (glibc can)."""
     libc = ctypes.CDLL(None)
-    if not hasattr(libc, "mallinfo2") or fmu.pace * 20 * LIVES > WHOLE_RUN:
+    if not hasattr(libc, "mallinfo2") or fmu.pace * 20 * MEMORY_RUNS > WHOLE_RUN:
         return 0
     libc.mallinfo2.restype = _MallocInfo
     used = []
     gc.collect()
     gc.disable()
     try:
-        for _ in range(LIVES):
+        for _ in range(MEMORY_RUNS):
             fmu.memory.clear()
             fmu.messages.clear()
-            _live(fmu, savings)
+            _short_run(fmu, savings)
             info = libc.mallinfo2()
             used.append(info.uordblks + info.hblkhd)
     finally:
         gc.enable()
-    grown = np.diff(used[LIVES // 3 :])
+    grown = np.diff(used[MEMORY_RUNS // 3 :])
     return int(np.median(grown)) if (grown > 0).all() else 0
 
 

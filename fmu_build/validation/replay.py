@@ -281,7 +281,7 @@ def two_instances_are_independent(fmu: FmuUnderTest) -> Iterator[Finding]:
             return
 
 
-_AGAIN = "after fmi2SetFMUstate of a state that fmi2GetFMUstate was given to use again"
+_AGAIN = "after fmi2SetFMUstate of a state that fmi2GetFMUstate wrote into the memory of an earlier one"
 _ON_THE_WAY, _SAVING = "where fmi2GetFMUstate was called on the way", "saving a state must not change it"
 _READING = "fmi2GetXXX must neither change the state nor depend on what was read before"
 _STATE_REMEDY = "the state must hold everything that the future depends on: internal variables, inputs, time"

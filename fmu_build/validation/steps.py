@@ -21,7 +21,7 @@ SPLIT_POINTS = 60
 SPLIT_TOLERANCE = 0.01
 """What the last halving of the step may change, relative to how far an output moves, if the first changed little more.
 
-It tells an FMU that advances by a step size of its own, or loses time at each step: that does not get less with the step.
+It reveals an FMU that advances by a step size of its own, or loses time at each step: that does not get less with the step.
 """
 
 CONVERGING = 0.7
@@ -86,7 +86,7 @@ def kicked_states(fmu: FmuUnderTest) -> dict[Any, float]:
     return {v: moved(v, KICK) for v in fmu.states if v in fmu.settable("output", "local")}
 
 
-def tells_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
+def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
     """The independent variable isn't off by a fixed part of the step: that is no step size of the FMU's own."""
     times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
     if not times or not fmu.has_variable_step or fmu.steps < TIMES:
@@ -137,11 +137,11 @@ def _wrong_ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any]) -> tuple[i
         rise = moved(variable, share) - start_of(variable)
         try:
             exact, rough = (_ramp(fmu, variable, outputs, rise, "stairs", parts) for parts in (fine, coarse))
-            split, held = (_ramp(fmu, variable, outputs, rise, "held", parts) for parts in (coarse, 1))
+            split, constant = (_ramp(fmu, variable, outputs, rise, "constant", parts) for parts in (coarse, 1))
         except (FMICallException, MisbehaviourError):
             return None
         missed = np.abs(_ramp(fmu, variable, outputs, rise, "derivative", 1) - exact)
-        ignored, unsure = np.abs(held - exact), np.maximum(np.abs(rough - exact), np.abs(split - held))
+        ignored, unsure = np.abs(constant - exact), np.maximum(np.abs(rough - exact), np.abs(split - constant))
         # outputs that the number of stairs or of steps changes can't be judged by them
         clear = (unsure < 0.2 * ignored) & (ignored > fmu.accuracy * np.abs(exact).max(initial=0.0))
         failing = clear & (missed > 0.5 * ignored)
@@ -168,7 +168,7 @@ def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how
         instance.initialize()
         for n in range(steps):
             for part in range(parts):
-                risen = {"stairs": n + (part + 0.5 * is_smooth) / parts, "held": n, "derivative": n}[how]
+                risen = {"stairs": n + (part + 0.5 * is_smooth) / parts, "constant": n, "derivative": n}[how]
                 instance.set([variable], np.array([start + rise * risen / steps]))
                 if how == "derivative":
                     instance.library.setRealInputDerivatives([variable.valueReference], [1], [slope])

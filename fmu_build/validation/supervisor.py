@@ -1,4 +1,4 @@
-"""Runs the checks that may crash or hang in child processes, and goes on after the one that did."""
+"""Supervises worker processes: runs the checks that may crash or hang in them, and goes on after the one that did."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _AS_MANY = "a process may make as many as it wants, unless canBeInstantiatedOnly
 
 @dataclass
 class _Outcome:
-    """What a child process has reported; `again`: the check it got to must begin anew in another process."""
+    """What a worker has reported; `again`: the check it got to must begin anew in another process."""
 
     begun: str = ""
     found: list[tuple[str, Finding]] = field(default_factory=list)
@@ -92,7 +92,7 @@ def _add(findings: dict[str, list[Finding]], kind: str, finding: Finding) -> Non
 
 
 def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit: float) -> _Outcome:
-    """Run a child: the check it got to, what it found, and how it ended if not as it should."""
+    """Run a worker: the check it got to, what it found, and how it ended if not as it should."""
     with TemporaryDirectory(prefix="flexfmu-validate-", dir=folder.parent) as home:
         report = Path(home) / "report"
         module = "flexfmu.fmu_build.validation.worker"
@@ -167,7 +167,7 @@ def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | Non
 
 
 def _wait(process: subprocess.Popen[bytes], timeout: float) -> int | None:
-    """Exit status, None if it takes too long; the process stays a zombie, so that its number isn't given to another one."""
+    """Exit status, None if it takes too long; the process stays a zombie, so that its number stays taken."""
     if os.name != "posix":
         with suppress(subprocess.TimeoutExpired):
             return process.wait(timeout)

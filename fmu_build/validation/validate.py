@@ -1,4 +1,4 @@
-"""Is this FMU sound? Static checks of archive, description and binaries, then a short life of it in another process."""
+"""Is this FMU sound? Static checks of archive, description and binaries, then its behaviour, in worker processes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from flexfmu.fmu_build.validation.description import (
     check_description,
     fmi_version,
     interfaces,
-    is_stumble,
+    is_fmpy_error,
     read_description,
 )
 from flexfmu.fmu_build.validation.finding import Finding, Severity, ranked
@@ -65,7 +65,7 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     description, findings = read_description(path)
     described = list(check_description(files["modelDescription.xml"]))
     if any(finding.severity is Severity.ERROR for finding in described):
-        findings = [finding for finding in findings if not is_stumble(finding)]
+        findings = [finding for finding in findings if not is_fmpy_error(finding)]
     findings += [*described, *check_entries(entries, encrypted), *check_archive(files)]
     if description is not None and interfaces(description):
         findings += check_binaries(description, files)

@@ -46,7 +46,7 @@ def starts_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _read(instance: Any, variables: Sequence[Any]) -> list[Any]:
-    """Values one by one, None where the FMU refuses to tell."""
+    """Values one by one, None where the FMU refuses."""
     values: list[Any] = []
     for variable in variables:
         try:

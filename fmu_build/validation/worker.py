@@ -1,4 +1,4 @@
-"""A short life of an FMU in a process of its own; what it finds goes to a file, line by line, as it is found.
+"""Runs checks of an FMU in a process of its own and writes what they find to a file, line by line.
 
 python -m flexfmu.fmu_build.validation.worker PARENT FOLDER REPORT CALL_LIMIT PACE KIND:CHECK [KIND:CHECK...]
 """
@@ -50,23 +50,23 @@ def main() -> None:
         for job in jobs:
             kind, name = job.split(":")
             announce("")
-            _say(file, begin=job)
+            _report(file, begin=job)
             try:
                 for finding in _findings(name, CHECKS[name], fmus[kind], before, standard):
-                    _say(file, finding=asdict(finding))
+                    _report(file, finding=asdict(finding))
             except NoMoreInstancesError as error:
-                _say(file, exhausted=str(error))
+                _report(file, exhausted=str(error))
                 break
-            _say(file, pace=fmus[kind].pace)
-        _say(file, end=True)
+            _report(file, pace=fmus[kind].pace)
+        _report(file, end=True)
 
 
-def _say(file: TextIO, **line: Any) -> None:
+def _report(file: TextIO, **line: Any) -> None:
     file.write(json.dumps(line) + "\n")
 
 
 def _watch(file: TextIO, limit: float, home: Path, parent: int) -> None:
-    """End this process and all that it has started when a call doesn't return, or when nobody waits for it any more."""
+    """End this process and all that it has started when a call doesn't return, or when the supervisor has ended."""
     while True:
         time.sleep(LOOK)
         call, since = Watch.call, Watch.since
@@ -74,7 +74,7 @@ def _watch(file: TextIO, limit: float, home: Path, parent: int) -> None:
         if orphaned:
             shutil.rmtree(home, ignore_errors=True)
         if call and time.monotonic() - since > limit:
-            _say(file, hang=call)
+            _report(file, hang=call)
             orphaned = True
         if orphaned:
             if os.name == "posix":
