@@ -1,5 +1,6 @@
-/* The cheap error estimate's calibration, and step sizes that fit an error (controller of Hairer, Norsett and Wanner, Solving
- * Ordinary Differential Equations I, section II.4). */
+/* Two estimates of the local error: a cheap one of low order at each step, and now and then the true one, by one step against
+ * two halves (accuracy.h). Their ratio, the sharpness, scales the cheap one for some steps. Step sizes follow the error's power
+ * law with limits on growth and shrinking (Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4). */
 #include "accuracy.h"
 
 #include <math.h>
@@ -42,11 +43,13 @@ double flex_accuracy_hold(flex_accuracy *accuracy, int stages, double error, dou
 }
 
 int flex_accuracy_applies(const flex_accuracy *accuracy, const flex_evidence *evidence) {
+  // recent enough, and the motion hasn't changed its character since
   return accuracy->sharpness > 0.0 && accuracy->age < MAX_AGE && evidence->step <= MAX_STEP_GROWTH * accuracy->step &&
          evidence->error <= MAX_ERROR_GROWTH * accuracy->error && evidence->bend <= MAX_BEND_GROWTH * accuracy->bend;
 }
 
 double flex_accuracy_error(const flex_accuracy *accuracy, int excess, const flex_evidence *evidence) {
+  // the ratio at the calibration, which goes with the step to the power by which the true error is of higher order
   return evidence->error * accuracy->sharpness * flex_whole_power(evidence->step / accuracy->step, excess);
 }
 
@@ -66,6 +69,7 @@ double flex_fitting_step(double step, double suggested, double error, double all
 }
 
 double flex_next_step(double step, double suggested, double fitting) {
+  // a single error estimate may be wrong: no more than twice as long, no less than a tenth
   double limited = fmax(fmin(fitting, MAX_GROWTH * step), MIN_SHRINK * step);
 
   // a step that was cut short, to end with the communication step, says little about long ones

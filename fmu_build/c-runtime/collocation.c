@@ -108,6 +108,8 @@ static flex_outcome finish(flex_integrator *integrator, double t, double h, doub
 static flex_outcome solve(flex_integrator *integrator, double t, double h, double allowed) {
   const flex_integrator_record *record = integrator->record;
   double share = flex_ends_in_stage(integrator->stages.tableau) ? DAMPED_NEWTON_SHARE : NEWTON_SHARE;
+
+  // a step that was cut short is solved to its part of what the whole one may leave
   if (record->step > h) share *= h / record->step;
   return flex_stages_solve(&integrator->stages, t, h, integrator->y, integrator->v, integrator->a, record->scale,
                            share * allowed);
@@ -138,6 +140,7 @@ static double cheap_error(flex_integrator *integrator, double h) {
 static flex_outcome take_halves(flex_integrator *integrator, double t, double h, double allowed, double *value) {
   const flex_history full = {integrator->full_a, 0};
   for (int half = 0; half < 2; half++) {
+    // stages predicted by the polynomial of the full step, solved to half the error each
     double start = t + half * 0.5 * h;
     flex_predict(integrator->n, integrator->stages.tableau, &full, 0.5 * half, 0.5, integrator->stages.acceleration);
     flex_outcome outcome = solve(integrator, start, 0.5 * h, 0.5 * allowed);
@@ -232,6 +235,7 @@ static flex_outcome control(flex_integrator *integrator, const flex_integrator_r
 }
 
 flex_outcome flex_collocation_step(flex_integrator *integrator, double t, double h, double allowed, double *value) {
+  // what a rejected step restores
   const flex_integrator_record before = *integrator->record;
   int is_fixed = *integrator->fixed_step > 0.0;
 

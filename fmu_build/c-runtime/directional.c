@@ -1,3 +1,5 @@
+/* Changes are followed in the order in which the plant computes: parameters, static equilibrium, accelerations, outputs. Each
+ * stage is linear in what went before, so one direction costs one pass (implicit function theorem for the equilibrium). */
 #include "directional.h"
 
 #include <math.h>
@@ -54,9 +56,13 @@ static int gather(flex_plant *plant, const flex_direction *direction) {
 static int follow_parameters(flex_plant *plant) {
   const flex_model *model = plant->model;
   flex_tangent *tangent = &plant->tangent;
+
+  // most directions leave the parameters alone
   int changed = 0;
   for (int i = 0; i < model->n_parameters; i++) changed |= tangent->p[i] != 0.0;
   if (!changed) return 0;
+
+  // derived parameters follow always, start coordinates only before the motion
   const double *const arguments[] = {plant->p, tangent->p};
   if (flex_call(&plant->equations, &model->start_forward, 2, arguments, tangent->start)) return 1;
   memcpy(tangent->d, tangent->start, (size_t)model->n_derived * sizeof(double));
@@ -95,6 +101,7 @@ static int follow_equilibrium(flex_plant *plant) {
   memcpy(du, tangent->u, (size_t)m * sizeof *du);
   for (int i = m - model->n_rate_inputs; i < m; i++) du[i] = 0.0;
 
+  // implicit function theorem: K dy = -dr
   const flex_point change = {dy, zero, NULL, du, tangent->d};
   if (flex_motion_forward(&plant->equations, &rest, &change, dr)) return 1;
   flex_lu_solve(free, plant->statics.stiffness, plant->statics.pivots, dr + locked);
@@ -110,6 +117,8 @@ static int follow_motion(flex_plant *plant) {
   const flex_point at = {now->y, now->v, now->a, plant->u, plant->d};
   const flex_point change = {tangent->y, tangent->v, NULL, tangent->u, tangent->d};
   double *da = tangent->changes, *outputs = da + model->n, *entries = outputs + model->n_outputs;
+
+  // changes of residual and outputs at constant acceleration, then the acceleration's own part
   if (flex_motion_forward(&plant->equations, &at, &change, tangent->changes)) return 1;
   flex_cholesky_solve(model->n, now->mass_factor, da);
   for (int i = 0; i < model->n; i++) da[i] = -da[i];
@@ -137,6 +146,7 @@ int flex_differentiate(flex_plant *plant, const flex_direction *direction) {
   if (failure.outcome != FLEX_DONE) flex_explain(plant, "differentiation", &failure);
   if (failure.outcome != FLEX_DONE) return 1;
 
+  // changes of the outputs that were asked for
   const double *changed_outputs = plant->tangent.changes + plant->model->n;
   for (size_t i = 0; i < direction->n_unknown; i++) {
     unsigned index = direction->unknown[i];

@@ -1,4 +1,5 @@
-/* Steps of explicit Runge-Kutta methods, for the reference that everyone knows: y' = v, v' = a(t, y, v). */
+/* Steps of explicit Runge-Kutta methods for y' = v, v' = a(t, y, v). The error is that of an embedded formula, or the difference
+ * to two steps of half the size (Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4). */
 #include <math.h>
 #include <string.h>
 
@@ -47,6 +48,8 @@ static flex_outcome take(flex_integrator *integrator, double t, double h, double
   int n = integrator->n;
   flex_outcome outcome = solve_stages(integrator, t, h);
   if (outcome != FLEX_DONE) return outcome;
+
+  // end of the quadrature
   for (int c = 0; c < n; c++)
     flex_step_move(integrator, c, weighted(integrator, tableau->b, integrator->explicit_v, h, c),
                    weighted(integrator, tableau->b, integrator->explicit_a, h, c));
@@ -75,10 +78,14 @@ static flex_outcome take_halves(flex_integrator *integrator, double t, double h,
   memcpy(integrator->full_y, integrator->y, size);
   memcpy(integrator->full_v, integrator->v, size);
   memcpy(integrator->y, integrator->saved, integrator->motion_count * sizeof(double));
+
+  // from the saved start again
   for (int half = 0; half < 2; half++) {
     flex_outcome outcome = take(integrator, t + half * 0.5 * h, 0.5 * h, margin);
     if (outcome != FLEX_DONE) return outcome;
   }
+
+  // difference of the results = error of the full step, but for a factor 1 - 2^-order
   for (int c = 0; c < integrator->n; c++) {
     integrator->full_y[c] -= integrator->y[c];
     integrator->full_v[c] -= integrator->v[c];
@@ -92,6 +99,8 @@ flex_outcome flex_explicit_step(flex_integrator *integrator, double t, double h,
   flex_integrator_record *record = integrator->record;
   const flex_integrator_record before = *record;
   double error = 0.0;
+
+  // the step and its error
   flex_step_save(integrator);
   flex_outcome outcome = take(integrator, t, h, value);
   if (outcome == FLEX_DONE && *integrator->fixed_step == 0.0) {

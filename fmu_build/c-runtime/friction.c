@@ -1,3 +1,6 @@
+/* Modes of dry friction by rate and force, and events within a step: the step's interpolant shows where an indicator changes
+ * sign, then the step is made again until it ends there, by regula falsi with the Illinois modification (Dowell and Jarratt,
+ * A modified regula falsi method, BIT 11 (1971)). Sources of the modes: friction.h. */
 #include "friction.h"
 
 #include <float.h>
@@ -72,7 +75,7 @@ static int mode_by_rate(const flex_integrator *integrator, int friction) {
   if (mode == FLEX_STUCK) return fabs(rate) <= RATE_HYSTERESIS ? FLEX_STUCK : moving;
   if (rate == 0.0) return FLEX_STUCK;
 
-  // far beyond rest it was put there by someone, it hasn't passed through
+  // far beyond rest the importer has set this state, it hasn't passed through
   int has_passed = mode != FLEX_FREE && moving != mode && fabs(rate) <= 1.0;
   return has_passed ? FLEX_STUCK : moving;
 }
@@ -111,12 +114,16 @@ static flex_outcome release(flex_integrator *integrator, const double *u) {
   for (int round = 0, latest = -1; round <= 4 * equations->model->n_frictions; round++) {
     flex_outcome outcome = flex_integrator_accelerate(integrator, u);
     if (outcome != FLEX_DONE) return outcome;
+
+    // one that was released too early sticks again
     int back = latest < 0 ? -1 : wrongly_released(integrator, latest);
     if (back >= 0) {
       integrator->a[equations->model->frictions[back].unknown] = 0.0;
       flex_set_mode(equations, back, FLEX_STUCK);
       continue;
     }
+
+    // the one that is overloaded most slips in the direction of its force
     if (!any_sticks(equations)) return FLEX_DONE;
     if (flex_residual(equations, integrator->y, integrator->v, integrator->a, u, integrator->defect)) return FLEX_NOT_FINITE;
     latest = most_overloaded(integrator);
@@ -131,6 +138,8 @@ flex_outcome flex_friction_settle(flex_integrator *integrator, const double *u, 
   const flex_model *model = equations->model;
   size_t size = (size_t)model->n_frictions * sizeof *equations->modes;
   memcpy(equations->earlier_modes, equations->modes, size);
+
+  // modes by the rates, then by the forces
   for (int k = 0; k < model->n_frictions; k++) {
     int mode = mode_by_rate(integrator, k);
     flex_set_mode(equations, k, mode);
@@ -225,6 +234,8 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
   flex_equations *equations = integrator->stages.equations;
   bracket event;
   int side = 0, stopped = 0, is_certain = 0;
+
+  // the step as if there were no event, and a look at it
   flex_outcome outcome = integrator->method->step(integrator, t, *h, allowed, value);
   if (outcome != FLEX_DONE) return outcome;
   outcome = look(integrator, t, *h, &event);
@@ -237,6 +248,8 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
     // what only the interpolation has seen may be no event: the second trial asks
     int is_last = event.high - event.low <= least || trial >= MOST_TRIALS, asks = trial == 1 && !is_certain;
     double next = is_last || asks ? event.high : next_trial(&event);
+
+    // the step again, to there
     flex_step_reject(integrator, &before, before.step, FLEX_DONE);
     *attempts += 1.0;
     outcome = integrator->method->step(integrator, t, next, allowed, value);
@@ -244,10 +257,14 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
     *h = next;
     outcome = look_at_end(integrator, t, next, &at_end);
     if (outcome != FLEX_DONE) return flex_step_reject(integrator, &before, FLEX_FAILED_SHRINK * next, outcome);
+
+    // near enough, or between which times to go on
     is_certain |= at_end < 0.0;
     if (is_last || (asks && !is_certain) || (at_end < 0.0 && at_end >= -EVENT_TOLERANCE)) break;
     narrow(&event, next, at_end, &side);
   }
+
+  // modes behind the event; where they cannot be found, everything is as before the step
   if (at_end >= 0.0) return FLEX_DONE;
   outcome = flex_friction_settle(integrator, integrator->end_u, &stopped);
   if (outcome == FLEX_DONE) return outcome;

@@ -1,3 +1,4 @@
+/* What all methods share: saving and restoring a step, moving on with compensated sums, and the acceleration M a = -b. */
 #include "integration_step.h"
 
 #include <math.h>

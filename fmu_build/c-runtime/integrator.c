@@ -1,3 +1,5 @@
+/* From one communication point to the next: equal steps that fit between the two, planned anew where the error asks for another
+ * size. Their times are start + i h, never a running sum. A budget of evaluations ends what would never end. */
 #include "integrator.h"
 
 #include <float.h>
@@ -138,11 +140,15 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, long long
       result->value = FLEX_WORK_PER_SECOND;
       return FLEX_TOO_MUCH_WORK;
     }
+
+    // one step; with friction it may end earlier, at an event
     double allowed = integrator->local_error * record->scale;
     flex_outcome outcome =
         has_friction ? flex_friction_step(integrator, start + i * h, &taken, allowed, attempts, &result->value)
                      : integrator->method->step(integrator, start + i * h, h, allowed, &result->value);
     if (outcome != FLEX_DONE) return outcome;
+
+    // the last one ends at t1 exactly; an event or another step size makes a new plan
     result->time = taken < h ? start + i * h + taken : i + 1.0 == count ? t1 : start + (i + 1.0) * h;
     if (fixed > 0.0) record->step = fixed;
     if (taken < h || (fixed == 0.0 && (record->step < h || record->step > REPLANNED_GROWTH * h))) break;
@@ -163,11 +169,14 @@ static flex_failure advance(flex_integrator *integrator, double t0, double t1, l
   flex_failure result = {FLEX_DONE, t0, 0.0};
   double attempts = 0.0, span = t1 - t0, fixed = *integrator->fixed_step;
   double least = fmax(MIN_STEP_SHARE * span, MIN_STEP_ROUNDINGS * DBL_EPSILON * fmax(fabs(t0), fabs(t1)));
+
+  // first guess of the step size
   if (fixed > 0.0)
     record->step = fixed;
   else if (record->step == 0.0)
     record->step = first_step(integrator, span);
 
+  // sequences of equal steps up to t1
   while (result.time < t1) {
     result.outcome = make_steps(integrator, t1, last, &attempts, &result);
     if (result.outcome == FLEX_DONE) continue;
@@ -188,6 +197,8 @@ flex_failure flex_integrator_advance(flex_integrator *integrator, double t0, dou
   if (integrator->n == 0) return advance_rigid(integrator, t0, t1);
   const long long *evaluations = integrator->stages.equations->evaluations;
   long long before = *evaluations;
+
+  // the budget grows with the motion and shrinks with the work
   integrator->work_left += FLEX_WORK_PER_STEP + FLEX_WORK_PER_SECOND * (t1 - t0);
   flex_failure result = advance(integrator, t0, t1, before + (long long)fmin(integrator->work_left, 1e18));
   integrator->work_left -= (double)(*evaluations - before);

@@ -1,3 +1,5 @@
+/* LU with partial pivoting, its complex twin and Cholesky's factors, for matrices of some ten rows (sources: linear_algebra.h).
+ * All work goes along columns, two at a time, in loops that compilers turn into vector instructions. */
 #include "linear_algebra.h"
 
 #include <math.h>

@@ -1,3 +1,6 @@
+/* The Newton matrix of s stages, split by the eigenvectors of the method's matrix A into s systems of size n, complex ones in
+ * pairs (Butcher, On the implementation of implicit Runge-Kutta methods, BIT 16 (1976); Hairer and Wanner, Solving Ordinary
+ * Differential Equations II, section IV.8). Damping and stiffness are taken by differences of the residual. */
 #include "newton_matrix.h"
 
 #include <math.h>

@@ -1,3 +1,5 @@
+/* The plant computes on demand: each value has a flag that says whether it belongs to the present state, inputs and parameters;
+ * a change clears the flags of all that depends on it, a question fills in what is missing. */
 #include "plant.h"
 
 #include <float.h>
@@ -234,6 +236,8 @@ static int find_overdamped(flex_plant *plant) {
   if (n == 0 || !model->is_damped) return 0;
   int refused = flex_newton_refresh(matrix, &plant->equations, integrator->y, integrator->v, integrator->a, plant->u,
                                     plant->scale, plant->scale + n, *integrator->floor);
+
+  // each coordinate by itself
   for (int i = 0; !refused && i < n; i++) {
     double m = matrix->mass[i * n + i], d = matrix->damping[i * n + i], k = matrix->stiffness[i * n + i];
     found |= d > OVERDAMPED * sqrt(fabs(k) * m) && d > FAST_DECAY * m;
@@ -250,6 +254,8 @@ flex_failure flex_plant_need_start(flex_plant *plant) {
   flex_outcome outcome = need_derived(plant);
   if (outcome != FLEX_DONE || record->is_moving || (record->have & FLEX_HAVE_START))
     return outcome_now(plant, outcome, value);
+
+  // pose, then the method that suits the model there
   outcome = start_undeformed(plant, &value);
   if (outcome == FLEX_DONE) outcome = start_static(plant, &value);
   if (outcome != FLEX_DONE) return outcome_now(plant, outcome, value);
@@ -322,6 +328,7 @@ flex_failure flex_plant_need_acceleration(flex_plant *plant) {
   record->inputs_changed = 0;
   if ((record->have & FLEX_HAVE_ACCELERATION) && go_on(plant, plant->u1)) return failure;
 
+  // inputs that jump: a new acceleration, and new modes of friction
   memcpy(plant->u, plant->u1, (size_t)plant->inputs.count * sizeof(double));
   int stopped = 0;
   flex_outcome outcome = accelerate(plant, record->modes_are_held, &stopped);
@@ -354,6 +361,8 @@ flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
 
   flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE) return failure;
+
+  // where the integrator fails, what it has reached is kept
   memcpy(plant->previous_u, plant->u, (size_t)plant->inputs.count * sizeof(double));
   failure = flex_integrator_advance(&plant->integrator, t0, t1);
   if (failure.time > t0) {
@@ -411,6 +420,8 @@ flex_failure flex_plant_need_rates(flex_plant *plant, int order) {
   flex_outcome outcome = flex_integrator_factor(&plant->integrator, plant->u);
   if (outcome != FLEX_DONE) return outcome_now(plant, outcome, 0.0);
   flex_inputs_rates(&plant->inputs, record->time, plant->u1, plant->u2);
+
+  // jerk and rates of the outputs, then snap and their second rates
   if (!(record->have & FLEX_HAVE_FIRST_RATES)) {
     if (first_rates(plant)) return outcome_now(plant, FLEX_NOT_FINITE, 0.0);
     record->have |= FLEX_HAVE_FIRST_RATES;

@@ -1,3 +1,6 @@
+/* Simplified Newton iterations for the stages of a collocation step. The matrix is kept over many steps; how fast corrections
+ * shrink says when iterations may end and when the matrix is worn (Hairer and Wanner, Solving Ordinary Differential Equations
+ * II, section IV.8: stopping criterion and reuse of the Jacobian). */
 #include "stages.h"
 
 #include <float.h>

@@ -1,3 +1,5 @@
+/* Damped Newton iterations with a fresh stiffness matrix each; the damping factor is halved until the natural monotonicity test
+ * holds (source: statics.h). */
 #include "statics.h"
 
 #include <float.h>
@@ -46,11 +48,14 @@ static int factor_stiffness(flex_statics *statics, flex_equations *equations, co
   int n = equations->model->n, locked = equations->model->n_locked, free = n - locked, refused = 0;
   const double *before = statics->residual;
   for (int i = 0; i < free; i++) {
+    // one coordinate moves by a part of its own scale
     double *moved = y + locked + i, kept = *moved, share = weight[locked + i];
     *moved = kept + DIFFERENCE * fmax(share > 0.0 ? scale / sqrt(share) : 1.0, fabs(kept));
     double step = *moved - kept;
     refused |= flex_residual(equations, y, statics->zero, statics->zero, u, statics->simplified);
     *moved = kept;
+
+    // column of the difference quotients
     for (int k = 0; k < free; k++)
       statics->stiffness[i * free + k] = (statics->simplified[locked + k] - before[locked + k]) / step;
   }
@@ -101,6 +106,8 @@ flex_outcome flex_statics_solve(flex_statics *statics, flex_equations *equations
       for (int i = 0; i < n; i++) y[i] -= statics->correction[i];
       return FLEX_DONE;
     }
+
+    // otherwise go as far as the next correction is smaller than this one
     if (damped_step(statics, equations, weight, size, u, y) == 0.0) return FLEX_NO_EQUILIBRIUM;
     memcpy(y, statics->trial, (size_t)n * sizeof *y);
   }
