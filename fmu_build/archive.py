@@ -38,6 +38,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises:
         ArchiveError: the folder is missing and cannot be made, read-only or full, or ``path`` is a folder.
     """
+    # a temporary file in the same folder: renaming within a file system is atomic
     try:
         if path.is_dir():
             raise ArchiveError(f"cannot write {path}: it is a folder; give the name of a file")
@@ -46,6 +47,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     except OSError as error:
         raise _cannot_write(path, error) from error
     try:
+        # whatever fails, no half file stays
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
         os.chmod(temporary, _FILE_MODE)

@@ -128,6 +128,7 @@ def block_interface(block: SymbolicBlock) -> Interface:
     Raises:
         ModelError: a name is given twice or unknown, or a start value is missing or out of range.
     """
+    # reals in the order inputs, parameters, outputs; the counter comes last
     scalars = (*block.inputs, *block.parameters, *block.outputs)
     check_names([*(variable.name for variable in scalars), SAMPLES])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
@@ -142,6 +143,7 @@ def block_interface(block: SymbolicBlock) -> Interface:
         variability="discrete",
         initial="calculated",
     )
+    # outputs depend on inputs by feedthrough, before the first sample on all that can be set
     known = tuple(variable.index for variable in reals if variable.causality != "output")
     outputs = tuple(
         Unknown(index_of[output.name], _feedthrough(block, output.name, index_of)) for output in block.outputs

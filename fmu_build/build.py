@@ -131,10 +131,12 @@ def build_from_sources(
     """
     started = perf_counter()
     targets = find_platforms(platforms)
+    # without a key the content decides
     if key is None:
         sources = make_sources()
         key, make_sources = sources.guid, lambda: sources
 
+    # an intact FMU from the cache, or a new one that goes into it
     name = fmu_name(_cache_key(key, targets, experiment))
     stored = cache_folder() / name
     content = read_intact(stored) if cache else None
@@ -145,6 +147,7 @@ def build_from_sources(
     if output is not None:
         write_atomically(output, content)
 
+    # what the file says of itself, cached or not
     facts = fmu_facts(content)
     seconds = perf_counter() - started
     return BuiltFmu(output or stored, facts.guid, is_cached, seconds, facts.code_bytes, len(content))

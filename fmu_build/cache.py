@@ -107,6 +107,7 @@ def _replace(folder: Path, error: ArchiveError) -> None:
     Raises:
         ArchiveError: it is a temporary folder itself, or there is none.
     """
+    # one thread replaces the folder, the others find it replaced
     with _stand_ins_lock:
         if folder != _chosen_folder():
             raise error

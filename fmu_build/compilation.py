@@ -38,6 +38,7 @@ def compile_library(
         CompileError: the compiler or the linker refuses.
         ArchiveError: there is no room for temporary files.
     """
+    # a job for each C file, flags by its origin
     texts = sources.generated | sources.runtime
     first = FIRST_HEADER if FIRST_HEADER[-1] in texts else ()
     jobs = {
@@ -49,6 +50,7 @@ def compile_library(
     with _work_folder() as folder:
         for file, text in texts.items():
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
+        # compile what the cache doesn't have, keep it for the next build
         kept = {job: _kept_object(job, texts, compiler) for job in jobs.values()}
         missing = [job for job, name in kept.items() if not (cache and _fetch(name, folder / job.object_file))]
         compiler.compile(missing, folder)

@@ -91,28 +91,33 @@ def build_interface(model: SymbolicModel) -> Interface:
     Raises:
         ModelError: a name is given twice or unknown, or a start value is missing or out of range.
     """
+    # an output that shows a state has its nominal value
     states = find_states(model)
     nominals = dict(zip(states.outputs, states.nominals, strict=True))
     outputs = [
         variable if variable.nominal is not None else replace(variable, nominal=nominals.get(position))
         for position, variable in enumerate(model.outputs)
     ]
+    # every name once, over variables of all kinds
     scalars = (*model.inputs, *model.parameters, *outputs)
     names = [variable.name for variable in scalars]
     shown = [state_name(model.outputs[position].name) for position in states.outputs]
     check_names([*names, INITIAL.name, *STATISTICS, INTEGRATOR.name, FIXED_STEP, *shown])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
+    # variables of all kinds, numbered one kind after the other
     reals = tuple(real_variable(variable, index_of) for variable in scalars)
     integers = _integer_variables(first_index=len(reals) + 1, static_start=model.static_start)
     integrator = _integrator_variables(first_index=len(reals) + len(integers) + 1, value_reference=len(reals))
     first, first_state = len(model.inputs) + len(model.parameters) + 1, len(reals) + len(integers) + len(integrator) + 1
     aliases = _state_variables(reals[first - 1 :], states, first_state)
 
+    # what outputs and derivatives depend on: inputs and states
     feedthrough, needed = _feedthrough(model, index_of), state_dependencies(model)
     unknowns = tuple(
         Unknown(first + k, (*feedthrough[first + k], *sorted(first_state + state for state in needed[k])))
         for k in range(len(model.outputs))
     )
+    # at the start everything depends on all inputs and parameters
     known = tuple(variable.index for variable in reals + integers if variable.causality in ("input", "parameter"))
     variables = _with_derivatives(reals, states, first, first_state)
     interface = Interface(
@@ -121,6 +126,7 @@ def build_interface(model: SymbolicModel) -> Interface:
         derivatives=tuple(unknowns[position] for position in states.derivatives),
         initial_unknowns=tuple(Unknown(each.index, known) for each in (*aliases, *reals[first - 1 :])),
     )
+    # derivatives come after their states, without which OMSimulator 3.0 fails
     return _reordered(interface, (*variables[: first - 1], *aliases, *variables[first - 1 :], *integers, *integrator))
 
 
@@ -207,6 +213,7 @@ def real_variable(
         raise ModelError(
             f"variable '{variable.name}' is the derivative of '{variable.derivative_of}', which is not there"
         )
+    # outputs are calculated; inputs and parameters have a start value
     index = index_of[variable.name]
     return FmiVariable(
         index=index,

@@ -80,10 +80,12 @@ class Picture:
 
 def mechanism_picture(drawing: Drawing, width: int, height: int, labelled: bool = False) -> Picture:
     """A mechanism, as large as the picture allows; ``labelled`` with the names that the variables use."""
+    # as large as fits, with room for the names
     side = min(width, height)
     margins = ROOM if labelled else (0.10 * side, 0.10 * side)
     ends = [point for bar in drawing.bars for point in (bar.start, bar.end)]
     view = _View.around([*ends, *(spot.position for spot in drawing.spots)], width, height, margins)
+    # bars below, small spots over large ones
     lines = [
         Line(view(bar.start), view(bar.end), max(bar.diameter * view.scale, _THINNEST * side), COLOURS[bar.part])
         for bar in drawing.bars

@@ -111,6 +111,7 @@ def generate_trajectory_sources(
             )
         }
 
+    # the same table serves description, pages and icon
     description = trajectory_description(motion).named(naming)
     pages = trajectory_documentation(motion, description, experiment)
     return assemble_sources("trajectory", description, experiment, code, pages, png(motion_picture(motion)))

@@ -68,6 +68,7 @@ def tabulate(trajectory: Trajectory, tolerance: float = TOLERANCE) -> Trajectory
     scales = _scales(trajectory, points)
     begins, ends = points[:-1], points[1:]
     accepted: list[tuple[RealArray, RealArray, RealArray]] = []
+    # halve the intervals that miss the tolerance until none is left
     while begins.size:
         _refuse_short(trajectory, begins, ends)
         error = _errors(trajectory, begins, ends, _CHECKED) / scales
@@ -77,6 +78,7 @@ def tabulate(trajectory: Trajectory, tolerance: float = TOLERANCE) -> Trajectory
         middles = 0.5 * (begins + ends)
         begins, ends = np.concatenate([begins, middles]), np.concatenate([middles, ends])
     begins, ends, error = (np.concatenate(parts) for parts in zip(*accepted, strict=True))
+    # knots in the order of time
     order = np.argsort(begins)
     return _assemble(trajectory, begins[order], ends[order], points, error.max(axis=0))
 

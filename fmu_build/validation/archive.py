@@ -43,6 +43,7 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
     except OSError as error:
         raise ArchiveError(f"cannot read the FMU {path}: {error.strerror}; check its permissions") from error
     try:
+        # each entry, in full: the archive's directory alone doesn't show damage
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
             files = {entry.filename: archive.read(entry) for entry in entries if not entry.is_dir()}
@@ -50,6 +51,7 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError) as error:
         raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
     if "modelDescription.xml" not in files:
+        # the usual mistakes: a folder too much, or another spelling
         nested = next((name for name in files if name.endswith("/modelDescription.xml")), None)
         where = f": it is at {nested}, pack the content of that folder" if nested else ""
         other = next((name for name in files if name.lower() == "modeldescription.xml"), None)
@@ -76,11 +78,13 @@ def check_entries(entries: list[zipfile.ZipInfo], encrypted: Sequence[str] = ())
         entries: its directory.
         encrypted: paths of the files that are encrypted by what stands before them.
     """
+    # files that tools cannot read, or read differently
     for name in encrypted:
         yield _archive(f"{name} is marked as encrypted in its own header", "pack it without a password", name)
     for name, count in Counter(entry.filename for entry in entries).items():
         if count > 1:
             yield _archive(f"{name} is there {count} times", "keep one: tools take any of them", name)
+    # paths, methods and kinds of entries
     for entry in entries:
         name = entry.filename
         if "\\" in entry.orig_filename or name.startswith("/") or ".." in PurePosixPath(name).parts or name[1:2] == ":":
@@ -93,6 +97,7 @@ def check_entries(entries: list[zipfile.ZipInfo], encrypted: Sequence[str] = ())
             )
         if entry.external_attr >> 16 & 0o170000 == _LINK:
             yield _archive(f"{name} is a symbolic link", "put the file there: most tools unpack its path as text", name)
+    # names that are one on other systems
     alike = Counter(entry.filename.rstrip("/").lower() for entry in entries)
     for entry in entries:
         if alike[entry.filename.rstrip("/").lower()] > 1 and entry.filename != entry.filename.lower():
@@ -106,6 +111,7 @@ def check_archive(files: Mapping[str, bytes]) -> Iterator[Finding]:
     Args:
         files: content of the FMU, path inside → bytes.
     """
+    # files that tools never look at
     for name in files:
         first, *rest = PurePosixPath(name).parts or ("",)
         if (rest and first not in FOLDERS) or (not rest and first not in FILES):
@@ -115,6 +121,7 @@ def check_archive(files: Mapping[str, bytes]) -> Iterator[Finding]:
     yield from _check_documentation(files)
     if "model.png" in files and not files["model.png"].startswith(_PNG):
         yield _archive("model.png is no PNG picture", "convert it", "", Severity.WARNING)
+    # sources that the description or the build description lists
     listed = _names(files, "modelDescription.xml", "File") | _names(files, "sources/buildDescription.xml", "SourceFile")
     for file in sorted(listed):
         path = f"sources/{PurePosixPath(file)}"

@@ -189,6 +189,7 @@ def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> 
         known = ", ".join(list(SUFFIXES)[:6])
         yield Finding("binary", f"no tool looks into binaries/{folder}/", f"use {known}", Severity.WARNING)
         return
+    # one library for each model identifier
     required = _required_functions(description)
     for identifier, functions in required.items():
         name = f"binaries/{folder}/{identifier}{SUFFIXES[folder]}"
@@ -226,11 +227,13 @@ def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str])
     except NotElfError as error:
         yield Finding("binary", f"{name}: {error}", "compile it for this platform")
         return
+    # can it be loaded at all
     machine = int.from_bytes(files[name][18:20], "little")
     if machine != _MACHINES.get(PurePosixPath(name).parts[1], machine):
         yield Finding(
             "binary", f"{name} is for another processor (ELF machine {machine})", "compile it for this platform"
         )
+    # exports: all of the interface, nothing else
     if missing := sorted(functions - facts.exports):
         yield Finding("binary", f"{name} does not export {_few(missing)}", "implement and export them all")
     if foreign := sorted(symbol for symbol in facts.exports if not symbol.startswith("fmi2")):
@@ -245,6 +248,7 @@ def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str])
 
 def _check_dependencies(name: str, files: Mapping[str, bytes], facts: ElfFacts) -> Iterator[Finding]:
     beside = {PurePosixPath(file).name for file in files if PurePosixPath(file).parent == PurePosixPath(name).parent}
+    # libraries that not every machine has, or has elsewhere
     if others := sorted(library for library in facts.needed if not SYSTEM_LIBRARIES.fullmatch(library)):
         bundled = " (some lie beside it)" if beside & set(others) else ""
         yield Finding(
@@ -255,6 +259,7 @@ def _check_dependencies(name: str, files: Mapping[str, bytes], facts: ElfFacts) 
         )
     if outside := [path for path in facts.search_path if not path.startswith("$ORIGIN")]:
         yield Finding("dependencies", f"{name} looks for libraries in {_few(outside)}", "use $ORIGIN", Severity.WARNING)
+    # a binary that was built on a new system doesn't load on an old one
     if facts.glibc > OLD_GLIBC:
         version, old = (".".join(map(str, number)) for number in (facts.glibc, OLD_GLIBC))
         yield Finding(

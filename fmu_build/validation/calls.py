@@ -77,6 +77,7 @@ def _accepted(
                 accepted.append(name)
             except FMICallException:
                 continue
+    # one finding for all of them
     if accepted:
         remedy = "return fmi2Error: mistakes of the importing tool stay hidden otherwise"
         yield Finding("calls", f"{', '.join(accepted)} gives fmi2OK {when}", remedy, severity)

@@ -30,6 +30,7 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
     unknowns = [*(structure.outputs or ())]
     if fmu.kind is Kind.EXCHANGE:
         unknowns += structure.derivatives or ()
+    # what may be moved: in co-simulation discrete inputs too
     inputs, reported, done = fmu.inputs, set[str](), 0
     if fmu.kind is Kind.COSIMULATION:  # in model exchange discrete ones are set at events alone
         inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
@@ -44,6 +45,7 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
             instance.set_continuous_states(x)
 
         instance.initialize()
+        # at several points of the run: a dependency may vanish at one of them
         for instant in (min(fmu.steps, 3), fmu.steps // 2, fmu.steps):
             instance.advance(done, instant)
             done = max(done, instant)
@@ -87,11 +89,13 @@ def _violations(
         return
     variables = [unknown.variable for unknown in declared]
     sizes = np.array([size_of(variable) for variable in variables])
+    # one known after the other is moved up and down
     for known in knowns[:MOST_KNOWNS]:
         answers = _answers(variables, known, instance, set_known)
         if answers is None:
             continue
         base, up, down, steps = answers
+        # change and curvature of every unknown, relative to its size
         scale = np.maximum(np.abs(base), sizes)
         change = np.abs(up - base) / scale
         bend = (
@@ -101,26 +105,27 @@ def _violations(
             name = unknown.variable.name
             if name in reported or unknown.variable is known or unknown.variable.valueReference == known.valueReference:
                 continue
-            listed = [dependency.valueReference for dependency in unknown.dependencies]
-            if known.valueReference not in listed:
-                if change[n] > INFLUENCE:
-                    reported.add(name)
-                    yield Finding(
-                        "dependencies of variables",
-                        f"{name} changes with {known.name}, which its dependencies don't name",
-                        "declare it in ModelStructure: loops are found by it",
-                        subject=name,
-                    )
-                continue
-            kind = unknown.dependenciesKind[listed.index(known.valueReference)] if unknown.dependenciesKind else ""
-            if kind in _LINEAR and bend[n] > INFLUENCE + 1e-4 * change[n]:
+            for finding in _contradiction(unknown, known, change[n], bend[n]):
                 reported.add(name)
-                yield Finding(
-                    "dependencies of variables",
-                    f"{name} is no linear function of {known.name}, which its dependenciesKind {kind} says",
-                    "declare it as dependent",
-                    subject=name,
-                )
+                yield finding
+
+
+def _contradiction(unknown: Any, known: Any, change: float, bend: float) -> Iterator[Finding]:
+    """A finding if an unknown changes or bends with a known in a way that its declaration excludes."""
+    name = unknown.variable.name
+    listed = [dependency.valueReference for dependency in unknown.dependencies]
+    # it changes although it isn't declared to depend on the known
+    if known.valueReference not in listed:
+        if change > INFLUENCE:
+            message = f"{name} changes with {known.name}, which its dependencies don't name"
+            remedy = "declare it in ModelStructure: loops are found by it"
+            yield Finding("dependencies of variables", message, remedy, subject=name)
+        return
+    # it is declared as linear but is not
+    kind = unknown.dependenciesKind[listed.index(known.valueReference)] if unknown.dependenciesKind else ""
+    if kind in _LINEAR and bend > INFLUENCE + 1e-4 * change:
+        message = f"{name} is no linear function of {known.name}, which its dependenciesKind {kind} says"
+        yield Finding("dependencies of variables", message, "declare it as dependent", subject=name)
 
 
 def _answers(
@@ -136,6 +141,7 @@ def _answers(
             set_known(known, value + sign * step)
             ends.append(instance.get(variables))
             steps.append(sign * step)
+        # back at the start the FMU has to give the first values again
         set_known(known, value)
         again = instance.get(variables)
     except Exception:  # fmpy's own kinds of errors: the known can't be set here, or not to this

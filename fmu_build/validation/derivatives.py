@@ -66,6 +66,7 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         else:
             instance.initialize()
             instance.advance(0, 1)
+        # the FMU's matrix, and differences of two sizes
         unknowns, knowns = _unknowns(fmu), [*fmu.inputs, *_states(fmu)]
         if not unknowns or not knowns or instance.finished:
             return
@@ -98,6 +99,7 @@ def _not_linear(
 ) -> Iterator[Finding]:
     """A finding if derivatives along several knowns aren't the sum of those along each, times its seed."""
     for seed, given in seeded:
+        # compare with the product of matrix and seed
         expected, scale = matrix @ seed, np.abs(matrix) @ np.abs(seed)
         apart = np.abs(given - expected)
         apart = np.where(np.isfinite(apart), apart, np.inf) / np.maximum(scale, 1e-300)
@@ -185,6 +187,7 @@ def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         given = [instance.library.getRealOutputDerivatives(references, order) for order in orders]
         return [instance.get(fmu.smooth_outputs), *given]
 
+    # order by order along the run
     found = _contradiction(fmu, jet, np.array([size_of(variable) for variable in fmu.smooth_outputs]))
     if found is not None:
         name = fmu.smooth_outputs[found.column].name
@@ -228,6 +231,7 @@ def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
             lambda instance: [instance.get([pair[which] for pair in pairs]) for which in (0, 1)],
             np.array([size_of(state) for state, _ in pairs]),
         )
+        # the first pair that contradicts itself
         if found is not None and np.isfinite(found.given):
             state, rate = pairs[found.column]
             yield Finding(

@@ -59,6 +59,7 @@ def check_description(content: bytes) -> Iterator[Finding]:
     Args:
         content: modelDescription.xml.
     """
+    # the text: encoding and document type
     encoding = _ENCODING.match(content)
     if encoding and encoding[1].lower() not in (b"utf-8", b"utf8", b"us-ascii"):
         message = f"modelDescription.xml is encoded as {encoding[1].decode(errors='replace')}"
@@ -70,12 +71,14 @@ def check_description(content: bytes) -> Iterator[Finding]:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, LookupError, ValueError):  # fmpy's rules report it
         return
+    # elements from the outside to the inside
     yield from _check_root(root)
     yield from _check_experiment(root)
     try:
         yield from check_units(root)
     except ValueError as error:  # the schema wants numbers
         yield Finding("units", " ".join(str(error).split()), "give numbers")
+    # variables by themselves, then against each other
     variables = root.findall("ModelVariables/ScalarVariable")
     for variable in variables:
         yield from _check_numbers(variable, root)
@@ -98,6 +101,7 @@ def _check_root(root: Element) -> Iterator[Finding]:
             "it ties description and binary together: generate one",
             section="2.2.1",
         )
+    # interfaces, with names that C accepts and claims that agree
     elements = [element for kind in ("CoSimulation", "ModelExchange") for element in root.findall(kind)]
     if not elements:
         yield _broken("there is neither a CoSimulation nor a ModelExchange element")
@@ -110,6 +114,7 @@ def _check_root(root: Element) -> Iterator[Finding]:
         if element.get("canSerializeFMUstate") == "true" and element.get("canGetAndSetFMUstate") != "true":
             message = f"{element.tag} has canSerializeFMUstate without canGetAndSetFMUstate"
             yield Finding("model description", message, "claim both, or none", Severity.WARNING, section=section)
+    # names that must be unique
     for path in (
         "UnitDefinitions/Unit",
         "TypeDefinitions/SimpleType",
@@ -134,6 +139,7 @@ def _check_experiment(root: Element) -> Iterator[Finding]:
         return
     numbers = {name: _number(experiment.get(name), None) for name in ("startTime", "stopTime", "stepSize", "tolerance")}
     start, stop = numbers["startTime"] or 0.0, numbers["stopTime"]
+    # numbers, in their order, above zero
     for name, value in numbers.items():
         if value is not None and not math.isfinite(value):
             yield _experiment(f"{name} is {value}")
@@ -164,12 +170,14 @@ def _check_numbers(variable: Element, root: Element) -> Iterator[Finding]:
         yield Finding("start value", message, "leave initial out", subject=name)
     if kind is None:
         return
+    # the type that the variable refers to
     declared = _declared_type(kind, root)
     if kind.get("declaredType") and declared is None:
         message = f'{name} has the type "{kind.get("declaredType")}", which is not defined as {kind.tag}'
         yield Finding("model description", message, "define it in TypeDefinitions", subject=name, section="2.2.3")
     if kind.tag not in _NUMBERS:
         return
+    # bounds, the variable's own before those of its type
     text = {
         key: kind.get(key, declared.get(key) if declared is not None else None) for key in ("min", "max", "nominal")
     }
@@ -177,11 +185,13 @@ def _check_numbers(variable: Element, root: Element) -> Iterator[Finding]:
     start = _number(kind.get("start"), None)
     if low > high:
         yield Finding("range", f"{name} has min {low:g} above max {high:g}", "exchange them", subject=name)
+    # the start value lies within them
     if start is not None and not math.isfinite(start):
         yield Finding("start value", f"{name} starts at {start}", "give a finite start value", subject=name)
     elif start is not None and not low <= start <= high:
         message = f"{name} starts at {start}, outside {low} to {high}"
         yield Finding("start value", message, "correct start, min or max", subject=name)
+    # items of an enumeration
     items = [int(item.get("value", "0")) for item in declared.iterfind("Item")] if declared is not None else []
     if kind.tag == "Enumeration" and start is not None and items and start not in items:
         message = f"{name} starts at {start:g}, its type has {', '.join(map(str, items))}"
@@ -215,6 +225,7 @@ def _declared_type(kind: Element, root: Element) -> Element | None:
 
 def _check_references(variables: list[Element]) -> Iterator[Finding]:
     """Variables of one base type that share a value reference are aliases: one value, one unit, set in one way."""
+    # variables with one memory
     aliases: dict[tuple[str, str], list[tuple[Element, Element]]] = {}
     for variable in variables:
         for kind in variable:
@@ -224,6 +235,7 @@ def _check_references(variables: list[Element]) -> Iterator[Finding]:
     for (_, reference), group in aliases.items():
         if len(group) < 2:
             continue
+        # the first contradiction between them
         names = " and ".join(variable.get("name", "") for variable, _ in group[:3])
         settable = [variable for variable, _ in group if variable.get("causality") in _SETTABLE]
         constant = [variable for variable, _ in group if variable.get("variability") == "constant"]
@@ -242,6 +254,7 @@ def _check_references(variables: list[Element]) -> Iterator[Finding]:
 
 def _check_structure(root: Element, variables: list[Element]) -> Iterator[Finding]:
     """Indices of the model structure and of derivatives."""
+    # indices of the model structure: once each, and of variables that exist
     for part in ("Outputs", "Derivatives", "InitialUnknowns"):
         unknowns = root.findall(f"ModelStructure/{part}/Unknown")
         for index, count in Counter(unknown.get("index", "") for unknown in unknowns).items():
@@ -251,6 +264,7 @@ def _check_structure(root: Element, variables: list[Element]) -> Iterator[Findin
             for index in [unknown.get("index", ""), *(unknown.get("dependencies") or "").split()]:
                 if not index.isdigit() or not 1 <= int(index) <= len(variables):
                     yield _structure(f"{part} refers to variable {index} of {len(variables)}", "count from 1")
+    # derivatives: of another Real, which is continuous, one each
     states: dict[str, Element] = {}
     derived = {kind.get("derivative") for variable in variables for kind in variable if kind.tag == "Real"}
     listed = {unknown.get("index") for unknown in root.iterfind("ModelStructure/Derivatives/Unknown")}

@@ -62,6 +62,7 @@ def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
         instance.initialize()
         if not instance.states or instance.finished:
             return
+        # evaluate, move, evaluate, move back
         x = instance.continuous_states()
         first = instance.derivatives()
         instance.set_continuous_states(x * (1.0 + 1e-3) + 1e-6)
@@ -85,9 +86,11 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
         instance.initialize()
         if instance.finished:
             return
+        # each state gets a value of its own, so that an exchange of two shows
         x = instance.continuous_states()
         kicked = x + KICK * np.array([size_of(variable) for variable in fmu.states]) * (1.0 + 0.1 * np.arange(x.size))
         instance.set_continuous_states(kicked)
+        # what FMI says twice
         pairs = (
             ("fmi2GetContinuousStates", "what fmi2SetContinuousStates has set", instance.continuous_states(), kicked),
             (
@@ -99,6 +102,7 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
             ("fmi2GetDerivatives", "fmi2GetReal of the derivative", instance.derivatives(), instance.get(rates)),
         )
         nominals = instance.nominals()
+    # the first contradiction
     for function, other, values, expected in pairs:
         apart = np.abs(values - expected) > _TINY * np.maximum(np.abs(values), np.abs(expected))
         if apart.any():
@@ -121,11 +125,13 @@ def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
         for n in range(1, STEPS + 1):
             if instance.finished or fmu.start + n * fmu.step >= instance.next_event:
                 return
+            # a small step of an integrator
             instance.library.setTime(fmu.start + n * fmu.step)
             x = instance.continuous_states()
             x += _WANDER * np.maximum(np.abs(x), 1e-3)
             instance.set_continuous_states(x)
             instance.derivatives()
+            # its end, which may ask for an event
             x = instance.continuous_states()
             event, instance.finished = instance.library.completedIntegratorStep()
             if event or instance.finished:
@@ -149,6 +155,7 @@ def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
             if instance.finished:
                 return
             try:
+                # twice at the same point
                 z, again = instance.event_indicators(), instance.event_indicators()
             except FMICallException as error:
                 message = (
@@ -156,6 +163,7 @@ def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
                 )
                 yield Finding("event indicators", message, "give them all, or correct numberOfEventIndicators")
                 return
+            # numbers, and the same ones
             alike = np.isfinite(z) & np.isclose(z, again, rtol=1e-3, atol=1e-6)
             if not alike.all():
                 k = int(np.argmin(alike))
@@ -177,6 +185,7 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
     if fmu.kind is not Kind.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
         return
     for starts, inputs in _kicks(fmu):
+        # the same motion by CVODE, and by communication steps of one or two sizes
         try:
             exchange = _integrated(fmu, starts, inputs)
             slaves = [_stepped(fmu, starts, inputs, parts) for parts in _parts(fmu)]
@@ -185,6 +194,7 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
         rows = min(map(len, (exchange, *slaves)))
         if rows < 3:
             continue
+        # differences of whole and of smaller steps
         exchange, whole, split = (each[:rows] for each in (exchange, slaves[0], slaves[-1]))
         apart, finer = _apart(fmu, exchange, whole), _apart(fmu, exchange, split)
         # what gets less with the step is the solver's, who may be poor but not that poor
@@ -193,6 +203,7 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
             tighter = _integrated(fmu, starts, inputs, 0.01 * INTEGRATION_TOLERANCE)
             unsure = _apart(fmu, exchange, tighter[:rows]) if len(tighter) >= rows else apart
             apart = np.where(apart > 3.0 * unsure, apart, 0.0)
+        # the output that differs most, unless Euler's method explains it
         worst = int(np.argmax(apart))
         if apart[worst] > AGREEMENT and not _is_euler(fmu, starts, inputs, whole, exchange):
             yield Finding(
@@ -283,6 +294,7 @@ def _is_euler(
     steps = [fmu.step / parts for parts in EULER]
     steps += [step for step in (1e-2, 1e-3, 1e-4) if fmu.step / 100 <= step < fmu.step]
     for step in steps:
+        # Euler's method with this step
         parts = round(fmu.step / step)
         rows = []
         with suppress(FMICallException), fmu.instance("euler") as instance:
@@ -294,6 +306,7 @@ def _is_euler(
                     rows.append(instance.get(fmu.smooth_outputs))
         if len(rows) < len(slave):
             continue
+        # nearer to co-simulation than the exact solution is?
         euler, truth = (_apart(fmu, np.array(each), slave).max() for each in (rows, exact))
         if euler < EXPLAINED * truth:
             return True

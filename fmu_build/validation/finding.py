@@ -103,10 +103,12 @@ class Finding:
 
 def ranked(findings: Iterable[Finding]) -> list[Finding]:
     """One finding for all that say the same of different variables or files; errors first, then by what they spoil."""
+    # findings that differ by subject and values alone become one
     groups: dict[object, list[Finding]] = {}
     for finding in dict.fromkeys(findings):
         groups.setdefault(_kind(finding), []).append(finding)
     alike = [_joined(group, [each.subject or each.message for each in group[1:]]) for group in groups.values()]
+    # the worst first
     checks, severities = list(SECTIONS), list(Severity)
     alike.sort(
         key=lambda finding: (

@@ -191,6 +191,7 @@ class FmuUnderTest:
         if self.is_single and self._instances:
             raise OnlyOnceError
         self._instances += 1
+        # a copy of the loaded library with an instance of its own
         is_slave = self.kind is Kind.COSIMULATION
         library: Any = copy(self.library())
         library.callbacks = self._callbacks()
@@ -203,6 +204,7 @@ class FmuUnderTest:
             fmi2.fmi2False,
             fmi2.fmi2False,
         )
+        # why there is none: the process has had its share, or the FMU fails
         if library.component is None and guid is uri is None and _made[self.folder] and not _alive[self.folder]:
             raise NoMoreInstancesError(
                 f"fmi2Instantiate returns no instance in a process that has made and freed {_made[self.folder]}"
@@ -211,6 +213,7 @@ class FmuUnderTest:
             raise MisbehaviourError("fmi2Instantiate returns no instance", "log why, or give one")
         _made[self.folder] += 1
         _alive[self.folder] += 1
+        # freed however the check ends
         instance: Instance = (CosimulationInstance if is_slave else ExchangeInstance)(self, library)
         try:
             yield instance
@@ -252,6 +255,7 @@ class FmuUnderTest:
         def log(_environment: int, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
             self.messages.append((message or b"").decode(errors="replace"))
 
+        # each block lies between guards and is kept until the FMU frees it
         def allocate(count: int, size: int) -> int | None:
             block = ctypes.create_string_buffer(GUARD + bytes(count * size) + GUARD, count * size + 2 * len(GUARD))
             address = ctypes.addressof(block) + len(GUARD)
@@ -265,6 +269,7 @@ class FmuUnderTest:
             elif block is not None and not is_guarded(block):
                 self.misuse.append(f"writes beyond a block of {len(block) - 2 * len(GUARD)} bytes")
 
+        # fmpy's structure, with references that keep the functions alive
         callbacks = fmi2.fmi2CallbackFunctions()
         callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
         callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(allocate)

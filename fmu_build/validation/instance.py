@@ -229,6 +229,7 @@ class CosimulationInstance(Instance):
         try:
             self.library.doStep(time, length)
         except FMICallException as error:
+            # the step goes on, the simulation ends, or it is an error
             if error.status == _PENDING:
                 self._await()
             elif error.status != _DISCARD:
@@ -279,6 +280,7 @@ class ExchangeInstance(Instance):
         for n in range(first, last):
             if self.finished:
                 break
+            # another time, other inputs, other states
             time = fmu.start + n * fmu.step
             self.library.setTime(time)
             self.set(fmu.inputs, fmu.input_values(n, size))
@@ -287,7 +289,9 @@ class ExchangeInstance(Instance):
                 self.set_continuous_states(x + _WANDER * np.maximum(np.abs(x), 1e-3) * np.sin(n + np.arange(x.size)))
             if between is not None:
                 between()
+            # what is evaluated there
             rows.append(np.hstack([self.derivatives(), self.get(fmu.outputs)]))
+            # the end of the integrator's step, with an event where the FMU asks for one
             event, self.finished = self.library.completedIntegratorStep()
             if not self.finished and (event or time >= self.next_event):
                 self.library.enterEventMode()

@@ -64,6 +64,7 @@ def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
             (f"file://{path}/", "ignore a slash at the end", Severity.WARNING),
             (f"file://localhost{path}", "localhost is this machine (RFC 8089)", Severity.WARNING),
         )
+        # an instance with each of them, up to the first step
         for uri, remedy, severity in tries:
             shown = uri.replace(str(fmu.folder), "/FOLDER").replace(quote(home), "/with%20space")
             announce(shown)
@@ -92,6 +93,7 @@ def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
     with fmu.instance("finite") as instance:
         instance.initialize()
         yield from _beyond_bounds(fmu, instance)
+        # all of the experiment, as far as the time goes
         begin, rows, done = monotonic(), [], 0
         while done < fmu.all_steps and monotonic() - begin < WHOLE_RUN and not instance.finished:
             rows.append(instance.advance(done, min(done + 10, fmu.all_steps), size=0.0))
@@ -100,12 +102,14 @@ def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
         if not instance.finished:
             yield from _check_time(fmu, instance, fmu.start + done * fmu.step)
             instance.library.terminate()
+    # warnings at every other call say nothing
     for function in ("fmi2DoStep", "fmi2GetDerivatives", "fmi2GetReal"):
         if Watch.warnings[function] > 0.5 * Watch.calls[function]:
             logged = f": {fmu.messages[-1]}" if fmu.messages else ""
             often = f"in {Watch.warnings[function]} of {Watch.calls[function]} calls"
             message = " ".join(f"{function} returns fmi2Warning {often}{logged}".split())
             yield Finding("simulation", message, "keep fmi2Warning for what is unusual", Severity.NOTE)
+    # a slow FMU has not come to the end
     if done < fmu.all_steps and not instance.finished:
         until, end = (fmu.start + n * fmu.step for n in (done, fmu.all_steps))
         message = f"simulated to {until:.6g} s of {end:.6g} s: a step of {fmu.step:g} s takes {fmu.pace:.2g} s"
@@ -127,12 +131,14 @@ def _judged(fmu: FmuUnderTest, rows: Any) -> Iterator[Finding]:
     """Values that are no numbers, or outside what the description promises."""
     names = [variable.name for variable in fmu.outputs]
     first = rows.shape[1] - len(names)
+    # values that are no numbers
     bad = ~np.isfinite(rows)
     for column in np.flatnonzero(bad.any(axis=0)):
         row = int(np.argmax(bad[:, column]))
         what = names[column - first] if column >= first else f"derivative {column + 1}"
         message = f"{what} is {rows[row, column]} at {fmu.start + (row + 1) * fmu.step:.6g} s"
         yield Finding("simulation", message, "give a number, or return fmi2Error", subject=what)
+    # ranges, but for rounding
     for variable, values in zip(fmu.outputs, rows[:, first:].T, strict=True):
         low, high = attribute(variable, "min"), attribute(variable, "max")
         room = _OUTSIDE * float(np.abs(values).max(initial=0.0))
@@ -172,6 +178,7 @@ def _beyond_bounds(fmu: FmuUnderTest, instance: Any) -> Iterator[Finding]:
 
 def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     """What was allocated is free again when the last instance is, and nothing beside it was touched."""
+    # memory from the callbacks: freed once, within its bounds
     fmu.memory.clear()
     fmu.misuse.clear()
     _short_run(fmu)
@@ -182,12 +189,14 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     if fmu.memory:
         message = f"fmi2FreeInstance leaves {len(fmu.memory)} blocks of allocateMemory behind"
         yield Finding("memory", message, "free them all", Severity.WARNING)
+    # memory from malloc
     lost = _lost_bytes(fmu)
     if lost and not fmu.memory:
         message = f"each instance leaves {lost} bytes of malloc behind"
         yield Finding("memory", message, "free in fmi2FreeInstance what was allocated", Severity.WARNING)
     if lost or fmu.memory or not fmu.can_save:
         return
+    # memory of saved states, and of states that are saved again in the same place
     lost = _lost_bytes(fmu, savings=1)
     again = _lost_bytes(fmu, savings=1 + MORE_SAVINGS) - lost
     if lost:
@@ -216,6 +225,7 @@ def _lost_bytes(fmu: FmuUnderTest, savings: int = 0) -> int:
     if not hasattr(libc, "mallinfo2") or fmu.pace * 20 * MEMORY_RUNS > WHOLE_RUN:
         return 0
     libc.mallinfo2.restype = _MallocInfo
+    # bytes in use after each of several short runs
     used = []
     gc.collect()
     gc.disable()
@@ -228,6 +238,7 @@ def _lost_bytes(fmu: FmuUnderTest, savings: int = 0) -> int:
             used.append(info.uordblks + info.hblkhd)
     finally:
         gc.enable()
+    # a leak grows at each run; the first ones fill caches
     grown = np.diff(used[MEMORY_RUNS // 3 :])
     return int(np.median(grown)) if (grown > 0).all() else 0
 

@@ -36,12 +36,14 @@ def surroundings(fmu: Path) -> dict[str, Any]:
             if path.is_file()
         },
     }
+    # what C code sees: rounding mode, environment, mask
     if os.name == "posix":
         libc = ctypes.CDLL(None)
         seen["rounding of numbers"] = libc.fegetround() if hasattr(libc, "fegetround") else 0
         seen["environment"] = _environment(libc)
         seen["mask of new files"] = os.umask(0)
         os.umask(seen["mask of new files"])
+    # Linux also says which signals are handled and which files are open
     status = Path("/proc/self/status")
     if status.exists():
         lines = (
@@ -65,6 +67,7 @@ def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Find
     """Findings about what an FMU has changed in its process; what is told is taken out of ``before``."""
     for what, old in list(before.items()):
         new = after[what]
+        # each disturbance is reported once
         if new != old:
             del before[what]
         if what == "open files" and new > old:

@@ -42,6 +42,7 @@ def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
     differing = _differing(fmu, first, second)
     if not differing:
         return
+    # random by intent, or by memory that instances share?
     fresh = [_in_new_process(fmu, "run") for _ in range(2)]  # where no instance has been before
     random = [variable for variable in differing if variable in _differing(fmu, *fresh)]
     if random and set(random) == set(differing):
@@ -76,6 +77,7 @@ def repeats_after_reset(fmu: FmuUnderTest) -> Iterator[Finding]:
         instance.reset()
         again = instance.run()
         findings = list(_compare(fmu, "reset", first, again, "after fmi2Reset", remedy))
+        # again after a run that has changed all it could
         if not findings:
             instance.reset()
             _run_changed(fmu, instance)
@@ -108,6 +110,7 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
         return
     with fmu.instance("undisturbed") as instance:
         undisturbed = instance.run()
+    # a run in parts, with states saved between them
     marks = [round(fraction * fmu.steps) for fraction in FRACTIONS]
     with fmu.instance("save") as instance:
         instance.initialize()
@@ -117,6 +120,7 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
             parts.append(instance.advance(mark, end))
         saving = list(_compare(fmu, "state", undisturbed, np.vstack(parts), _ON_THE_WAY, _SAVING))
         yield from saving
+        # from each state, in both orders, the future is the same
         futures: dict[int, RealArray] = {}
         found: list[Finding] = []
         for turn in (0, 1):
@@ -137,6 +141,7 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
             instance.restore(states[0])
             rows = instance.advance(marks[1], fmu.steps)
             yield from _compare(fmu, "state", undisturbed[marks[1] :], rows, _AGAIN, _STATE_REMEDY)
+        # freed states leave no pointer behind
         for state in states:
             instance.discard(state)
         if any(state[0].value for state in states):
@@ -144,16 +149,22 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
             remedy = "set it to null: a second call would free the state twice"
             yield Finding("state", message, remedy, Severity.WARNING)
     if not saving:
-        with fmu.instance("saving") as instance:
-            instance.initialize()
-            rows = instance.advance(0, min(fmu.steps, 20), between=lambda: instance.discard(instance.save()))
-        yield from _compare(fmu, "state", undisturbed[: len(rows)], rows, _ON_THE_WAY, _SAVING)
+        yield from _saving_in_each_step(fmu, undisturbed)
+
+
+def _saving_in_each_step(fmu: FmuUnderTest, undisturbed: RealArray) -> Iterator[Finding]:
+    """A finding if a run is another one where the state is saved and freed in each step."""
+    with fmu.instance("saving") as instance:
+        instance.initialize()
+        rows = instance.advance(0, min(fmu.steps, 20), between=lambda: instance.discard(instance.save()))
+    yield from _compare(fmu, "state", undisturbed[: len(rows)], rows, _ON_THE_WAY, _SAVING)
 
 
 def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Inputs and time are part of the state: restored after others were set, they have the values that they had."""
     if not fmu.can_save:
         return
+    # inputs that may be set to something else
     inputs = list(fmu.inputs)
     if fmu.kind is Kind.COSIMULATION:  # in model exchange discrete ones are set at events alone
         inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
@@ -165,6 +176,7 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
         instance.advance(0, half)
         if instance.finished:
             return
+        # save, go on, restore, set, restore
         state, values, time = instance.save(), instance.get(inputs), instance.get(times)
         instance.advance(half, fmu.steps)  # first of all this sets the inputs, which have been read
         instance.restore(state)
@@ -172,6 +184,7 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
         instance.restore(state)
         again, then = instance.get(inputs), instance.get(times)
         instance.discard(state)
+    # inputs and time are what they were
     for variable, before, after in zip([*inputs, *times], [*values, *time], [*again, *then], strict=True):
         if not np.isclose(before, after, rtol=1e-9, atol=1e-12 * fmu.step, equal_nan=True):
             message = (
@@ -203,6 +216,7 @@ def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
     if not fmu.can_serialize:
         return
     half = fmu.steps // 2
+    # the rest of a run from the middle, in the same instance and in another one
     with fmu.instance("writer") as writer:
         writer.initialize()
         writer.advance(0, half)
@@ -215,6 +229,7 @@ def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
     when = "with a serialised state in another instance"
     findings = list(_compare(fmu, "serialisation", rows, again, when, _STATE_REMEDY))
     yield from findings
+    # in another process, where addresses differ
     slave, model = fmu.description.coSimulation, fmu.description.modelExchange
     both = slave is not None and model is not None and slave.modelIdentifier == model.modelIdentifier
     if findings or (both and fmu.kind is Kind.EXCHANGE):  # the same code has been tried with co-simulation
@@ -259,17 +274,20 @@ def two_instances_are_independent(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Two instances with different parameters and inputs that take turns do what each does alone."""
     if fmu.is_single:
         return
+    # each alone, the second one with other values if the FMU runs with them
     with fmu.instance("alone") as instance:
         alone = instance.run()
     with fmu.instance("changed") as instance:
         changed = _run_changed(fmu, instance)
     values = {variable: moved(variable, KICK) for variable in changeable(fmu)} if len(changed) else {}
     size = -3.0 if len(changed) else 1.0
+    # both step by step in turns
     with fmu.instance("one") as one, fmu.instance("two") as two:
         one.initialize()
         two.initialize(values)
         steps = min(len(alone), len(changed) or len(alone))
         turns = [(one.advance(n, n + 1), two.advance(n, n + 1, size)) for n in range(steps)]
+    # the first contradiction is enough
     remedy = "keep all data in the instance, none in static variables"
     for which, expected in enumerate((alone, changed if len(changed) else alone)):
         rows = np.vstack([turn[which] for turn in turns]) if turns else expected[:0]
@@ -310,6 +328,7 @@ def _compare(
     offset = first.shape[1] - len(fmu.outputs)
     if first.shape != second.shape or offset < 0 or np.array_equal(first, second, equal_nan=True):
         return
+    # the column that differs most for its size
     difference = np.abs(first - second)
     difference = np.where(
         np.isnan(difference) & (np.isnan(first) != np.isnan(second)), np.inf, np.nan_to_num(difference)

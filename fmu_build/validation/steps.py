@@ -50,6 +50,7 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Set in motion by a kick, two half steps take the FMU about as far as a whole one."""
     if not fmu.has_variable_step or not fmu.smooth_outputs:
         return
+    # the same motion with whole, half and quarter steps
     runs = []
     for parts in PARTS:
         with fmu.instance("halved") as instance:
@@ -65,6 +66,7 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
     whole, half, quarter = (rows[:length] for rows in runs)
     if length < 3:
         return
+    # what halving changes for the second time has to be less than the first time
     size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
     motion = np.ptp(quarter, axis=0)
     first, second = (np.median(np.abs(a - b), axis=0) for a, b in ((whole, half), (half, quarter)))
@@ -166,6 +168,7 @@ def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how
     start, slope = start_of(variable), rise / (steps * length)
     with fmu.instance(how) as instance:
         instance.initialize()
+        # the rise
         for n in range(steps):
             for part in range(parts):
                 risen = {"stairs": n + (part + 0.5 * is_smooth) / parts, "constant": n, "derivative": n}[how]
@@ -173,6 +176,7 @@ def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how
                 if how == "derivative":
                     instance.library.setRealInputDerivatives([variable.valueReference], [1], [slope])
                 instance.step_from(fmu.start + (n + part / parts) * length, length / parts)
+        # a step with the input at its end
         instance.set([variable], np.array([start + rise]))
         if is_smooth:
             if how == "derivative":

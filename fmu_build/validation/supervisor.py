@@ -65,14 +65,17 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
                 _not_checked(remaining, f"the time limit of {limit:.3g} s is over"),
             )
             break
+        # one process: all that remains, or a single check
         outcome = _run(folder, remaining if together else remaining[:1], pace, end - monotonic(), CALL_SHARE * limit)
         pace = outcome.pace or pace
         for kind, finding in outcome.found:
             _add(findings, kind, finding)
+        # a crash or a hang is a finding of the check that it ended
         kind = outcome.begun.split(":")[0]
         if outcome.problem is not None:
             _add(findings, kind, outcome.problem)
             hangs[kind] += outcome.hangs
+        # go on after it
         remaining = remaining[remaining.index(outcome.begun) + (not outcome.again) :]
         if any(
             finding.check == _INSTANTIATION for finding in findings[kind]
@@ -94,6 +97,7 @@ def _add(findings: dict[str, list[Finding]], kind: str, finding: Finding) -> Non
 def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit: float) -> _Outcome:
     """Run a worker: the check it got to, what it found, and how it ended if not as it should."""
     with TemporaryDirectory(prefix="flexfmu-validate-", dir=folder.parent) as home:
+        # the process, and the report that it leaves
         report = Path(home) / "report"
         module = "flexfmu.fmu_build.validation.worker"
         numbers = [repr(call_limit), repr(pace)]
@@ -102,6 +106,7 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
         outcome, lines = _Outcome(begun=jobs[0]), list(_lines(report))
     if not lines and status:
         raise RuntimeError(f"the process that checks FMUs ends with status {status} before it begins: {last}")
+    # line by line: which check, what it found
     before = 0
     for line in lines:
         outcome.pace = line.get("pace", outcome.pace)
@@ -118,6 +123,7 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
             if not outcome.again:
                 message = f"{check} not finished: it makes more instances than the FMU allows in a process"
                 outcome.found.append((kind, Finding(check, message, severity=Severity.NOTE)))
+    # without a last line it has crashed or hangs
     if not any("end" in line for line in lines):
         hang = next((line["hang"] for line in lines if "hang" in line), None)
         outcome.hangs = hang is not None
@@ -156,11 +162,13 @@ def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | Non
             start_new_session=os.name == "posix",
         )
         try:
+            # the whole group ends, what the FMU has started too
             status = _wait(process, max(timeout, 1.0))
         finally:
             _kill(process)
         stderr.seek(0)
         lines = stderr.read().decode(errors="replace").strip().splitlines()
+    # the last message, and what was announced last
     last = next((line for line in reversed(lines) if not line.startswith(TRY)), "no message")
     tried = next((line.removeprefix(TRY) for line in reversed(lines) if line.startswith(TRY)), "")
     return status, f"{last} ({tried})" if tried else last

@@ -72,6 +72,7 @@ def meaning(name: str) -> Meaning | None:
     form = _QUOTIENT.fullmatch(name.replace(" ", ""))
     if form is None:
         return None
+    # factors above, then those below the line
     below = [form["product"]] if form["product"] else form["factors"].split("/")[1:]
     for sign, product in ((1, form["above"]), *((-1, part) for part in below)):
         for part in re.split(r"[.*]", product):
@@ -104,12 +105,14 @@ def check_units(root: Element) -> Iterator[Finding]:
         name, base = unit.get("name", ""), unit.find("BaseUnit")
         known = meaning(name)
         if known is not None and base is not None:
+            # exponents of the base units
             given = {each: int(base.get(each, "0")) for each in BASE}
             if wrong := [each for each in BASE if given[each] != known.exponents[each]]:
                 shown = " ".join(f"{each}={given[each]}" for each in wrong)
                 right = " ".join(f"{each}={known.exponents[each]}" for each in wrong)
                 yield Finding("units", f"{name} is defined with {shown}", f"a {name} has {right}", subject=name)
                 continue
+            # factor to SI units
             factor = float(base.get("factor", "1"))
             if not math.isnan(known.factor) and abs(factor - known.factor) > _CLOSE * known.factor:
                 message = f"{name} is defined with the factor {factor:g}"

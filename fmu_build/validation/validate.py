@@ -55,6 +55,7 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
         ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
     """
     entries, files, encrypted = read_archive(path)
+    # FMI 3.0: the description alone
     version = fmi_version(files["modelDescription.xml"])
     if version.startswith("3."):
         broken = [replace(finding, section=_FMI3.section) for finding in read_description(path)[1]]
@@ -62,11 +63,13 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     if version != "2.0":
         message = f"fmiVersion is {version or 'missing'}: FMUs of version 2.0 are checked, of 3.0 the description"
         return [Finding("model description", message, "export the model as FMI 2.0", section="2.2.1")]
+    # static checks
     description, findings = read_description(path)
     described = list(check_description(files["modelDescription.xml"]))
     if any(finding.severity is Severity.ERROR for finding in described):
         findings = [finding for finding in findings if not is_fmpy_error(finding)]
     findings += [*described, *check_entries(entries, encrypted), *check_archive(files)]
+    # binaries, then what they do
     if description is not None and interfaces(description):
         findings += check_binaries(description, files)
         if run and library_name(description, fmpy.platform) in files:
@@ -75,6 +78,7 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
 
 
 def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) -> list[Finding]:
+    # every check for every interface
     elements = {Kind.COSIMULATION: description.coSimulation, Kind.EXCHANGE: description.modelExchange}
     offered = {kind: element for kind, element in elements.items() if element is not None}
     single = any(element.canBeInstantiatedOnlyOncePerProcess for element in offered.values())
@@ -83,6 +87,7 @@ def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) 
         folder = Path(home) / "fmu"
         unpack(files, folder)
         reported = run_checks(folder, jobs, not single, limit)
+    # without its tool an FMU can't be judged
     found = {}
     for kind, element in offered.items():
         found[kind.value] = reported[kind.name]

@@ -33,6 +33,7 @@ def starts_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
     ]
     if not variables:
         return
+    # read twice: an event at the start may change a value
     with fmu.instance("starts") as instance:
         instance.enter_initialization()
         early = _read(instance, variables)
@@ -70,6 +71,7 @@ def _shown(variable: Any, value: Any) -> str:
 
 def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Parameters and inputs keep what is set before the initialisation, and forget it at a reset."""
+    # other values for all that can be set, numbers apart from the rest
     changes = {variable: other_value(variable) for variable in fmu.settable("parameter", "input")}
     changes = {variable: value for variable, value in changes.items() if value is not None}
     numbers = {variable: value for variable, value in changes.items() if variable.type == "Real"}
@@ -81,6 +83,7 @@ def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
             kept = _kept(instance, group)
             if kept is None:  # the FMU can't run with these values, and says so
                 continue
+            # kept until the first step, in double precision
             for variable, value in kept.items():
                 if not _is_close(variable, value, group[variable]):
                     yield _forgotten(variable, value, group[variable], "after the initialisation, it was set to")
@@ -92,6 +95,7 @@ def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
                     )
                     remedy = "keep it in double precision"
                     yield Finding("parameters", message, remedy, Severity.WARNING, variable.name)
+            # forgotten by fmi2Reset
             instance.reset()
             instance.enter_initialization()
             instance.library.exitInitializationMode()
@@ -150,6 +154,7 @@ def _set_together(fmu: FmuUnderTest, kind: str) -> Iterator[Finding]:
     changes = {variable: value for variable, value in changes.items() if variable.type == kind and value is not None}
     if len(changes) < 2:
         return
+    # the same values one by one, then in one call
     with fmu.instance("set_one_by_one") as instance:
         single = _kept(instance, changes)
     if not single:

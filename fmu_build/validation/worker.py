@@ -41,12 +41,15 @@ def main() -> None:
     """Run the checks that the command line names."""
     parent, folder, report, limit, pace, *jobs = sys.argv[1:]
     with Path(report).open("a", encoding="utf-8", buffering=1) as file:
+        # a thread watches for calls that hang
         watched = (file, float(limit), Path(folder).parent, int(parent))
         threading.Thread(target=_watch, args=watched, daemon=True).start()
+        # the FMU and the process as they are before the first check
         description = read_model_description(folder, validate=False)
         fmus = {kind.name: FmuUnderTest(description, Path(folder), kind, float(pace)) for kind in Kind}
         standard = [os.dup(number) for number in range(3)]
         before = surroundings(Path(folder))
+        # check by check; what is found is on file before the next one may crash
         for job in jobs:
             kind, name = job.split(":")
             announce("")
@@ -106,6 +109,7 @@ def _findings(
         what, remedy = _explained(error)
         yield Finding(name, _with_messages(what, fmu), remedy, severity)
     finally:
+        # what the check has done to the process
         fmu.messages.clear()
         yield from closed_streams(standard)
         yield from disturbances(before, surroundings(fmu.folder))
