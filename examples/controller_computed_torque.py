@@ -8,7 +8,7 @@ A gain of w² and damping of 2 w make every joint's error a critically damped os
 from flexfmu import load_scene, measure_run
 from flexfmu.cosim.control.controllers.computed_torque import computed_torque
 from flexfmu.cosim.control.imperfections.payload_error import PayloadError
-from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.prepared_scene import run_loop
 from flexfmu.model.numeric import inverse_dynamics
 
 scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})

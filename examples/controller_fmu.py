@@ -9,7 +9,7 @@ import numpy as np
 
 from flexfmu import load_scene
 from flexfmu.cosim.control.controllers.pd import pd
-from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.prepared_scene import run_loop
 from flexfmu.fmu_build.block_build import build_block_fmu
 
 scene = load_scene("barnard2012-6kg").replace(

@@ -8,9 +8,9 @@ import numpy as np
 from flexfmu import load_scene
 from flexfmu.cosim.control.controllers.iterative_learning import iterative_learning
 from flexfmu.cosim.control.controllers.pd import pd
-from flexfmu.cosim.experiment.closed_loop import run_loop
 from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import run_loop
 
 scene = load_scene("barnard2012-6kg").replace(
     {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.duration": 0.6, "trajectory.dwell": 0.15}

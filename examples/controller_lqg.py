@@ -11,7 +11,7 @@ import numpy as np
 from flexfmu import load_scene
 from flexfmu.cosim.control.controllers.from_control import from_control
 from flexfmu.cosim.control.controllers.state_feedback import Equilibrium, state_feedback, static_feedforward
-from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.prepared_scene import run_loop
 from flexfmu.model.linear import linearize, operating_point
 from flexfmu.model.scene.assembly import motor_angles
 

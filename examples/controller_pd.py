@@ -6,7 +6,7 @@ python controller_pd.py
 from flexfmu import load_scene, measure_run
 from flexfmu.cosim.control.controllers.computed_torque import inverse_dynamics_feedforward
 from flexfmu.cosim.control.controllers.pd import pd
-from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.prepared_scene import run_loop
 from flexfmu.model.numeric import inverse_dynamics
 
 # flexible links alone are next to massless for the motors at high frequency: real ones have an inertia of their own

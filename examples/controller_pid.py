@@ -7,8 +7,8 @@ from flexfmu import load_scene, measure_run
 from flexfmu.cosim.control.controllers.anti_windup import BackCalculation, Clamping, Unprotected
 from flexfmu.cosim.control.controllers.joints import symmetric
 from flexfmu.cosim.control.controllers.pid import pid
-from flexfmu.cosim.experiment.closed_loop import run_loop
 from flexfmu.cosim.experiment.parameters import holding_torques
+from flexfmu.cosim.experiment.prepared_scene import run_loop
 
 scene = load_scene("barnard2012-6kg").replace(
     {"cosimulation.drive": "torque", "effects.motor_inertia": 0.1, "trajectory.dwell": 0.5}

@@ -9,8 +9,7 @@ import numpy as np
 
 from flexfmu import load_scene, measure_run
 from flexfmu.cosim.engine.slave import SlaveVariable
-from flexfmu.cosim.experiment.closed_loop import run_loop
-from flexfmu.cosim.experiment.prepared_scene import run_scene
+from flexfmu.cosim.experiment.prepared_scene import run_loop, run_scene
 
 KINDS = {"reference.position": "rad", "reference.velocity": "rad/s", "position": "rad", "velocity": "rad/s"}
 

@@ -7,7 +7,7 @@ import control
 
 from flexfmu import load_scene, measure_run
 from flexfmu.cosim.control.controllers.from_control import control_block
-from flexfmu.cosim.experiment.closed_loop import run_loop
+from flexfmu.cosim.experiment.prepared_scene import run_loop
 
 scene = load_scene("barnard2012-6kg").replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.1})
 

@@ -8,8 +8,8 @@ sampled shaper is what runs in a real controller.
 
 from flexfmu import load_scene, measure_run
 from flexfmu.cosim.control.shapers import Shaper
-from flexfmu.cosim.experiment.closed_loop import run_loop
 from flexfmu.cosim.experiment.planning import deviation, plan
+from flexfmu.cosim.experiment.prepared_scene import run_loop
 from flexfmu.model.modes import damped_modes
 from flexfmu.trajectories.shapers import Oscillator, zero_vibration
 

@@ -1,42 +1,38 @@
-"""One experiment: a scene's motion through its FMU, from the plan to the recording."""
+"""One experiment, from the plan to the recording: scene → planned motion → FMU → wired system → run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import partial
-from math import ceil, inf
+from math import ceil
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, Unpack
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
 from flexfmu.cosim.engine.master.isolation import isolation
-from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, LoopSolver, Tolerance
 from flexfmu.cosim.engine.master.master import Progress
-from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
+from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.master.simulator import Simulator
-from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Sampled
 from flexfmu.cosim.experiment.divergence import divergence
-from flexfmu.cosim.experiment.loop import Loop
-from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.experiment.loop import Loop, make_loop
+from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.recording import RigidMotion, SceneRecording, slave_facts
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Companion, Health, Run, Timing
-from flexfmu.cosim.experiment.system import SceneSystem, scene_system
+from flexfmu.cosim.experiment.system import coupling_of, scene_system
 from flexfmu.cosim.experiment.timing import Stopwatch
-from flexfmu.model.scene import cosimulation as sections
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.schema import Scene
 
-__all__ = ["Health", "Options", "PreparedScene", "Run", "Timing", "run_scene"]
+__all__ = ["Health", "Options", "PreparedScene", "Run", "Timing", "run_loop", "run_scene"]
 
 COMPANION_TOLERANCE = 1e-2
-"""A companion's tolerance in terms of the run's. A tenth isn't enough: errors scatter about their tolerance by as much."""
+"""A companion's tolerance over the run's. A tenth isn't enough: errors scatter about their tolerance by as much."""
 
 COMPANION_COUPLING = 0.1
 """The same for the tolerance of step control, whose steps grow shorter faster."""
@@ -47,7 +43,7 @@ between them."""
 
 
 class Options(TypedDict, total=False):
-    """Keywords of `run_scene` that have nothing to do with what stands between motion and robot."""
+    """Keywords of `run_scene` that don't concern what stands between motion and robot."""
 
     communication_step: float | None
     tolerance: float | None
@@ -86,12 +82,12 @@ def run_scene(
         tolerance: relative tolerance for the FMU; the scene's own when None.
         input_order: degree of the input polynomials, 0 (values only) to 9; None for the highest that the FMU states.
         fmu_path: an FMU of a scene with the same effects, instead of building one; its parameters are set from this scene.
-        progress: called now and then with the simulated fraction, 0..1.
+        progress: called from time to time with the simulated fraction, 0..1.
         parameters: FMU parameters that differ from the scene's, for example ``{"payload.mass": 0.1}``.
         initial: ``static`` or ``undeformed``; the scene's own when None.
         motion: a motion to run instead of the scene's own with its shapers, planned from the same scene.
         loop: what stands between motion and robot, instead of the scene's own sections; see
-            `flexfmu.cosim.experiment.closed_loop.run_loop`.
+            `run_loop`.
         isolate: whether to simulate in a child process, so that a slave which crashes, exits or hangs ends the run alone (Linux
             only); the scene's own when None. If that is open too: where FMUs of other tools or the scene's Python slaves take
             part, but not where Python slaves come as objects, since what they change in themselves stays in the child.
@@ -119,6 +115,43 @@ def run_scene(
         call_limit=call_limit,
     )
     return prepared.run(parameters, progress)
+
+
+def run_loop(
+    scene: Scene,
+    controllers: Iterable[Any] = (),
+    shapers: Iterable[Any] = (),
+    imperfections: Iterable[Any] = (),
+    connect: Mapping[str, str] | None = None,
+    motion: MotionPlan | None = None,
+    **options: Unpack[Options],
+) -> Run:
+    """Run a scene with these controllers, shapers and imperfections instead of its own sections.
+
+    Anything may be a `SymbolicBlock` (what `flexfmu.cosim.control.controllers` and `flexfmu.cosim.control.imperfections` return), a
+    slave of your own, a `control.StateSpace` or `control.TransferFunction`, or the path of an FMU.
+
+    Example:
+        ``run_loop(scene, controllers=[pd(2e4, 200.0, sample_time=1e-3)], imperfections=[encoder(2**17, sample_time=1e-3)])``
+
+    Args:
+        scene: the scene; with controllers, one that is driven by torques.
+        controllers: what calculates torques from references and measurements; equal names are connected.
+        shapers: `flexfmu.cosim.control.shapers.Shaper`, an `ImpulseSequence` for the joint references, or another slave that the
+            references pass.
+        imperfections: what signals pass on their way, in this order, or
+            `flexfmu.cosim.control.imperfections.payload_error.PayloadError`.
+        connect: ``slave.input`` → ``slave.output`` or name of a signal, beyond equal names.
+        motion: a motion instead of the scene's own, planned from the same scene.
+        options: as for `run_scene`.
+
+    Raises:
+        TrajectoryError: the motion is not feasible, or can't be shaped.
+        InputError: something can't be a slave, or the slaves can't be wired.
+        BuildError: the FMU can't be built.
+    """
+    planned = plan(scene) if motion is None else motion
+    return run_scene(scene, loop=make_loop(planned, controllers, shapers, imperfections, connect), **options)
 
 
 class PreparedScene:
@@ -151,22 +184,27 @@ class PreparedScene:
                 f"scene {scene.name} leaves the choice of effects open: run it with `flexfmu.run`, or choose first, with "
                 f"`flexfmu.cosim.choices.effects.choice.resolved(scene)`"
             )
-        # plan
+        # plan the motion, with what stands between it and the robot
         watch = Stopwatch()
         section = scene.cosimulation
         theirs, self._loop = loop is not None, loop_of(scene, motion) if loop is None else loop
         self._stop_time = self._loop.motion.stop_time
         planning = watch.lap()
-        # build
+        # build the FMU, or take it from the cache
         self._fmu_path = build_scene(scene).path if fmu_path is None else fmu_path
         building = watch.lap()
-        # load and wire
+        # load the FMU and wire the system
         self._parts = scene_system(scene, self._loop, self._fmu_path, initial=initial, input_order=input_order)
         self._coupling = coupling_of(section)
         self._system = connect(self._parts.slaves, self._parts.wiring.connections, loops=self._coupling.loops)
-        # run: step, tolerance, isolation, what is recorded
+        # how to run it: step, tolerance, isolation, recorded signals
         self._step = section.step if communication_step is None else communication_step
-        self._check_step()
+        duration = self._loop.motion.duration
+        if self._step > duration:
+            raise InputError(
+                f"the communication step of {self._step:g} s is longer than the motion of {duration:g} s: reduce "
+                f"`cosimulation.step` (--step), to {duration / 1000:.1g} s for example"
+            )
         self._tolerance = section.tolerance if tolerance is None else tolerance
         self._isolate = section.isolate if isolate is None else isolate
         self._call_limit = section.call_limit if call_limit is None else call_limit
@@ -187,15 +225,6 @@ class PreparedScene:
         }
         self._times = planning, building, watch.lap()
 
-    def _check_step(self) -> None:
-        """A communication step must fit into the motion."""
-        duration = self._loop.motion.duration
-        if self._step > duration:
-            raise InputError(
-                f"the communication step of {self._step:g} s is longer than the motion of {duration:g} s: reduce "
-                f"`cosimulation.step` (--step), to {duration / 1000:.1g} s for example"
-            )
-
     def run(self, parameters: Mapping[str, float] | None = None, progress: Progress | None = None) -> Run:
         """Simulate motion and dwell.
 
@@ -211,7 +240,30 @@ class PreparedScene:
         """
         parts, watch = self._parts.with_parameters(parameters or {}), Stopwatch()
         simulation = self._ready().run(self._tolerance, progress)
-        return self._result(parts, simulation, Timing(*self._times, watch.lap()))
+        timing = Timing(*self._times, watch.lap())
+        # a run that failed names the values that suggest another unit, too
+        hints = () if simulation.outcome is Outcome.COMPLETED else self._loop.motion.scene.unit_hints
+        run = Run(
+            plan=self._loop.motion,
+            recording=self._recording.of(simulation.recording, parts),
+            outcome=simulation.outcome,
+            message="; ".join((*hints, simulation.message)),
+            fmu_path=self._fmu_path,
+            communication_step=self._step,
+            tolerance=self._tolerance,
+            input_order=parts.references.announced_order,
+            health=Health(parts.plant.statistics, parts.plant.messages),
+            timing=timing,
+            slaves=self._facts,
+            delays=simulation.delays,
+            parameters=parts.changes,
+            companion=self._companion(parts.changes),
+        )
+        # a slave that fails far from where its controller should keep it isn't the cause
+        failed = run.outcome not in (Outcome.COMPLETED, Outcome.INTERRUPTED, Outcome.COUPLING_UNSTABLE)
+        if failed and (unstable := divergence(run)) is not None:
+            return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
+        return run
 
     @property
     def stop_time(self) -> float:
@@ -236,31 +288,6 @@ class PreparedScene:
             )
         return self._simulator
 
-    def _result(self, parts: SceneSystem, simulation: Simulation, timing: Timing) -> Run:
-        """Everything about a simulated scene; where it failed, the values that suggest another unit are named too."""
-        hints = () if simulation.outcome is Outcome.COMPLETED else self._loop.motion.scene.unit_hints
-        run = Run(
-            plan=self._loop.motion,
-            recording=self._recording.of(simulation.recording, parts),
-            outcome=simulation.outcome,
-            message="; ".join((*hints, simulation.message)),
-            fmu_path=self._fmu_path,
-            communication_step=self._step,
-            tolerance=self._tolerance,
-            input_order=parts.references.announced_order,
-            health=Health(parts.plant.statistics, parts.plant.messages),
-            timing=timing,
-            slaves=self._facts,
-            delays=simulation.delays,
-            parameters=parts.changes,
-            companion=self._companion(parts.changes),
-        )
-        # a slave that fails far from where its controller should keep it isn't the cause
-        failed = run.outcome not in (Outcome.COMPLETED, Outcome.INTERRUPTED, Outcome.COUPLING_UNSTABLE)
-        if failed and (unstable := divergence(run)) is not None:
-            return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
-        return run
-
     def _companion(self, parameters: Mapping[str, float]) -> Companion:
         """The same with shorter communication steps, which divide this one, and tighter tolerances."""
         samples = [slave.sample_time for slave in self._parts.slaves if isinstance(slave, Sampled)]
@@ -270,8 +297,8 @@ class PreparedScene:
         finer = {**self._again, "communication_step": step, "tolerance": tolerance}
         return Companion(step, tolerance, partial(_run_companion, finer, self._stop_time, dict(parameters)))
 
-    def spare_objects(self) -> None:
-        """Isolate the caller's own Python slaves too, unless isolation isn't wanted: a companion leaves them as they are."""
+    def isolate_python_slaves(self) -> None:
+        """Isolate the caller's own Python slaves too, unless isolation isn't wanted, so that they stay as they are."""
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=False)
 
 
@@ -286,49 +313,6 @@ def _run_companion(
     if section.step_control is not None:
         changes["cosimulation.step_control.tolerance"] = COMPANION_COUPLING * section.step_control.tolerance
     prepared = PreparedScene(**{**arguments, "scene": scene.replace(changes) if changes else scene})
-    prepared.spare_objects()
+    prepared.isolate_python_slaves()
     prepared.stop_time = stop_time
     return prepared.run(parameters, progress)
-
-
-@dataclass(frozen=True)
-class Coupling:
-    """How the master couples the slaves of a scene.
-
-    Attributes:
-        algorithm: how slaves are coupled over a step.
-        loops: how algebraic loops are solved; None refuses them.
-        step_control: chooses the communication steps; None for a constant step.
-    """
-
-    algorithm: Algorithm
-    loops: LoopSolver | None
-    step_control: StepDoubling | None
-
-
-def coupling_of(section: sections.Cosimulation) -> Coupling:
-    """The coupling that a scene asks for."""
-    solver = None if section.loop_solver is None else _solver(section.loop_solver)
-    return Coupling(_algorithm(section.algorithm, solver), solver, _step_control(section.step_control))
-
-
-def _algorithm(name: str, solver: LoopSolver | None) -> Algorithm:
-    if name == "jacobi":
-        return Jacobi()
-    if name == "implicit":
-        return Implicit() if solver is None else Implicit(solver)
-    return GaussSeidel()
-
-
-def _solver(section: sections.FixedPoint | sections.Anderson) -> LoopSolver:
-    tolerance = Tolerance(relative=section.tolerance)
-    if isinstance(section, sections.FixedPoint):
-        return FixedPoint(section.relaxation, tolerance, section.iterations)
-    return Anderson(tolerance=tolerance, rounds=section.iterations)
-
-
-def _step_control(section: sections.StepControl | None) -> StepDoubling | None:
-    if section is None:
-        return None
-    largest = inf if section.maximum is None else section.maximum
-    return StepDoubling(section.tolerance, smallest=section.minimum, largest=largest)

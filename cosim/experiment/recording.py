@@ -1,8 +1,8 @@
-"""From what the master records of a scene to what its users read: short names, the rigid motion beside the real one."""
+"""The recording of a scene from that of the master: short names, and the rigid motion beside the robot's."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,9 +34,20 @@ class SceneRecording:
     def __init__(self, parts: SceneSystem, rigid: RigidMotion, selection: Selection) -> None:
         self._rigid, self._selection = rigid, selection
         self._with_rigid = any(map(selection.keeps, rigid.names))
-        outputs = set(_outputs(parts))
+        outputs = {
+            f"{slave.name}.{variable.name}"
+            for slave in parts.slaves
+            for variable in slave.variables
+            if variable.causality == "output"
+        }
         selection.check({*map(_short, outputs), *outputs, *parts.wiring.feeding, *parts.constants, *rigid.names})
-        self.needed = Selection(_sources(parts, selection, outputs), selection.order)
+        # outputs that the signals to keep are made of, by the master's names; None for all
+        sources: set[str] | None = None
+        if selection.names is not None:
+            feeding = parts.wiring.feeding
+            sources = {name for name in outputs if selection.keeps(name) or selection.keeps(_short(name))}
+            sources |= {feeding[name] for name in selection.names if name in feeding}
+        self.needed = Selection(sources, selection.order)
 
     def of(self, recorded: Recording, parts: SceneSystem) -> Recording:
         """What was recorded, with short names and the torques that nothing feeds."""
@@ -47,28 +58,10 @@ class SceneRecording:
         return self._selection.of(Recording(time, columns))
 
 
-def _outputs(parts: SceneSystem) -> Iterator[str]:
-    """All outputs as the master names them."""
-    for slave in parts.slaves:
-        for variable in slave.variables:
-            if variable.causality == "output":
-                yield f"{slave.name}.{variable.name}"
-
-
 def _short(name: str) -> str:
     """The name that a finished recording may have for an output."""
     owner, _, variable = name.partition(".")
     return variable if owner in (PLANT, REFERENCES) else name
-
-
-def _sources(parts: SceneSystem, selection: Selection, outputs: set[str]) -> set[str] | None:
-    """Outputs that the signals to keep are made of; None for all."""
-    if selection.names is None:
-        return None
-    feeding = parts.wiring.feeding
-    return {name for name in outputs if selection.keeps(name) or selection.keeps(_short(name))} | {
-        feeding[name] for name in selection.names if name in feeding
-    }
 
 
 KINDS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s2"))
@@ -76,7 +69,7 @@ KINDS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s2"))
 
 
 class RigidMotion:
-    """The rigid end-effector motion of a plan; for the same instants again it is calculated once."""
+    """The rigid end-effector motion of a plan; runs at the same instants calculate it once."""
 
     def __init__(self, motion: MotionPlan) -> None:
         self._motion = motion

@@ -62,6 +62,8 @@ def build_scene(
 
         return build_model(scene)
 
+    # end of motion and dwell without the sum's rounding: 0.43 and 0.25 make 0.68
+    stop_time = float(f"{scene.trajectory.duration + scene.trajectory.dwell:.12g}")
     return build_fmu(
         make_model,
         key=scene_key(scene),
@@ -69,14 +71,9 @@ def build_scene(
         platforms=platforms,
         step=scene.cosimulation.step,
         tolerance=scene.cosimulation.tolerance,
-        stop_time=_stop_time(scene),
+        stop_time=stop_time,
         naming=naming,
         enumerations=enumerations,
         cache=cache,
         progress=progress,
     )
-
-
-def _stop_time(scene: Scene) -> float:
-    """End of motion and dwell [s], without the sum's rounding: 0.43 and 0.25 make 0.68."""
-    return float(f"{scene.trajectory.duration + scene.trajectory.dwell:.12g}")

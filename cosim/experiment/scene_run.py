@@ -1,4 +1,4 @@
-"""What a simulated scene is: the recording and how it came about."""
+"""A simulated scene: its recording, outcome, settings and timing."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class Timing:
 
 @dataclass(frozen=True)
 class Health:
-    """How the FMU fared.
+    """Statistics and messages of the FMU.
 
     Attributes:
         statistics: the FMU's Integer variables ``statistics.*`` at the end, without that prefix: steps, rejections,
             evaluations, iterations, factorisations; empty for an FMU without them.
-        messages: what the FMU logged, in its own words.
+        messages: what the FMU logged.
     """
 
     statistics: Mapping[str, int]
@@ -42,12 +42,12 @@ class Health:
 
 @dataclass(frozen=True)
 class Companion:
-    """The same run once more, more precisely: what it changes is the error of the first one.
+    """The same run once more, more precisely: the difference is the error of the first one.
 
     Attributes:
         communication_step: [s], at most half of the run's, and of every sample time.
         tolerance: for the FMU.
-        run: simulates it; may be told whom to report the simulated fraction to.
+        run: simulates it and reports the simulated fraction to a function, or to None.
     """
 
     communication_step: float

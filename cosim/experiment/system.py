@@ -1,20 +1,25 @@
-"""The slaves of a scene and their connections: planned motion, robot, and what stands between them."""
+"""The slaves of a scene, their connections and their coupling: planned motion, robot, and what stands between them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.fmu.variables import Value, parameter_names
+from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel, Implicit, Jacobi
+from flexfmu.cosim.engine.master.iteration import Anderson, FixedPoint, LoopSolver, Tolerance
+from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import HERMITE_ORDER, TrajectorySlave
 from flexfmu.cosim.experiment.loop import Loop
 from flexfmu.cosim.experiment.parameters import holding_torques, parameters_for
 from flexfmu.cosim.experiment.wiring import Wiring, wire
 from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR
+from flexfmu.model.scene import cosimulation as sections
 from flexfmu.model.scene.schema import Scene
 
 PLANT, REFERENCES = "plant", "trajectory"
@@ -23,13 +28,13 @@ PLANT, REFERENCES = "plant", "trajectory"
 
 @dataclass(frozen=True)
 class SceneSystem:
-    """Slaves that are ready to be connected.
+    """The slaves of a scene with their connections.
 
     Attributes:
         references: streams the planned motion.
         plant: the robot.
         others: controllers, shapers and imperfections.
-        wiring: who feeds whom.
+        wiring: connections between the slaves.
         changes: parameters of the robot that differ from those of the scene.
         unfed: values of the robot's inputs where nothing feeds them.
     """
@@ -86,8 +91,17 @@ def scene_system(
         InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
             slaves can't be wired.
     """
+    # the scene's values of the FMU's parameters, and how it shall start and integrate
+    section, available = scene.cosimulation, parameter_names(open_fmu(fmu_path).description)
+    settings: dict[str, Value] = {**parameters_for(scene, available), INITIAL.name: initial or section.initial}
+    if section.integrator != "automatic":
+        settings[INTEGRATOR.name] = section.integrator
+    if section.integrator_step > 0.0:
+        settings[FIXED_STEP] = section.integrator_step
+    # a robot without a controller gets the torques that hold its start pose
     unfed = {} if loop.controllers else holding_torques(scene)
-    settings = {**_parameters(scene, fmu_path, initial), **unfed}
+    settings |= unfed
+    # the slaves and their connections
     plant = FmuSlave(fmu_path, PLANT, settings, input_order)
     order = min(plant.max_input_order, HERMITE_ORDER) if input_order is None else input_order
     references = TrajectorySlave(loop.driving, order=order, name=REFERENCES)
@@ -97,18 +111,36 @@ def scene_system(
     return parts.with_parameters(parameters or {})
 
 
-def _parameters(scene: Scene, path: Path, initial: str | None) -> dict[str, Value]:
-    """All parameters that the FMU has, from the scene."""
-    available = parameter_names(open_fmu(path).description)
-    start: dict[str, Value] = {INITIAL.name: initial or scene.cosimulation.initial}
-    return {**parameters_for(scene, available), **start, **_integrator(scene)}
+@dataclass(frozen=True)
+class Coupling:
+    """How the master couples the slaves of a scene.
+
+    Attributes:
+        algorithm: how slaves are coupled over a step.
+        loops: how algebraic loops are solved; None refuses them.
+        step_control: chooses the communication steps; None for a constant step.
+    """
+
+    algorithm: Algorithm
+    loops: LoopSolver | None
+    step_control: StepDoubling | None
 
 
-def _integrator(scene: Scene) -> dict[str, Value]:
-    """How the scene wants its FMU to integrate, where it doesn't leave that to the FMU."""
-    section, chosen = scene.cosimulation, dict[str, Value]()
-    if section.integrator != "automatic":
-        chosen[INTEGRATOR.name] = section.integrator
-    if section.integrator_step > 0.0:
-        chosen[FIXED_STEP] = section.integrator_step
-    return chosen
+def coupling_of(section: sections.Cosimulation) -> Coupling:
+    """The coupling that a scene asks for."""
+    solver: LoopSolver | None = None
+    if section.loop_solver is not None:
+        tolerance, rounds = Tolerance(relative=section.loop_solver.tolerance), section.loop_solver.iterations
+        match section.loop_solver:
+            case sections.FixedPoint(relaxation=relaxation):
+                solver = FixedPoint(relaxation, tolerance, rounds)
+            case sections.Anderson():
+                solver = Anderson(tolerance=tolerance, rounds=rounds)
+    # the implicit coupling has a solver of its own unless the scene names one
+    implicit = Implicit() if solver is None else Implicit(solver)
+    algorithms: dict[str, Algorithm] = {"jacobi": Jacobi(), "gauss-seidel": GaussSeidel(), "implicit": implicit}
+    control, doubling = section.step_control, None
+    if control is not None:
+        largest = inf if control.maximum is None else control.maximum
+        doubling = StepDoubling(control.tolerance, smallest=control.minimum, largest=largest)
+    return Coupling(algorithms[section.algorithm], solver, doubling)

@@ -111,7 +111,8 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
     module_name, _, name = source.partition(":")
     try:
         with _searched(Path(folder), Path.cwd()):
-            module = _module(module_name, Path(folder))
+            file = Path(folder).resolve() / f"{module_name}.py"
+            module = _loaded(file) if file.is_file() else import_module(module_name)
     except SyntaxError as error:
         raise InputError(f"{source!r}: {module_name} isn't valid Python: {error}") from error
     except (Exception, SystemExit) as error:
@@ -135,12 +136,6 @@ def _described(error: Exception | SystemExit) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"
-
-
-def _module(name: str, folder: Path) -> ModuleType:
-    """The module of a folder, else an installed one."""
-    file = folder.resolve() / f"{name}.py"
-    return _loaded(file) if file.is_file() else import_module(name)
 
 
 @cache

@@ -26,7 +26,7 @@ MOTION = "trajectory."
 
 @dataclass(frozen=True)
 class VariantResult(Generic[T]):
-    """What a variant gave.
+    """The result of a variant.
 
     Attributes:
         changes: what it changes.
@@ -83,22 +83,16 @@ def run_variants(
 
     # variants with the same motion share a prepared scene
     found: dict[int, VariantResult[T]] = {}
-    for members in _sharing_motion(variants):
+    groups: dict[str, list[int]] = {}
+    for i, variant in enumerate(variants):
+        groups.setdefault(repr(sorted(_part(variant, motion=True).items())), []).append(i)
+    for members in groups.values():
         ready = _attempt(prepared, _part(variants[members[0]], motion=True))
         for i in members:
             found[i] = _result(variants[i], ready, measure)
             if progress is not None:
                 progress(len(found) / len(variants))
     return [found[i] for i in range(len(variants))]
-
-
-def _sharing_motion(variants: Sequence[Changes]) -> list[list[int]]:
-    """Indices of the variants, those together that have the same motion."""
-    groups: dict[str, list[int]] = {}
-    for i, variant in enumerate(variants):
-        motion = _part(variant, motion=True)
-        groups.setdefault(repr(sorted(motion.items())), []).append(i)
-    return list(groups.values())
 
 
 def _part(variant: Changes, *, motion: bool) -> dict[str, Any]:
@@ -110,21 +104,20 @@ def _result(variant: Changes, ready: PreparedScene | Exception, measure: Callabl
     """Simulate and measure one variant."""
     if isinstance(ready, Exception):
         return VariantResult(variant, None, ready)
-    outcome = _attempt(_measured, ready, _part(variant, motion=False), measure)
+
+    def measured() -> T:
+        run = ready.run(_part(variant, motion=False))
+        if not run.completed:
+            raise VariantError(run.message)
+        return measure(run)
+
+    outcome = _attempt(measured)
     return VariantResult(variant, None, outcome) if isinstance(outcome, Exception) else VariantResult(variant, outcome)
 
 
-def _measured(ready: PreparedScene, parameters: Changes, measure: Callable[[Run], T]) -> T:
-    """What is measured of a run with these parameters."""
-    run = ready.run(parameters)
-    if not run.completed:
-        raise VariantError(run.message)
-    return measure(run)
-
-
 def _attempt(action: Callable[..., T], *arguments: Any) -> T | Exception:
-    """What an action gives, or why it failed: in a thousand variants one may be infeasible, or what a user measures may
-    not exist in it, and the others count all the same."""
+    """The result of an action, or why it failed: in a thousand variants one may be infeasible, or lack what is measured, and the
+    others still count."""
     try:
         return action(*arguments)
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Who feeds whom between trajectory, controllers, imperfections and robot: by names, unless told otherwise."""
+"""Connections between trajectory, controllers, imperfections and robot: by equal names unless a scene connects them explicitly."""
 
 from __future__ import annotations
 
@@ -94,7 +94,11 @@ def wire(
         bus.publish(source)
         waiting = bus.pass_through(waiting)
     for controller in controllers:
-        _check_roles(controller, plant)
+        for name in set(_names(controller, "output")) & set(_names(plant, "output")):
+            raise WiringError(
+                f"{controller.name} outputs {name}, but so does the robot, which is driven by its motion; for a robot that "
+                'takes torques set `cosimulation.drive` = "torque"'
+            )
     # controllers, then what their outputs pass on the way to the plant
     bus.connect_controllers(controllers)
     bus.publish_to(plant)
@@ -228,19 +232,6 @@ class _Bus:
         own = {name: source for name, source in feeding.items() if source.partition(".")[0] != plant.name}
         self.connections += [(source, f"{plant.name}.{name}") for name, source in own.items()]
         return Wiring(tuple(self.connections), own)
-
-
-def _check_roles(controller: Slave, plant: Slave) -> None:
-    """A controller doesn't output what the plant outputs.
-
-    Raises:
-        WiringError: it does.
-    """
-    for name in set(_names(controller, "output")) & set(_names(plant, "output")):
-        raise WiringError(
-            f"{controller.name} outputs {name}, but so does the robot, which is driven by its motion; for a robot that "
-            'takes torques set `cosimulation.drive` = "torque"'
-        )
 
 
 def _check_takers(inline_blocks: Sequence[InlineBlock], wiring: Wiring) -> None:

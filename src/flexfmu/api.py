@@ -38,7 +38,7 @@ def run(
 
     The scene's controllers, shapers and imperfections take part. Where it says ``effects = { select = "auto" }``, they are
     chosen first. More is possible with `flexfmu.cosim.experiment.prepared_scene.run_scene`, and with controllers as objects with
-    `flexfmu.cosim.experiment.closed_loop.run_loop`.
+    `flexfmu.cosim.experiment.prepared_scene.run_loop`.
 
     Args:
         scene: a scene, the path of its file, or the name of a shipped one.

@@ -18,8 +18,7 @@ from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.exchange.ssp.export import export_ssp
 from flexfmu.cosim.exchange.ssp.loading import load_ssp
-from flexfmu.cosim.experiment.closed_loop import run_loop
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.prepared_scene import Run, run_loop, run_scene
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 

@@ -12,8 +12,7 @@ from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.engine.errors import InputError, WiringError
 from flexfmu.cosim.engine.slave import SlaveVariable
-from flexfmu.cosim.experiment.closed_loop import run_loop
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.prepared_scene import Run, run_loop, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise

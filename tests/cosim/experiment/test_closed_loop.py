@@ -16,9 +16,8 @@ from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.experiment.closed_loop import run_loop
 from flexfmu.cosim.experiment.parameters import holding_torques
-from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
+from flexfmu.cosim.experiment.prepared_scene import Run, run_loop, run_scene
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import summarise

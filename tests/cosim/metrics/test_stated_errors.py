@@ -14,8 +14,7 @@ import pytest
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
-from flexfmu.cosim.experiment.closed_loop import run_loop
-from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run, run_scene
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene, Run, run_loop, run_scene
 from flexfmu.cosim.metrics.metric_table import display
 from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.summary import coarse_metrics
