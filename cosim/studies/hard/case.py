@@ -1,4 +1,8 @@
-"""What a hard case is, what a run of it shows, and the robots that all cases are made of: few FMUs with parameters."""
+"""What all hard cases share: the paper's robot, a run of it with other parameters, and the criteria that every finished run has to meet:
+finite numbers, an assembled mechanism on the branch of its start, and the same motion as SciPy's solvers find.
+
+The closure residual and the branch are recomputed from joint angles, deflections and the end effector, without the FMU's kinematics.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +12,28 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.studies.hard.scipy_solution import POSITION, Solver, positions_along
+from flexfmu.model.scene.assembly import bases
 from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """One number that says whether a case went well.
+    """One number that decides whether a case passes.
 
     Attributes:
         name: what is measured.
         value: what was found; a NaN never passes.
-        limit: the most that is right.
+        limit: the largest value that passes.
         unit: of both; empty for a relative number or a count.
     """
 
@@ -44,11 +55,11 @@ class Criterion:
 
 @dataclass(frozen=True)
 class CaseReport:
-    """What happened in a case.
+    """The result of running a case.
 
     Attributes:
-        happened: in words, without the figures of the checks.
-        checks: what was measured, with limits.
+        happened: the outcome as text, without the figures of the criteria.
+        checks: the criteria with their measured values.
     """
 
     happened: str
@@ -80,13 +91,13 @@ class HardCase:
 
 
 TOLERANCE = 1e-7
-"""Of the FMUs, where a case says nothing else."""
+"""Relative tolerance of the FMUs, unless a case has its own."""
 
 ALLOWED = 10.0 * TOLERANCE
-"""Largest error, relative to what elasticity does, that passes."""
+"""Largest error, relative to the peak elastic deviation, that passes."""
 
 STEP = 1e-3
-"""Communication step [s], where a case says nothing else."""
+"""Communication step [s], unless a case has its own."""
 
 
 @lru_cache(maxsize=1)
@@ -120,3 +131,112 @@ def run_case(
     """
     scene = robot.replace(dict(changes or {}))
     return run_scene(scene, fmu_path=fmu_of(robot), communication_step=step, tolerance=tolerance, motion=motion)
+
+
+LOOP_SIGNALS = (
+    *POSITION,
+    *(f"joint{leg}.reference.position" for leg in (1, 2)),
+    *(f"link{leg}1.tip_deflection" for leg in (1, 2)),
+    *(f"link{leg}2.elongation" for leg in (1, 2)),
+)
+"""What the closure is recomputed from; without deflections, links are rigid."""
+
+
+@dataclass(frozen=True)
+class LoopGeometry:
+    """The closed loop at N instants.
+
+    Attributes:
+        residual: (N,) largest distance by which a distal link fails to reach from its elbow to the end effector [m].
+        sine: (N,) of the angle between the distal links, positive on the assembly side of the mechanism.
+    """
+
+    residual: RealArray
+    sine: RealArray
+
+
+def loop_geometry(mechanism: Mechanism, recording: Recording) -> LoopGeometry:
+    """From joint references, deflections and end effector, for links that bend next to the bases and stretch beyond the
+    elbows, if at all."""
+
+    def deflection(name: str) -> RealArray:
+        """(N,) [m]; zero for a rigid link."""
+        return recording[name].values if name in recording.columns else np.zeros(recording.time.size)
+
+    tip = np.stack([recording[name].values for name in POSITION], axis=1)
+    arms, residuals = [], []
+    for leg, base in zip((1, 2), bases(mechanism), strict=True):
+        # the distal link as a vector from its elbow to the end effector, and by how much its length is wrong
+        angle = recording[f"joint{leg}.reference.position"].values
+        along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        sag = deflection(f"link{leg}1.tip_deflection")[:, None]
+        arm = tip - (np.asarray(base) + mechanism.proximal.length * along + sag * across)
+        length = mechanism.distal.length + deflection(f"link{leg}2.elongation")
+        residuals.append(abs(np.linalg.norm(arm, axis=1) - length))
+        arms.append(arm / length[:, None])
+    # sine between both distal links, by their cross product
+    (x1, y1), (x2, y2) = arms[0].T, arms[1].T
+    side = 1.0 if mechanism.assembly_mode == "left" else -1.0
+    return LoopGeometry(np.max(residuals, axis=0), side * (x1 * y2 - y1 * x2))
+
+
+SAMPLES = 0.01
+"""Distance of the instants at which the end effector is compared [s]."""
+
+ROUNDING = 1e-14
+"""Closure residual [m] that rounding of lengths around 1 m leaves, with room for some dozens of operations."""
+
+NOT_FINITE, UNFINISHED, ERROR, CLOSURE = "numbers not finite", "part not simulated", "error", "closure residual"
+OFF_BRANCH = "instants off the branch"
+
+
+def error_against(run: Run, robot: Scene, solver: Solver, limit: float) -> Criterion:
+    """Largest distance of the end effector from the reference, relative to the peak elastic deviation.
+
+    Args:
+        run: what is judged.
+        robot: a scene of the same effects whose equations are taken.
+        solver: of the reference.
+        limit: largest error that passes.
+    """
+    # instants about `SAMPLES` apart, from the communication points
+    wanted = np.arange(SAMPLES, run.plan.stop_time, SAMPLES)
+    chosen = np.unique(np.searchsorted(run.recording.time, wanted - 1e-9).clip(0, run.recording.time.size - 1))
+    instants = run.recording.time[chosen]
+    positions = np.stack([run.recording[name].values for name in POSITION], axis=1)[chosen]
+    # the reference's absolute tolerance follows from the deflections of the run
+    rigid = run.plan.task.evaluate(instants, 0)[0]
+    size = float(np.linalg.norm(positions - rigid, axis=1).max())
+    reference = positions_along(robot, run.scene, run.plan, instants, solver, size)
+    scale = float(np.linalg.norm(reference - rigid, axis=1).max())
+    error = float(np.linalg.norm(positions - reference, axis=1).max()) / scale
+    return Criterion(f"{ERROR} ({solver.method})", error, limit)
+
+
+def soundness(run: Run) -> tuple[Criterion, ...]:
+    """It reached its end, with numbers alone, and the mechanism is assembled at every instant, on the branch of its start."""
+    geometry = loop_geometry(run.scene.mechanism, run.recording)
+    end = float(run.recording.time[-1])
+    return (
+        Criterion(UNFINISHED, 1.0 - end / run.plan.stop_time, 0.0),
+        not_finite(run.recording),
+        Criterion(CLOSURE, float(geometry.residual.max()), ROUNDING, "m"),
+        off_branch(geometry.sine),
+    )
+
+
+def off_branch(sine: RealArray) -> Criterion:
+    """At how many instants the end effector is on the other side of the elbows, or nowhere."""
+    return Criterion(OFF_BRANCH, float(np.count_nonzero(~(sine > 0.0))), 0.0)
+
+
+def not_finite(recording: Recording) -> Criterion:
+    """How many recorded numbers are infinite or none at all, derivatives included."""
+    tables = [
+        table
+        for column in recording.columns.values()
+        for table in (column.values, column.first, column.second)
+        if table is not None
+    ]
+    return Criterion(NOT_FINITE, float(sum(np.count_nonzero(~np.isfinite(table)) for table in tables)), 0.0)

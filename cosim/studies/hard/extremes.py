@@ -12,13 +12,22 @@ import numpy as np
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.metrics.small_deflections import exceeded
-from flexfmu.cosim.studies.hard.case import ALLOWED, STEP, CaseReport, Criterion, HardCase, paper_robot, run_case
-from flexfmu.cosim.studies.hard.judging import error_against, soundness
+from flexfmu.cosim.studies.hard.case import (
+    ALLOWED,
+    STEP,
+    CaseReport,
+    Criterion,
+    HardCase,
+    error_against,
+    paper_robot,
+    run_case,
+    soundness,
+)
 from flexfmu.cosim.studies.hard.scipy_solution import Solver
 from flexfmu.model.scene.schema import Scene
 
 STIFF = Solver("LSODA", 1e-11)
-"""Stiff: heavy payloads on light links swing slowly, the links between them fast."""
+"""Stiff: heavy payloads on light links swing slowly, the links themselves fast."""
 
 
 def parameter_cases() -> Iterator[HardCase]:

@@ -15,8 +15,15 @@ from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.studies.hard.case import CaseReport, Criterion, HardCase, fmu_of, paper_robot
-from flexfmu.cosim.studies.hard.judging import LOOP_SIGNALS, soundness
+from flexfmu.cosim.studies.hard.case import (
+    LOOP_SIGNALS,
+    CaseReport,
+    Criterion,
+    HardCase,
+    fmu_of,
+    paper_robot,
+    soundness,
+)
 from flexfmu.cosim.studies.hard.scipy_solution import POSITION
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.schema import Scene
@@ -46,7 +53,7 @@ LEAST_DIGITS = 4.0
 
 
 def cases(cycles: int = CYCLES) -> Iterator[HardCase]:
-    """One, in full length or shorter."""
+    """One case, in full length or shorter."""
     length = 2 * cycles * (paper_robot().trajectory.duration + DWELL)
     hard = f"{length:.0f} s at tolerance {TOLERANCE:g}: rounding and the integrator's errors could add up"
     yield HardCase(f"{cycles} cycles in one run", hard, partial(_run, cycles))
@@ -106,7 +113,7 @@ def _time_error(run: Run, cycles: int) -> Criterion:
 
 
 def link_energy(run: Run, index: NDArray[np.intp]) -> RealArray:
-    """(N,) what the links have more than straight ones at rest, with the joints locked where they are [J]."""
+    """(N,) energy of the links relative to straight ones at rest, with the joints locked at their angles [J]."""
     model = numeric_model(run.scene)
     columns = run.recording.columns
     angles = [columns[f"joint{leg}.reference.position"].values[index] for leg in (1, 2)]
@@ -118,7 +125,7 @@ def link_energy(run: Run, index: NDArray[np.intp]) -> RealArray:
 
 
 def _drift(name: str, values: RealArray) -> tuple[Criterion, Criterion]:
-    """How cycles differ, and whether they differ more and more; values (cycles, marks, any), relative."""
+    """The scatter of the cycles and their drift; values (cycles, marks, any), relative."""
     settled = values[SETTLED:]
     halves = np.array_split(settled, 2)
     drift = np.abs(halves[1].mean(axis=0) - halves[0].mean(axis=0)).max()

@@ -1,4 +1,6 @@
-"""Towards the type-2 singularity, in which the distal links lie in one line and the payload swings free."""
+"""Towards the type-2 singularity, in which the distal links lie in one line and the motors lose control of the payload
+(Gosselin and Angeles, IEEE Trans. Robot. Autom. 6, 1990). A run must either meet the reference or stop and say where and why.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,19 @@ from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.studies.hard.case import ALLOWED, CaseReport, Criterion, HardCase, paper_robot, run_case
-from flexfmu.cosim.studies.hard.judging import error_against, loop_geometry, not_finite, off_branch, soundness
+from flexfmu.cosim.studies.hard.case import (
+    ALLOWED,
+    CaseReport,
+    Criterion,
+    HardCase,
+    error_against,
+    loop_geometry,
+    not_finite,
+    off_branch,
+    paper_robot,
+    run_case,
+    soundness,
+)
 from flexfmu.cosim.studies.hard.scipy_solution import Solver
 from flexfmu.model.kinematics import RigidKinematics
 from flexfmu.model.plant_functions import MINIMUM_SINE
@@ -66,7 +79,7 @@ class RestToRestLine:
 
 @dataclass(frozen=True)
 class Unguarded:
-    """Inverse kinematics without the margins that planning keeps, as a careless controller has."""
+    """Inverse kinematics without the planner's safety margins."""
 
     kinematics: RigidKinematics
 
@@ -109,7 +122,7 @@ DURATION, DWELL = 0.3, 0.2
 REFERENCE = Solver("DOP853", 1e-10)
 
 NAMED = ("end_effector.position.x", "end_effector.position.y", "type-2 singularity", " s the ")
-"""What the status of a stopped run has to name: pose, measure, time."""
+"""What the message of a stopped run has to name: pose, measure, time."""
 
 HALF_DISTANCES = (100, 20, 5, 1)
 """Of the elbows at the end of the motion [mm]."""
@@ -161,12 +174,12 @@ def motion_to(half_distance: float, guarded: bool) -> MotionPlan:
 
 
 def approach(half_distance: float) -> Run:
-    """Run it whatever the planner says."""
+    """Run it even where the planner refuses."""
     return run_case(hanging_robot(), motion=motion_to(half_distance, guarded=False))
 
 
 def _approach(half_distance: float) -> CaseReport:
-    """Finished runs are compared with SciPy's; stopped ones have to say where and why."""
+    """A finished run is compared with SciPy's; a stopped one must name pose, measure and time."""
     run, planner = approach(half_distance), _planner(half_distance)
     happened = f"{planner}{run.message}"
     if run.completed:
@@ -184,7 +197,7 @@ def _approach(half_distance: float) -> CaseReport:
 
 
 def _planner(half_distance: float) -> str:
-    """What planning says, where it refuses."""
+    """The planner's refusal, empty where it accepts the motion."""
     try:
         motion_to(half_distance, guarded=True)
     except TrajectoryError as refusal:

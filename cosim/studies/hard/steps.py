@@ -1,4 +1,7 @@
-"""Communication steps of extreme length, references that jump from one to the next, and a controller whose gain is too high for its step."""
+"""Communication steps of extreme length, references that jump between steps, and a controller whose gain is too high for its step.
+
+The references are constant over each step, so that SciPy solves the same piecewise constant problem, restarted at every jump.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +20,17 @@ from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.studies.hard.case import (
     ALLOWED,
+    ERROR,
+    NOT_FINITE,
     STEP,
     TOLERANCE,
     CaseReport,
     Criterion,
     HardCase,
     fmu_of,
+    not_finite,
     paper_robot,
 )
-from flexfmu.cosim.studies.hard.judging import ERROR, NOT_FINITE, not_finite
 from flexfmu.cosim.studies.hard.scipy_solution import Phase, Solver, signals_of_constant_references
 from flexfmu.model.scene.assembly import motor_angles
 from flexfmu.model.scene.schema import Scene
@@ -85,7 +90,7 @@ class StepwiseRun:
         )
 
     def _phases(self) -> list[Phase]:
-        """Times over which the references stay; each instant belongs to the one that ends there."""
+        """Intervals of constant references; each instant belongs to the one that ends there."""
         changes = np.flatnonzero(np.any(np.diff(self.references, axis=0) != 0.0, axis=1)) + 1
         edges = [0, *changes.tolist(), self.times.size - 1]
         return [Phase(float(self.times[a]), float(self.times[b]), self.references[a]) for a, b in pairwise(edges)]
@@ -109,14 +114,14 @@ JUMP = 0.02
 """Of joint angles [rad]: no motor turns that far in no time."""
 
 ACCELERATION = 200.0
-"""Of joints [rad/s2], that comes and goes at once."""
+"""Of joints [rad/s2], switched on and off at once."""
 
 
 def step_cases() -> Iterator[HardCase]:
-    """1 ns, 1 s, jumps."""
+    """Steps of 1 ns and 1 s, and references that jump."""
     tiny = f"{TINY_STEPS} steps: links bend by 0.5 nm; 1 ns is 2e-5 of the shortest period"
     huge = "18 800 periods of the fastest mode in one communication step"
-    jumps = f"joint angles jump by {1e3 * JUMP:g} mrad, accelerations by {ACCELERATION:g} rad/s2, in steps of 1 ms that know no derivatives"
+    jumps = f"joint angles jump by {1e3 * JUMP:g} mrad, accelerations by {ACCELERATION:g} rad/s2, in steps of 1 ms without input derivatives"
     yield HardCase("steps of 1 ns", tiny, partial(_run_stepwise, tiny_steps))
     yield HardCase("a step of 1 s", huge, partial(_run_stepwise, huge_step))
     yield HardCase("inputs that jump", jumps, partial(_run_stepwise, jumping_inputs))
@@ -149,7 +154,7 @@ def _run_stepwise(make: Callable[[], StepwiseRun]) -> CaseReport:
     expected = run.reference(size)
     error = float((np.abs(found - expected)[:, 2:].max(axis=0) / np.abs(expected[:, 2:]).max(axis=0)).max())
     position = float(np.abs(found - expected)[:, :2].max()) / size
-    bent = f"all of {len(found)} made; links bend by up to {size:.2g} m"
+    bent = f"all {len(found)} steps done; links bend by up to {size:.2g} m"
     checks = (
         Criterion(f"{ERROR} (DOP853)", error, ALLOWED),
         Criterion("error of the end effector", position, ALLOWED),
@@ -173,11 +178,11 @@ TRACKING = 0.05
 """Largest error of the joints [rad] of a loop that is stable: a tenth of what they move."""
 
 NAMED = ("unstable", "plant", "pd", " s: ")
-"""What the status has to name: what is wrong, between whom, since when."""
+"""What the message has to name: the failure, the slaves, the time."""
 
 
 def gain_cases() -> Iterator[HardCase]:
-    """One."""
+    """One case: a PD controller whose gain is too high."""
     overshoot = DERIVATIVE * STEP / INERTIA
     hard = f"a velocity error is over-corrected {overshoot:.0f}-fold in every step of {1e3 * STEP:g} ms"
     yield HardCase("gain too high, coupled by Jacobi", hard, _unstable)
@@ -200,7 +205,7 @@ def controlled_robot(step: float) -> Scene:
 
 
 def _unstable() -> CaseReport:
-    """Reported as what it is, and cured by what the report says."""
+    """The run reports an unstable coupling, and is stable with the shorter step that the message recommends."""
     run, cured = (
         run_scene(controlled_robot(step), fmu_path=fmu_of(controlled_robot(STEP))) for step in STABILITY_STEPS
     )

@@ -1,4 +1,8 @@
-"""Motors whose friction holds and lets go, against SciPy on the same equations with modes and events of its own."""
+"""Motors with stiction that stop and break away, against SciPy on the same equations with its own modes and events.
+
+The reference is a hybrid system: each motor sticks or slips in one direction, `solve_ivp` locates the event that ends the mode, and
+the next mode is the one with the fewest slipping motors that contradicts neither torques nor accelerations.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +35,8 @@ OUTPUTS = ("joint1.position", "joint2.position", "joint1.velocity", "joint2.velo
 
 
 def cases() -> Iterator[HardCase]:
-    """One."""
-    hard = f"friction of up to {BREAKAWAY:g} N.m stops them and lets them go, between torques that jump every {1e3 * INTERVAL:g} ms"
+    """One case: both motors under swinging torques."""
+    hard = f"friction of up to {BREAKAWAY:g} N.m stops and releases them, between torques that jump every {1e3 * INTERVAL:g} ms"
     yield HardCase("motors that stick", hard, _sticking)
 
 
@@ -67,16 +71,16 @@ class Reference:
         return np.asarray(self._model.functions["residual"](x[:2], x[2:], a, u, d).full()).ravel()
 
     def acceleration(self, x: RealArray, u: RealArray, modes: FrictionModes) -> RealArray:
-        """(2,), zero for what sticks."""
+        """(2,) Zero for motors that stick [rad/s2]."""
         mass = self._model.functions["mass_matrix"](x[:2], u, self._derived).full()
         free, a = np.flatnonzero(modes), np.zeros(2)
         a[free] = np.linalg.solve(mass[np.ix_(free, free)], -self.forces(x, a, u, modes)[free])
         return a
 
     def indicators(self, x: RealArray, u: RealArray, modes: FrictionModes) -> RealArray:
-        """(2,) Torque that is left until a motor breaks away, or rate in the direction of slip."""
-        held = BREAKAWAY - np.abs(self.forces(x, self.acceleration(x, u, modes), u, modes))
-        return np.where(modes, np.array(modes) * x[2:], held)
+        """(2,) Margin of torque until a sticking motor breaks away [N m], or rate in the direction of slip [rad/s]."""
+        margin = BREAKAWAY - np.abs(self.forces(x, self.acceleration(x, u, modes), u, modes))
+        return np.where(modes, np.array(modes) * x[2:], margin)
 
     def modes(self, x: RealArray, u: RealArray, released: FrictionModes) -> FrictionModes:
         """The only modes, or those with the fewest slipping motors, that contradict neither torques nor accelerations."""
@@ -91,7 +95,7 @@ class Reference:
         raise ArithmeticError(f"no modes are possible at {x.tolist()}")
 
     def over(self, x: RealArray, u: RealArray, span: float) -> tuple[RealArray, int]:
-        """The state after a time with the same inputs [s], and how many events there were."""
+        """The state after ``span`` [s] with constant inputs, and the number of events."""
         time, count, released = 0.0, 0, (0, 0)
         while True:
             modes = self.modes(x, u, released)

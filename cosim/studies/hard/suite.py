@@ -1,4 +1,4 @@
-"""All hard cases, what running them shows, and their results as text: a table for the terminal, Markdown, and plain data."""
+"""The suite of hard cases: their list, how they are run, and their results as a table for the terminal, Markdown, and plain data."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ FAMILIES: tuple[Callable[[], Iterable[HardCase]], ...] = (
     gain_cases,
     repetition.cases,
 )
-"""What makes the cases, in the order of the table."""
+"""Functions that make the cases, in the order of the table."""
 
 
 @dataclass(frozen=True)
 class HardCaseResult:
-    """A case with what happened.
+    """A case with its report.
 
     Attributes:
-        case: what was run.
-        report: what was found.
+        case: the case.
+        report: its criteria.
     """
 
     case: HardCase
@@ -66,10 +66,10 @@ def hard_cases(only: Sequence[str] = ()) -> tuple[HardCase, ...]:
 
 
 def run_cases(cases: Iterable[HardCase], announce: Callable[[str], object]) -> list[HardCaseResult]:
-    """Run them one after the other; a case that can't be run has failed.
+    """Run the cases one after the other; a case that can't be run has failed.
 
     Args:
-        cases: which.
+        cases: the cases.
         announce: called with the name of each case.
 
     Raises:
@@ -99,10 +99,10 @@ INTRODUCTION = """# Hard cases
 
 Made by `flexfmu workprec --hard`, which runs every case and ends with status 1 if one of them fails.
 
-Errors are the largest distance of the end effector from what SciPy's DOP853, Radau or LSODA, tight enough not to show, make of the
-same equations (neither our integrator nor our master), relative to what elasticity does in that case; ten times the tolerance of
-1e-7 that the FMUs get is allowed. The closure residual is recomputed from joint angles, deflections and end effector. "Off the branch" are instants at which the
-end effector isn't on the side of the elbows where it started. Each figure stands with the limit it was held to."""
+Errors are the largest distance of the end effector from a reference: the same equations solved by SciPy's DOP853, Radau or LSODA
+with negligible error (neither our integrator nor our master), relative to the peak elastic
+deviation of that case; ten times the FMUs' tolerance of 1e-7 is allowed. The closure residual is recomputed from joint angles, deflections and end effector. "Off the branch" are instants at which the
+end effector isn't on the side of the elbows where it started. Each value stands with its limit."""
 
 
 def terminal_table(results: Sequence[HardCaseResult]) -> Table:
@@ -122,7 +122,7 @@ def row(result: HardCaseResult) -> tuple[str, ...]:
 
 
 def figures(report: CaseReport) -> str:
-    """What was measured; values that must be zero and are, in one list."""
+    """The measured values; zeros in one list."""
     zero = [check.name for check in report.checks if check.value == 0.0]
     others = [_figure(check) for check in report.checks if check.value != 0.0]
     return "; ".join([*others, *([f"none or zero: {', '.join(zero)}"] if zero else [])])
@@ -149,7 +149,7 @@ def markdown(results: Sequence[HardCaseResult]) -> str:
 
 
 def data(results: Sequence[HardCaseResult]) -> dict[str, Any]:
-    """Everything for machines; a value that is no finite number is null."""
+    """The results as plain data; a value that isn't finite is null."""
     return {
         "passed": all(result.report.passed for result in results),
         "cases": [

@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import casadi
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from flexfmu.cosim.control.blocks.code import compile_function
@@ -111,7 +110,7 @@ def solve_piece(
     instants: RealArray,
     method: ScipyMethod,
     tolerance: float,
-    absolute: ArrayLike,
+    absolute: float | RealArray,
     **options: Any,
 ) -> tuple[RealArray, RealArray]:
     """Integrate from one jump of the equations to the next.

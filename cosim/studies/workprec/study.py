@@ -34,12 +34,12 @@ LADDER_TOLERANCE = 1e-8
 
 @dataclass(frozen=True)
 class WorkPrecisionStudy:
-    """What was found out about a scene.
+    """The results for a scene.
 
     Attributes:
         scene: what was simulated.
         duration: simulated time [s].
-        scale: what elasticity does [m]; errors are relative to it.
+        scale: peak elastic deviation [m]; errors are relative to it.
         agreement: relative difference of two independent references; None where there is only one.
         references: how they were made.
         trials: every measured point.
@@ -62,7 +62,7 @@ FAMILIES = ("integrators", "communication", "algorithms", "effects", "formulatio
 
 
 def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: float = STEP) -> WorkPrecisionStudy:
-    """Measure.
+    """Measure a scene.
 
     Args:
         scene: the scene.
@@ -195,7 +195,7 @@ COLUMNS = ("family", "line", "setting", "error", "time ms", "x real time", "note
 
 def terminal_table(study: WorkPrecisionStudy) -> Table:
     """One line for each trial."""
-    title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, the effect of elasticity"
+    title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, the peak elastic deviation"
     texts = [Column(each, no_wrap=True) for each in COLUMNS[:3]]
     numbers = [Column(each, justify="right", no_wrap=True) for each in COLUMNS[3:6]]
     table = titled_table(title, *texts, *numbers, *COLUMNS[6:])
@@ -205,7 +205,7 @@ def terminal_table(study: WorkPrecisionStudy) -> Table:
 
 
 def row(study: WorkPrecisionStudy, trial: Trial) -> tuple[str, ...]:
-    """Cells of a trial."""
+    """Cells of a trial's line."""
     if trial.error is None or trial.time is None:
         return (trial.family, trial.line, trial.label, "failed", "", "", trial.note)
     factor = study.duration / trial.time
@@ -221,7 +221,7 @@ def row(study: WorkPrecisionStudy, trial: Trial) -> tuple[str, ...]:
 
 
 def notes(study: WorkPrecisionStudy) -> list[str]:
-    """What stands below the table."""
+    """The notes below the table."""
     found = [sentence(study)]
     agreement = f", which agree within {study.agreement:.1e}" if study.agreement is not None else ""
     found.append(f"References: {study.references}{agreement}.")
@@ -240,7 +240,7 @@ def markdown(study: WorkPrecisionStudy) -> str:
 
 
 def data(study: WorkPrecisionStudy) -> dict[str, Any]:
-    """Everything for machines."""
+    """The study as plain data."""
     return {
         "scene": study.scene.name,
         "duration": study.duration,

@@ -1,5 +1,5 @@
-"""What is measured: a scene with its motion, its sample instants and the reference that errors are counted from; the measured
-points of a work-precision diagram, and the curve that they make."""
+"""The scene under test with its motion, its sample instants and its reference; the measured points of a work-precision diagram, and
+the curve through the best of them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class SceneUnderTest:
     """A scene under test.
 
     Attributes:
-        scene: as the user gave it.
+        scene: the scene.
         motion: its planned motion.
     """
 
@@ -55,7 +55,7 @@ class SceneUnderTest:
 
     @cached_property
     def scale(self) -> float:
-        """What elasticity does [m]: largest distance of the end effector from the rigid robot's."""
+        """Peak elastic deviation [m]: largest distance of the end effector from the rigid robot's."""
         rigid = self.motion.task.evaluate(self.instants, 0)[0]
         return float(np.linalg.norm(self.reference - rigid, axis=1).max())
 
@@ -95,10 +95,10 @@ class RunError(CosimError):
 
 
 TOO_SLOW = 100.0
-"""A tool that takes so many times our time for an error needs no settings that take longer."""
+"""A sweep ends at a setting that takes this many times our time for its error."""
 
 TINY = 1e-300
-"""Error of a result without any, as far as logarithms are concerned."""
+"""Error that stands for zero in logarithms."""
 
 TrialSetting = TypeVar("TrialSetting")
 
@@ -108,12 +108,12 @@ class Trial:
     """One setting of one line.
 
     Attributes:
-        family: which question it belongs to, for example ``integrators``.
+        family: the question that it belongs to, for example ``integrators``.
         line: what is varied along a line, for example ``gauss4``.
         label: the setting, for example ``1e-5``.
-        error: relative to what elasticity does; None where the run failed.
+        error: relative to the peak elastic deviation; None where the run failed.
         time: processor time of a run [s]; None where the run failed.
-        note: why it failed, or what else there is to know.
+        note: why it failed, or a remark.
     """
 
     family: str
@@ -131,10 +131,10 @@ class Trial:
 
 @dataclass(frozen=True)
 class Curve:
-    """The time that an accuracy takes with one tool.
+    """Processor time over error for one tool: its Pareto front.
 
     Attributes:
-        trials: the settings that no other one of the tool beats in both error and time, by ascending error.
+        trials: the settings that no other setting of the tool beats in both error and time, by ascending error.
     """
 
     trials: tuple[Trial, ...]
@@ -160,7 +160,7 @@ class Curve:
         return self.trials[-1].error or 0.0 if self.trials else 0.0
 
     def time(self, error: float) -> float | None:
-        """Processor time [s] for at most this error, logarithms interpolated between two settings; None where none reached it."""
+        """Processor time [s] for at most this error, logarithms interpolated between two settings; None where no setting reached it."""
         if error < max(self.least, TINY):
             return None
         errors, times = (np.array([getattr(each, key) for each in self.trials]) for key in ("error", "time"))

@@ -17,8 +17,20 @@ from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import SlaveError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.prepared_scene import Run
-from flexfmu.cosim.studies.hard import extremes, judging, singularity, suite
-from flexfmu.cosim.studies.hard.case import CaseReport, Criterion, HardCase, paper_robot, run_case
+from flexfmu.cosim.studies.hard import extremes, singularity, suite
+from flexfmu.cosim.studies.hard.case import (
+    CLOSURE,
+    NOT_FINITE,
+    OFF_BRANCH,
+    UNFINISHED,
+    CaseReport,
+    Criterion,
+    HardCase,
+    error_against,
+    paper_robot,
+    run_case,
+    soundness,
+)
 from flexfmu.cosim.studies.hard.extremes import STIFF
 from flexfmu.model.modes import natural_frequencies
 from flexfmu.model.scene.assembly import motor_angles
@@ -57,22 +69,22 @@ def test_a_number_that_is_none_never_passes() -> None:
 
 def test_a_sound_run_is_sound(run: Run) -> None:
     """The checks accept what is right."""
-    assert all(values(judging.soundness(run)).values())
+    assert all(values(soundness(run)).values())
 
 
 @pytest.mark.parametrize(
     ("signal", "change", "complaint"),
     [
-        ("joint1.torque", lambda x: np.where(np.arange(x.size) == 7, nan, x), judging.NOT_FINITE),
-        ("end_effector.position.y", lambda x: x + 1e-9, judging.CLOSURE),
-        ("end_effector.position.y", lambda x: x - 0.6, judging.OFF_BRANCH),
+        ("joint1.torque", lambda x: np.where(np.arange(x.size) == 7, nan, x), NOT_FINITE),
+        ("end_effector.position.y", lambda x: x + 1e-9, CLOSURE),
+        ("end_effector.position.y", lambda x: x - 0.6, OFF_BRANCH),
     ],
 )
 def test_unsound_runs_are_seen(
     run: Run, signal: str, change: Callable[[np.ndarray], np.ndarray], complaint: str
 ) -> None:
     """One NaN among thousands, an open loop by 1 nm, and an end effector on the other side of the elbows."""
-    assert not values(judging.soundness(changed(run, signal, change)))[complaint]
+    assert not values(soundness(changed(run, signal, change)))[complaint]
 
 
 def test_a_run_that_stopped_early_is_seen(run: Run) -> None:
@@ -80,15 +92,15 @@ def test_a_run_that_stopped_early_is_seen(run: Run) -> None:
     half = run.recording.time.size // 2
     columns = {name: Column(c.unit, c.values[:half]) for name, c in run.recording.columns.items()}
     short = replace(run, recording=Recording(run.recording.time[:half], columns))
-    assert not values(judging.soundness(short))[judging.UNFINISHED]
+    assert not values(soundness(short))[UNFINISHED]
 
 
 @pytest.mark.slow
 def test_errors_are_counted_against_the_robot_that_was_meant(run: Run) -> None:
     """A robot whose payload is a thousandth heavier is off by about as much, and found out."""
-    assert judging.error_against(run, paper_robot(), STIFF, 1e-5).passed
+    assert error_against(run, paper_robot(), STIFF, 1e-5).passed
     heavier = run_case(paper_robot(), {"trajectory.dwell": 0.0, "payload.mass": 6.006})
-    wrong = judging.error_against(replace(heavier, plan=run.plan), paper_robot(), STIFF, 1e-5)
+    wrong = error_against(replace(heavier, plan=run.plan), paper_robot(), STIFF, 1e-5)
     assert 3e-4 < wrong.value < 3e-3
 
 
