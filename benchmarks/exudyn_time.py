@@ -1,6 +1,6 @@
 """What an error of 1e-3 costs here and with Exudyn (pip install flexfmu[peers]): the same robot, the same damping.
 
-Errors are the largest distance from each program's own converged path, relative to the peak elastic deviation: models differ, and
+Errors are the largest distance from each program's own converged path, relative to the largest elastic deviation: models differ, and
 this is about time. Times are processor times of a run, without building and loading; `chosen` is the scene's own set of
 effects, `all` is what Exudyn has, too: every link bends and stretches, with foreshortening.
 
@@ -100,7 +100,7 @@ def exudyn(scene: Scene) -> Reached:
 
 
 def relative(subject: SceneUnderTest, position: RealArray, exact: RealArray) -> float:
-    """Largest distance of two paths (N, 2) relative to the peak elastic deviation."""
+    """Largest distance of two paths (N, 2) relative to the largest elastic deviation."""
     rigid = subject.motion.task.evaluate(subject.instants, 0)[0]
     distance, scale = (np.linalg.norm(each - exact, axis=1).max() for each in (position, rigid))
     return float(distance / scale)

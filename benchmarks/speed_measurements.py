@@ -159,7 +159,7 @@ def variants() -> float:
 
 @dataclass(frozen=True)
 class Reached:
-    """What another tool needs: processor time [s], and the error that it then has, relative to the peak elastic deviation."""
+    """What another tool needs: processor time [s], and the error that it then has, relative to the largest elastic deviation."""
 
     time: float
     error: float

@@ -1,5 +1,5 @@
-"""Every slave of a scene as an FMU: planned motion, robot, controllers, shapers and imperfections, where the FMUs are, and how they are
-connected by the names that their variables have."""
+"""Every slave of a scene as an FMU (planned motion, robot, controllers, shapers and imperfections), and the connections between them by
+the FMUs' variable names."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class ExportedSystem:
     stop_time: float
 
     def named(self, naming: Naming, slaves: Collection[str]) -> ExportedSystem:
-        """The same with the variables of these slaves named so.
+        """The same system with the variables of these slaves in another naming.
 
         Raises:
             ModelError: a variable has no flat name.
@@ -115,8 +115,8 @@ def export_slaves(
         progress: called with what is being built and the finished fraction.
 
     Raises:
-        InputError: there is no slave of a name, or one can't leave as an FMU since it is a Python class of the user's own;
-            nothing has been written then.
+        InputError: there is no slave of a name, or one can't be exported since it is a Python class of the user; nothing has
+            been written then.
         TrajectoryError: the motion is not feasible, or can't be shaped.
         BuildError: an FMU can't be built or written.
     """
@@ -125,7 +125,7 @@ def export_slaves(
     robot = build_scene(scene, cache=cache).path
     system = scene_system(scene, loop, robot)
     step = scene.cosimulation.step
-    # a lag in continuous time leaves as one with many samples in its time constant
+    # a lag in continuous time is exported as one with many samples in its time constant
     chosen = tuple(
         BlockSlave(each.sampled(step), each.name) if isinstance(each, Lag) else each
         for each in _chosen(system.slaves, names)
@@ -204,13 +204,13 @@ def _check_exportable(slave: Slave) -> None:
     """
     if not isinstance(slave, (FmuSlave, SampledFmu, FmuTask, BlockSlave, TrajectorySlave)):
         raise InputError(
-            f"slave {slave.name!r} is a {type(slave).__name__} in Python and can't leave as an FMU; make it a SymbolicBlock "
+            f"slave {slave.name!r} is a {type(slave).__name__} in Python and can't be exported as an FMU; make it a SymbolicBlock "
             "(flexfmu.model.symbolic) or a python-control system, or name the other slaves to export"
         )
 
 
 def _start_values(slave: Slave, system: SceneSystem) -> Mapping[str, Value]:
-    """Start values that the slave's FMU doesn't have of itself."""
+    """Start values that differ from those in the slave's FMU."""
     if slave is system.plant:
         return {**system.changes, **system.constants}
     return slave.parameters if isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) else {}

@@ -1,4 +1,4 @@
-"""The zip archive of an SSP: files are taken from it by their relative paths, and nothing gets out of its folder."""
+"""The zip archive of an SSP. Files are read by their relative paths; paths that lead out of the archive are refused."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from urllib.parse import unquote, urlsplit
 from flexfmu.cosim.exchange.ssp.structure import SspError
 
 DESCRIPTION = "SystemStructure.ssd"
-"""The system that a package stands for."""
+"""The default system of a package."""
 
 LARGEST_XML = 64_000_000
 """Bytes of an XML file, unpacked: a thousand times what an SSD of a thousand connections needs."""
@@ -67,7 +67,7 @@ class SspArchive:
 
         Args:
             file: its path within the archive.
-            where: who asks, for errors.
+            where: the referring element, for errors.
             largest: more bytes than these are refused.
 
         Raises:
@@ -90,7 +90,7 @@ class SspArchive:
 
         Args:
             source: a URI relative to the system's description.
-            where: who names it, for errors.
+            where: the referring element, for errors.
 
         Raises:
             SspError: it is no relative path, or leads out of the archive.
@@ -113,7 +113,7 @@ class SspArchive:
         return "/".join(parts)
 
     def extract(self, file: str, where: str) -> Path:
-        """A copy of a file on disk, under a name of our own; gone when the process ends.
+        """A copy of a file on disk, under a generated name; removed when the process ends.
 
         Raises:
             SspError: as for `read`.

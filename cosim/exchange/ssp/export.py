@@ -62,13 +62,13 @@ def export_ssp(
         loop: what stands between motion and robot, instead of the scene's own sections.
         platforms: platforms of the FMUs' binaries; this machine's when None.
         cache: whether FMUs are taken from the cache.
-        progress: is told what is being built.
+        progress: called with what is being built and the finished fraction.
 
     Returns:
         The path.
 
     Raises:
-        InputError: a slave can't leave as an FMU, since it is a Python class of the user's own, or slaves can't be wired.
+        InputError: a slave can't be exported, since it is a Python class of the user, or slaves can't be wired.
         TrajectoryError: the motion is not feasible, or can't be shaped.
         BuildError: an FMU can't be built, or the file can't be written.
     """
@@ -88,7 +88,7 @@ def export_ssp(
 def _robot(scene: Scene, loop: Loop) -> Scene:
     """The scene with the parameters that the robot has, for importers that ignore parameter sets.
 
-    Torques that hold the start pose come from the scene's own parameters, so that it stays as it is where they act.
+    Torques that hold the start pose come from the scene's own parameters, so that its parameters stay unchanged where these torques act.
     """
     holds = scene.cosimulation.drive == "torque" and not loop.controllers
     return scene if holds else scene_with_parameters(scene, loop.parameters)

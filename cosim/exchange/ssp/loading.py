@@ -44,11 +44,11 @@ class SspSystem:
         system: slaves and connections.
         start, stop: [s].
         step: communication step [s].
-        tolerance: relative tolerance that FMUs are told; None for their own.
+        tolerance: relative tolerance for the FMUs; None for their own.
         ignored: parameters in the file that fit no variable.
         names: full name of a component → name of its slave, which holds no dot.
-        shown: full names of systems' connectors → the outputs that they show.
-        remarks: what was passed over, for the user.
+        shown: full names of systems' connectors → the outputs that they pass on.
+        remarks: warnings about parts of the file that were ignored.
     """
 
     structure: Structure
@@ -118,7 +118,7 @@ def load_ssp(
     ssd: str = DESCRIPTION,
     output_order: int | None = None,
 ) -> SspSystem:
-    """Read an SSP file of SSP 1.0, or one of SSP 2.0 that has no more, whose components are FMUs for co-simulation.
+    """Read a file of SSP 1.0, or of SSP 2.0 without its new features, whose components are FMUs for co-simulation.
 
     Systems within systems are flattened. FMUs that this package made run as in the scene they come from: trajectories are streamed with all derivatives, blocks
     are sampled at their own instants. Others are sampled where the file has an annotation with their sample time, or where
@@ -135,8 +135,8 @@ def load_ssp(
         output_order: highest derivative of outputs that FMUs are asked for, 0 for none; None for all that they give.
 
     Raises:
-        SspError: the file is missing, broken, contradicts itself or its FMUs, or needs what this program doesn't do:
-            signal dictionaries, packages in packages, tables that are no lines on the way of a Real, calculated parameters
+        SspError: the file is missing, broken, contradicts itself or its FMUs, or needs a feature that this program doesn't have:
+            signal dictionaries, packages in packages, nonlinear tables on the path of a Real, calculated parameters
             that are connected.
         FmuFileError: an FMU is broken, of another kind, or has no binary for this platform.
         InputError: a value is out of range, or the slaves can't be wired.
@@ -209,7 +209,7 @@ def _named(component: Component) -> Iterator[None]:
 
 
 def _remarks(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> list[str]:
-    """What of the components was passed over.
+    """Warnings about parts of the components that were ignored.
 
     Raises:
         SspError: a connector that is connected contradicts its FMU.
@@ -247,7 +247,7 @@ def _names(fmus: Mapping[str, ComponentFmu]) -> Mapping[str, str]:
 
 
 def _mapped(column: Column, origin: Origin) -> Column:
-    """A signal as the connector at the end of its way shows it."""
+    """A signal in the unit of the connector at the end of its path, after all transformations."""
     unit = origin.unit if isinstance(origin.unit, str) else origin.unit.name
     if isinstance(origin.way, TableMap):
         return Column(unit, _looked_up(origin.way, column.values))
@@ -257,7 +257,7 @@ def _mapped(column: Column, origin: Origin) -> Column:
 
 
 def _looked_up(table: TableMap, values: RealArray) -> RealArray:
-    """All values as a table has them, not a number where it has nothing."""
+    """All values looked up in a table, NaN where it has no entry."""
     found: dict[float, float] = {}
     for value in set(values.tolist()):
         with suppress(InputError):
@@ -295,7 +295,7 @@ def _first(*values: float | None) -> float:
 
 
 _OPTIONS = {"stop": "--stop-time", "step": "--step"}
-"""What the file may leave open → the command's option for it."""
+"""Time that a file may lack → the command's option for it."""
 
 
 def _known(what: str, archive: SspArchive, *values: float | None) -> float:

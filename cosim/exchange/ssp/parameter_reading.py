@@ -1,4 +1,4 @@
-"""Parameter sets (SSV), mappings (SSM) and the bindings that apply them."""
+"""Parameter sets (SSV), mappings (SSM) and the bindings that apply them, read from XML."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def read_transformation(node: XmlElement) -> SspTransformation:
 
 
 def _pair(node: XmlElement, kind: str) -> tuple[Value, Value]:
-    """What an entry of a table maps to what."""
+    """Source and target of a table's entry."""
     source, target = (_READ[kind](node, each) for each in ("source", "target"))
     if source is None or target is None:
         raise node.error("needs the attributes 'source' and 'target'; add them")
@@ -120,7 +120,7 @@ def _mapping(node: XmlElement, archive: SspArchive) -> tuple[MappingEntry, ...]:
             not each.boolean("suppressUnitConversion"),
         )
         for each in root.children("MappingEntry")
-        if each.text("source") != ""  # a template's entry that nobody has filled in
+        if each.text("source") != ""  # an empty entry of a template
     )
 
 

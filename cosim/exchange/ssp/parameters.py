@@ -1,4 +1,4 @@
-"""Which values the parameter sets of a system give to the variables of its FMUs, by name or through connectors."""
+"""The values that the parameter sets of a system give to the variables of its FMUs, by name or through connectors."""
 
 from __future__ import annotations
 

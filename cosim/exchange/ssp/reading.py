@@ -1,4 +1,4 @@
-"""From an SSP file to its structure."""
+"""The structure of an SSP file, read from its XML (SSP 1.0, and what SSP 2.0 has in common with it)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OMS_STEPS = (("FixedStepMaster", "stepSize"), ("SimulationInformation", "fixedSt
 
 
 def read_structure(archive: SspArchive) -> Structure:
-    """What the description of an SSP's system says.
+    """Read the description of an SSP's system.
 
     Raises:
         SspError: it isn't SSP 1 or 2, contradicts the standard, or has signal dictionaries or elements that are no FMUs.

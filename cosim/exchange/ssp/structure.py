@@ -19,7 +19,7 @@ ConnectorKind = Literal["input", "output", "parameter", "calculatedParameter", "
 
 
 class SspError(InputError):
-    """A file isn't SSP, contradicts the standard, or asks for something that this program doesn't do."""
+    """A file isn't SSP, contradicts the standard, or needs a feature that this program doesn't have."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ SspTransformation = LinearMap | ValueMap
 
 @dataclass(frozen=True)
 class Connector:
-    """What an element shows to the outside.
+    """A variable of an element that connections may use.
 
     Attributes:
         name: name of the variable.
@@ -132,7 +132,7 @@ class ParameterSet:
 
 @dataclass(frozen=True)
 class MappingEntry:
-    """Which variable a value of a parameter set is for, and what is done to it on the way."""
+    """The variable that gets a value of a parameter set, and the transformation in between."""
 
     source: str
     target: str
@@ -210,14 +210,14 @@ class Structure:
     Attributes:
         name: name of the file's system.
         components: its FMUs.
-        connections: who feeds whom.
+        connections: the signal paths between them.
         connectors: the system's own connectors.
         bindings: parameter sets of the system, which outrank those of its elements.
         systems: systems within it.
         units: units that connectors refer to.
         start, stop: default experiment [s]; None where the file doesn't say.
         step: communication step [s]; None where the file doesn't say.
-        tolerance: relative tolerance that FMUs are told; None where the file doesn't say.
+        tolerance: relative tolerance for the FMUs; None where the file doesn't say.
         description: what it is.
     """
 

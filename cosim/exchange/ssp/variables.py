@@ -22,7 +22,7 @@ class ComponentFmu:
     """A component with its FMU.
 
     Attributes:
-        component: what the SSD says.
+        component: its description in the SSD.
         fmu: the FMU.
         variables: name → variable as fmpy reads it.
         units: name → unit as the FMU defines it.
@@ -70,7 +70,7 @@ def check_connectors(owner: ComponentFmu, connected: Collection[str], units: Seq
 
 
 def unit_of(connector: Connector, owner: ComponentFmu, units: Mapping[str, SspUnit]) -> SspUnit | str:
-    """Unit of a component's connector: what the SSD says, else the FMU; its bare name where nothing defines it."""
+    """Unit of a component's connector: from the SSD, else from the FMU; its bare name where it isn't defined."""
     if connector.unit is not None:
         return units.get(connector.unit) or owner.units.get(connector.unit) or connector.unit
     return variable_unit(owner, connector.name)
@@ -84,7 +84,7 @@ def variable_unit(owner: ComponentFmu, name: str) -> SspUnit | str:
 
 
 def conversion(source: SspUnit | str, target: SspUnit | str, where: str, remarks: list[str]) -> LinearMap:
-    """From one unit to another; nothing to do where one of them is unknown, with a remark where it has a name.
+    """The conversion from one unit to another; the identity where one of them is unknown, with a remark where it has a name.
 
     Raises:
         SspError: they measure different things.
@@ -109,7 +109,7 @@ def conversion(source: SspUnit | str, target: SspUnit | str, where: str, remarks
 
 
 def missing(owner: ComponentFmu, connector: Connector | str, causality: str | None = None) -> str:
-    """The FMU has no such variable; which one may be meant."""
+    """The error text for a variable that the FMU doesn't have, with the nearest name."""
     name = connector if isinstance(connector, str) else connector.name
     candidates = [n for n, v in owner.variables.items() if causality in (None, v.causality)]
     near = get_close_matches(name, candidates, n=1)
@@ -144,7 +144,7 @@ def _fmu_units(description: Any) -> Mapping[str, SspUnit]:
 
 
 def _unit(definition: Any) -> SspUnit:
-    """One of them."""
+    """A unit of an FMU."""
     base = definition.baseUnit
     exponents = {name: int(exponent) for name in BASE_UNITS if (exponent := getattr(base, name, 0))}
     return SspUnit(definition.name, exponents, float(base.factor or 1.0), float(base.offset or 0.0))

@@ -1,7 +1,7 @@
-"""Where a connector's signal comes from, through systems within systems; and the connections that the master makes of it.
+"""The source of each connector's signal, through systems within systems, and the resulting connections for the master.
 
-A system's own connector passes on what reaches it from outside (inputs, parameters) or from inside (outputs). On the way
-values are converted between units, then transformed, connection by connection.
+A system's own connector passes on the values from outside (inputs, parameters) or from inside (outputs). Along the path values are
+converted between units, then transformed, connection by connection (SSP 1.0: elements Connection and LinearTransformation).
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Origin:
 
     Attributes:
         node: an FMU's output, or a system's connector that nothing feeds.
-        way: what happens on the way.
-        unit: unit that the signal arrives in; empty where nothing says.
-        where: the last connection on the way, for errors.
+        way: the transformation along the path.
+        unit: unit of the signal at its end; empty where it isn't stated.
+        where: the last connection of the path, for errors.
     """
 
     node: ConnectorName
@@ -63,7 +63,7 @@ class Network:
         feeds: connector → the one that feeds it, and the connection.
         units: name → unit that the structure defines.
         value_units: connector → unit of the value that a parameter set gives it, where it has none itself.
-        remarks: what the user should know.
+        remarks: warnings for the user.
 
     Raises:
         SspError: an end doesn't exist, leads the wrong way, or is fed twice.
@@ -115,14 +115,14 @@ class Network:
         return None if len(way) == 1 else Origin(way[-1], found, unit, self.feeds[node][1].where)
 
     def unit(self, node: ConnectorName) -> SspUnit | str:
-        """Unit of a connector, its bare name where nothing defines it, empty where nothing says."""
+        """Unit of a connector, its bare name where it isn't defined, empty where it isn't stated."""
         connector = self.connectors[node]
         if node[0] in self._fmus:
             return unit_of(connector, self._fmus[node[0]], self.units)
         return self.units.get(connector.unit or "", connector.unit or self.value_units.get(node, ""))
 
     def _map(self, connection: SspConnection, origin: ConnectorName, end: ConnectorName) -> SignalMap:
-        """What a connection does to a signal.
+        """The transformation of a connection.
 
         Raises:
             SspError: it has a table that is no line for a Real, or one of items that the signal doesn't have.
@@ -240,6 +240,6 @@ def _full_name(node: ConnectorName) -> str:
 
 
 def _hint(name: str, known: list[str]) -> str:
-    """What may be meant."""
+    """A hint at the nearest known name."""
     near = get_close_matches(name, known, n=1)
     return f"; did you mean {near[0]!r}?" if near else f"; there are: {', '.join(known) or 'none'}"

@@ -1,4 +1,4 @@
-"""From a structure to the XML of SSP 1.0: the same structure gives the same bytes."""
+"""A structure as the XML of SSP 1.0; the same structure gives the same bytes."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def _set(node: Any, **attributes: str | None) -> None:
 
 
 def _tag(name: str) -> str:
-    """``ssd:System`` as lxml wants it."""
+    """A name with prefix, ``ssd:System``, in lxml's form."""
     prefix, _, local = name.partition(":")
     return f"{{{_NAMESPACES[prefix]}}}{local}"
 

@@ -1,4 +1,4 @@
-"""XML of SSP files, read without trusting it: no entities, no network, no document type; errors name file, line and element."""
+"""XML of SSP files, read safely: no entities, no network, no document type; errors name file, line and element."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class XmlElement:
     """An element.
 
     Attributes:
-        element: as lxml has it.
+        element: the element of lxml.
         file: its file, for errors.
     """
 
@@ -55,7 +55,7 @@ class XmlElement:
 
     @property
     def _place(self) -> str:
-        """What the element is a part of, since many tools write a whole file in one line."""
+        """The component, system or connection around the element, since many tools write a whole file in one line."""
         around = [self, *(XmlElement(each, self.file) for each in self.element.iterancestors())]
         # the outermost system is the file's
         systems = [each.element.get("name") or "" for each in around[1:] if each.tag in _ELEMENTS][-2::-1]

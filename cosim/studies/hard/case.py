@@ -94,7 +94,7 @@ TOLERANCE = 1e-7
 """Relative tolerance of the FMUs, unless a case has its own."""
 
 ALLOWED = 10.0 * TOLERANCE
-"""Largest error, relative to the peak elastic deviation, that passes."""
+"""Largest error, relative to the largest elastic deviation, that passes."""
 
 STEP = 1e-3
 """Communication step [s], unless a case has its own."""
@@ -192,7 +192,7 @@ OFF_BRANCH = "instants off the branch"
 
 
 def error_against(run: Run, robot: Scene, solver: Solver, limit: float) -> Criterion:
-    """Largest distance of the end effector from the reference, relative to the peak elastic deviation.
+    """Largest distance of the end effector from the reference, relative to the largest elastic deviation.
 
     Args:
         run: what is judged.

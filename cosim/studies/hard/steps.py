@@ -154,7 +154,7 @@ def _run_stepwise(make: Callable[[], StepwiseRun]) -> CaseReport:
     expected = run.reference(size)
     error = float((np.abs(found - expected)[:, 2:].max(axis=0) / np.abs(expected[:, 2:]).max(axis=0)).max())
     position = float(np.abs(found - expected)[:, :2].max()) / size
-    bent = f"all {len(found)} steps done; links bend by up to {size:.2g} m"
+    bent = f"steps completed: {len(found)}; links bend by up to {size:.2g} m"
     checks = (
         Criterion(f"{ERROR} (DOP853)", error, ALLOWED),
         Criterion("error of the end effector", position, ALLOWED),

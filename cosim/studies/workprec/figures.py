@@ -201,7 +201,7 @@ def draw_family(axes: Axes, study: WorkPrecisionStudy, name: str) -> None:
         if failed:
             axes.plot([1.0] * failed, np.linspace(0.06, 0.2, failed), "x", color=colour, transform=axes.transAxes)
     # axes, and real time at the right
-    axes.set(xscale="log", yscale="log", xlabel="error, relative to the peak elastic deviation", ylabel="time [ms]")
+    axes.set(xscale="log", yscale="log", xlabel="error, relative to the largest elastic deviation", ylabel="time [ms]")
     axes.yaxis.set_major_formatter(PlainNumbers())
     axes.yaxis.set_minor_formatter(PlainNumbers())
     axes.set_title(TITLES[name], fontsize=10)
@@ -259,7 +259,7 @@ def _figure(study: WorkPrecisionStudy, name: str) -> Any:
                 marker={"symbol": "x"},
                 name=f"{line}, failed",
             )
-    axes = {"xaxis_title": "error, relative to the peak elastic deviation", "yaxis_title": "time [ms]"}
+    axes = {"xaxis_title": "error, relative to the largest elastic deviation", "yaxis_title": "time [ms]"}
     figure.update_layout(title=TITLES[name], xaxis_type="log", yaxis_type="log", template="plotly_white", **axes)
     figure.update_xaxes(exponentformat="e", dtick=1)
     return figure

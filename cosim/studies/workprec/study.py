@@ -39,7 +39,7 @@ class WorkPrecisionStudy:
     Attributes:
         scene: what was simulated.
         duration: simulated time [s].
-        scale: peak elastic deviation [m]; errors are relative to it.
+        scale: largest elastic deviation [m]; errors are relative to it.
         agreement: relative difference of two independent references; None where there is only one.
         references: how they were made.
         trials: every measured point.
@@ -195,7 +195,7 @@ COLUMNS = ("family", "line", "setting", "error", "time ms", "x real time", "note
 
 def terminal_table(study: WorkPrecisionStudy) -> Table:
     """One line for each trial."""
-    title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, the peak elastic deviation"
+    title = f"{study.scene.name}: errors relative to {1e3 * study.scale:.3g} mm, the largest elastic deviation"
     texts = [Column(each, no_wrap=True) for each in COLUMNS[:3]]
     numbers = [Column(each, justify="right", no_wrap=True) for each in COLUMNS[3:6]]
     table = titled_table(title, *texts, *numbers, *COLUMNS[6:])

@@ -55,7 +55,7 @@ class SceneUnderTest:
 
     @cached_property
     def scale(self) -> float:
-        """Peak elastic deviation [m]: largest distance of the end effector from the rigid robot's."""
+        """Largest elastic deviation [m]: largest distance of the end effector from the rigid robot's."""
         rigid = self.motion.task.evaluate(self.instants, 0)[0]
         return float(np.linalg.norm(self.reference - rigid, axis=1).max())
 
@@ -111,7 +111,7 @@ class Trial:
         family: the question that it belongs to, for example ``integrators``.
         line: what is varied along a line, for example ``gauss4``.
         label: the setting, for example ``1e-5``.
-        error: relative to the peak elastic deviation; None where the run failed.
+        error: relative to the largest elastic deviation; None where the run failed.
         time: processor time of a run [s]; None where the run failed.
         note: why it failed, or a remark.
     """
