@@ -125,13 +125,7 @@ def export_slaves(
     robot = build_scene(scene, cache=cache).path
     system = scene_system(scene, loop, robot)
     step = scene.cosimulation.step
-    # a lag in continuous time is exported as one with many samples in its time constant
-    chosen = tuple(
-        BlockSlave(each.sampled(step), each.name) if isinstance(each, Lag) else each
-        for each in _chosen(system.slaves, names)
-    )
-    for slave in chosen:
-        _check_exportable(slave)
+    chosen = _chosen(system.slaves, names, step)
     # an FMU for each slave
     options = BuildOptions(platforms=None if platforms is None else tuple(platforms), naming=naming, cache=cache)
     export = _Exporter(scene, float(f"{loop.motion.stop_time:.12g}"), options)
@@ -142,7 +136,10 @@ def export_slaves(
         export.write(chosen[number], path)
         exported.append(ExportedSlave(facts, path, _start_values(chosen[number], system)))
     # connections between exported slaves, by the names of their variables
-    connections = _between({facts.name for facts in slave_facts(chosen)}, system.wiring.connections)
+    there = {slave.name for slave in chosen}
+    connections = tuple(
+        ends for ends in system.wiring.connections if all(end.partition(".")[0] in there for end in ends)
+    )
     whole = ExportedSystem(tuple(exported), connections, step, export.stop_time)
     return whole.named(naming, {slave.name for slave in chosen if not _is_copied(slave)})
 
@@ -183,30 +180,30 @@ def _is_copied(slave: Slave) -> bool:
     return isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) and slave.name != PLANT
 
 
-def _chosen(slaves: Sequence[Slave], names: Collection[str] | None) -> tuple[Slave, ...]:
-    """The slaves of these names, in the system's order.
+def _chosen(slaves: Sequence[Slave], names: Collection[str] | None, step: float) -> tuple[Slave, ...]:
+    """The slaves of these names, in the system's order; a continuous lag becomes a sampled one for the communication step [s].
 
     Raises:
-        InputError: there is no slave of a name.
+        InputError: there is no slave of a name, or one is a Python class of the user.
     """
     known = [slave.name for slave in slaves]
     for name in names or ():
         if name not in known:
             raise InputError(f"there is no slave {name!r} in this scene; slaves: {', '.join(known)}")
-    return tuple(slave for slave in slaves if not names or slave.name in names)
-
-
-def _check_exportable(slave: Slave) -> None:
-    """Only equations leave as C.
-
-    Raises:
-        InputError: the slave is a Python class of the user's own.
-    """
-    if not isinstance(slave, (FmuSlave, SampledFmu, FmuTask, BlockSlave, TrajectorySlave)):
-        raise InputError(
-            f"slave {slave.name!r} is a {type(slave).__name__} in Python and can't be exported as an FMU; make it a SymbolicBlock "
-            "(flexfmu.model.symbolic) or a python-control system, or name the other slaves to export"
-        )
+    chosen = []
+    for slave in slaves:
+        if names and slave.name not in names:
+            continue
+        # a lag in continuous time is exported as one with many samples in its time constant
+        exported = BlockSlave(slave.sampled(step), slave.name) if isinstance(slave, Lag) else slave
+        # only equations become C
+        if not isinstance(exported, (FmuSlave, SampledFmu, FmuTask, BlockSlave, TrajectorySlave)):
+            raise InputError(
+                f"slave {slave.name!r} is a {type(slave).__name__} in Python and can't be exported as an FMU; make it a "
+                "SymbolicBlock (flexfmu.model.block) or a python-control system, or name the other slaves to export"
+            )
+        chosen.append(exported)
+    return tuple(chosen)
 
 
 def _start_values(slave: Slave, system: SceneSystem) -> Mapping[str, Value]:
@@ -214,8 +211,3 @@ def _start_values(slave: Slave, system: SceneSystem) -> Mapping[str, Value]:
     if slave is system.plant:
         return {**system.changes, **system.constants}
     return slave.parameters if isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) else {}
-
-
-def _between(names: Collection[str], connections: Iterable[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
-    """The connections whose both ends are there."""
-    return tuple(ends for ends in connections if all(end.partition(".")[0] in names for end in ends))

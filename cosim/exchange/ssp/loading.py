@@ -20,12 +20,12 @@ from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.master.algorithms import Algorithm
 from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.iteration import Anderson, LoopSolver
-from flexfmu.cosim.engine.master.linear_map import LinearMap, TableMap
+from flexfmu.cosim.engine.master.linear_map import TableMap
 from flexfmu.cosim.engine.master.master import Progress, Simulation, simulate
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System, connect
 from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.engine.slave import RealArray, Slave
+from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.engine.trajectory_slave import REFERENCES, TrajectorySlave
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION, SspArchive
 from flexfmu.cosim.exchange.ssp.parameters import start_values
@@ -250,24 +250,16 @@ def _mapped(column: Column, origin: Origin) -> Column:
     """A signal in the unit of the connector at the end of its path, after all transformations."""
     unit = origin.unit if isinstance(origin.unit, str) else origin.unit.name
     if isinstance(origin.way, TableMap):
-        return Column(unit, _looked_up(origin.way, column.values))
-    linear, slope = origin.way, LinearMap(origin.way.factor)
-    first, second = (None if each is None else _along(slope, each) for each in (column.first, column.second))
-    return Column(unit, _along(linear, column.values), first, second, column.texts)
-
-
-def _looked_up(table: TableMap, values: RealArray) -> RealArray:
-    """All values looked up in a table, NaN where it has no entry."""
-    found: dict[float, float] = {}
-    for value in set(values.tolist()):
-        with suppress(InputError):
-            found[value] = table(value)
-    return np.array([found.get(value, np.nan) for value in values.tolist()])
-
-
-def _along(linear: LinearMap, values: RealArray) -> RealArray:
-    """All values, mapped."""
-    return linear.factor * values + linear.offset
+        # each value is looked up once, NaN where the table has no entry
+        found: dict[float, float] = {}
+        for value in set(column.values.tolist()):
+            with suppress(InputError):
+                found[value] = origin.way(value)
+        return Column(unit, np.array([found.get(value, np.nan) for value in column.values.tolist()]))
+    # derivatives are multiplied by the same factor
+    factor, offset = origin.way.factor, origin.way.offset
+    first, second = (None if each is None else factor * each for each in (column.first, column.second))
+    return Column(unit, factor * column.values + offset, first, second, column.texts)
 
 
 def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value], output_order: int | None) -> Slave:
