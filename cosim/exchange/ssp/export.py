@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from flexfmu.cosim.engine.fmu.capabilities import fixed_step
 from flexfmu.cosim.engine.fmu.file import open_fmu
@@ -134,7 +134,7 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
     fmu = open_fmu(slave.path)
     bare = component_fmu(Component(slave.name, _source(slave), ()), fmu)
     shown = [
-        _connector(each, bare)
+        Connector(each.name, each.causality, each.type, _unit_name(bare, each.name))
         for each in bare.variables.values()
         if each.causality == "output" or (slave.name, each.name) in fed
     ]
@@ -151,11 +151,6 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
     return ComponentFmu(component, bare.fmu, bare.variables, bare.units)
 
 
-def _connector(variable: Any, fmu: ComponentFmu) -> Connector:
-    """The connector of a variable."""
-    return Connector(variable.name, variable.causality, variable.type, _unit_name(fmu, variable.name))
-
-
 def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[Parameter]:
     """Values of the slave's real parameters, and of all else that differs from the FMU's start."""
     started = {
@@ -164,17 +159,15 @@ def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[Parameter]:
         if each.causality == "parameter" and each.type == "Real" and each.start is not None
     }
     values: Mapping[str, Value] = {**started, **slave.parameters}
-    return [_parameter(slave.name, name, value, fmu) for name, value in values.items()]
-
-
-def _parameter(slave: str, name: str, value: Value, fmu: ComponentFmu) -> Parameter:
-    """One value with its hierarchical name."""
-    variable = fmu.variables[name]
-    if variable.type == "Real":
-        value = float(value)
-    elif variable.type == "Integer":
-        value = typed(variable, value)
-    return Parameter(f"{slave}.{name}", variable.type, value, _unit_name(fmu, name))
+    found = []
+    for name, value in values.items():
+        variable = fmu.variables[name]
+        if variable.type == "Real":
+            value = float(value)
+        elif variable.type == "Integer":
+            value = typed(variable, value)
+        found.append(Parameter(f"{slave.name}.{name}", variable.type, value, _unit_name(fmu, name)))
+    return found
 
 
 def _unit_name(fmu: ComponentFmu, name: str) -> str | None:

@@ -26,7 +26,6 @@ from flexfmu.cosim.studies.hard.case import (
 )
 from flexfmu.cosim.studies.hard.scipy_solution import POSITION
 from flexfmu.model.numeric import numeric_model
-from flexfmu.model.scene.schema import Scene
 
 CYCLES = 10_000
 
@@ -64,13 +63,20 @@ def _run(cycles: int) -> CaseReport:
     run = many_cycles(cycles)
     if not run.completed:
         return CaseReport(run.message, soundness(run))
-    index = _marks(run, cycles)
+    # (cycles, marks) rows of the left limits at the breakpoints of each cycle but for its first one
+    points = np.append(np.array(run.plan.joints.breakpoints)[1:], run.plan.stop_time)
+    index = np.searchsorted(run.recording.time, points).reshape(cycles, -1)
+    # positions and energy there, relative to the deflection and to the largest energy
     positions = np.stack([run.recording[name].values for name in POSITION], axis=-1)[index]
     rigid = run.plan.task.evaluate(run.recording.time[index[0]], 0, "left")[0]
     size = float(np.linalg.norm(positions[SETTLED] - rigid, axis=-1).max())
     energy = link_energy(run, index.ravel()).reshape(index.shape)
+    # last instant against exact arithmetic
+    exact = 2 * cycles * (Fraction(run.plan.once.duration) + Fraction(DWELL))
+    last = float(run.recording.time[-1])
+    allowed = LEAST_DIGITS * float(np.spacing(last))
     checks = (
-        _time_error(run, cycles),
+        Criterion("time off by", float(abs(Fraction(last) - exact)), allowed, "s"),
         *_drift("position", positions / size),
         *_drift("energy", energy[..., np.newaxis] / np.abs(energy).max()),
         *soundness(run),
@@ -81,7 +87,7 @@ def _run(cycles: int) -> CaseReport:
 
 def many_cycles(cycles: int) -> Run:
     """Motion there and back, again and again."""
-    scene = _scene()
+    scene = paper_robot().replace({"trajectory.dwell": DWELL})
     states = numeric_model(scene).names
     kept = {*LOOP_SIGNALS, *states, *(f"der({name})" for name in states)}
     prepared = PreparedScene(
@@ -93,23 +99,6 @@ def many_cycles(cycles: int) -> Run:
         record=Selection(kept, 0),
     )
     return prepared.run()
-
-
-def _scene() -> Scene:
-    return paper_robot().replace({"trajectory.dwell": DWELL})
-
-
-def _marks(run: Run, cycles: int) -> NDArray[np.intp]:
-    """(cycles, marks) where the recording has the left limits at the breakpoints of each cycle but for its first one."""
-    points = np.array(run.plan.joints.breakpoints)[1:]
-    return np.searchsorted(run.recording.time, np.append(points, run.plan.stop_time)).reshape(cycles, -1)
-
-
-def _time_error(run: Run, cycles: int) -> Criterion:
-    """Last instant against exact arithmetic."""
-    exact = 2 * cycles * (Fraction(run.plan.once.duration) + Fraction(DWELL))
-    last = float(run.recording.time[-1])
-    return Criterion("time off by", float(abs(Fraction(last) - exact)), LEAST_DIGITS * float(np.spacing(last)), "s")
 
 
 def link_energy(run: Run, index: NDArray[np.intp]) -> RealArray:

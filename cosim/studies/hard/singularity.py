@@ -131,7 +131,8 @@ HALF_DISTANCES = (100, 20, 5, 1)
 def cases() -> Iterator[HardCase]:
     """One for each half-distance."""
     for half in HALF_DISTANCES:
-        sine = _sine(paper_robot().mechanism, 1e-3 * half)
+        ratio = 1e-3 * half / paper_robot().mechanism.distal.length
+        sine = 2.0 * ratio * sqrt(1.0 - ratio**2)
         hard = f"distal links cross at a sine of {sine:.2g} at the end of the motion; 6 kg swing there"
         yield HardCase(f"elbows {half} mm from the middle", hard, partial(_approach, 1e-3 * half))
 
@@ -156,11 +157,6 @@ def pose(mechanism: Mechanism, half_distance: float) -> tuple[float, float]:
     return 0.0, elbow - sqrt(mechanism.distal.length**2 - half_distance**2)
 
 
-def _sine(mechanism: Mechanism, half_distance: float) -> float:
-    ratio = half_distance / mechanism.distal.length
-    return 2.0 * ratio * sqrt(1.0 - ratio**2)
-
-
 def motion_to(half_distance: float, guarded: bool) -> MotionPlan:
     """From `START` straight to the pose.
 
@@ -180,10 +176,16 @@ def approach(half_distance: float) -> Run:
 
 def _approach(half_distance: float) -> CaseReport:
     """A finished run is compared with SciPy's; a stopped one must name pose, measure and time."""
-    run, planner = approach(half_distance), _planner(half_distance)
-    happened = f"{planner}{run.message}"
+    run = approach(half_distance)
+    happened = run.message
+    # the planner's refusal belongs to the report
+    try:
+        motion_to(half_distance, guarded=True)
+    except TrajectoryError as refusal:
+        happened = f"the planner refuses: {refusal}. Run nevertheless: {happened}"
     if run.completed:
         return CaseReport(happened, (error_against(run, hanging_robot(), REFERENCE, ALLOWED), *soundness(run)))
+    # a stopped run stays on its branch and names what stopped it
     geometry = loop_geometry(run.scene.mechanism, run.recording)
     unnamed = sum(part not in run.message for part in NAMED)
     checks = (
@@ -194,12 +196,3 @@ def _approach(half_distance: float) -> CaseReport:
         off_branch(geometry.sine),
     )
     return CaseReport(happened, checks)
-
-
-def _planner(half_distance: float) -> str:
-    """The planner's refusal, empty where it accepts the motion."""
-    try:
-        motion_to(half_distance, guarded=True)
-    except TrajectoryError as refusal:
-        return f"the planner refuses: {refusal}. Run nevertheless: "
-    return ""

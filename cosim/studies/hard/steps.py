@@ -5,19 +5,17 @@ The references are constant over each step, so that SciPy solves the same piecew
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.outcome import Outcome
-from flexfmu.cosim.engine.slave import RealArray, SlaveVariable
+from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.prepared_scene import run_scene
-from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.studies.hard.case import (
     ALLOWED,
     ERROR,
@@ -69,7 +67,10 @@ class StepwiseRun:
             SlaveError: the FMU fails.
         """
         plant = FmuSlave(fmu_of(paper_robot()), "plant", {"initial": "undeformed", "damping.ratio": DAMPING})
-        inputs, outputs = (_indices(plant.variables, names) for names in (REFERENCES, SIGNALS))
+        known = [variable.name for variable in plant.variables]
+        inputs, outputs = (
+            np.array([known.index(name) for name in names], dtype=np.intp) for names in (REFERENCES, SIGNALS)
+        )
         found = np.empty((self.times.size - 1, outputs.size))
         plant.set(inputs, self.references[0])
         try:
@@ -85,26 +86,17 @@ class StepwiseRun:
     def reference(self, size: float) -> RealArray:
         """(N, signals) by SciPy; ``size`` is about how far links deflect [m]."""
         damped = paper_robot().replace({"effects.damping.ratio": DAMPING})
-        return signals_of_constant_references(
-            paper_robot(), damped, self._phases(), SIGNALS, self.times[1:], SOLVER, size
-        )
-
-    def _phases(self) -> list[Phase]:
-        """Intervals of constant references; each instant belongs to the one that ends there."""
+        # intervals of constant references; each instant belongs to the one that ends there
         changes = np.flatnonzero(np.any(np.diff(self.references, axis=0) != 0.0, axis=1)) + 1
         edges = [0, *changes.tolist(), self.times.size - 1]
-        return [Phase(float(self.times[a]), float(self.times[b]), self.references[a]) for a, b in pairwise(edges)]
+        phases = [Phase(float(self.times[a]), float(self.times[b]), self.references[a]) for a, b in pairwise(edges)]
+        return signals_of_constant_references(paper_robot(), damped, phases, SIGNALS, self.times[1:], SOLVER, size)
 
 
 def start_references() -> RealArray:
     """u (6,) of the paper's start pose, locked."""
     robot = paper_robot()
     return np.concatenate([motor_angles(robot.mechanism, robot.trajectory.start), np.zeros(4)])
-
-
-def _indices(variables: Sequence[SlaveVariable], names: Sequence[str]) -> NDArray[np.intp]:
-    known = [variable.name for variable in variables]
-    return np.array([known.index(name) for name in names], dtype=np.intp)
 
 
 TINY, TINY_STEPS = 1e-9, 10_000
@@ -210,18 +202,16 @@ def _unstable() -> CaseReport:
         run_scene(controlled_robot(step), fmu_path=fmu_of(controlled_robot(STEP))) for step in STABILITY_STEPS
     )
     unnamed = sum(part not in run.message for part in NAMED)
+    # largest tracking error of the joints with the short step [rad]; NaN for a run that didn't reach its end
+    tracking = float("nan")
+    if cured.completed:
+        names = ((f"joint{leg}.position", f"joint{leg}.reference.position") for leg in (1, 2))
+        errors = (np.abs(cured.recording[a].values - cured.recording[b].values).max() for a, b in names)
+        tracking = max(float(error) for error in errors)
     checks = (
         Criterion("outcomes other than an unstable coupling", float(run.outcome is not Outcome.COUPLING_UNSTABLE), 0.0),
         Criterion("slaves or time not named", float(unnamed), 0.0),
         not_finite(run.recording),
-        Criterion(f"tracking error in steps of {1e3 * SHORT_STEP:g} ms", _tracking_error(cured), TRACKING, "rad"),
+        Criterion(f"tracking error in steps of {1e3 * SHORT_STEP:g} ms", tracking, TRACKING, "rad"),
     )
     return CaseReport(run.message, checks)
-
-
-def _tracking_error(run: Run) -> float:
-    """Largest [rad]; NaN for a run that didn't reach its end."""
-    if not run.completed:
-        return float("nan")
-    names = ((f"joint{leg}.position", f"joint{leg}.reference.position") for leg in (1, 2))
-    return max(float(np.abs(run.recording[a].values - run.recording[b].values).max()) for a, b in names)

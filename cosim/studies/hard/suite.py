@@ -15,7 +15,7 @@ from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.reports.summary import versions
 from flexfmu.cosim.reports.text import markdown_table, titled_table
 from flexfmu.cosim.studies.hard import repetition, singularity, sticking
-from flexfmu.cosim.studies.hard.case import CaseReport, Criterion, HardCase
+from flexfmu.cosim.studies.hard.case import CaseReport, HardCase
 from flexfmu.cosim.studies.hard.extremes import motion_cases, parameter_cases, stiffness_cases
 from flexfmu.cosim.studies.hard.steps import gain_cases, step_cases
 from flexfmu.model.scene.errors import EquilibriumError
@@ -78,15 +78,12 @@ def run_cases(cases: Iterable[HardCase], announce: Callable[[str], object]) -> l
     results = []
     for case in cases:
         announce(case.name)
-        results.append(HardCaseResult(case, _report(case)))
+        try:
+            report = case.run()
+        except (CosimError, EquilibriumError, TrajectoryError) as failure:
+            report = CaseReport(f"{type(failure).__name__}: {failure}", ())
+        results.append(HardCaseResult(case, report))
     return results
-
-
-def _report(case: HardCase) -> CaseReport:
-    try:
-        return case.run()
-    except (CosimError, EquilibriumError, TrajectoryError) as failure:
-        return CaseReport(f"{type(failure).__name__}: {failure}", ())
 
 
 def _has(case: HardCase, part: str) -> bool:
@@ -124,13 +121,13 @@ def row(result: HardCaseResult) -> tuple[str, ...]:
 def figures(report: CaseReport) -> str:
     """The measured values; zeros in one list."""
     zero = [check.name for check in report.checks if check.value == 0.0]
-    others = [_figure(check) for check in report.checks if check.value != 0.0]
+    others = []
+    for check in report.checks:
+        unit = f" {check.unit}" if check.unit else ""
+        relation = "<=" if check.passed else "NOT <="
+        if check.value != 0.0:
+            others.append(f"{check.name} {check.value:.2g}{unit} ({relation} {check.limit:.2g})")
     return "; ".join([*others, *([f"none or zero: {', '.join(zero)}"] if zero else [])])
-
-
-def _figure(check: Criterion) -> str:
-    unit = f" {check.unit}" if check.unit else ""
-    return f"{check.name} {check.value:.2g}{unit} ({'<=' if check.passed else 'NOT <='} {check.limit:.2g})"
 
 
 def conclusion(results: Sequence[HardCaseResult]) -> str:
@@ -158,14 +155,18 @@ def data(results: Sequence[HardCaseResult]) -> dict[str, Any]:
                 "hard": result.case.hard,
                 "happened": result.report.happened,
                 "passed": result.report.passed,
-                "checks": [_check_data(check) for check in result.report.checks],
+                "checks": [
+                    {
+                        "name": check.name,
+                        "value": check.value if isfinite(check.value) else None,
+                        "limit": check.limit,
+                        "unit": check.unit,
+                        "passed": check.passed,
+                    }
+                    for check in result.report.checks
+                ],
             }
             for result in results
         ],
         "versions": versions(),
     }
-
-
-def _check_data(check: Criterion) -> dict[str, Any]:
-    value = check.value if isfinite(check.value) else None
-    return {"name": check.name, "value": value, "limit": check.limit, "unit": check.unit, "passed": check.passed}

@@ -145,35 +145,19 @@ def compare(table: PrintedTable, evaluate: Mapping[str, EvaluateCell]) -> Compar
     Raises:
         ResultsError: a computed figure is not finite.
     """
-    return ComparisonTable(
-        table,
-        tuple(
-            QuantityComparison(quantity, _cells(table, quantity, evaluate[quantity.metric]))
-            for quantity in table.quantities
-        ),
-    )
-
-
-def _cells(table: PrintedTable, quantity: PrintedQuantity, evaluate: EvaluateCell) -> tuple[Cell, ...]:
-    return tuple(
-        Cell(
-            row=row,
-            column=column,
-            printed=printed,
-            computed=_finite(
-                quantity.scale * evaluate(row, column), f"{table.label}, {quantity.name}, {row}, {column}"
-            ),
-            remarks=tuple(remark for remark in quantity.remarks if remark.concerns(row, column)),
-        )
-        for row, figures in zip(quantity.rows, quantity.values, strict=True)
-        for column, printed in zip(quantity.columns, figures, strict=True)
-    )
-
-
-def _finite(value: float, where: str) -> float:
-    if not math.isfinite(value):
-        raise ResultsError(f"{where}: the computed figure is {value}; look at the simulation's results")
-    return value
+    comparisons = []
+    for quantity in table.quantities:
+        cells = []
+        for row, figures in zip(quantity.rows, quantity.values, strict=True):
+            for column, printed in zip(quantity.columns, figures, strict=True):
+                computed = quantity.scale * evaluate[quantity.metric](row, column)
+                if not math.isfinite(computed):
+                    where = f"{table.label}, {quantity.name}, {row}, {column}"
+                    raise ResultsError(f"{where}: the computed figure is {computed}; look at the simulation's results")
+                remarks = tuple(remark for remark in quantity.remarks if remark.concerns(row, column))
+                cells.append(Cell(row, column, printed, computed, remarks))
+        comparisons.append(QuantityComparison(quantity, tuple(cells)))
+    return ComparisonTable(table, tuple(comparisons))
 
 
 BOUNDS = (0.001, 0.005, 0.01, 0.035, 0.10)
@@ -201,16 +185,14 @@ class Agreement:
         if not self.compared:
             return f"{_count_of_cells(self.misprinted)} misprinted."
         more = f"; {_count_of_cells(self.misprinted)} misprinted and not counted" if self.misprinted else ""
-        return f"{self._counts()}{more}."
-
-    def _counts(self) -> str:
+        # only bounds that add cells
         steps = [
             f"{count} within {100 * bound:g} %"
             for previous, count, bound in zip((0, *self.within), self.within, BOUNDS, strict=False)
             if count > previous
         ]
-        steps = steps or ["none within 10 %"]
-        return f"Of {self.compared} cells, {', '.join(steps)} ({self.to_the_digits} to the printed digits)"
+        counts = ", ".join(steps or ["none within 10 %"])
+        return f"Of {self.compared} cells, {counts} ({self.to_the_digits} to the printed digits){more}."
 
     def to_dict(self) -> dict[str, Any]:
         """The counts for JSON."""

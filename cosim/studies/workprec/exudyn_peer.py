@@ -69,9 +69,13 @@ def exudyn_mechanism(scene: Scene, elements: int, start: RealArray, offsets: Seq
     gravity = [*scene.effects.gravity, 0.0]
     # links as chains of beam elements
     ends, roots = {}, {}
+    damping = scene.effects.damping
+    damping_time = damping.time if isinstance(damping, StiffnessDamping) else 0.0
     for group, link, root, tip in rigid_links(scene.mechanism, start):
-        nodes = _nodes(system, straight(root, tip, elements))
-        _beams(system, nodes, beam_section(scene, group), _damping_time(scene), gravity)
+        points = straight(root, tip, elements)
+        direction = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
+        nodes = [system.AddNode(NodePoint2DSlope1(referenceCoordinates=[*point, *direction])) for point in points]
+        _beams(system, nodes, beam_section(scene, group), damping_time, gravity)
         ends[link], roots[link] = (nodes[0], nodes[-1]), root
     # motors at the bases, hinges at elbows and end effector
     joints = []
@@ -81,27 +85,18 @@ def exudyn_mechanism(scene: Scene, elements: int, start: RealArray, offsets: Seq
         _hinge(system, proximal[1], distal[0])
     end = ends["link12"][1]
     _hinge(system, end, ends["link22"][1])
-    # payload and sensors
+    # payload
     if scene.payload.mass:
         _weigh(system, system.AddObject(ObjectMassPoint2D(mass=scene.payload.mass, nodeNumber=end)), gravity)
-    mechanism = ExudynMechanism(container, system, [system.AddSensor(sensor) for sensor in _sensors(end, joints)])
-    system.Assemble()
-    return mechanism
-
-
-def _sensors(end: Any, joints: list[Any]) -> list[Any]:
-    """Of the end effector's position and acceleration, and of the motors' torques."""
+    # sensors of the end effector's position and acceleration, and of the motors' torques
     kinds, torque = (OutputVariableType.Position, OutputVariableType.Acceleration), OutputVariableType.TorqueLocal
-    return [
+    sensors = [
         *(SensorNode(nodeNumber=end, storeInternal=True, outputVariableType=kind) for kind in kinds),
         *(SensorObject(objectNumber=joint, storeInternal=True, outputVariableType=torque) for joint in joints),
     ]
-
-
-def _nodes(system: Any, points: RealArray) -> list[Any]:
-    """Nodes of a straight chain, each with its position and its slope."""
-    direction = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
-    return [system.AddNode(NodePoint2DSlope1(referenceCoordinates=[*point, *direction])) for point in points]
+    mechanism = ExudynMechanism(container, system, [system.AddSensor(sensor) for sensor in sensors])
+    system.Assemble()
+    return mechanism
 
 
 def _beams(system: Any, nodes: list[Any], section: BeamSection, damping_time: float, gravity: list[float]) -> None:
@@ -126,7 +121,7 @@ def _weigh(system: Any, body: Any, gravity: list[float]) -> None:
 
 
 def _motor(system: Any, base: tuple[float, float], node: Any, offset: Offset) -> Any:
-    """A joint that holds a node at a base and turns its slope as the motor asks."""
+    """A joint that holds a node at a base and turns its slope to the motor's angle."""
     ground = system.AddObject(ObjectGround(referencePosition=[*base, 0.0]))
     markers = [
         system.AddMarker(MarkerBodyRigid(bodyNumber=ground)),
@@ -138,11 +133,6 @@ def _motor(system: Any, base: tuple[float, float], node: Any, offset: Offset) ->
 def _hinge(system: Any, *nodes: Any) -> None:
     markers = [system.AddMarker(MarkerNodePosition(nodeNumber=node)) for node in nodes]
     system.AddObject(ObjectJointRevolute2D(markerNumbers=markers))
-
-
-def _damping_time(scene: Scene) -> float:
-    damping = scene.effects.damping
-    return damping.time if isinstance(damping, StiffnessDamping) else 0.0
 
 
 SPECTRAL_RADIUS = 0.8
@@ -166,14 +156,6 @@ class ExudynMotion:
     acceleration: RealArray
     torque: RealArray
     time: float
-
-
-def run_exudyn(
-    scene: Scene, motion: MotionPlan, instants: RealArray, step: float, elements: int
-) -> tuple[RealArray, float]:
-    """Positions (N, 2) [m] of the end effector and processor time [s]; see `simulate_exudyn`."""
-    run = simulate_exudyn(scene, motion, instants, step, elements)
-    return run.position, run.time
 
 
 def simulate_exudyn(scene: Scene, motion: MotionPlan, instants: RealArray, step: float, elements: int) -> ExudynMotion:
@@ -215,7 +197,7 @@ def simulate_exudyn(scene: Scene, motion: MotionPlan, instants: RealArray, step:
 
 
 class _Motors:
-    """Angles that the joints ask for at the ends of the integrator's steps; those of the start while at rest."""
+    """Prescribed angles of the joints at the ends of the integrator's steps; those of the start while at rest."""
 
     def __init__(self, motion: MotionPlan, step: float, count: int) -> None:
         self.start = motion.joints.evaluate(0.0, 0)[0, 0]
@@ -223,7 +205,7 @@ class _Motors:
         self._step, self._angles = step, motion.joints.evaluate(step * np.arange(count + 1), 0)[0].tolist()
 
     def offset(self, leg: int) -> Offset:
-        """What the joint of a leg asks for."""
+        """The user function of a leg's joint."""
 
         def function(_system: Any, time: float, _item: int, _parameters: Any) -> list[float]:
             row = round(time / self._step) if self.moving else 0

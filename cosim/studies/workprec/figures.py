@@ -77,10 +77,13 @@ def _move(label: Annotation, frame: Box, taken: Sequence[Box], lines: RealArray)
     free = []
     for place in PLACES:
         _put(label, place)
-        box = _box(label)
-        inside = box[0] >= frame[0] and box[1] >= frame[1] and box[2] <= frame[2] and box[3] <= frame[3]
-        if inside and not any(_overlap(box, other) for other in taken):
-            free.append((_count(lines, box), place, box))
+        left, bottom, right, top = box = _box(label)
+        # within the diagram, and apart from all that is there
+        inside = left >= frame[0] and bottom >= frame[1] and right <= frame[2] and top <= frame[3]
+        covers = any(left < x1 and x0 < right and bottom < y1 and y0 < top for x0, y0, x1, y1 in taken)
+        if inside and not covers:
+            crossed = int(np.count_nonzero(((lines > box[:2]) & (lines < box[2:])).all(axis=1)))
+            free.append((crossed, place, box))
     if not free:
         return None
     _, place, box = min(free, key=lambda each: each[0])
@@ -95,17 +98,8 @@ def _put(label: Annotation, place: tuple[float, float, str, str]) -> None:
 
 
 def _box(artist: Any) -> Box:
-    """What an artist covers."""
+    """The area of an artist."""
     return tuple(artist.get_window_extent().extents)
-
-
-def _overlap(one: Box, other: Box) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
-
-
-def _count(points: RealArray, box: Box) -> int:
-    """How many points, shape (n, 2), lie within a box."""
-    return int(np.count_nonzero(((points > box[:2]) & (points < box[2:])).all(axis=1)))
 
 
 def _drawn(axes: Axes) -> tuple[RealArray, RealArray]:
@@ -159,25 +153,20 @@ def save_figures(study: WorkPrecisionStudy, folder: Path) -> list[str]:
                 draw_family(figure.subplots(), study, name)
                 keep_apart(figure)
                 save(figure, folder / f"workprec-{name}")
-            figure = _all(study, names)
+            # all diagrams beside each other
+            rows = max(1, (len(names) + 1) // 2)
+            figure = draw(13.0, 4.8 * rows)
+            places = np.atleast_1d(figure.subplots(rows, 2, squeeze=False).ravel())
+            for place, name in zip(places, names, strict=False):
+                draw_family(place, study, name)
+            for place in places[len(names) :]:
+                place.set_axis_off()
             keep_apart(figure)
             save(figure, folder / "workprec")
     except OSError as error:
         reason = error.strerror or error
         raise ResultsError(f"can't write to {folder}: {reason}; choose another folder or free some space") from error
     return names
-
-
-def _all(study: WorkPrecisionStudy, names: Sequence[str]) -> Figure:
-    """All diagrams beside each other."""
-    rows = max(1, (len(names) + 1) // 2)
-    figure = draw(13.0, 4.8 * rows)
-    axes = np.atleast_1d(figure.subplots(rows, 2, squeeze=False).ravel())
-    for place, name in zip(axes, names, strict=False):
-        draw_family(place, study, name)
-    for place in axes[len(names) :]:
-        place.set_axis_off()
-    return figure
 
 
 def lines_of(study: WorkPrecisionStudy, name: str) -> dict[str, list[Trial]]:

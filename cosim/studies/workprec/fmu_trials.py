@@ -15,7 +15,6 @@ from flexfmu.cosim.experiment.timing import fastest, fastest_in_turns
 from flexfmu.cosim.studies.workprec.trial import SceneUnderTest, Trial, completed
 from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.scene.loop import SampledSection
-from flexfmu.model.scene.schema import Scene
 
 Announce = Callable[[str], None]
 """Called with what is being tried."""
@@ -181,7 +180,7 @@ def effect_trials(subject: SceneUnderTest, step: float, tolerance: float, announ
 def _rung_trial(truth: SceneUnderTest, rung: Rung, options: Mapping[str, float]) -> tuple[Trial, PreparedScene | None]:
     """A rung's error, and its run where there is one to be timed."""
     try:
-        scene = _with(truth.scene, rung)
+        scene = truth.scene.replace({**RIGID, **rung.changes})
         prepared = PreparedScene(scene, motion=truth.motion, **options)  # type: ignore[arg-type]
         positions = truth.positions(completed(prepared.run()))
     except FAILURES as failure:
@@ -189,9 +188,3 @@ def _rung_trial(truth: SceneUnderTest, rung: Rung, options: Mapping[str, float])
     if np.isnan(positions).all():
         return Trial("effects", rung.line, rung.label, None, None, "no positions"), None
     return Trial("effects", rung.line, rung.label, truth.error(positions), None), prepared
-
-
-def _with(scene: Scene, rung: Rung) -> Scene:
-    """The rigid scene with the rung's effects."""
-    changes = {**RIGID, **rung.changes}
-    return scene.replace(changes)
