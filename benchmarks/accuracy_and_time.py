@@ -1,7 +1,7 @@
 """What accuracy costs: the paper's motion of 0.43 s with a dwell of 0.25 s, at several tolerances and communication steps.
 
 Position and torque: largest difference over the whole run to a run with a tolerance of 1e-12, relative to the peak position
-error (what elasticity does, not the size of the path) and to the peak torque. Any metric: largest relative difference of all
+error (the largest elastic deviation, not the size of the path) and to the peak torque. Any metric: largest relative difference of all
 metrics to those of the finest run, interpolation between the communication points included.
 Times are processor times of the co-simulation, master and recording included, the best of several runs.
 

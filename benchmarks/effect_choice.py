@@ -1,7 +1,7 @@
-"""The automatic choice of effects, held against runs: 48 scenes, two robots, three profiles, 0 to 10 kg, 0.2 to 1 s.
+"""The automatic choice of effects compared with runs: 48 scenes, two robots, three profiles, 0 to 10 kg, 0.2 to 1 s.
 
-For each scene the cheapest set for a tolerance is chosen as `flexfmu run` does it. Then its FMU runs, with the tolerance that the choice
-gives it, and so does the FMU of the richest set that the choice knows, exactly. The table has the estimated error (safety included, the largest over the
+For each scene the cheapest set for a tolerance is chosen as `flexfmu run` does it. Then its FMU runs with the tolerance of the choice, and
+the FMU of the richest set of the choice runs with a negligible integration error. The table has the estimated error (safety included, the largest over the
 metrics), the observed one, and their ratio, the effectivity. On a part of the scenes all sets of fewer effects are looked for
 the smallest one whose observed error is below the tolerance: the chosen one should be at most one effect larger (a mode of a
 family, shear and rotary inertia, and foreshortening count as one effect each).
@@ -9,10 +9,10 @@ family, shear and rotary inertia, and foreshortening count as one effect each).
     python benchmarks/effect_choice.py [--check] [--tolerance 0.01] [--every 1] [--search-every 5] [--out results/effect_choice]
     python benchmarks/effect_choice.py --check --drawn 30 --tolerance 0.001 0.01 0.05
 
-The second command draws scenes instead, 0.15 to 3 s, undamped ones too, asks for the three metrics by name, so that the residual
+The second command draws scenes instead, 0.15 to 3 s, undamped ones too, names the three metrics, so that the residual
 vibration is judged relative to itself, runs one mode more in every family than the richest set has, and searches for no smaller
 set. It takes about 40 minutes of processor time. Either
-writes effect_choice.md and effect_choice.json, tells progress on standard error, and with --check ends with status 1 where a
+writes effect_choice.md and effect_choice.json, shows progress on standard error, and with --check ends with status 1 where a
 criterion isn't met. FMUs are built once for each robot and set; payloads are parameters.
 """
 

@@ -1,5 +1,5 @@
-"""The scenes that the automatic choice of effects is held against: a grid of two robots, three profiles, 0 to 10 kg, 0.2 to 1 s; and
-scenes drawn at random, 0.15 to 3 s, with three kinds of damping."""
+"""The scenes of `effect_choice.py`: a grid of two robots, three profiles, 0 to 10 kg, 0.2 to 1 s; and
+scenes drawn at random, 0.15 to 3 s, with three kinds of damping. Not a script of its own."""
 
 from __future__ import annotations
 

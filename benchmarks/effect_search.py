@@ -1,4 +1,4 @@
-"""Exhaustive search through all sets of effects, for comparison with the automatic choice."""
+"""Exhaustive search through all sets of effects, for comparison with the automatic choice in `effect_choice.py`. Not a script of its own."""
 
 from __future__ import annotations
 

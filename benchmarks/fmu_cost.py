@@ -1,6 +1,6 @@
-"""What a run of the robot's FMU costs and where the time goes, with the floor beside it: the generated functions alone.
+"""What a run of the robot's FMU costs and where the time goes, and its floor: the generated functions alone.
 
-The paper's motion of 0.43 s with a dwell of 0.25 s is played to the FMU's own sources, compiled as FMUs are, by a
+The paper's motion of 0.43 s with a dwell of 0.25 s drives the FMU's own sources, compiled as FMUs are, by a
 function in C (`fmu_cost.c`) through the FMI functions: no Python and no recording takes part. `floor` is what the calls of the
 generated functions in that run cost by themselves, each timed in a loop: residuals, mass matrices and margins of the
 integrator; for `whole` also the outputs and their two derivatives at every communication point.
@@ -45,7 +45,7 @@ CASES = (
 COUNTERS = ("steps", "rejections", "evaluations", "iterations", "factorisations")
 FUNCTIONS = ("residual", "mass_matrix", "singularity", "outputs", "motion_forward", "motion_rate2")
 FIGURES = (*COUNTERS, "ends_in_stage", "integration", "with_outputs", "whole", *FUNCTIONS)
-"""What `fmu_cost.c` gives."""
+"""The results of `fmu_cost.c`."""
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
-"""FMUs of other tools in our master and in fmpy: same step, same start values, same inputs; how far they are apart.
+"""FMUs of other tools in our master and in fmpy: same step, same start values, same inputs; the largest differences as a table.
 
-python foreign_fmus.py FOLDER [FOLDER ...]
+    python benchmarks/foreign_fmus.py FOLDER [FOLDER ...]
 
 Every FMI 2.0 co-simulation FMU below the folders that has outputs and a binary for this platform runs once, as a Markdown table.
 Its Real inputs follow sines around their start values, held over the communication step; all of its Real parameters are 1 % off
@@ -8,7 +8,7 @@ their defaults, as far as their ranges go, or at their defaults where it doesn't
 the default experiment, else a 500th of its length (of 0.2 s where it has none); there are 500 of them at most. The difference is
 relative to each output's largest value. Outputs that two runs in fmpy don't repeat (a clock, say) are left out. Our master reads
 outputs before and after it sets inputs, fmpy before alone; for a difference there is also what remains of it when outputs are
-read once. Lines that say the same are one.
+read once. Equal lines are shown once.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ STEPS, LENGTH = 500, 0.2
 """Communication steps at most, and length of a run where the FMU names none [s]."""
 
 CALL_LIMIT, RUN_LIMIT = 60.0, 600.0
-"""How long an FMU may stay in one call, and fmpy in one run [s]."""
+"""Time limits of an FMU for one call, and of fmpy for one run [s]."""
 
 TOLERANCE = 1e-6
 """Relative tolerance that the FMUs are given."""

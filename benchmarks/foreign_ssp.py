@@ -1,12 +1,12 @@
-"""SSP files of other tools in our master, and beside the tools that can run them here, as a Markdown table.
+"""SSP files of other tools in our master, and in the tools that can run them here, as a Markdown table.
 
     python benchmarks/foreign_ssp.py [--refine N] [--read-again] [--add-times] FILE.ssp FOLDER/SystemStructure.ssd ...
 
 A description that is given unpacked is packed with the files that it names. The first 100 communication steps are run, of 1 ms
-where the file names none, or the same time in N times as many steps. *Runs* is a run as `flexfmu run` makes it. For the other columns our master is told to hold inputs and
+where the file names none, or the same time in N times as many steps. *Runs* is the result of `flexfmu run`. For the other columns our master is set to hold inputs and
 to couple all slaves side by side, as those tools do; the figure is the largest difference of any real output at a quarter, half,
 three quarters and the end of the run, relative to that output's largest value. The column *itself* is what a relative tolerance
-that is 1 % smaller makes of it in our own master: no tool can agree better. It needs what the tests need:
+that is 1 % smaller changes in our own master: no tool can agree better. It needs what the tests need:
 `pip install --group test`; OMSimulator, libcosim and ecos are left out where they can't be imported.
 
 With `--read-again` our master reads all outputs of an FMU once more whenever it has set inputs, with `--add-times` it adds up times as

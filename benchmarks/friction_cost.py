@@ -1,6 +1,8 @@
-"""What friction that sticks costs beside smooth friction: evaluations of the equations of a torque-driven robot in 3 s.
+"""The cost of stiction compared with smooth friction: evaluations of the equations of a torque-driven robot in 3 s.
 
-Usage: python benchmarks/friction_cost.py. PD control at 1 kHz follows sines of 0.1 rad at 1 and 0.7 Hz, tolerance 1e-6.
+    python benchmarks/friction_cost.py
+
+PD control at 1 kHz follows sines of 0.1 rad at 1 and 0.7 Hz, tolerance 1e-6.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Plants that do nothing: with one of them in the FMU's place, what a run costs is the master, trajectory and recording."""
+"""Plants without equations, as an FMU and in Python: a run with one of them costs what master, trajectory and recording cost. Used by
+`speed_measurements.py`; not a script of its own."""
 
 from __future__ import annotations
 

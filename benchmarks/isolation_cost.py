@@ -1,4 +1,4 @@
-"""What a run in a child process costs: its start, and each recorded instant, in processor time of both processes.
+"""The cost of a run in a child process: its start, and each recorded instant, in processor time of both processes.
 
 python benchmarks/isolation_cost.py
 """

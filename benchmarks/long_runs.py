@@ -1,4 +1,4 @@
-"""What long runs are said to cost, and what they cost: a closed loop at 4 kHz, or the references of so many points.
+"""The predicted and the measured cost of long runs: a closed loop at 4 kHz, or the references of many points.
 
 python benchmarks/long_runs.py [--seconds 75] [--csv]
 python benchmarks/long_runs.py --points 2e6

@@ -1,4 +1,4 @@
-"""The scenes that the benchmarks run, and how they time."""
+"""The scenes of the benchmarks and their timing. Not a script of its own."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ SCENES = {12: SCENE, 6: SCENE.replace({"effects.proximal_bending": 2, "effects.d
 """Degrees of freedom → scene."""
 
 Timed = Callable[[], float]
-"""Does something and gives the processor time [s] that it took.
+"""An action that returns its processor time [s].
 
-A run takes place in one thread, so on an idle machine this is its duration; on a busy one it still is what it costs.
+A run takes place in one thread, so on an idle machine this is its duration; on a busy one it is still the cost.
 """
 
 

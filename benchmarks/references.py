@@ -1,6 +1,6 @@
 """The model of shapes against finite elements and Exudyn: the paper's scenes, at rest and in motion.
 
-All numbers are relative differences; `flexfmu.cosim.studies.references` says of what. Exudyn's beams have no shear, and it isn't
+All numbers are relative differences, as `flexfmu.cosim.studies.references` defines them. Exudyn's beams have no shear, and it isn't
 needed for the rest: pip install flexfmu[peers]. Takes about six minutes, large deflections alone two.
 
     python benchmarks/references.py [--json] [--large-deflections]
@@ -39,7 +39,7 @@ BEAMS: tuple[Beam, ...] = ("euler-bernoulli", "timoshenko")
 HAS_EXUDYN = find_spec("exudyn") is not None
 
 ELEMENTS, STEP = 8, 2.5e-4
-"""A link, and of the integrator [s]: what is taken for converged."""
+"""Elements of a link and step of the integrator [s] of the converged solution."""
 
 FEWER_ELEMENTS = (1, 2, 4)
 

@@ -2,7 +2,7 @@
 time and peak torque on the paper's 6 kg scene.
 
 The perfect drive follows its references exactly (motion-driven). The controller is PD with computed torque at 1 kHz and
-4 kHz; it reckons with the scene's payload. Flexible links without motors leave next to no inertia at the joints for a fast
+4 kHz; its model has the scene's payload. Flexible links without motors leave next to no inertia at the joints for a fast
 velocity feedback to act on, so the motors have 0.1 kg m2 here, with the perfect drive as well. One FMU for each drive;
 payloads are parameters.
 

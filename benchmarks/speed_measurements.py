@@ -1,4 +1,4 @@
-"""What `speed.py` measures: processor times of whole runs, of the master alone, of many variants, and of other tools."""
+"""The measurements of `speed.py`: processor times of whole runs, of the master alone, of many variants, and of other tools. Not a script of its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Torque-driven loops in other people's importers: how far the end effector is from where it is in our master, as a table.
+"""Torque-driven loops in importers of other tools: the difference of the end effector's position to our master, as a table.
 
     python benchmarks/ssp_importers.py
 

@@ -1,4 +1,4 @@
-"""Whether stated errors hold: scenes x tolerances x communication steps, every metric's error against the stated one.
+"""Whether stated errors are true: every metric's error compared with the stated one, for scenes x tolerances x communication steps.
 
 The true error is the difference from a run at a tolerance of 1e-12 with steps of 0.1 ms. How far that is from one at 1e-11
 with 0.2 ms is its own uncertainty: where that exceeds half the stated error, the metric is left out. Held: the true error is at

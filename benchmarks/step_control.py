@@ -1,4 +1,4 @@
-"""Step control against fixed steps: the error that is asked for, the error that comes, and what both cost.
+"""Step control against fixed steps: the requested error, the true error, and the cost of both.
 
 Three systems that are coupled by extrapolation: an oscillator split at a spring, with a closed form; the torque-driven robot
 with a spring and damper at its end effector as a slave of its own; the same with the spring's other end on a trajectory. The

@@ -1,6 +1,6 @@
-"""One run in our master, in fmpy and in other people's masters: how far they are apart, as a table.
+"""One run in our master, in fmpy and in the masters of other tools: their differences as a table.
 
-python tools_agree.py
+    python benchmarks/tools_agree.py
 
 It needs what the tests need: `pip install --group test`, and `.ci/tools` for Maestro. A tool that isn't there is left out.
 """

@@ -1,6 +1,6 @@
 """Mutants of a sound FMU, and which of them flexfmu, fmpy, VDMCheck2 and fmutool find, as a table.
 
-python validators.py
+    python benchmarks/validators.py
 
 It needs what the tests need: `pip install --group test`, and `.ci/tools` for VDMCheck2. A tool that isn't there is left out.
 """

@@ -97,9 +97,9 @@ INTRODUCTION = """# Hard cases
 Made by `flexfmu workprec --hard`, which runs every case and ends with status 1 if one of them fails.
 
 Errors are the largest distance of the end effector from a reference: the same equations solved by SciPy's DOP853, Radau or LSODA
-with negligible error (neither our integrator nor our master), relative to the peak elastic
-deviation of that case; ten times the FMUs' tolerance of 1e-7 is allowed. The closure residual is recomputed from joint angles, deflections and end effector. "Off the branch" are instants at which the
-end effector isn't on the side of the elbows where it started. Each value stands with its limit."""
+with negligible error (neither our integrator nor our master), relative to the largest elastic deviation of that case; ten times the
+FMUs' tolerance of 1e-7 is allowed. The closure residual is recomputed from joint angles, deflections and end effector. "Off the
+branch" are instants at which the end effector isn't on the side of the elbows where it started. Each value stands with its limit."""
 
 
 def terminal_table(results: Sequence[HardCaseResult]) -> Table:
