@@ -12,7 +12,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test check fuzz bench lint format clean
+.PHONY: demo test check fast fuzz bench lint format clean
 .DEFAULT_GOAL := demo
 
 demo: $(VENV)/bin/python
@@ -27,8 +27,12 @@ test: $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps build/wheel/*.whl
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGUMENTS)
 
-check: lint $(VENV)/.test
+# types and the first tests side by side, on two cores
+check: $(VENV)/.lint $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --editable ".$(EXTRAS)"
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint fast
+
+fast:
 	$(BIN)/python -m pytest -n 2 --dist worksteal -q -m "not slow" $(PYTEST_ARGUMENTS)
 
 fuzz: $(VENV)/.test

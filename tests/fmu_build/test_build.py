@@ -41,6 +41,7 @@ def _library(path: Path) -> bytes:
         return archive.read(f"binaries/{target.name}/oscillators{target.suffix}")
 
 
+@pytest.mark.slow
 def test_two_builds_are_equal_byte_for_byte(
     make_oscillators: MakeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +146,7 @@ def test_damaged_cache_entry_is_built_again(make_oscillators: MakeModel, damage:
     assert second.path.read_bytes() == intact
 
 
+@pytest.mark.slow
 def test_damaged_object_files_are_compiled_again(make_oscillators: MakeModel, cache_folder: Path) -> None:
     """Half-written object files never reach the linker."""
     (cache_folder / "objects").unlink()
@@ -172,6 +174,7 @@ def test_output_is_written_from_the_cache(make_oscillators: MakeModel, tmp_path:
     assert stat.S_IMODE(built.path.stat().st_mode) == 0o644
 
 
+@pytest.mark.slow
 def test_useless_cache_folder_is_said_once(
     make_oscillators: MakeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,6 +190,7 @@ def test_useless_cache_folder_is_said_once(
     assert again.path.read_bytes() == (tmp_path / "robot.fmu").read_bytes()
 
 
+@pytest.mark.slow
 def test_no_room_anywhere(make_oscillators: MakeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where not even a temporary folder takes the FMU, the error names the variable."""
     (tmp_path / "file").write_text("")
@@ -241,6 +245,7 @@ def test_full_temporary_folder_is_an_error(
         build_fmu(make_oscillators(), output=tmp_path / "robot.fmu")
 
 
+@pytest.mark.slow
 def test_runtime_compiles_without_warnings(make_oscillators: MakeModel) -> None:
     """Whoever compiles the sources of an FMU with all warnings sees none of ours."""
     sources = generate_sources(make_oscillators(), build.DefaultExperiment())

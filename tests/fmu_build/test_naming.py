@@ -47,6 +47,7 @@ def test_names_are_flattened_as_documented(name: str, flat: str) -> None:
     assert flat_name(name) == flat
 
 
+@pytest.mark.slow
 @given(names=st.lists(NAMES, max_size=4, unique=True))
 @settings(derandomize=True, deadline=None, max_examples=500)
 def test_flat_names_are_plain_and_differ(names: list[str]) -> None:

@@ -82,6 +82,7 @@ def test_default_experiment_is_the_scene_s(scene: Scene) -> None:
     assert float(experiment.tolerance) == scene.cosimulation.tolerance
 
 
+@pytest.mark.slow
 def test_paper_s_robot_passes_all_checks(scene: Scene) -> None:
     """No findings, neither of fmpy nor of ours, and the robot stays in its static equilibrium."""
     path = build_scene(scene).path

@@ -187,6 +187,7 @@ def scenes(draw: st.DrawFn) -> Scene:
     return load_scene("barnard2012-6kg").replace(changes)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(scenes())
 def test_drawn_scenes_have_positive_definite_mass_and_stiffness(scene: Scene) -> None:

@@ -147,6 +147,7 @@ def unverified(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verified._Runs, "agree", lambda *_: True)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unverified")
 def test_the_documentation_of_an_fmu_says_what_was_chosen() -> None:
     """The note names the set, the tolerance and every effect that was left out; scenes that choose themselves have none."""
@@ -164,6 +165,7 @@ def test_an_open_scene_is_refused_where_nothing_chooses() -> None:
         PreparedScene(OPEN, motion=plan(OPEN))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unverified")
 def test_comparison_has_an_effectivity_of_one_where_runs_do_as_estimated(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the estimates in place of runs: 1 for single effects, the safety factor for all; none where nothing changes."""

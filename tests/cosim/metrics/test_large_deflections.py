@@ -58,6 +58,7 @@ def test_estimated_errors_are_those_against_exact_elements(factor: float) -> Non
         assert estimated == pytest.approx(true, rel=0.4)
 
 
+@pytest.mark.slow
 def test_large_deflections_name_foreshortening_where_it_suffices() -> None:
     """A warning's figure is what foreshortening changes in the path, it is named as the remedy, and with it the warning is gone;
     aluminium isn't warned of."""

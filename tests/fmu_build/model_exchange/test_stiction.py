@@ -79,6 +79,7 @@ def test_importers_find_the_same_events(instantiate: Any, plant_path: Any) -> No
     assert np.array_equal(tight[:, 2:] == 0.0, stuck)
 
 
+@pytest.mark.slow
 def test_holds_for_an_hour(instantiate: Any) -> None:
     """Under gravity and a force that makes the links swing, sticking motors keep their angles to the last bit."""
     plant = instantiate(ELASTIC | {"effects.joint_friction": {"kind": "stiction", "coulomb": 40.0}}, "stepping")
@@ -167,6 +168,7 @@ def test_derivatives_belong_to_the_mode(instantiate: Any, rates: tuple[float, fl
     assert exact[4:6, :2][stuck][:, stuck] == pytest.approx(-np.eye(stuck.sum()), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_any_importer_gets_along_with_it(plant_path: Any) -> None:
     """Event indicators, event mode and changed states stand every check of claimed capabilities."""
     assert validate_fmu(plant_path(RIGID)[0]) == []

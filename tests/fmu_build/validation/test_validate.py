@@ -120,6 +120,7 @@ def test_binary_of_another_kind_is_found(broken: Callable[[Change], Path]) -> No
     assert "not a 64-bit ELF file" in _findings(broken(lambda files: files.update({LIBRARY: b"MZ"})))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(native_platform().name != "linux64", reason="reads ELF")
 def test_visible_internals_are_found(sources: Sources, tmp_path: Path) -> None:
     """Symbols besides the FMI functions collide with those of other FMUs."""
@@ -165,6 +166,7 @@ def test_infinite_output_is_found(sources: Sources, tmp_path: Path) -> None:
     assert "simulation:" in _findings(_recompiled(sources, tmp_path, "model_outputs.c", ENDLESS))
 
 
+@pytest.mark.slow
 def test_crash_is_a_finding(sources: Sources, tmp_path: Path) -> None:
     """An FMU that kills its process does not kill the validation."""
     assert "ended with signal" in _findings(_recompiled(sources, tmp_path, "model_outputs.c", DEADLY))

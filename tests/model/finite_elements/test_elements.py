@@ -113,6 +113,7 @@ def test_forces_are_the_energies_slopes_and_tangents_the_forces(section: BeamSec
         assert slope == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beam", ["euler-bernoulli", "timoshenko"])
 def test_frequencies_converge_with_the_number_of_elements(beam: str) -> None:
     """Three elements a link leave less than 5e-5 of the first two frequencies to six."""

@@ -232,6 +232,7 @@ KEYS = [
 ]
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.sampled_from(KEYS), JUNK)
 def test_junk_is_a_scene_or_a_scene_error_never_a_crash(key: str, value: object) -> None:

@@ -163,6 +163,7 @@ def test_one_shape_more_of_each_family_changes_nothing(monkeypatch: pytest.Monke
         assert abs(estimates.reference[name] - finer.reference[name]) < 1e-3 * estimates.scales[name], name
 
 
+@pytest.mark.slow
 def test_the_richest_set_grows_with_the_tolerance() -> None:
     """Without payload in 0.15 s two axial shapes of the distal links are worth 0.1 % of the residual vibration: one does for 2 %, not for
     0.1 %."""
@@ -179,6 +180,7 @@ def test_a_residual_vibration_that_was_asked_for_is_judged_relative_to_itself() 
     assert scales(reference, ["residual_vibration_amplitude"]) == reference
 
 
+@pytest.mark.slow
 def test_what_the_robot_gives_is_told_too_and_what_it_lacks(heavy: Estimator) -> None:
     """Without gravity the torque at rest is gone; without damping a vibration stays; motors and joints have nothing to leave out."""
     motion, chosen = plan(HEAVY).joints, richest(HEAVY)

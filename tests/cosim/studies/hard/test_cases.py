@@ -19,8 +19,17 @@ SLOW = (
     "rods of 5 mm",
     "a step of 1 s",
     "Young's modulus x 1e3",
+    "elbows 20 mm",
+    "no payload",
+    "payload of 60 kg",
+    "rods of 80 mm",
+    "motion at 15 g",
+    "bang-bang",
+    "start away",
+    "steps of 1 ns",
+    "motors that stick",
 )
-"""How the names of cases begin that take more than about three seconds, FMUs and references of their own included."""
+"""How the names of cases begin that take more than about a second, FMUs and references of their own included."""
 
 
 def cases() -> list[HardCase]:

@@ -62,6 +62,7 @@ def test_independent_references_agree(subject: SceneUnderTest) -> None:
     assert 1e-4 < subject.scale < 1e-2
 
 
+@pytest.mark.slow
 def test_other_solvers_get_the_exact_jacobian(subject: SceneUnderTest) -> None:
     """What SciPy's methods and CasADi's solvers are given is compiled, and the derivative of the rate to the accuracy of
     central differences."""
@@ -216,6 +217,7 @@ def test_nothing_accurate_enough(study: WorkPrecisionStudy) -> None:
     assert sentence(replace(study, trials=TRIALS[1:3])) == "No setting reached 1e-05."
 
 
+@pytest.mark.slow
 def test_results_hold_everything(study: WorkPrecisionStudy, tmp_path: Path) -> None:
     """Table, data, pictures and page name every line, failures included; the page fetches nothing."""
     names = save_figures(study, tmp_path)
