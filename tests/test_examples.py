@@ -75,6 +75,7 @@ def test_payload_sweep(tmp_path: Path) -> None:
     assert rows[rows[:, 0] == 6.0, 1] == pytest.approx(73.634, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_many_variants(tmp_path: Path) -> None:
     """Torque grows with the payload and falls with the duration; 6 kg in 0.43 s are the paper's scene."""
     rows = np.array([numbers(line) for line in run_example("many_variants.py", tmp_path).splitlines()[1:]])

@@ -36,6 +36,7 @@ def test_build_description_lists_every_source(unpacked: Path, robot_sources: Sou
     assert set(file_set.sourceFiles) == {path.name for path in (unpacked / "sources").glob("*.c")}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs cc")
 def test_one_line_of_the_compiler_builds_the_same_numbers(
     unpacked: Path, native: Array, run_library: Callable[..., Array]
