@@ -79,7 +79,6 @@ def generate_block_sources(
     Raises:
         ModelError: the block contradicts its contract.
     """
-
     progress("generating C")
     block = with_starts(block)
     functions, facts = generate_block(block)
@@ -89,7 +88,8 @@ def generate_block_sources(
         return functions | {DESCRIPTION_FILE: generate_block_description(named, facts, guid)}
 
     description = block_description(block).named(naming)
-    pages = block_documentation(block, description, experiment)
+    picture = block_picture(*PAGE_SIZE, FINE_PEN)
+    pages = documentation_files("block.html.j2", description, experiment, picture=picture, model=block)
     return assemble_sources("block", description, experiment, code, pages, png(block_picture(ICON_SIZE, ICON_SIZE)))
 
 
@@ -154,14 +154,6 @@ def block_interface(block: SymbolicBlock) -> Interface:
         derivatives=(),
         initial_unknowns=tuple(Unknown(output.index, known) for output in outputs),
     )
-
-
-def block_documentation(
-    block: SymbolicBlock, description: Description, experiment: DefaultExperiment
-) -> dict[str, str]:
-    """Files of the folder ``documentation/``: path below the FMU's root → text."""
-    picture = block_picture(*PAGE_SIZE, FINE_PEN)
-    return documentation_files("block.html.j2", description, experiment, picture=picture, model=block)
 
 
 def _feedthrough(block: SymbolicBlock, output: str, index_of: Mapping[str, int]) -> tuple[int, ...]:

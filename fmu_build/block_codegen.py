@@ -67,21 +67,17 @@ def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunct
     function = sample_function(block)
     facts = function_facts("sample", function)
     try:
-        code = _c_code(function)
+        code = c_code(function)
     except RuntimeError as error:
         reason = str(error).strip().splitlines()[-1]
         raise ModelError(f"block '{block.name}' cannot be exported: CasADi has no C for it ({reason})") from error
+    code = code if code.count("\n") < LARGE else _QUICK + code
     return {SAMPLE_FILE: code, HEADER_FILE: render(HEADER_FILE + ".j2", functions=(facts,))}, facts
 
 
 def generate_block_description(block: SymbolicBlock, sample: GeneratedFunction, guid: str) -> str:
     """The C file that defines ``flex_the_block``."""
     return render(_TEMPLATE, block=block, sample=sample, guid=guid, max_input_order=MAX_INPUT_ORDER)
-
-
-def _c_code(function: casadi.Function) -> str:
-    code = c_code(function)
-    return code if code.count("\n") < LARGE else _QUICK + code
 
 
 def check_block(block: SymbolicBlock) -> None:

@@ -133,6 +133,9 @@ def description_xml(
         experiment: proposed times and tolerance.
         source_files: C files below ``sources/`` from which the binary can be built again.
     """
+    # annotations of every kind of FMU, then its own
+    derivatives = {"InputDerivatives": {"maxOrder": str(description.max_input_order)}}
+    ordered: dict[str, Mapping[str, str]] = dict(derivatives) if description.max_input_order else {}
     return render(
         "modelDescription.xml.j2",
         name=description.name,
@@ -155,16 +158,9 @@ def description_xml(
         has_model_exchange=description.has_model_exchange,
         n_event_indicators=description.n_event_indicators,
         naming=description.naming,
-        annotations=_annotations(description),
+        annotations=ordered | annotation(description.choices) | dict(description.annotations),
         interface=description.interface,
     )
-
-
-def _annotations(description: Description) -> dict[str, Mapping[str, str]]:
-    """Annotations of every kind of FMU and its own ones."""
-    derivatives = {"InputDerivatives": {"maxOrder": str(description.max_input_order)}}
-    ordered = derivatives if description.max_input_order else {}
-    return ordered | annotation(description.choices) | dict(description.annotations)
 
 
 def copyright_line() -> str:

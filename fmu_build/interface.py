@@ -215,6 +215,9 @@ def real_variable(
         )
     # outputs are calculated; inputs and parameters have a start value
     index = index_of[variable.name]
+    variability = output_variability if is_output else "continuous"
+    if variable.causality == "parameter":
+        variability = "tunable" if variable.tunable else "fixed"
     return FmiVariable(
         index=index,
         value_reference=index - 1,
@@ -222,7 +225,7 @@ def real_variable(
         name=variable.name,
         description=variable.description,
         causality=variable.causality,
-        variability=output_variability if is_output else _variability(variable),
+        variability=variability,
         initial={"input": None, "parameter": "exact", "output": "calculated"}[variable.causality],
         start=None if is_output else variable.start,
         declared_type=quantity(variable.unit),
@@ -232,12 +235,6 @@ def real_variable(
         maximum=variable.maximum,
         nominal=variable.nominal,
     )
-
-
-def _variability(variable: Variable) -> str:
-    if variable.causality != "parameter":
-        return "continuous"
-    return "tunable" if variable.tunable else "fixed"
 
 
 def _check_start(variable: Variable) -> None:

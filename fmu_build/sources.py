@@ -114,6 +114,7 @@ def assemble_sources(
         pages: documentation, path below the FMU's root → text.
         icon: small picture, a PNG file.
     """
+    # all texts with a blank GUID, whose hash is the GUID
     runtime = runtime_sources(kind)
     blank = code("")
     names = c_files((*blank, *runtime))

@@ -7,7 +7,7 @@ itself would be right too, but Maestro 3.1.1 stops where a state and its derivat
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, sqrt
 from typing import TYPE_CHECKING, TypeVar
@@ -97,8 +97,4 @@ def _nominals(model: SymbolicModel) -> tuple[float, ...]:
     *weights, floor = model.functions["error_scale"](derived).full().ravel().tolist()
     sizes = [USUAL_MOTION * floor / sqrt(weight) if weight > 0.0 else 1.0 for weight in weights]
     sizes[: model.locked] = [USUAL_ANGLE] * model.locked
-    return tuple(_two_digits(sizes[: 2 * n]))
-
-
-def _two_digits(sizes: Iterable[float]) -> list[float]:
-    return [float(f"{size:.2g}") if isfinite(size) and size > 0.0 else 1.0 for size in sizes]
+    return tuple(float(f"{size:.2g}") if isfinite(size) and size > 0.0 else 1.0 for size in sizes[: 2 * n])

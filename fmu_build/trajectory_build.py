@@ -91,7 +91,6 @@ def generate_trajectory_sources(
     Raises:
         ModelError: no table reproduces the trajectory, or the axes don't suit it.
     """
-
     progress("placing knots")
     table = tabulate(trajectory)
     if table.jets.shape[2] != len(axes):
@@ -232,10 +231,6 @@ def trajectory_documentation(
         table=motion.table,
         breakpoints=motion.breakpoints,
         duration=motion.breakpoints[-1],
-        errors=_by_kind(motion.table.errors),
+        errors=dict(zip(KINDS, motion.table.errors, strict=True)),
         max_order=END_ORDER,
     )
-
-
-def _by_kind(errors: Sequence[float]) -> dict[str, float]:
-    return dict(zip(KINDS, errors, strict=True))

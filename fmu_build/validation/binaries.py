@@ -162,7 +162,9 @@ def check_binaries(description: Any, files: Mapping[str, bytes]) -> Iterator[Fin
         description: model description as fmpy reads it.
         files: content of the FMU, path inside → bytes.
     """
-    folders = sorted({PurePosixPath(name).parts[1] for name in files if name.count("/") > 1 and _is_binary(name)})
+    folders = sorted(
+        {PurePosixPath(name).parts[1] for name in files if name.count("/") > 1 and name.startswith("binaries/")}
+    )
     for folder in folders:
         yield from _check_folder(folder, description, files)
     if fmpy.platform not in folders:
@@ -178,10 +180,6 @@ def check_binaries(description: Any, files: Mapping[str, bytes]) -> Iterator[Fin
 def library_name(description: Any, platform: str) -> str:
     """Path of the library inside the FMU, of the first interface."""
     return f"binaries/{platform}/{interfaces(description)[0].modelIdentifier}{SUFFIXES.get(platform, '')}"
-
-
-def _is_binary(name: str) -> bool:
-    return name.startswith("binaries/")
 
 
 def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> Iterator[Finding]:

@@ -92,13 +92,9 @@ def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) 
     for kind, element in offered.items():
         found[kind.value] = reported[kind.name]
         if element.needsExecutionTool and any(finding.check == "instantiation" for finding in found[kind.value]):
-            found[kind.value] = [_no_tool(kind.value)]
+            message = f"for {kind.value} the FMU needs its own tool (needsExecutionTool) and makes no instance here"
+            found[kind.value] = [Finding("instantiation", message, "run this where the tool is", Severity.NOTE)]
     return _merged(found)
-
-
-def _no_tool(interface: str) -> Finding:
-    message = f"for {interface} the FMU needs its own tool (needsExecutionTool) and makes no instance here"
-    return Finding("instantiation", message, "run this where the tool is", Severity.NOTE)
 
 
 def _merged(found: dict[str, list[Finding]]) -> list[Finding]:
