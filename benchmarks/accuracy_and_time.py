@@ -1,4 +1,4 @@
-"""What accuracy costs: the paper's motion of 0.43 s with a dwell of 0.25 s, at several tolerances and communication steps.
+"""The cost of accuracy: the paper's motion of 0.43 s with a dwell of 0.25 s, at several tolerances and communication steps.
 
 Position and torque: largest difference over the whole run to a run with a tolerance of 1e-12, relative to the peak position
 error (the largest elastic deviation, not the size of the path) and to the peak torque. Any metric: largest relative difference of all
@@ -45,7 +45,7 @@ class Row:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description="What accuracy costs in time.")
+    parser = argparse.ArgumentParser(description="The cost of accuracy in time.")
     parser.add_argument("--repeat", type=int, default=7, help="runs of which the fastest counts")
     parser.add_argument("--json", action="store_true", help="print JSON and nothing else")
     options = parser.parse_args()

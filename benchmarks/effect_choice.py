@@ -160,7 +160,7 @@ def report(rows: Sequence[Row], criteria: Sequence[Criterion], tolerance: float)
 
 
 def verdicts(criteria: Sequence[Criterion], tolerance: float) -> str:
-    """What was asked for, and whether each criterion is met."""
+    """The request, and whether each criterion is met."""
     lines = [f"- {each.name}: {'met' if each.met else 'NOT MET'}, {each.finding}" for each in criteria]
     share = percent((1 - INTEGRATOR_SHARE) * tolerance)
     return "\n".join(

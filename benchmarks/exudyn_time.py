@@ -1,4 +1,4 @@
-"""What an error of 1e-3 costs here and with Exudyn (pip install flexfmu[peers]): the same robot, the same damping.
+"""The cost of an error of 1e-3 here and with Exudyn (pip install flexfmu[peers]): the same robot, the same damping.
 
 Errors are the largest distance from each program's own converged path, relative to the largest elastic deviation: models differ, and
 this is about time. Times are processor times of a run, without building and loading; `chosen` is the scene's own set of

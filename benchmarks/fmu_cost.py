@@ -1,4 +1,4 @@
-"""What a run of the robot's FMU costs and where the time goes, and its floor: the generated functions alone.
+"""The cost of a run of the robot's FMU by its parts, and its floor: the generated functions alone.
 
 The paper's motion of 0.43 s with a dwell of 0.25 s drives the FMU's own sources, compiled as FMUs are, by a
 function in C (`fmu_cost.c`) through the FMI functions: no Python and no recording takes part. `floor` is what the calls of the
@@ -50,7 +50,7 @@ FIGURES = (*COUNTERS, "ends_in_stage", "integration", "with_outputs", "whole", *
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description="What a run of the FMU costs.")
+    parser = argparse.ArgumentParser(description="The cost of a run of the FMU.")
     parser.add_argument("--step", type=float, default=1e-3, help="communication step [s]")
     parser.add_argument("--repeat", type=int, default=20, help="runs of which the fastest counts")
     parser.add_argument("--json", action="store_true", help="print JSON and nothing else")

@@ -44,7 +44,7 @@ CALL_LIMIT, RUN_LIMIT = 60.0, 600.0
 """Time limits of an FMU for one call, and of fmpy for one run [s]."""
 
 TOLERANCE = 1e-6
-"""Relative tolerance that the FMUs are given."""
+"""Relative tolerance of the FMUs."""
 
 EQUAL = 1e-12
 """Relative difference that needs no explanation."""

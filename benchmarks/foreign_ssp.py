@@ -2,7 +2,7 @@
 
     python benchmarks/foreign_ssp.py [--refine N] [--read-again] [--add-times] FILE.ssp FOLDER/SystemStructure.ssd ...
 
-A description that is given unpacked is packed with the files that it names. The first 100 communication steps are run, of 1 ms
+An unpacked description is packed with the files that it names. The first 100 communication steps are run, of 1 ms
 where the file names none, or the same time in N times as many steps. *Runs* is the result of `flexfmu run`. For the other columns our master is set to hold inputs and
 to couple all slaves side by side, as those tools do; the figure is the largest difference of any real output at a quarter, half,
 three quarters and the end of the run, relative to that output's largest value. The column *itself* is what a relative tolerance
@@ -144,7 +144,7 @@ def loaded(package: Package, **options: int) -> SspSystem:
 
 
 def compared(package: Package) -> list[str]:
-    """What the other tools' columns say."""
+    """The columns of the other tools."""
     system = loaded(package, output_order=0)
     signals = [
         (prefix + component.name, each.name)

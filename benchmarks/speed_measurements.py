@@ -37,7 +37,7 @@ STEP = 1e-3
 TOLERANCES = (1e-3, 1e-5)
 
 RECORDINGS = {"values": (Selection(None, order=0), "with_outputs"), "2 derivatives": (Selection(None), "whole")}
-"""What is recorded of all outputs → how to choose it, and what `fmu_cost.c` calls the FMU's part of it."""
+"""Recorded part of all outputs → its selection, and the name of the FMU's part of it in `fmu_cost.c`."""
 
 SHORT_STEP = 1e-4
 """The master's cost of a step is what runs with this step take longer than those with `STEP`, for each step more [s]."""
@@ -123,7 +123,7 @@ def overheads(folder: Path, repeat: int) -> dict[str, float]:
 
 
 def peak_torque(run: Run) -> float:
-    """What is measured of each variant [N.m]."""
+    """The metric of each variant [N.m]."""
     return float(segments(run.recording, ["joint1.torque"]).maximum_norm())
 
 
@@ -159,7 +159,7 @@ def variants() -> float:
 
 @dataclass(frozen=True)
 class Reached:
-    """What another tool needs: processor time [s], and the error that it then has, relative to the largest elastic deviation."""
+    """A run of another tool: processor time [s], and its error, relative to the largest elastic deviation."""
 
     time: float
     error: float

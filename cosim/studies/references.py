@@ -1,4 +1,4 @@
-"""How well the model of shapes agrees with formulations that aren't ours by design: finite elements, Exudyn.
+"""The model of shapes compared with independent formulations: finite elements and Exudyn.
 
 All compare the same robot: every link bends and stretches, and damping is proportional to stiffness, since modal damping
 belongs to modes and has no counterpart in other formulations.
@@ -51,7 +51,7 @@ POSES = 5
 
 
 class ComputedMotion(Protocol):
-    """What a formulation computes of a motion at N instants, (N, 2) each."""
+    """A motion as a formulation computes it, at N instants, (N, 2) each."""
 
     @property
     def position(self) -> RealArray:

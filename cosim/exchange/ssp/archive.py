@@ -52,6 +52,7 @@ class SspArchive:
             raise SspError(f"can't read {path}: {error.strerror}; check the path") from error
         except (zipfile.BadZipFile, NotImplementedError):
             raise SspError(f"{path} is no SSP: not a zip file; check the path or export it again") from None
+        # the wanted system must be there; the others are variants of it
         self._entries = {entry.filename: entry for entry in self._archive.infolist()}
         self.variants = sorted({each for each in self._entries if each.endswith(".ssd")} - {description})
         if description not in self._entries:
@@ -95,11 +96,13 @@ class SspArchive:
         Raises:
             SspError: it is no relative path, or leads out of the archive.
         """
+        # only plain relative paths
         uri = urlsplit(source)
         if uri.scheme or uri.netloc or uri.query or uri.fragment or not uri.path:
             raise SspError(
                 f"{where} has source={source!r}; only files within the archive, resources/plant.fmu for example"
             )
+        # resolve dots, but not beyond the top of the archive
         parts: list[str] = list(PurePosixPath(self.description).parent.parts)
         for part in unquote(uri.path).split("/"):
             if part == ".." and parts:
@@ -108,6 +111,7 @@ class SspArchive:
                 raise SspError(f"{where} has source={source!r}, which leads out of the archive; put the file inside")
             elif part not in ("", "."):
                 parts.append(part)
+        # absolute paths, and parts that some system would read as another folder
         if uri.path.startswith("/") or any("\\" in part or "\0" in part for part in parts):
             raise SspError(f"{where} has source={source!r}; take a path relative to {self.description}, with slashes")
         return "/".join(parts)

@@ -75,10 +75,12 @@ def export_ssp(
     target = Path(path)
     loop = loop_of(scene) if loop is None else loop
     robot = _robot(scene, loop)
+    # build all FMUs, then describe the system from their descriptions
     with tempfile.TemporaryDirectory(prefix="flexfmu-") as folder:
         system = export_slaves(robot, Path(folder), loop=loop, platforms=platforms, cache=cache, progress=progress)
         files = {_source(slave): slave.path.read_bytes() for slave in system.slaves}
         structure = describe(scene.name, system)
+    # the parameter set beside them, and one archive with reproducible bytes
     for binding in structure.bindings:
         files[PARAMETERS] = ssv_xml(binding.values, TOOL)
     write_atomically(target, pack({**files, DESCRIPTION: ssd_xml(structure, TOOL)}))
@@ -101,9 +103,11 @@ def describe(name: str, system: ExportedSystem) -> Structure:
         name: name of the system.
         system: the slaves and their connections.
     """
+    # components with their connectors
     fmus = {slave.name: _fmu(slave, system.connections) for slave in system.slaves}
     parameters = [each for slave in system.slaves for each in _parameters(slave, fmus[slave.name])]
     connectors = [each for fmu in fmus.values() for each in fmu.component.connectors]
+    # one parameter set for the whole system, with hierarchical names
     values = ParameterSet(f"{name} parameters", tuple(parameters), _units((each.unit for each in parameters), fmus))
     defaults = [fmu.fmu.description.defaultExperiment for fmu in fmus.values()]
     return Structure(
@@ -133,11 +137,13 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
     fed = {_ends(target) for _, target in connections}
     fmu = open_fmu(slave.path)
     bare = component_fmu(Component(slave.name, _source(slave), ()), fmu)
+    # all outputs, and the connected inputs
     shown = [
         Connector(each.name, each.causality, each.type, _unit_name(bare, each.name))
         for each in bare.variables.values()
         if each.causality == "output" or (slave.name, each.name) in fed
     ]
+    # sample time and offset are written where the FMU doesn't state them
     facts = slave.facts
     times = None if facts.sample_time is None else (facts.sample_time, facts.offset or 0.0)
     stated = fmu.sampling is not None or (fixed_step(fmu), 0.0) == times
@@ -153,12 +159,14 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
 
 def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[Parameter]:
     """Values of the slave's real parameters, and of all else that differs from the FMU's start."""
+    # real parameters with their start values in the FMU, and what the scene changes
     started = {
         name: float(each.start)
         for name, each in fmu.variables.items()
         if each.causality == "parameter" and each.type == "Real" and each.start is not None
     }
     values: Mapping[str, Value] = {**started, **slave.parameters}
+    # each value in its variable's type
     found = []
     for name, value in values.items():
         variable = fmu.variables[name]

@@ -98,9 +98,11 @@ class SspSystem:
 
     def _renamed(self, recording: Recording) -> Recording:
         """Signals under the file's names, and those of systems' connectors."""
+        # from names of slaves to the file's names of components
         owners = {slave: name for name, slave in self.names.items()}
         parts = {name: name.split(".", 1) for name in recording.columns}
         columns = {f"{owners[slave]}.{name}": recording.columns[full] for full, (slave, name) in parts.items()}
+        # systems' connectors show the signal that reaches them
         for name, origin in self.shown.items():
             source = columns.get(".".join(origin.node))
             if source is not None:
@@ -123,7 +125,7 @@ def load_ssp(
     Systems within systems are flattened. FMUs that this package made run as in the scene they come from: trajectories are streamed with all derivatives, blocks
     are sampled at their own instants. Others are sampled where the file has an annotation with their sample time, or where
     they can't vary their step and their default experiment has a step size; else they are stepped. Units are converted, linear transformations and parameter sets
-    applied at all levels. What the system's own input connectors feed stays at the value that a parameter set gives these, else
+    applied at all levels. Inputs behind the system's own input connectors stay at the connectors' values of a parameter set, else
     at its start value.
 
     Args:
@@ -141,15 +143,19 @@ def load_ssp(
         FmuFileError: an FMU is broken, of another kind, or has no binary for this platform.
         InputError: a value is out of range, or the slaves can't be wired.
     """
+    # what the file says, and the FMUs in it
     archive = SspArchive(Path(path), ssd)
     structure = read_structure(archive)
     fmus = _fmus(structure, archive)
     remarks = _remarks(structure, fmus)
+    # connections and start values through all levels
     network = Network(structure, fmus)
     starts = start_values(structure, fmus, network)
     names = _names(fmus)
+    # slaves for the master
     slaves = [_slave(fmu, names[name], starts.values[name], output_order) for name, fmu in fmus.items()]
     system = connect(slaves, wires(network, fmus, names), loops=Anderson() if loops is None else loops)
+    # times: argument, file, FMUs, in this order
     defaults = [fmu.fmu.description.defaultExperiment for fmu in fmus.values()]
     stops = [float(each.stopTime) for each in defaults if each is not None and each.stopTime]
     steps = [float(each.stepSize) for each in defaults if each is not None and each.stepSize]
@@ -177,6 +183,7 @@ def _fmus(structure: Structure, archive: SspArchive) -> dict[str, ComponentFmu]:
     fmus: dict[str, ComponentFmu] = {}
     names: list[str] = []
     for prefix, level in levels(structure):
+        # names are unique within a level
         elements: list[Component | Subsystem] = [*level.systems, *level.components]
         for element in elements:
             if prefix + element.name in names:
@@ -184,6 +191,7 @@ def _fmus(structure: Structure, archive: SspArchive) -> dict[str, ComponentFmu]:
             names.append(prefix + element.name)
         for component in level.components:
             path = archive.extract(component.source, component.where)
+            # errors of the FMU name the component
             with _named(component):
                 fmus[prefix + component.name] = component_fmu(component, open_fmu(path))
     if not fmus:
@@ -215,6 +223,7 @@ def _remarks(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> list[str
         SspError: a connector that is connected contradicts its FMU.
     """
     remarks = []
+    # connectors that a connection uses must agree with the FMU; the others may fail with a warning
     connected = {
         (prefix + (element or ""), name)
         for prefix, level in levels(structure)

@@ -39,8 +39,9 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
         SspError: a value doesn't suit its variable's type or unit, or comes from one that can't be set.
     """
     values: dict[str, dict[str, Value]] = {name: {} for name in fmus}
-    given: dict[ConnectorName, tuple[Parameter, str]] = {}
+    connector_values: dict[ConnectorName, tuple[Parameter, str]] = {}
     ignored: list[str] = []
+    # values by name, to FMUs or to systems' connectors
     for binding, names in _levels(structure, fmus, network):
         network.remarks += binding.values.remarks
         units = {unit.name: unit for unit in binding.values.units}
@@ -49,6 +50,7 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
                 ignored.append(entry.target)
                 continue
             element, variable = node = names[entry.target]
+            # convert to the unit of the target: units of the set, of the FMU, of the structure, in this order
             where = f"{binding.where}: parameter {parameter.name!r}"
             known = {**network.units, **(fmus[element].units if element in fmus else {}), **units}
             unit = variable_unit(fmus[element], variable) if element in fmus else network.unit(node)
@@ -58,12 +60,13 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
             if element in fmus:
                 values[element][variable] = _value(changed, fmus[element], variable, where)
             else:
-                given[node] = changed, where
+                connector_values[node] = changed, where
                 network.value_units[node] = source
+    # values of systems' connectors go on along the connections to the FMUs behind them
     for node in network.feeds:
-        origin = network.origin(node, given) if node[0] in fmus else None
-        if origin is not None and origin.node in given:
-            parameter, where = given[origin.node]
+        origin = network.origin(node, connector_values) if node[0] in fmus else None
+        if origin is not None and origin.node in connector_values:
+            parameter, where = connector_values[origin.node]
             if origin.way != IDENTITY:
                 parameter = replace(parameter, value=_along(origin, _number(parameter, where), where))
             values[node[0]][node[1]] = _value(parameter, fmus[node[0]], node[1], where)
@@ -74,6 +77,7 @@ def _levels(
     structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network
 ) -> Iterator[tuple[Binding, Mapping[str, ConnectorName]]]:
     """All bindings in the order in which they are applied, with the names that they may use."""
+    # hierarchical names of all variables and of systems' connectors
     nodes = {f"{element}.{name}": (element, name) for element, fmu in fmus.items() for name in fmu.variables}
     nodes |= {f"{node[0]}.{node[1]}".lstrip("."): node for node in network.connectors if node[0] not in fmus}
     for prefix, level in reversed([*levels(structure)]):
@@ -103,6 +107,7 @@ def _transformed(value: Value, entry: MappingEntry, convert: LinearMap, where: s
     """
     transformation = entry.transformation
     if isinstance(transformation, ValueMap):
+        # a table knows only its own entries
         table = dict(transformation.pairs)
         if value not in table:
             raise SspError(f"{where} is {value!r}, which its mapping doesn't have; add it")

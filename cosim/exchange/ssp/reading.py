@@ -37,6 +37,7 @@ def read_structure(archive: SspArchive) -> Structure:
     """
     name = archive.description
     root = parse(archive.read(name), archive.label(name), "SystemStructureDescription")
+    # only versions that this program knows
     version = root.required("version")
     if not version.startswith(("1.", "2.")):
         raise root.error(f"is of SSP {version}; this program reads SSP 1.0, and what it has in SSP 2.0")
@@ -44,6 +45,7 @@ def read_structure(archive: SspArchive) -> Structure:
     if system is None:
         raise root.error("has no System; export it again")
     experiment = root.child("DefaultExperiment")
+    # the outermost system has the same elements as those within it
     outer = _system(system, archive)
     return Structure(
         name=root.required("name"),

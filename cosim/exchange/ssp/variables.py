@@ -89,9 +89,11 @@ def conversion(source: SspUnit | str, target: SspUnit | str, where: str, remarks
     Raises:
         SspError: they measure different things.
     """
+    # nothing to convert
     names = [each if isinstance(each, str) else each.name for each in (source, target)]
     if names[0] == names[1] or any(name in _DIMENSIONLESS for name in names):
         return IDENTITY
+    # an undefined unit can't be converted
     for each in (source, target):
         if isinstance(each, str):
             remarks.append(
@@ -100,6 +102,7 @@ def conversion(source: SspUnit | str, target: SspUnit | str, where: str, remarks
             return IDENTITY
     assert isinstance(source, SspUnit)
     assert isinstance(target, SspUnit)
+    # both are defined, so they must measure the same quantity
     found = source.to(target)
     if found is None:
         raise SspError(
@@ -125,6 +128,7 @@ def _check(connector: Connector, owner: ComponentFmu, units: Mapping[str, SspUni
     variable = owner.variables.get(connector.name)
     if variable is None:
         raise SspError(f"{connector.where}: {missing(owner, connector, connector.kind)}")
+    # direction, type and unit
     if variable.causality != connector.kind:
         raise SspError(
             f"{connector.where} is of kind {connector.kind}; in {owner.component.source} it is {variable.causality}"

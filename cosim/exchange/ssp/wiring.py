@@ -39,7 +39,7 @@ class Origin:
     """Where a signal comes from.
 
     Attributes:
-        node: an FMU's output, or a system's connector that nothing feeds.
+        node: an FMU's output, or a system's connector without a source.
         way: the transformation along the path.
         unit: unit of the signal at its end; empty where it isn't stated.
         where: the last connection of the path, for errors.
@@ -74,6 +74,7 @@ class Network:
         self.units = {unit.name: unit for unit in structure.units}
         self.value_units: dict[ConnectorName, SspUnit | str] = {}
         self.remarks: list[str] = []
+        # connectors of systems and components by their full names
         self.connectors: dict[ConnectorName, Connector] = {}
         self.feeds: dict[ConnectorName, tuple[ConnectorName, SspConnection]] = {}
         for prefix, level in levels(structure):
@@ -87,7 +88,7 @@ class Network:
                 self._add(connection, prefix, level)
 
     def origin(self, node: ConnectorName, values: Collection[ConnectorName] | None = None) -> Origin | None:
-        """Where the connector's signal comes from; None where nothing feeds it.
+        """The source of the connector's signal; None for a connector without one.
 
         Args:
             node: the connector.
@@ -96,14 +97,17 @@ class Network:
         Raises:
             SspError: it comes from itself, units don't fit, or a table on the way doesn't suit the signal.
         """
+        # follow the connections back to the first giver; a ring has none
         way = [node]
         while way[-1] in self.feeds:
             way.append(self.feeds[way[-1]][0])
             if way[-1] in way[:-1]:
                 ring = " <- ".join(_full_name(each) for each in way)
                 raise SspError(f"{self.feeds[node][1].where}: connectors feed each other in a ring: {ring}; open it")
+        # go back to the last connector with a value of its own
         while values is not None and len(way) > 1 and way[-1][0] not in self._fmus and way[-1] not in values:
             way.pop()
+        # then forth again, with the unit conversion and the transformation of each connection
         found: SignalMap = IDENTITY
         unit = self.unit(way[-1])
         for taker in reversed(way[:-1]):
@@ -161,6 +165,7 @@ class Network:
     def _add(self, connection: SspConnection, prefix: str, level: Structure | Subsystem) -> None:
         """One connection, from giver to taker."""
         ends = [self._end(connection, *end, prefix, level) for end in (connection.start, connection.end)]
+        # seen from inside, a system's inputs give and its outputs take
         kinds = [self.connectors[node].kind for node in ends]
         own = connection.start[0] is None, connection.end[0] is None
         gives = [kind in (_TAKERS if inside else _GIVERS) for kind, inside in zip(kinds, own, strict=True)]
@@ -179,6 +184,7 @@ class Network:
         Raises:
             SspError: there is none.
         """
+        # components and systems of this level may be named
         elements = {each.name: each.connectors for each in level.components}
         elements |= {each.name: each.connectors for each in level.systems}
         if element is not None and element not in elements:
@@ -212,6 +218,7 @@ def wires(network: Network, fmus: Mapping[str, ComponentFmu], names: Mapping[str
         origin = network.origin(node) if node[0] in fmus else None
         if origin is None or origin.node[0] not in fmus:
             continue
+        # only outputs feed inputs during a run, and types must suit
         kinds = network.connectors[origin.node].kind, network.connectors[node].kind
         if kinds != ("output", "input"):
             raise SspError(

@@ -66,7 +66,7 @@ def ssv_xml(values: ParameterSet, tool: str) -> bytes:
 
 
 def _system(node: Any, system: Structure | Subsystem) -> None:
-    """What is in a system, and in those within it."""
+    """The content of a system and of those within it."""
     _connectors(node, system.connectors)
     _bindings(node, system.bindings)
     elements = _add(node, "ssd:Elements") if system.components or system.systems else None
@@ -167,6 +167,7 @@ def _master(system: Any, structure: Structure) -> None:
     step, tolerance = (None if v is None else repr(v) for v in (structure.step, structure.tolerance))
     if step is None and tolerance is None:
         return
+    # both versions look for their own element and attribute
     (old, old_step), (new, new_step) = OMS_STEPS
     annotation = _add(_add(system, "ssd:Annotations"), "ssc:Annotation", type=OMS_ANNOTATION)
     node = _add(_add(annotation, "oms:Annotations"), f"oms:{new}", name="oms_ma_default", method="oms_ma")

@@ -24,7 +24,7 @@ NAMESPACES = {
 """The standard's prefixes."""
 
 _ELEMENTS = ("System", "Component", "SignalDictionaryReference")
-"""What a system consists of."""
+"""Elements of a system."""
 
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 

@@ -1,4 +1,4 @@
-"""What all hard cases share: the paper's robot, a run of it with other parameters, and the criteria that every finished run has to meet:
+"""Common parts of the hard cases: the paper's robot, a run of it with other parameters, and the criteria that every finished run has to meet:
 finite numbers, an assembled mechanism on the branch of its start, and the same motion as SciPy's solvers find.
 
 The closure residual and the branch are recomputed from joint angles, deflections and the end effector, without the FMU's kinematics.
@@ -139,7 +139,7 @@ LOOP_SIGNALS = (
     *(f"link{leg}1.tip_deflection" for leg in (1, 2)),
     *(f"link{leg}2.elongation" for leg in (1, 2)),
 )
-"""What the closure is recomputed from; without deflections, links are rigid."""
+"""Signals from which the closure is recomputed; without deflections, links are rigid."""
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,7 @@ def _case(name: str, hard: str, changes: Mapping[str, Any], bent: bool = False) 
 def _run_with_parameters(changes: Mapping[str, Any], bent: bool) -> CaseReport:
     """Against LSODA on the same equations; large deflections must cause a warning."""
     run = run_case(paper_robot(), changes)
+    # a warning is expected exactly where links bend far
     warnings = exceeded(run)
     warned = Criterion("warnings of large deflections missing", float(bent != bool(warnings)), 0.0)
     checks = (error_against(run, paper_robot(), STIFF, ALLOWED), *soundness(run), warned)
@@ -114,6 +115,7 @@ ODD_STEP = 7.3e-4
 
 def motion_cases() -> Iterator[HardCase]:
     """Accelerations, jumps, starts, dwells."""
+    # fast motions
     for gravities in (15, 26):
         peak = f"peak acceleration {gravities * STANDARD_GRAVITY:.0f} m/s2 with 6 kg"
         yield HardCase(f"motion at {gravities} g", peak, partial(_fast, gravities))
@@ -138,6 +140,7 @@ def motion_cases() -> Iterator[HardCase]:
 
 def _fast(gravities: float) -> CaseReport:
     """The same path, as fast as it takes."""
+    # accelerations go with the inverse square of the duration
     slow = plan(paper_robot())
     instants = np.linspace(0.0, slow.duration, 4001)
     peak = float(np.linalg.norm(slow.task.evaluate(instants, 2)[2], axis=1).max())

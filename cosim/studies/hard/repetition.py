@@ -88,6 +88,7 @@ def _run(cycles: int) -> CaseReport:
 def many_cycles(cycles: int) -> Run:
     """Motion there and back, again and again."""
     scene = paper_robot().replace({"trajectory.dwell": DWELL})
+    # recorded: the closure's signals, and states and rates for the energy
     states = numeric_model(scene).names
     kept = {*LOOP_SIGNALS, *states, *(f"der({name})" for name in states)}
     prepared = PreparedScene(
@@ -103,6 +104,7 @@ def many_cycles(cycles: int) -> Run:
 
 def link_energy(run: Run, index: NDArray[np.intp]) -> RealArray:
     """(N,) energy of the links relative to straight ones at rest, with the joints locked at their angles [J]."""
+    # states at the marks, joints locked at their angles
     model = numeric_model(run.scene)
     columns = run.recording.columns
     angles = [columns[f"joint{leg}.reference.position"].values[index] for leg in (1, 2)]
@@ -115,6 +117,7 @@ def link_energy(run: Run, index: NDArray[np.intp]) -> RealArray:
 
 def _drift(name: str, values: RealArray) -> tuple[Criterion, Criterion]:
     """The scatter of the cycles and their drift; values (cycles, marks, any), relative."""
+    # the means over both halves tell a drift from scatter
     settled = values[SETTLED:]
     halves = np.array_split(settled, 2)
     drift = np.abs(halves[1].mean(axis=0) - halves[0].mean(axis=0)).max()

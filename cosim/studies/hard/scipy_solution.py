@@ -77,14 +77,17 @@ def robot_equations(robot: Scene, drive: JointReferences, signals: tuple[str, ..
     """
     model = build_model(robot)
     n, functions = model.degrees_of_freedom, model.functions
+    # rate of the elastic coordinates from M a + b = 0
     t, z = casadi.SX.sym("t"), casadi.SX.sym("z", 2 * n)
     numbers = casadi.SX.sym("numbers", drive.count + functions["derive"].numel_out(0))
     u, d, q, v = drive.references(t, numbers[: drive.count]), numbers[drive.count :], z[:n], z[n:]
     bias = functions["residual"](q, v, casadi.SX.zeros(n), u, d)
     rate = casadi.vertcat(v, casadi.solve(functions["mass_matrix"](q, u, d), -bias))
+    # the outputs that are compared, at zero acceleration of the elastic coordinates
     outputs = functions["outputs"](q, v, casadi.SX.zeros(n), u, d)
     names = [output.name for output in model.outputs]
     chosen = casadi.vertcat(*(outputs[names.index(name)] for name in signals))
+    # compiled only where that pays
     made = [
         casadi.Function(name, [t, z, numbers], [casadi.densify(casadi.cse(expression))])
         for name, expression in (("rate", rate), ("signals", chosen))
@@ -178,6 +181,7 @@ def _follow(
     size: float,
 ) -> RealArray:
     """The signals at the instants, restarted in every phase; an instant between two phases belongs to the first."""
+    # parameters of the scene, and the absolute tolerance of coordinates and rates
     values = parameters_for(scene, equations.parameters)
     derived = equations.derive([values[name] for name in equations.parameters]).full().ravel()
     absolute = solver.tolerance * size * np.repeat([1.0, FREQUENCY], equations.n)

@@ -122,7 +122,7 @@ DURATION, DWELL = 0.3, 0.2
 REFERENCE = Solver("DOP853", 1e-10)
 
 NAMED = ("end_effector.position.x", "end_effector.position.y", "type-2 singularity", " s the ")
-"""What the message of a stopped run has to name: pose, measure, time."""
+"""Parts of a stopped run's message: pose, measure, time."""
 
 HALF_DISTANCES = (100, 20, 5, 1)
 """Of the elbows at the end of the motion [mm]."""

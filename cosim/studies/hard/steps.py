@@ -72,6 +72,7 @@ class StepwiseRun:
             np.array([known.index(name) for name in names], dtype=np.intp) for names in (REFERENCES, SIGNALS)
         )
         found = np.empty((self.times.size - 1, outputs.size))
+        # inputs of the first step hold during initialisation
         plant.set(inputs, self.references[0])
         try:
             plant.initialize(0.0, float(self.times[-1]), TOLERANCE)
@@ -141,9 +142,11 @@ def jumping_inputs() -> StepwiseRun:
 def _run_stepwise(make: Callable[[], StepwiseRun]) -> CaseReport:
     """Against SciPy, each signal relative to its own range."""
     run = make()
+    # the FMU, and SciPy with an absolute tolerance that follows from the deflections
     found = run.outputs()
     size = float(np.abs(found[:, 2:]).max())
     expected = run.reference(size)
+    # deflections relative to their own range, the end effector relative to the deflections
     error = float((np.abs(found - expected)[:, 2:].max(axis=0) / np.abs(expected[:, 2:]).max(axis=0)).max())
     position = float(np.abs(found - expected)[:, :2].max()) / size
     bent = f"steps completed: {len(found)}; links bend by up to {size:.2g} m"
@@ -170,7 +173,7 @@ TRACKING = 0.05
 """Largest error of the joints [rad] of a loop that is stable: a tenth of what they move."""
 
 NAMED = ("unstable", "plant", "pd", " s: ")
-"""What the message has to name: the failure, the slaves, the time."""
+"""Parts of the message: the failure, the slaves, the time."""
 
 
 def gain_cases() -> Iterator[HardCase]:

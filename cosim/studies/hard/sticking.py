@@ -84,6 +84,7 @@ class Reference:
 
     def modes(self, x: RealArray, u: RealArray, released: FrictionModes) -> FrictionModes:
         """The only modes, or those with the fewest slipping motors, that contradict neither torques nor accelerations."""
+        # moving motors slip in their direction; those at rest may stick or slip
         rates = [int(r) for r in np.sign(x[2:])]
         choices = [(rates[i] or released[i],) if rates[i] or released[i] else (0, -1, 1) for i in range(2)]
         for modes in sorted(product(*choices), key=lambda each: sum(map(abs, each))):
@@ -96,6 +97,7 @@ class Reference:
 
     def over(self, x: RealArray, u: RealArray, span: float) -> tuple[RealArray, int]:
         """The state after ``span`` [s] with constant inputs, and the number of events."""
+        # from event to event
         time, count, released = 0.0, 0, (0, 0)
         while True:
             modes = self.modes(x, u, released)
@@ -103,9 +105,11 @@ class Reference:
             if happened is None:
                 return x, count
             count, released = count + 1, (0, 0)
+            # a motor that stops sticks from now on, unless the next modes contradict that
             if modes[happened]:
                 x[2 + happened] = 0.0
                 continue
+            # a motor that breaks away slips in the direction of its torque
             direction = -int(np.sign(self.forces(x, self.acceleration(x, u, modes), u, modes)[happened]))
             released = (direction, 0) if happened == 0 else (0, direction)
 
@@ -125,6 +129,7 @@ class Reference:
             return event
 
         events = [watch(motor) for motor in range(2)]
+        # the earliest terminal event ends the mode
         solution: Any = solve_ivp(rates, (begin, end), x, "DOP853", events=events, rtol=1e-11, atol=1e-13)
         happened = next((i for i in range(2) if solution.t_events[i].size), None)
         return float(solution.t[-1]), solution.y[:, -1], happened
@@ -159,6 +164,7 @@ def _sticking() -> CaseReport:
 
 def _stepped(scene: Scene, torques: RealArray, step: float) -> RealArray:
     """(N, 4) angles and rates of the FMU after each step with the torques (N, 2)."""
+    # torques are constant over each step
     plant = FmuSlave(fmu_of(scene), "plant", {})
     names = [variable.name for variable in plant.variables]
     inputs, outputs = (np.array([names.index(name) for name in each], dtype=np.intp) for each in (INPUTS, OUTPUTS))

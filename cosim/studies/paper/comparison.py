@@ -150,6 +150,7 @@ def compare(table: PrintedTable, evaluate: Mapping[str, EvaluateCell]) -> Compar
         cells = []
         for row, figures in zip(quantity.rows, quantity.values, strict=True):
             for column, printed in zip(quantity.columns, figures, strict=True):
+                # evaluators work in SI, tables in their own units
                 computed = quantity.scale * evaluate[quantity.metric](row, column)
                 if not math.isfinite(computed):
                     where = f"{table.label}, {quantity.name}, {row}, {column}"

@@ -1,4 +1,4 @@
-"""What is computed beside the paper's printed figures: lengths of curves, largest accelerations, natural frequencies along the path,
+"""The computed values beside the paper's printed figures: lengths of curves, largest accelerations, natural frequencies along the path,
 and the metrics of every motion profile on every curve, for both payloads, simulated with one FMU.
 
 The paper names its scenes by labels (``7th order polynomial``, ``Lamé``); `case_scene` turns these into a shipped scene with
@@ -166,7 +166,7 @@ def frequency_evaluators() -> Mapping[str, EvaluateCell]:
 
 @dataclass(frozen=True)
 class SimulatedCase:
-    """What is kept of a run.
+    """The results of a run.
 
     Attributes:
         case: shipped scene, motion profile, curve.
@@ -191,6 +191,7 @@ def simulated_cases(tables: Iterable[PrintedTable]) -> tuple[PaperCase, ...]:
 
     The two labels of the clothoid pair (``Clothoid``, ``Clot.``) are one simulation.
     """
+    # tables repeat curves under other labels and share simulations
     cases = (
         (table.scene, row, canonical_curve(column))
         for table in tables
@@ -217,6 +218,7 @@ def simulate(cases: Iterable[PaperCase]) -> Iterator[SimulatedCase]:
     fmu = None
     for case in cases:
         run = run_scene(case_scene(*case), fmu_path=fmu)
+        # an incomplete run has no metrics to compare
         if not run.completed:
             raise PaperError(f"{', '.join(case)}: {run.message}")
         fmu = run.fmu_path
@@ -262,6 +264,7 @@ def write_simulations(simulations: Iterable[SimulatedCase], folder: Path) -> Non
     Raises:
         ResultsError: the folder can't be written.
     """
+    # nine digits, so that files of equal runs are equal
     lines = [",".join(("scene", "profile", "curve", *METRICS, "simulation_time"))]
     for simulation in simulations:
         values = [*(simulation.metrics[name] for name in METRICS), simulation.simulation_time]

@@ -76,6 +76,7 @@ def draw_workspace(axes: Axes, motion: MotionPlan) -> None:
     long = mechanism.proximal.length + mechanism.distal.length
     short = abs(mechanism.distal.length - mechanism.proximal.length)
     half = mechanism.base_half_distance
+    # the workspace is where both legs reach, neither fully stretched nor folded
     x, y = np.meshgrid(np.linspace(-1.05 * long, 1.05 * long, 601), np.linspace(-1.05 * long, 1.05 * long, 601))
     distances = [np.hypot(x - base, y) for base in (-half, half)]
     margin = np.min([np.minimum(long - distance, distance - short) for distance in distances], axis=0)
@@ -106,6 +107,7 @@ def blends() -> Figure:
     drawing = draw(5.2, 4.6)
     axes = drawing.add_subplot()
     for curve, colour in CURVE_COLOURS.items():
+        # each curve rounds the same corner
         x, y = _corner(curve)
         axes.plot(x, y, color=colour, label=curve)
     axes.plot([0.0, 0.0, SHOWN], [-25.0, 0.0, 0.0], color=GREY, linestyle=":", linewidth=1.2, label="sharp corner")
@@ -144,6 +146,7 @@ def motion_profiles() -> Figure:
 
 def _corner(curve: str) -> tuple[RealArray, RealArray]:
     """The path around its first corner, which is the origin: along the crossing and along the lift [mm]."""
+    # axes along the lift and the crossing, the corner as origin
     motion = plan(trajectory_scene(POLYNOMIAL, curve))
     section = motion.scene.trajectory
     lift = np.array(section.lift) / np.hypot(*section.lift)

@@ -33,7 +33,7 @@ class Verdict(Enum):
 
     @property
     def sentence(self) -> str:
-        """What the verdict means."""
+        """The meaning of the verdict."""
         return {
             Verdict.MISPRINT: "the printed figure can't be right",
             Verdict.UNEXPLAINED: "not reproducible from the paper's text",

@@ -42,7 +42,7 @@ class PaperFigure:
 
 @dataclass(frozen=True)
 class PaperReport:
-    """What has been computed, which may be a part of it while the command is running.
+    """The results so far: a part of them while the command is running.
 
     Attributes:
         source: the paper.
@@ -89,7 +89,7 @@ class PaperReport:
         return "\n\n".join([*head, remarks, f"**{self.summary()}**", *tables, *figures]).rstrip() + "\n"
 
     def to_json(self) -> str:
-        """The whole report for machines; figures in the unit of their quantity."""
+        """The whole report as JSON; figures in the unit of their quantity."""
         return json.dumps(self.to_dict(), ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
@@ -112,6 +112,7 @@ def report_to_html(report: PaperReport, folder: Path) -> str:
         report: what has been computed.
         folder: where its figures have been written.
     """
+    # the page embeds its figures, so that one file is the whole report
     template = files("flexfmu.cosim.studies.paper").joinpath("data", "report.html.j2").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(template).render(

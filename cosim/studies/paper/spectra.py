@@ -54,7 +54,7 @@ def acceleration_spectrum(joints: Trajectory, joint: int) -> tuple[RealArray, Re
 def band_average(frequency: RealArray, density: RealArray, width: float) -> RealArray:
     """Mean of the density over a band of ``width`` [Hz] around each frequency; narrower at the ends.
 
-    A motion with jumps has a comb of lobes 1 / duration apart; the mean over several lobes is what a resonance sees
+    A motion with jumps has a comb of lobes 1 / duration apart; the mean over several lobes is the excitation of a resonance
     whose frequency isn't known to a fraction of a hertz.
     """
     half = max(1, round(0.5 * width / (frequency[1] - frequency[0])))

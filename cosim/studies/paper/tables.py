@@ -207,6 +207,7 @@ def table_to_csv(table: ComparisonTable) -> str:
     """All cells of a table with `CSV_COLUMNS` as the first line; figures in the quantity's unit."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
+    # a line for each cell
     writer.writerow(CSV_COLUMNS)
     for comparison in table.comparisons:
         quantity = comparison.quantity

@@ -1,1 +1,1 @@
-"""What accuracy costs in time: integrators, formulations, effects, communication steps, and other tools."""
+"""Work and precision, processor time over error: integrators, formulations, effects, communication steps, and other tools."""

@@ -72,6 +72,7 @@ def _split(motion: Trajectory, begin: float, end: float, whole: float) -> Iterat
 
 def _fit(motion: Trajectory, begin: float, end: float) -> tuple[MotionPolynomial, float]:
     """Interpolation in Chebyshev's points, and its error in between."""
+    # nodes for the interpolation, and points in between for its error
     half, centre = 0.5 * (end - begin), 0.5 * (begin + end)
     nodes = chebyshev.chebpts1(DEGREE + 1)
     between = np.cos(np.linspace(0.0, np.pi, 3 * DEGREE))[1:-1]
@@ -162,6 +163,7 @@ def start_state(scene: Scene, joints: RealArray, n: int) -> RealArray:
 def joint_motion(t: Symbol, piece: Symbol) -> Symbol:
     """u = [q_a, v_a, a_a] (6, 1) at a time of a piece, by Clenshaw's recurrence."""
     begin, end = piece[0], piece[1]
+    # time on [-1, 1]
     x = (2.0 * t - begin - end) / (end - begin)
     coefficients = casadi.reshape(piece[2:], 3, (DEGREE + 1) * 2)
     rows = []

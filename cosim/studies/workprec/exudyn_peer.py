@@ -100,6 +100,7 @@ def exudyn_mechanism(scene: Scene, elements: int, start: RealArray, offsets: Seq
 
 
 def _beams(system: Any, nodes: list[Any], section: BeamSection, damping_time: float, gravity: list[float]) -> None:
+    # elements of equal length
     count = len(nodes) - 1
     for k in range(count):
         beam = ObjectANCFCable2D(
@@ -122,6 +123,7 @@ def _weigh(system: Any, body: Any, gravity: list[float]) -> None:
 
 def _motor(system: Any, base: tuple[float, float], node: Any, offset: Offset) -> Any:
     """A joint that holds a node at a base and turns its slope to the motor's angle."""
+    # joint between ground and node, whose rotation the user function prescribes
     ground = system.AddObject(ObjectGround(referencePosition=[*base, 0.0]))
     markers = [
         system.AddMarker(MarkerBodyRigid(bodyNumber=ground)),

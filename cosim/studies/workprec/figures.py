@@ -126,7 +126,7 @@ TITLES = {
 
 
 class PlainNumbers(LogFormatter):
-    """0.1, 10 and 20 instead of powers of ten, as many as there is room for; one for each axis, whose range it follows."""
+    """0.1, 10 and 20 instead of powers of ten, as many as there is room for; each axis needs its own formatter, which follows its range."""
 
     def __init__(self) -> None:
         super().__init__(labelOnlyBase=False, minor_thresholds=(2.0, 0.5))

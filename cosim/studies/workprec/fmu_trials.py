@@ -74,6 +74,7 @@ def algorithm_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[Tr
     samples = [each.sample_time for each in subject.scene.controller if isinstance(each, SampledSection)]
     for algorithm in ("gauss-seidel", "jacobi", "implicit"):
         for divisor in (1, 2, 4, 8):
+            # steps divide the sample times
             step = min([section.step, *samples]) / divisor
             announce(f"{algorithm}, communication step {1e3 * step:g} ms")
             scene: dict[str, object] = {"cosimulation.algorithm": algorithm}
@@ -118,7 +119,7 @@ RICH: Mapping[str, object] = {
     "effects.distal_axial": 3,
     "effects.quasi_static": [],
 }
-"""What the ladder is measured against: all families, static and fixed-interface shapes until nothing changes any more."""
+"""The richest set, the reference of the ladder: all families, static and fixed-interface shapes until nothing changes any more."""
 
 
 @dataclass(frozen=True)
@@ -138,9 +139,11 @@ class Rung:
 
 def ladder() -> tuple[Rung, ...]:
     """From rigid links to all families."""
+    # assumed modes, one family after the other
     bending = [{"effects.proximal_bending": k} for k in (1, 2, 3)]
     axial = bending[2] | {"effects.distal_axial": 3}
     both = axial | {"effects.distal_bending": 1}
+    # static shapes need fewer coordinates
     static: dict[str, object] = {"effects.basis": "craig-bampton"}
     one_each = static | {"effects.proximal_bending": 1, "effects.distal_axial": 1}
     families = ["proximal_bending", "distal_axial"]
@@ -161,9 +164,11 @@ def effect_trials(subject: SceneUnderTest, step: float, tolerance: float, announ
     """Every rung, its error against the richest set, its time in turns with the others; the scene's damping and loads stay."""
     announce("richest set of effects")
     options = {"communication_step": step, "tolerance": tolerance}
+    # errors are relative to the richest set instead of the scene's own model
     rich = PreparedScene(subject.scene.replace(dict(RICH)), motion=subject.motion, **options)  # type: ignore[arg-type]
     truth = replace(subject)
     truth.__dict__["reference"] = subject.positions(completed(rich.run()))
+    # errors first
     runs: list[tuple[Trial, PreparedScene]] = []
     for rung in ladder():
         announce(f"effects: {rung.line}, {rung.label}")
@@ -172,6 +177,7 @@ def effect_trials(subject: SceneUnderTest, step: float, tolerance: float, announ
             yield trial
         else:
             runs.append((trial, prepared))
+    # then times, in turns, so that load on the machine hits all rungs alike
     announce("effects: times")
     times = fastest_in_turns([prepared.run for _, prepared in runs])
     yield from (replace(trial, time=time) for (trial, _), time in zip(runs, times, strict=True))

@@ -94,19 +94,22 @@ def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: f
 def _makers(
     subject: SceneUnderTest, step: float, announce: Announce, known: Sequence[Trial]
 ) -> dict[str, Callable[[], Iterator[Trial]]]:
-    """Family → what makes its trials, given those of the families before it."""
+    """Family → function that makes its trials; it may use those of the families before it."""
     has_equations = is_differential_equation(subject.scene)
 
     def nothing() -> Iterator[Trial]:
         return iter(())
 
     def tools() -> Iterator[Trial]:
+        # our best settings stand among the tools, measured with the integrators or here
         measured = [each for each in known if each.family == "integrators"]
         ours = Curve.of(measured or fmu_trials.integrator_trials(subject, step, announce, ("automatic",), ()))
         for each in ours.trials:
             yield replace(each, family="tools", line=OURS, label=f"{each.line} {each.label}")
+        # the same equations in other solvers
         yield from solver_trials.scipy_trials(subject, ours, announce)
         yield from solver_trials.sundials_trials(subject, ours, announce)
+        # the same FMU, the paper's setting, and another multibody code
         yield from tool_trials.model_exchange_trials(subject, ours, announce)
         yield tool_trials.paper_trial(subject, announce)
         yield from tool_trials.exudyn_trials(subject, ours, announce)
@@ -144,7 +147,8 @@ def cheapest(trials: Iterable[Trial], error: float) -> Trial | None:
 
 
 def sentence(study: WorkPrecisionStudy) -> str:
-    """What accuracy costs on this scene."""
+    """The cost of accuracy on this scene in one sentence."""
+    # settings that a user of the FMU may choose from
     ours = [each for each in study.trials if each.family in CHOICES]
     first, second = (cheapest(ours, error) for error in ASKED)
     if first is None or first.time is None:
@@ -176,6 +180,7 @@ class Advantage:
 def advantages(study: WorkPrecisionStudy) -> dict[str, Advantage]:
     """Line of another tool → what it takes for an error of `COMPARED`, or for the nearest one that it has reached."""
     tools = study.family("tools")
+    # a curve of the best settings for each tool
     curves = {
         line: Curve.of(each for each in tools if each.line == line)
         for line in dict.fromkeys(each.line for each in tools)
@@ -183,6 +188,7 @@ def advantages(study: WorkPrecisionStudy) -> dict[str, Advantage]:
     ours, found = curves.pop(OURS, Curve(())), {}
     curves.pop(PAPER_LINE, None)  # our own solver, and the beginning of the motion alone
     for line, curve in curves.items():
+        # an error that both have reached, as near to the wanted one as possible
         error = min(max(COMPARED, curve.least, ours.least), curve.most)
         own, theirs = ours.time(error), curve.time(error)
         if own and theirs:

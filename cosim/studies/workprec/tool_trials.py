@@ -26,8 +26,8 @@ from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 
 CVODE_SETTINGS = ((1e-3, 1e-4), (1e-3, 1e-5), (2.5e-4, 1e-5), (2.5e-4, 1e-6), (1e-4, 1e-6), (1e-4, 1e-7), (5e-5, 1e-8))
-"""Output intervals [s] and relative tolerances. Inputs are held over an interval, and on over the end of CVODE's own steps, so that
-the one needs the other to be small."""
+"""Output intervals [s] and relative tolerances. Inputs are constant over an interval, and beyond its end within CVODE's last step, so that
+a smaller tolerance pays with a shorter interval only."""
 
 PAPER_LINE = "fixed step of 10 MHz"
 
@@ -41,8 +41,8 @@ PAPER_SHARE = 50
 def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[Trial]:
     """fmpy integrates the FMU with CVODE; the references are a table of values, as fmpy takes no derivatives.
 
-    What is measured is fmpy's import: it sets inputs at the ends of output intervals alone, an error of first order that no tolerance
-    lessens. What CVODE does with inputs at every evaluation shows `solver_trials.sundials_trials`.
+    The trial measures fmpy's import: it sets inputs at the ends of output intervals alone, an error of first order that no tolerance
+    lessens. `solver_trials.sundials_trials` shows CVODES with inputs at every evaluation.
     """
     path = build_scene(subject.scene).path
     description = open_fmu(path).description
@@ -74,6 +74,7 @@ def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announ
 
 def input_table(subject: SceneUnderTest, spacing: float) -> Any:
     """Joint references every ``spacing`` [s], as fmpy takes them."""
+    # up to one interval beyond the end
     time = spacing * np.arange(round(subject.stop / spacing) + 2)
     motion = subject.motion.joints.evaluate(time, 2)
     names = [f"joint{j}.reference.{kind}" for kind in ("position", "velocity", "acceleration") for j in (1, 2)]
@@ -88,6 +89,7 @@ def paper_trial(subject: SceneUnderTest, announce: Announce) -> Trial:
     """The classical Runge-Kutta method at 10 MHz over the beginning of the motion, its time scaled up."""
     announce(PAPER_LINE)
     changes = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": PAPER_STEP}
+    # the beginning alone, a whole number of sample instants
     share = SAMPLING * max(1, round(subject.stop / SAMPLING / PAPER_SHARE))
     try:
         prepared = PreparedScene(subject.scene.replace(changes), communication_step=SAMPLING, motion=subject.motion)

@@ -61,6 +61,7 @@ class SceneUnderTest:
 
     def positions(self, run: Run) -> RealArray:
         """(N, 2) positions of the end effector [m] of a run at the instants that it communicates at, NaN elsewhere."""
+        # the sample instants among the communication points
         time = run.recording.time
         index = np.searchsorted(time, self.instants * (1.0 - 1e-12) - 1e-15).clip(0, time.size - 1)
         position = np.stack([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"], axis=1)
@@ -143,6 +144,7 @@ class Curve:
     def of(cls, trials: Iterable[Trial]) -> Curve:
         """The curve of all settings that were tried; failures and those that another one beats are left out."""
         good = [each for each in trials if each.error is not None and each.time is not None]
+        # from the smallest error upwards, each setting that is faster than all before it
         best: list[Trial] = []
         for each in sorted(good, key=lambda each: (each.error, each.time)):
             if not best or (each.time or 0.0) < (best[-1].time or 0.0):
@@ -174,6 +176,7 @@ def sweep(settings: Iterable[TrialSetting], run: Callable[[TrialSetting], Trial]
         yield trial
         if trial.error is None or trial.time is None:
             continue
+        # as accurate as our best setting, or much slower at the same error
         our_time = ours.time(trial.error)
         if trial.error <= ours.least < np.inf or (our_time is not None and trial.time >= TOO_SLOW * our_time):
             return
