@@ -114,6 +114,7 @@ class PlacedPiece:
 
     def jets(self, s: RealArray, order: int) -> PlaneJets:
         """See `Piece`."""
+        # run backwards, derivatives of odd order change their signs
         own = self.own_arc_length(Jet.variable(s, order))
         u, v = self.piece.jets(own.value, order)
         return self.moved((u.rescale(-1.0), v.rescale(-1.0)) if self.backwards else (u, v))

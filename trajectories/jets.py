@@ -92,6 +92,7 @@ class Jet:
 
     def integrate(self, value: ArrayLike = 0.0) -> Jet:
         """The antiderivative's series that has ``value`` here, one order higher."""
+        # coefficients move up by one, each divided by its new order
         first = np.broadcast_to(np.asarray(value, dtype=float), self.shape)
         rest = self.coefficients / _column(np.arange(1.0, self.order + 2), self.coefficients)
         return Jet(np.concatenate([first[None], rest]))
@@ -307,6 +308,7 @@ def _column(values: RealArray, like: RealArray) -> RealArray:
 
 def _aligned(jet: Jet, ndim: int) -> RealArray:
     """Coefficients with at least ``ndim`` axes: axes of length 1 behind the first, as points broadcast from the last."""
+    # points broadcast from the last axis, as numpy does, and coefficients stay first
     missing = max(0, ndim - jet.coefficients.ndim)
     return jet.coefficients.reshape(len(jet.coefficients), *(1,) * missing, *jet.shape)
 
@@ -315,6 +317,7 @@ def _require(value: RealArray, valid: NDArray[np.bool_], operation: str, require
     """Refuse an operation where a value isn't ``valid`` (NaN never is), naming the first such value."""
     if np.all(valid):
         return
+    # the first of the values that are wrong
     index = np.unravel_index(int(np.argmin(valid)), value.shape)
     where = f" at index {', '.join(map(str, index))}" if value.ndim else ""
     raise TrajectoryError(f"{operation} of a jet needs values {requirement}, got {value[index]}{where}")

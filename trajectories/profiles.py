@@ -132,6 +132,7 @@ class Parameter:
 
 
 RAMP = Parameter(above=0.0, at_most=0.5)
+"""Two ramps fill the duration at most."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +215,7 @@ def time_at(profile: Profile, fraction: float) -> float:
 @cache
 def _shifted(coefficients: tuple[float, ...], order: int) -> RealArray:
     """(order + 1, n) matrix from the powers of x to the polynomial's normalised Taylor coefficients at x."""
+    # (x + t)^j has C(j, k) x^(j-k) as its coefficient of t^k
     matrix = np.zeros((order + 1, len(coefficients)))
     for j, coefficient in enumerate(coefficients):
         for k in range(min(order, j) + 1):
@@ -223,6 +225,7 @@ def _shifted(coefficients: tuple[float, ...], order: int) -> RealArray:
 
 def _symmetric(coefficients: tuple[float, ...], end: float) -> tuple[ProfilePiece, ProfilePiece]:
     """A piece from 0 to ``end`` expanded about 0, and its point reflection that ends at 1: 1 - σ(1 - η)."""
+    # in powers of η - 1, odd coefficients stay and even ones change their signs
     reflected = [-c * (-1.0) ** k for k, c in enumerate(coefficients)]
     reflected[0] += 1.0
     return ProfilePiece(0.0, end, 0.0, coefficients), ProfilePiece(1.0 - end, 1.0, 1.0, tuple(reflected))

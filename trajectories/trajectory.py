@@ -85,7 +85,14 @@ def limits(trajectory: Trajectory, time: RealArray, left: NDArray[np.bool_], ord
 
 
 class Interval(NamedTuple):
-    """A time interval in which the motion is analytic."""
+    """A time interval in which the motion is analytic.
+
+    Attributes:
+        start: when it begins [s].
+        profile: piece of the profile that holds in it.
+        piece: piece of the path that is passed in it.
+        piece_start: arc length of the path at which that piece begins [m].
+    """
 
     start: float
     profile: SmoothPiece
@@ -167,6 +174,7 @@ class TaskTrajectory:
     @cached_property
     def _intervals(self) -> tuple[Interval, ...]:
         """Intervals between breakpoints, split also where the profile changes its expansion."""
+        # breakpoints first: a join of the profile that is a breakpoint is merged into it
         joins = [piece.start for piece in self.profile.pieces[1:]]
         knots = [time / self.duration for time in self.breakpoints[1:-1]]
         curve, intervals = self.path.curve, []

@@ -66,6 +66,7 @@ def extra_insensitive(mode: Oscillator, tolerance: float = 0.05, humps: int = 1)
                 f"no EI shaper with {humps} hump(s) exists near a damping ratio of {ratio:.3g}: "
                 "use fewer humps, ZVD or ZV; the vibration decays quickly"
             )
+    # angles ω0 t as times
     amplitudes, angles, _, _ = conditions.unpack(unknowns)
     return ImpulseSequence(tuple(angles / mode.angular_frequency), tuple(amplitudes))
 
@@ -121,6 +122,7 @@ class _Conditions:
 
     def unpack(self, unknowns: RealArray) -> tuple[RealArray, RealArray, RealArray, RealArray]:
         """Amplitudes and angles (n + 2,), frequencies of the zeros (n + 1,) and of the tops (n,)."""
+        # amplitudes add up to 1, the first angle is 0, the frequency in the middle is 1
         n = self.humps + 1
         amplitudes = np.concatenate([[1.0 - np.sum(unknowns[:n])], unknowns[:n]])
         angles = np.concatenate([[0.0], unknowns[n : 2 * n]])

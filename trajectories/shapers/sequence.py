@@ -245,6 +245,7 @@ class ImpulseSequence:
 
 def sample_share(time: float, sample_time: float) -> tuple[int, float]:
     """The sample at or before a time [s], and the share of an impulse there that belongs to the next sample, 0 to 1."""
+    # an impulse that is at a sample but for rounding belongs to that sample alone
     position = time / sample_time
     sample = math.floor(position + SAME_IMPULSE * max(position, 1.0))
     return sample, max(position - sample, 0.0)

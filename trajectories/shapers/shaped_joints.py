@@ -104,6 +104,7 @@ class EndEffectorTrajectory:
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """x and y [m] and their time derivatives; see `flexfmu.trajectories.Trajectory.evaluate`."""
+        # forward kinematics of the series in time
         motion = Jet.from_derivatives(self.joints.evaluate(time, checked_order(order), side))
         q11, q21 = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))
         return np.stack([jet.derivatives() for jet in self.kinematics.end_effector(q11, q21)], axis=-1)
