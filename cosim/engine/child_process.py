@@ -109,7 +109,7 @@ class _Supervisor:
                 data += chunk
                 continue
             if self._gone():
-                return  # and whoever holds the other end of the pipe open is somebody else
+                return  # another process holds the other end of the pipe open
             # time in which this process sleeps as well doesn't count
             now, at = monotonic(), self._look()
             idle = 0.0 if at != seen else idle + min(now - last, 2.0 * LOOK)
@@ -160,7 +160,7 @@ def _no_interruption() -> Iterator[None]:
 def _flush() -> None:
     """Write all that Python and C have buffered, so that it is written once."""
     for stream in (sys.stdout, sys.stderr):
-        with suppress(AttributeError, OSError, ValueError):  # there is none, it is closed, nobody reads it
+        with suppress(AttributeError, OSError, ValueError):  # there is no stream, it is closed, or its reader is gone
             stream.flush()
     ctypes.CDLL(None).fflush(None)
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.trajectories.jets import RealArray as RealArray
 
 Causality = Literal["input", "output", "parameter"]
 Type = Literal["Real", "Integer", "Boolean", "String", "Enumeration"]
-RealArray = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Call = Callable[[], None]
 
@@ -243,8 +243,8 @@ class LimitsStep(Protocol):
 
 @runtime_checkable
 class RatesFollowInputs(Protocol):
-    """Its outputs are continuous where its inputs jump, their derivatives jump along: it has its turn when its inputs are
-    there, but where that alone would close a loop."""
+    """Its outputs are continuous where its inputs jump, their derivatives jump along: its exchange step comes when its
+    inputs are up to date, but where that alone would close a loop."""
 
     @property
     def rates_follow_inputs(self) -> bool: ...

@@ -32,7 +32,7 @@ class Fmi3Instance(Instance):
     """The instance of an FMI 3.0 FMU that is in use, and after it the next one; for attributes see `Instance`.
 
     Attributes:
-        lives: how many instances there have been.
+        instances: how many there have been.
         epoch: changes whenever the FMU's inputs may be others than those that were set last.
     """
 
@@ -48,7 +48,7 @@ class Fmi3Instance(Instance):
         self._resources = f"{folder}{os.sep}".encode() if folder.is_dir() else None
         self._receive = fmi3LogMessageCallback(self._logged)
         self._experiment: tuple[Any, ...] = ()
-        self._next_event, self.epoch, self.lives = inf, 0, 0
+        self._next_event, self.epoch, self.instances = inf, 0, 0
         self._events_after: dict[int | None, float] = {}
         self._configurable = self._stepping = False
         # what fmi3DoStep and fmi3UpdateDiscreteStates tell, written by the FMU
@@ -62,7 +62,7 @@ class Fmi3Instance(Instance):
     def _created(self, name: bytes) -> int | None:
         """The handle of a new instance; one that states event mode and refuses it handles its events itself."""
         self._configurable, self._stepping, self._next_event = True, False, inf
-        self.epoch, self.lives = self.epoch + 1, self.lives + 1
+        self.epoch, self.instances = self.epoch + 1, self.instances + 1
         self._events = self._has_events
         found = self._instantiated(name)
         if found is None and self._events:

@@ -34,7 +34,7 @@ class Fmi3Transfers:
     def __init__(self, instance: Fmi3Instance) -> None:
         self._instance = instance
         self._arrays: dict[int, NDArray[Any]] = {}
-        self._life = 0
+        self._seen_instance = 0
 
     def get(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
         """A call that fills ``values`` (n,)."""
@@ -131,8 +131,8 @@ class Fmi3Transfers:
 
     def _array(self, handle: ElementHandle) -> NDArray[Any]:
         """All that an array was given last in this life of the instance; its start values at first."""
-        if self._life != self._instance.lives:
-            self._life = self._instance.lives
+        if self._seen_instance != self._instance.instances:
+            self._seen_instance = self._instance.instances
             self._arrays.clear()
         if handle.reference not in self._arrays:
             self._arrays[handle.reference] = self._given(handle)

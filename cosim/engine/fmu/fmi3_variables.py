@@ -133,7 +133,7 @@ def _structural(variable: Any) -> bool:
 
 
 def _is_used(variable: Any) -> bool:
-    """Whether it is a signal or may have a start value from outside."""
+    """Whether it is a signal or may be set before initialisation."""
     shown = variable.causality in ("input", "output", "parameter", "structuralParameter")
     return shown or (variable.initial in ("exact", "approx") and variable.variability != "constant")
 

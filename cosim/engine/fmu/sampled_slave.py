@@ -33,7 +33,7 @@ def fmu_slave(
 
     An exported block states its own sample time. Another FMU is sampled if it is given a sample time, or if it can't vary
     its communication step (canHandleVariableCommunicationStepSize = false) and its default experiment has a step size.
-    Whoever is sampled either has its outputs at an instant before its step (`SampledFmu`), which is seen from a trial
+    A sampled FMU either has its outputs at an instant before its step (`SampledFmu`), which is seen from a trial
     instance whose outputs follow its inputs at once, or from a description in which no output depends on an input; or it
     calculates them in fmi2DoStep (`FmuTask`).
 
@@ -115,11 +115,11 @@ class FmuTask:
     """An FMU that calculates its outputs in fmi2DoStep, as a task of a digital controller does.
 
     At t_k it gets its inputs, makes the step from t_k to t_k + sample_time, and its outputs are held from t_k on, as
-    those of a Python block with y_k = f(x_k, u_k) are. It begins to live at its first instant, so that all of its steps
+    those of a Python block with y_k = f(x_k, u_k) are. It is initialised at its first instant, so that all of its steps
     have the same length.
 
     Args:
-        slave: the FMU; nobody else steps it.
+        slave: the FMU; it is stepped here alone.
         sample_time, offset: [s].
 
     Attributes:
@@ -196,7 +196,7 @@ class SampledFmu:
         path: the FMU.
         name: name of the slave.
         parameters: start values of parameters and inputs by name.
-        times: sample time and offset [s] of an FMU that isn't an exported block; it begins to live at its first instant,
+        times: sample time and offset [s] of an FMU that isn't an exported block; it is initialised at its first instant,
             so that all of its steps have the same length. None for those of the block.
         feedthrough: output → inputs that it depends on at the same instant; None for what the description says.
 

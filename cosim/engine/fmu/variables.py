@@ -114,7 +114,7 @@ class Setting:
 
 
 def settable_variables(description: Any) -> Mapping[str, Any]:
-    """Name → what fmpy has read of each variable that may have a start value from outside."""
+    """Name → what fmpy has read of each variable that may be set before initialisation."""
     return {v.name: v for v in description.modelVariables if _has_start(v)}
 
 

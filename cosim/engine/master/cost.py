@@ -1,6 +1,7 @@
 """What a long run will take in time and memory, estimated before it starts.
 
-The first communication steps are tried for the time, in a child process where there are any, so that no slave notices.
+The time of a communication step is measured on the first ones, in a child process where the platform has them, so that slaves
+stay as they are. Memory follows from the numbers of values.
 """
 
 from __future__ import annotations
@@ -46,13 +47,14 @@ def cost(steps: int, values: int, references: int, trial: Callable[[int], Simula
         trial: simulates so many of the first steps.
     """
     seconds = None
-    # what goes wrong now goes wrong in the run, which says it better
+    # what goes wrong now goes wrong in the run, whose message says more: then the time is left out
     with suppress(Exception):
         seconds = (
             in_child(lambda: _seconds_per_step(trial), lambda: None, CALL_LIMIT)
             if AVAILABLE
             else _seconds_per_step(trial)
         )
+    # memory: references are all calculated before the first step, values recorded as they come
     time = "" if seconds is None else f"{_duration(seconds * steps)} and "
     tabulated = references * steps
     gigabytes = 1e-9 * max(BYTES_PER_REFERENCE * tabulated, BYTES_KEPT * tabulated + BYTES_PER_VALUE * values)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from flexfmu.cosim.engine.master.algorithms import Algorithm
-from flexfmu.cosim.engine.master.dependencies import Connection, Variable, contracted, find_loops, visiting_order
+from flexfmu.cosim.engine.master.dependencies import Connection, Variable, contracted, find_loops, order_of_calls
 from flexfmu.cosim.engine.master.iteration import LoopSolver
 from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.slave import PredictsOutputs, Sampled, feedthrough, input_order, output_order
@@ -81,6 +81,7 @@ def stale_after_step(system: System, coupled: Couplings) -> frozenset[int]:
     arrived at its source's value, or that source is out of date itself."""
     direct = {(i, n) for i, slave in enumerate(system.slaves) for names in feedthrough(slave).values() for n in names}
     through = [e for e in system.connections if (e.target, system.slaves[e.target].variables[e.input].name) in direct]
+    # late by themselves, then by their sources
     stale = {each.target for each in through if not coupled[each.source, each.target].exact}
     for _ in system.slaves:
         stale |= {each.target for each in through if each.source in stale}
@@ -136,20 +137,23 @@ def _stepped(system: System) -> tuple[list[int], list[Connection]]:
 
 def _ordered_rings(stepped: Sequence[int], signals: Sequence[Connection]) -> list[set[int]]:
     """Slaves that feed each other, and single ones, sources before targets."""
+    # a graph of whole slaves, and its loops
     graph: dict[Variable, set[Variable]] = {(i, ""): set() for i in stepped}
     for each in signals:
         graph[each.target, ""].add((each.source, ""))
     rings = find_loops(graph)
+    # each loop takes the place of its first slave
     owner = {(i, ""): position for position, i in enumerate(stepped)}
     members = {position: {i} for position, i in enumerate(stepped)}
     for ring in rings:
         members[owner[min(ring)]] = {i for i, _ in ring}
-    return [members[position] for position in visiting_order(contracted(graph, rings), owner)]
+    return [members[position] for position in order_of_calls(contracted(graph, rings), owner)]
 
 
 def _group(members: set[int], stepped: Sequence[int], signals: Sequence[Connection], solver: LoopSolver) -> StepGroup:
     """The group of slaves that feed each other, or a single one."""
     order = tuple(i for i in stepped if i in members)
+    # what a slave needs from one that is advanced after it, or from itself, must be assumed
     position = {slave: i for i, slave in enumerate(order)}
     inner = [each for each in signals if each.source in position and each.target in position]
     torn = tuple(each for each in inner if position[each.source] >= position[each.target])

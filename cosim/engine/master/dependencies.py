@@ -1,7 +1,8 @@
 """Connections, and what depends on what at one instant: the graph of variables, its loops, and an order of calls.
 
 Nodes of the graph are inputs and outputs; an output depends on the inputs with direct feedthrough to it, an input on the
-output that feeds it. Loops are strongly connected components; they are torn at the outputs that feed the most inputs.
+output that feeds it. Loops are strongly connected components; they are torn at the outputs that feed the most inputs (tearing:
+H. Elmqvist and M. Otter, Proc. European Simulation Multiconference 1994, 326). What is left is sorted topologically.
 """
 
 from __future__ import annotations
@@ -102,6 +103,7 @@ def find_loops(graph: Graph) -> list[frozenset[Variable]]:
 
     Cycles are contracted one after the other until none is left.
     """
+    # contract one cycle; its members, themselves contracted cycles perhaps, become one node
     groups: dict[Variable, set[Variable]] = {}  # node of the contracted graph → variables that it stands for
     left = graph
     while ring := cycle(left):
@@ -139,51 +141,51 @@ def tear(graph: Graph, outputs: Collection[Variable]) -> tuple[Variable, ...]:
     return tuple(torn)
 
 
-def visiting_order(graph: Graph, owner: Mapping[Variable, int], inputs: Collection[Variable] = ()) -> tuple[int, ...]:
-    """Owners of variables in an order in which everything is up to date when it is needed.
+def order_of_calls(graph: Graph, owner: Mapping[Variable, int], inputs: Collection[Variable] = ()) -> tuple[int, ...]:
+    """Owners of variables in an order of exchange steps in which everything is up to date when it is needed.
 
-    A topological sort that takes as many variables of one owner at a time as it can: one visit. An owner is visited when it
-    has outputs that others need, and once more in the end if some of its inputs were late. On a visit the ``inputs`` are set
-    before outputs are read, so an input that its owner's own output feeds waits for the next visit. The graph must have no
-    loop (see `contracted`).
+    A topological sort that takes as many variables of one owner at a time as it can: one exchange step. An owner has a step
+    when it has outputs that others need, and once more in the end if some of its inputs were late. In a step the ``inputs``
+    are set before outputs are read, so an input that its owner's own output feeds waits for the next step. The graph must
+    have no loop (see `contracted`).
     """
     sorter: TopologicalSorter[Variable] = TopologicalSorter(graph)
     sorter.prepare()
     order: list[int] = []
     done: set[Variable] = set()
-    read: set[Variable] = set()  # on the current visit
+    read: set[Variable] = set()  # in the current step
     ready = list(sorter.get_ready())
 
     def reached() -> list[Variable]:
-        """Variables that the current visit can bring up to date too."""
+        """Variables that the current step can bring up to date too."""
         own = [node for node in ready if order and owner[node] == order[-1]]
         return [node for node in own if node not in inputs or read.isdisjoint(graph.get(node, ()))]
 
     while ready:
-        # the current visit is at its end: choose the next owner, one that others wait for if there is one
+        # the current step is at its end: choose the next owner, one that others wait for if there is one
         if not reached():
             waiting = sorted({owner[node] for node in ready})
-            order.append(next((each for each in waiting if _has_news(graph, owner, each, done)), waiting[0]))
+            order.append(next((each for each in waiting if _is_awaited(graph, owner, each, done)), waiting[0]))
             read.clear()
-        # take all that this visit brings up to date; more may become ready by it
-        visited = reached()
-        sorter.done(*visited)
-        done.update(visited)
-        read.update(visited)
-        ready = [node for node in ready if node not in visited] + list(sorter.get_ready())
+        # take all that this step brings up to date; more may become ready by it
+        updated = reached()
+        sorter.done(*updated)
+        done.update(updated)
+        read.update(updated)
+        ready = [node for node in ready if node not in updated] + list(sorter.get_ready())
     return tuple(order)
 
 
-def _has_news(graph: Graph, owner: Mapping[Variable, int], visited: int, done: Collection[Variable]) -> bool:
-    """Whether a visit to an owner would bring a variable up to date that others need."""
-    # follow the visit: variables whose needs are met, until there are no more
+def _is_awaited(graph: Graph, owner: Mapping[Variable, int], chosen: int, done: Collection[Variable]) -> bool:
+    """Whether an exchange step of an owner would bring a variable up to date that others need."""
+    # follow the step: variables whose needs are met, until there are no more
     reached = set(done)
-    waiting = {node for node, its in owner.items() if its == visited} - reached
+    waiting = {node for node, its in owner.items() if its == chosen} - reached
     while found := {node for node in waiting if reached.issuperset(graph.get(node, ()))}:
         reached |= found
         waiting -= found
-    news = reached.difference(done)
-    return any(owner[node] != visited and news.intersection(needed) for node, needed in graph.items())
+    updated = reached.difference(done)
+    return any(owner[node] != chosen and updated.intersection(needed) for node, needed in graph.items())
 
 
 def contracted(graph: Graph, groups: Iterable[Collection[Variable]]) -> Graph:

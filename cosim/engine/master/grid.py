@@ -6,15 +6,23 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from math import lcm
+from math import ceil, lcm
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import COINCIDENT
+from flexfmu.cosim.engine.master.system import System
+from flexfmu.cosim.engine.slave import (
+    COINCIDENT,
+    HasBreakpoints,
+    LimitsStep,
+    MayNeedRegularSteps,
+    RealArray,
+    Sampled,
+    offset,
+)
 
-Instants = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 MAXIMUM_POINTS = 20_000_000
@@ -60,7 +68,7 @@ class TimeGrid:
         due: for each clock (N + 1,) whether it samples at the point.
     """
 
-    times: Instants
+    times: RealArray
     marked: Flags
     due: tuple[Flags, ...] = ()
 
@@ -68,6 +76,56 @@ class TimeGrid:
     def largest_step(self) -> float:
         """Longest distance of two neighbouring points [s]."""
         return float(np.diff(self.times).max())
+
+
+def system_grid(system: System, start: float, stop: float, step: float, ticks: bool) -> TimeGrid:
+    """The communication points of a run.
+
+    Args:
+        system: the slaves.
+        start, stop: [s].
+        step: communication step [s].
+        ticks: whether there are points at start + n * step, besides marks and sample instants.
+
+    Raises:
+        InputError: the times don't fit, or a slave limits the step far too much.
+    """
+    # sample instants, and breakpoints
+    clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
+    marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
+    # into how many parts a communication step is divided for slaves that limit it
+    parts = 1
+    for slave in system.slaves:
+        if isinstance(slave, LimitsStep):
+            wanted = step / slave.largest_step
+            if not wanted < MAXIMUM_RATIO:
+                raise InputError(
+                    f"{slave.name} needs steps of {slave.largest_step:g} s, {wanted:.3g} of them in a communication step of "
+                    f"{step:g} s; what is that fast hardly matters: leave it out, or take a smaller step"
+                )
+            parts = max(parts, ceil(wanted - COINCIDENT))
+    return time_grid(start, stop, step / parts, marks, clocks, ticks=ticks)
+
+
+def check_regular_steps(system: System, grid: TimeGrid, step: float, varies: bool) -> None:
+    """Slaves that can't vary their step get none but equal ones.
+
+    Raises:
+        InputError: steps differ, or step control chooses them.
+    """
+    steps = np.diff(grid.times)
+    least, largest = float(steps.min()), float(steps.max())
+    if largest - least <= COINCIDENT * largest and not varies:
+        return
+    for slave in system.slaves:
+        if isinstance(slave, MayNeedRegularSteps) and slave.needs_regular_steps and not isinstance(slave, Sampled):
+            found = f"this run lands on breakpoints, sample instants and its end in steps of {least:.6g} s to {largest:.6g} s"
+            found = "step control chooses them as they come" if varies else found
+            raise InputError(
+                f"{slave.name} takes equal communication steps alone (canHandleVariableCommunicationStepSize = false), but "
+                f"{found}; give it a sample time of its own [s]: sample_time = {step:.6g} in its table, or "
+                f"fmu_slave(path, sample_time={step:.6g})"
+            )
 
 
 def time_grid(
@@ -118,8 +176,8 @@ def time_grid(
 
 
 def _regular_points(
-    start: float, stop: float, step: float, clocks: Sequence[Clock], instants: Sequence[Instants], ticks: bool
-) -> Instants:
+    start: float, stop: float, step: float, clocks: Sequence[Clock], instants: Sequence[RealArray], ticks: bool
+) -> RealArray:
     """Ticks and sample instants, each once; where they fall together, the tick's or the first clock's number."""
     # a common tick of the step and all sample times
     ratios = [(_ratio(clock, "sample time", step), _ratio(clock, "offset", step)) for clock in clocks]
@@ -170,22 +228,22 @@ def _ratio(clock: Clock, what: str, step: float) -> Fraction:
     )
 
 
-def merge(instants: Iterable[float], near: float) -> Instants:
+def merge(instants: Iterable[float], near: float) -> RealArray:
     """Ascending instants, of each group of neighbours nearer than ``near`` the first."""
     ascending = np.unique(np.fromiter(instants, dtype=np.float64))
     return ascending[np.diff(ascending, prepend=-np.inf) > near]
 
 
-def _distance(times: Instants, marks: Instants) -> Instants:
+def _distance(times: RealArray, marks: RealArray) -> RealArray:
     """Distance of each time to the nearest mark; ``marks`` need not be sorted."""
     ascending = np.sort(marks)
     after = np.searchsorted(ascending, times).clip(0, ascending.size - 1)
     before = (after - 1).clip(0)
-    distance: Instants = np.minimum(abs(ascending[after] - times), abs(ascending[before] - times))
+    distance: RealArray = np.minimum(abs(ascending[after] - times), abs(ascending[before] - times))
     return distance
 
 
-def sample_instants(clock: Clock, start: float, stop: float, near: float = 0.0) -> Instants:
+def sample_instants(clock: Clock, start: float, stop: float, near: float = 0.0) -> RealArray:
     """Instants start + offset + k * sample_time up to ``stop`` [s], or beyond it by no more than ``near``.
 
     Raises:
@@ -201,7 +259,7 @@ def sample_instants(clock: Clock, start: float, stop: float, near: float = 0.0) 
     return start + (clock.offset + clock.sample_time * np.arange(count, dtype=np.float64))
 
 
-def _nearest(times: Instants, instants: Instants) -> Flags:
+def _nearest(times: RealArray, instants: RealArray) -> Flags:
     """(N + 1,) which of the times are nearest to one of the instants."""
     points: Flags = np.zeros(times.shape, dtype=np.bool_)
     after = np.searchsorted(times, instants).clip(1, times.size - 1)

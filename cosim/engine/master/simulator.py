@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from math import ceil
 from typing import Any
 
 import numpy as np
 
 from flexfmu.cosim.engine.child_process import ChildLostError, in_child, portable
-from flexfmu.cosim.engine.errors import CostWarning, InputError, SlaveEnded, SlaveError, SlaveWarning
+from flexfmu.cosim.engine.errors import CostWarning, SlaveEnded, SlaveError, SlaveWarning
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.engine.master.c_library import load
@@ -22,7 +20,7 @@ from flexfmu.cosim.engine.master.coupling_error import CouplingError
 from flexfmu.cosim.engine.master.couplings import Transport, feedback_signals
 from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
 from flexfmu.cosim.engine.master.dependencies import Connection
-from flexfmu.cosim.engine.master.grid import MAXIMUM_RATIO, Clock, TimeGrid, time_grid
+from flexfmu.cosim.engine.master.grid import check_regular_steps, system_grid
 from flexfmu.cosim.engine.master.isolation import Isolation
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, message_of, outcome_of, overshot
@@ -30,21 +28,16 @@ from flexfmu.cosim.engine.master.program import can_compile
 from flexfmu.cosim.engine.master.recorder import Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
 from flexfmu.cosim.engine.master.simulation_loop import Progress, Reached, SimulationLoop
-from flexfmu.cosim.engine.master.stability import Instability, find_alternation, find_instability
+from flexfmu.cosim.engine.master.stability import find_alternation, find_instability
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.results import EVERYTHING, Column, Recording, Selection
 from flexfmu.cosim.engine.slave import (
-    COINCIDENT,
     TEXTS,
-    HasBreakpoints,
-    LimitsStep,
-    MayNeedRegularSteps,
+    RealArray,
     Reports,
-    Sampled,
     Slave,
     Terminates,
-    offset,
 )
 
 
@@ -89,7 +82,10 @@ class Simulator:
         record: Selection = EVERYTHING,
         isolation: Isolation | None = None,
     ) -> None:
-        record.check(_outputs(system))
+        outputs = [
+            (slave.name, each.name) for slave in system.slaves for each in slave.variables if each.causality == "output"
+        ]
+        record.check([f"{slave}.{output}" for slave, output in outputs])
         self._options: Mapping[str, Any] = {
             "start": start,
             "algorithm": algorithm,
@@ -97,8 +93,9 @@ class Simulator:
             "record": record,
         }
         self._system, self._step, self._control, self._selection = system, step, step_control, record
-        self._grid = _grid(system, start, stop, step, step_control is None)
-        _check_regular_steps(system, self._grid, step, step_control is not None)
+        # points of the run, order of calls, room for the recording
+        self._grid = system_grid(system, start, stop, step, step_control is None)
+        check_regular_steps(system, self._grid, step, step_control is not None)
         chosen = GaussSeidel() if algorithm is None else algorithm
         # step control judges outputs that need not be recorded
         read = record if step_control is None else EVERYTHING
@@ -106,11 +103,18 @@ class Simulator:
         capacity = self._grid.times.size + int(self._grid.marked.sum())
         self._recorder = Recorder(self._schedule.outputs, capacity, shared=isolation is not None)
         self._isolation = isolation
-        self._compiled = self._compiled_loop() if compiled is not False and step_control is None else None
+        # the loop over the points in C, where the plan allows it and there is a compiler
+        self._compiled: CompiledLoop | None = None
+        may_compile = compiled is not False and step_control is None and can_compile(self._schedule)
+        if may_compile and (library := load()) is not None:
+            self._compiled = CompiledLoop(library, self._schedule, self._recorder, self._grid)
         if step_control is not None:
             check_can_save(filter(needs_rollback, system.slaves), "step control")
             self._coupling_error(step_control)
-        self._feedback = self._extrapolated_feedback()
+        # signals that may blow up: those that slaves feed each other, where some of them are extrapolated
+        feedback, couplings = feedback_signals(system), self._schedule.couplings
+        transports = {couplings[each.source, each.target].transport for each in feedback}
+        self._feedback = self._source_names(feedback) if Transport.EXTRAPOLATED in transports else ()
         self._loops = feedback_signals(system, sampled=True)
         self._terminating = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Terminates)]
         self._delays: dict[float, tuple[SignalDelay, ...]] = {}
@@ -124,17 +128,18 @@ class Simulator:
         """
         steps, values = self._grid.times.size - 1, self._recorder.values
         if self._control is None and is_long(steps, values):
+
+            def trial(steps: int) -> Simulation:
+                """The first communication steps alone."""
+                first = Simulator(self._system, float(self._grid.times[steps]), self._step, **self._options)
+                return first._result(first._attempt(tolerance, None))
+
             references = sum(len(self._system.slaves[i].variables) for i in self._schedule.predicting)
-            warnings.warn(cost(steps, values, references, partial(self._trial, tolerance)), CostWarning, stacklevel=2)
+            warnings.warn(cost(steps, values, references, trial), CostWarning, stacklevel=2)
         self._recorder.rewind(0)
         if self._isolation is None:
             return self._result(self._attempt(tolerance, progress))
         return self._result(self._supervised(self._isolation, tolerance, progress))
-
-    def _trial(self, tolerance: float | None, steps: int) -> Simulation:
-        """The first communication steps alone."""
-        first = Simulator(self._system, float(self._grid.times[steps]), self._step, **self._options)
-        return first._result(first._attempt(tolerance, None))
 
     def _attempt(self, tolerance: float | None, progress: Progress | None) -> Ending:
         """A run in this process."""
@@ -158,7 +163,7 @@ class Simulator:
             reports = [each.report() if isinstance(each, Reports) else {} for each in self._system.slaves]
             return replace(ending, error=error, reports=reports, texts=TEXTS.known())
 
-        # in the parent, now and then: what has been recorded, and who is being called; a change shows that the child lives
+        # in the parent, now and then: what has been recorded, and which slave is being called; a change shows that the child goes on
         def look() -> object:
             count = recorder.catch_up()
             if progress is not None and count:
@@ -191,12 +196,6 @@ class Simulator:
             float(time[-1]) if time.size else start, int((np.diff(time) > 0.0).sum()), 0, self._grid.largest_step
         )
 
-    def _compiled_loop(self) -> CompiledLoop | None:
-        """The loop over the points in C, where the schedule allows it and there is a compiler."""
-        if not can_compile(self._schedule) or (library := load()) is None:
-            return None
-        return CompiledLoop(library, self._schedule, self._recorder, self._grid)
-
     def _completed(self, loop: SimulationLoop, tolerance: float | None) -> BaseException | None:
         """Run the loop and terminate all slaves; the first error, if any."""
         try:
@@ -225,22 +224,29 @@ class Simulator:
         """Recording, outcome and delays of a run that has ended."""
         recording = _without_absent(self._recorder.recording(), self._system.slaves)
         _warn(recording, self._system.slaves)
+
+        def values(names: Sequence[str]) -> Iterator[tuple[str, RealArray]]:
+            return ((name, recording[name].values) for name in names)
+
         reached, error = ending.reached, ending.error
         # how it ended, from the error
         outcome = outcome_of(error, ending.initialized)
         message = message_of(error, outcome, ending.active, reached.time)
-        # an unstable coupling is the cause of whatever came in the end
+        # an unstable coupling is the cause of whatever came in the end: signals that grow, or that go up and down ever further
         if outcome is not Outcome.INTERRUPTED:
-            finally_ = message if error is not None else ""
-            if (unstable := self._instability(recording)) is not None:
-                outcome, message = Outcome.COUPLING_UNSTABLE, blown_up(unstable, finally_)
-            elif (unstable := self._alternation(recording)) is not None:
-                outcome, message = (
-                    Outcome.COUPLING_UNSTABLE,
-                    overshot(unstable, self._fed_by(unstable.signal), finally_),
-                )
-        error = error if outcome.is_failure else None
-        kept, delays = self._selection.of(recording), self._delays_with(reached.largest_step)
+            ended = message if error is not None else ""
+            overshooting = self._source_names(self._loops)
+            if (unstable := find_instability(recording.time, values(self._feedback))) is not None:
+                outcome, message = Outcome.COUPLING_UNSTABLE, blown_up(unstable, ended)
+            elif (unstable := find_alternation(recording.time, values(overshooting))) is not None:
+                targets = [each.target for each in self._loops if self._system.source_name(each) == unstable.signal]
+                fed = [self._system.slaves[i].name for i in dict.fromkeys(targets)]
+                outcome, message = Outcome.COUPLING_UNSTABLE, overshot(unstable, fed, ended)
+        # what was asked for, and how late its signals arrive
+        error, step = error if outcome.is_failure else None, reached.largest_step
+        if step not in self._delays:
+            self._delays = {step: signal_delays(self._system, self._schedule.couplings, step)}
+        kept, delays = self._selection.of(recording), self._delays[step]
         return Simulation(kept, outcome, message, error, reached.steps, reached.rejected, delays)
 
     def _coupling_error(self, control: StepDoubling) -> CouplingError:
@@ -248,39 +254,9 @@ class Simulator:
         span = float(self._grid.times[-1] - self._grid.times[0])
         return CouplingError(self._system, self._schedule.outputs, self._schedule.couplings, control, span)
 
-    def _extrapolated_feedback(self) -> tuple[str, ...]:
-        """Signals that slaves feed each other, where some of them are extrapolated and may blow up."""
-        feedback, couplings = feedback_signals(self._system), self._schedule.couplings
-        transports = {couplings[each.source, each.target].transport for each in feedback}
-        return self._source_names(feedback) if Transport.EXTRAPOLATED in transports else ()
-
     def _source_names(self, connections: Sequence[Connection]) -> tuple[str, ...]:
         """What is passed on by these connections, each once."""
         return tuple(dict.fromkeys(self._system.source_name(each) for each in connections))
-
-    def _instability(self, recording: Recording) -> Instability | None:
-        """The feedback signal that blew up, if any."""
-        if not self._feedback:
-            return None
-        return find_instability(recording.time, ((name, recording[name].values) for name in self._feedback))
-
-    def _alternation(self, recording: Recording) -> Instability | None:
-        """The signal of a closed loop, sampled ones included, that overshot, if any."""
-        names = self._source_names(self._loops)
-        if not names:
-            return None
-        return find_alternation(recording.time, ((name, recording[name].values) for name in names))
-
-    def _fed_by(self, signal: str) -> list[str]:
-        """Names of the slaves that a signal goes to in a closed loop."""
-        fed = [each.target for each in self._loops if self._system.source_name(each) == signal]
-        return [self._system.slaves[i].name for i in dict.fromkeys(fed)]
-
-    def _delays_with(self, step: float) -> tuple[SignalDelay, ...]:
-        """How late signals arrive, with a largest communication step [s]."""
-        if step not in self._delays:
-            self._delays = {step: signal_delays(self._system, self._schedule.couplings, step)}
-        return self._delays[step]
 
 
 def _failure(action: Callable[[], None]) -> BaseException | None:
@@ -310,60 +286,3 @@ def _warn(recording: Recording, slaves: Sequence[Slave]) -> None:
             remarks += slave.absence([name for name in slave.absent if f"{slave.name}.{name}" in recording.columns])
         for remark in remarks:
             warnings.warn(f"{slave.name}: {remark}", SlaveWarning, stacklevel=5)
-
-
-def _grid(system: System, start: float, stop: float, step: float, ticks: bool) -> TimeGrid:
-    """The communication points."""
-    clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
-    marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
-    return time_grid(start, stop, step / _parts(system, step), marks, clocks, ticks=ticks)
-
-
-def _parts(system: System, step: float) -> int:
-    """Into how many parts a communication step [s] is divided for slaves that limit it.
-
-    Raises:
-        InputError: there would be far too many.
-    """
-    parts = 1
-    for slave in system.slaves:
-        if isinstance(slave, LimitsStep):
-            wanted = step / slave.largest_step
-            if not wanted < MAXIMUM_RATIO:
-                raise InputError(
-                    f"{slave.name} needs steps of {slave.largest_step:g} s, {wanted:.3g} of them in a communication step of "
-                    f"{step:g} s; what is that fast hardly matters: leave it out, or take a smaller step"
-                )
-            parts = max(parts, ceil(wanted - COINCIDENT))
-    return parts
-
-
-def _check_regular_steps(system: System, grid: TimeGrid, step: float, varies: bool) -> None:
-    """Slaves that can't vary their step get none but equal ones.
-
-    Raises:
-        InputError: steps differ, or step control chooses them.
-    """
-    steps = np.diff(grid.times)
-    least, largest = float(steps.min()), float(steps.max())
-    if largest - least <= COINCIDENT * largest and not varies:
-        return
-    for slave in system.slaves:
-        if isinstance(slave, MayNeedRegularSteps) and slave.needs_regular_steps and not isinstance(slave, Sampled):
-            found = f"this run lands on breakpoints, sample instants and its end in steps of {least:.6g} s to {largest:.6g} s"
-            found = "step control chooses them as they come" if varies else found
-            raise InputError(
-                f"{slave.name} takes equal communication steps alone (canHandleVariableCommunicationStepSize = false), but "
-                f"{found}; give it a sample time of its own [s]: sample_time = {step:.6g} in its table, or "
-                f"fmu_slave(path, sample_time={step:.6g})"
-            )
-
-
-def _outputs(system: System) -> list[str]:
-    """All that can be recorded."""
-    return [
-        f"{slave.name}.{variable.name}"
-        for slave in system.slaves
-        for variable in slave.variables
-        if variable.causality == "output"
-    ]

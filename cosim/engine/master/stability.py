@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flexfmu.cosim.engine.slave import RealArray
+
 WINDOW = 8
 """Steps in a window: spans the period of anything that alternates faster than a step resolves."""
 
@@ -60,9 +62,7 @@ class Instability:
     since: float
 
 
-def find_instability(
-    time: NDArray[np.float64], signals: Iterable[tuple[str, NDArray[np.float64]]]
-) -> Instability | None:
+def find_instability(time: RealArray, signals: Iterable[tuple[str, RealArray]]) -> Instability | None:
     """The signal whose step-to-step change grew most, if any blew up.
 
     Args:
@@ -75,9 +75,7 @@ def find_instability(
     return _fastest(_judge(time[last], name, values[last]) for name, values in signals)
 
 
-def find_alternation(
-    time: NDArray[np.float64], signals: Iterable[tuple[str, NDArray[np.float64]]]
-) -> Instability | None:
+def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) -> Instability | None:
     """The signal that overshot most, if any went up and down from step to step, ever further.
 
     Args:
@@ -88,7 +86,7 @@ def find_alternation(
     return _fastest(_overshooting(time[last], name, values[last]) for name, values in signals)
 
 
-def _right_limits(time: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _right_limits(time: RealArray) -> NDArray[np.bool_]:
     """Which points count."""
     return np.append(np.diff(time) > 0.0, True) if time.size else np.zeros(0, dtype=np.bool_)
 
@@ -97,8 +95,9 @@ def _fastest(found: Iterable[Instability | None]) -> Instability | None:
     return max((each for each in found if each is not None), key=lambda each: each.growth, default=None)
 
 
-def _overshooting(time: NDArray[np.float64], name: str, values: NDArray[np.float64]) -> Instability | None:
+def _overshooting(time: RealArray, name: str, values: RealArray) -> Instability | None:
     """Whether this signal overshot: the stretch of growing alternation that grows fastest."""
+    # stretches of changes of opposite sign, none smaller than the one before
     change = np.diff(values)
     size = abs(change)
     follows = (change[1:] * change[:-1] < 0.0) & (size[1:] >= size[:-1])
@@ -110,7 +109,7 @@ def _overshooting(time: NDArray[np.float64], name: str, values: NDArray[np.float
     )
 
 
-def _explodes(size: NDArray[np.float64], values: NDArray[np.float64], begin: int) -> bool:
+def _explodes(size: RealArray, values: RealArray, begin: int) -> bool:
     """Whether changes of these sizes, that alternate from point ``begin`` on, show more than a vibration that comes up."""
     total, late = size[-1] / size[0], size[-1] / size[size.size // 2]
     exceeds_past = size[-1] >= BEYOND_PAST * abs(values[: begin + 1]).max()
@@ -118,11 +117,13 @@ def _explodes(size: NDArray[np.float64], values: NDArray[np.float64], begin: int
     return bool(total >= ALTERNATING_GROWTH and late >= ALTERNATING_GROWTH**0.5 and exceeds_past and lasting)
 
 
-def _judge(time: NDArray[np.float64], name: str, values: NDArray[np.float64]) -> Instability | None:
+def _judge(time: RealArray, name: str, values: RealArray) -> Instability | None:
     """Whether this signal blew up."""
+    # largest change and magnitude in each of the last windows
     count = WINDOW * WINDOWS
     change = abs(np.diff(values))[-count:].reshape(WINDOWS, WINDOW).max(axis=1)
     magnitude = abs(values[-count:]).reshape(WINDOWS, WINDOW).max(axis=1)
+    # it grows from window to window, faster than the steps resolve, far beyond what it was in the beginning
     before = float(abs(values[: max(2, values.size // 10)]).max())
     grows = bool((change[1:] >= GROWTH * change[:-1]).all()) and change[0] > 0.0
     unresolved = bool((change >= UNRESOLVED * magnitude).all())

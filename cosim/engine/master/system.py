@@ -18,11 +18,11 @@ from flexfmu.cosim.engine.master.dependencies import (
     dependencies,
     find_loops,
     in_one_call,
+    order_of_calls,
     restricted,
     source_of,
     target_of,
     tear,
-    visiting_order,
 )
 from flexfmu.cosim.engine.master.iteration import LoopSolver
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap
@@ -35,7 +35,7 @@ class AlgebraicLoop:
 
     Attributes:
         name: the signals on the way round.
-        slaves: slaves in the order in which they are visited on a round, each as often as needed.
+        slaves: slaves in the order of the exchange steps of a round, each as often as needed.
         unknowns: outputs (slave, index of the variable) that are assumed at the beginning of a round.
         solver: how the loop is solved.
     """
@@ -54,7 +54,7 @@ class System:
         slaves: the slaves as given.
         connections: the connections as given, resolved.
         exchange_order: slaves in the order in which inputs are set and outputs read at one instant, so that every
-            output is up to date when it is passed on; a slave may appear more than once. Loops are solved in their turn.
+            output is up to date when it is passed on; a slave may appear more than once. Loops are solved in their place.
         step_order: slaves in the order in which they are advanced over a step, sources before targets where possible.
         delayed: connections whose target is advanced before its source: over a step their input is extrapolated from
             the beginning of the step, unless the step is iterated.
@@ -102,9 +102,22 @@ def connect(slaves: Sequence[Slave], connections: Iterable[Wire], *, loops: Loop
         AlgebraicLoopError: outputs depend on each other at the same instant, and there is no solver; the message names
             the loop.
     """
-    _check_names(slaves)
+    # names of slaves are unique and have no dot
+    names = [slave.name for slave in slaves]
+    for name in names:
+        if names.count(name) > 1:
+            raise WiringError(f"two slaves are named {name!r}; give each its own name")
+        if not name or "." in name:
+            raise WiringError(f"{name!r} can't name a slave: take a name without a dot")
+    # an input has one source
     resolved = tuple(_resolve(slaves, *each) for each in connections)
-    _check_single_sources(slaves, resolved)
+    seen: set[tuple[int, int]] = set()
+    for each in resolved:
+        if (each.target, each.input) in seen:
+            slave = slaves[each.target]
+            raise WiringError(f"{slave.name}.{slave.variables[each.input].name} is connected twice; keep one source")
+        seen.add((each.target, each.input))
+    # orders of calls: at one instant by direct feedthrough, over a step by who needs whose signals
     exchange_order = _exchange_order(slaves, resolved, loops)
     step_order = _step_order(slaves, resolved)
     position = {slave: i for i, slave in enumerate(step_order)}
@@ -112,26 +125,18 @@ def connect(slaves: Sequence[Slave], connections: Iterable[Wire], *, loops: Loop
     return System(tuple(slaves), resolved, exchange_order, step_order, delayed)
 
 
-def _check_names(slaves: Sequence[Slave]) -> None:
-    """Names of slaves are unique and hold no dot."""
-    names = [slave.name for slave in slaves]
-    for name in names:
-        if names.count(name) > 1:
-            raise WiringError(f"two slaves are named {name!r}; give each its own name")
-        if not name or "." in name:
-            raise WiringError(f"{name!r} can't name a slave: take a name without a dot")
-
-
 def _resolve(slaves: Sequence[Slave], source: str, target: str, way: SignalMap | None = None) -> Connection:
     """Look up both ends of a connection."""
     from_slave, output = _find(slaves, source, "output")
     to_slave, receiver = _find(slaves, target, "input")
+    # types that suit each other
     ends = slaves[from_slave].variables[output], slaves[to_slave].variables[receiver]
     if ends[0].type not in TAKES[ends[1].type]:
         raise WiringError(
             f"types differ: {source} is {ends[0].type}, {target} {ends[1].type}, which takes {' and '.join(TAKES[ends[1].type])}; "
             f'put a conversion between, or declare the output of a Python slave SlaveVariable(.., type="{ends[1].type}")'
         )
+    # equal units, unless a map on the way answers for them
     units = slaves[from_slave].variables[output].unit, slaves[to_slave].variables[receiver].unit
     if way is None and all(units) and units[0] != units[1]:
         raise WiringError(f"units differ: {source} is in {units[0]}, {target} in {units[1]}; put a conversion between")
@@ -145,6 +150,7 @@ def _find(slaves: Sequence[Slave], full_name: str, causality: Causality) -> tupl
     if index is None:
         known = ", ".join(slave.name for slave in slaves)
         raise WiringError(f"{full_name!r}: there is no slave {slave_name!r}; slaves: {known}")
+    # by name and direction; else say what is wrong, and which name may have been meant
     variables = slaves[index].variables
     for i, variable in enumerate(variables):
         if variable.name == name and variable.causality == causality:
@@ -158,38 +164,24 @@ def _find(slaves: Sequence[Slave], full_name: str, causality: Causality) -> tupl
     )
 
 
-def _check_single_sources(slaves: Sequence[Slave], connections: Sequence[Connection]) -> None:
-    """An input has one source."""
-    seen: set[tuple[int, int]] = set()
-    for each in connections:
-        if (each.target, each.input) in seen:
-            slave = slaves[each.target]
-            raise WiringError(f"{slave.name}.{slave.variables[each.input].name} is connected twice; keep one source")
-        seen.add((each.target, each.input))
-
-
 def _exchange_order(
     slaves: Sequence[Slave], connections: Sequence[Connection], solver: LoopSolver | None
 ) -> tuple[int | AlgebraicLoop, ...]:
     """Slaves by direct feedthrough between their variables, and loops between them."""
+    # what depends on what, and what goes round in it
     graph = dependencies(slaves, connections)
     rings = find_loops(graph)
     if rings and solver is None:
         raise _refusal(slaves, cycle(declared(slaves, connections)))
     found = [_loop(slaves, connections, restricted(graph, ring), solver) for ring in rings if solver is not None]
+    # each loop counts as a slave of its own
     owner = {node: node[0] for node in {*graph, *chain.from_iterable(graph.values())}}
     owner |= {node: len(slaves) + i for i, ring in enumerate(rings) for node in ring}
     inputs = {target_of(slaves, each) for each in connections}
-    order = visiting_order(contracted(graph, rings), owner, inputs)
-    visits = [found[i - len(slaves)] if i >= len(slaves) else i for i in order]
-    return (*visits, *_late_visits(slaves, connections, order))
-
-
-def _late_visits(slaves: Sequence[Slave], connections: Sequence[Connection], order: Sequence[int]) -> list[int]:
-    """Further visits to slaves whose inputs come from one that samples, in one call, only after their turn.
-
-    Such a slave closes a loop of sampled slaves; those among them see it one sample later.
-    """
+    order = order_of_calls(contracted(graph, rings), owner, inputs)
+    steps = [found[i - len(slaves)] if i >= len(slaves) else i for i in order]
+    # further exchange steps of slaves whose inputs come from one that samples, in one call, only after theirs: they close a
+    # loop of sampled slaves, and those among them that sample in one call too see it one sample later
     last = {slave: i for i, slave in enumerate(order)}
     late = {
         each.target
@@ -198,7 +190,7 @@ def _late_visits(slaves: Sequence[Slave], connections: Sequence[Connection], ord
         and not in_one_call(slaves[each.target])
         and last.get(each.target, -1) < last.get(each.source, -1)
     }
-    return sorted(late)
+    return (*steps, *sorted(late))
 
 
 def _loop(
@@ -206,13 +198,15 @@ def _loop(
 ) -> AlgebraicLoop:
     """The loop of the variables in the graph, torn and sorted."""
     name = _chain(slaves, cycle(restricted(declared(slaves, connections), graph.keys())))
+    # members that sample in one call are repeated from saved states
     for i in sorted({slave for slave, _ in graph}):
         if in_one_call(slaves[i]) and not can_save(slaves[i]):
             remedy = "let it save and restore its state, or sample in two phases (output, update)"
             raise WiringError(f"{slaves[i].name} can't be repeated to solve the algebraic loop {name}; {remedy}")
+    # outputs to assume, and the order of calls from them round the loop
     torn = tear(graph, {source_of(slaves, each) for each in connections})
     inputs = {target_of(slaves, each) for each in connections}
-    order = visiting_order(restricted(graph, graph.keys(), torn), {node: node[0] for node in graph}, inputs)
+    order = order_of_calls(restricted(graph, graph.keys(), torn), {node: node[0] for node in graph}, inputs)
     index = [{variable.name: k for k, variable in enumerate(slave.variables)} for slave in slaves]
     return AlgebraicLoop(name, order, tuple((slave, index[slave][variable]) for slave, variable in torn), solver)
 
@@ -241,6 +235,7 @@ def _step_order(slaves: Sequence[Slave], connections: Sequence[Connection]) -> t
 
     What is held between samples is never late.
     """
+    # inputs with direct feedthrough, and signals that change over a step
     remaining = list(range(len(slaves)))
     order: list[int] = []
     direct = {(i, name) for i, slave in enumerate(slaves) for names in feedthrough(slave).values() for name in names}
@@ -252,6 +247,7 @@ def _step_order(slaves: Sequence[Slave], connections: Sequence[Connection]) -> t
         names = [slaves[slave].variables[each.input].name for each in inputs]
         return sum((slave, name) in direct for name in names), len(inputs)
 
+    # one after the other the slave with the fewest late inputs
     while remaining:
         order.append(min(remaining, key=late))
         remaining.remove(order[-1])
