@@ -13,8 +13,8 @@ import select
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from time import monotonic, sleep
 from typing import Any, Never
 
@@ -58,10 +58,15 @@ def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float
         BaseException: what the action raised.
     """
     reading, writing = os.pipe()
-    with _no_interruption():
+    # interruptions wait until the child is ready for them
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
         parent, child = os.getpid(), _fork()
         if child == 0:
             _be_child(action, writing, parent)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    # collect what it sends; it is gone when the result is there
     os.close(writing)
     supervisor = _Supervisor(child, reading, look, limit)
     try:
@@ -103,6 +108,7 @@ class _Supervisor:
         poll.register(self._reading, select.POLLIN)
         seen, idle, last = self._look(), 0.0, monotonic()
         while True:
+            # what it sends, as long as it sends
             if poll.poll(1e3 * LOOK):
                 if not (chunk := os.read(self._reading, 1 << 16)):
                     return
@@ -128,6 +134,7 @@ class _Supervisor:
 
     def _how(self) -> str:
         """How the child, which sends nothing any more, has ended without a result."""
+        # it may need a moment to end
         end = monotonic() + GRACE
         while not self._gone() and monotonic() < end:
             sleep(1e-3)
@@ -145,16 +152,6 @@ class _Supervisor:
         if not self._gone():
             os.kill(self._child, signal.SIGKILL)
             self._status = os.waitpid(self._child, 0)[1]
-
-
-@contextmanager
-def _no_interruption() -> Iterator[None]:
-    """Interruptions wait."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _flush() -> None:

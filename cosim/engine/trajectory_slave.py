@@ -73,6 +73,7 @@ class TrajectorySlave:
         self.max_output_order = max(order, END_ORDER)
         self.ends_exactly = order == HERMITE_ORDER
         self.trajectory = trajectory
+        # points of the run, and what holds at each of them
         self._times = self._polynomials = self._ends = self._now = np.empty(0)
         self._next = 0
         self._seen: dict[float, tuple[RealArray, RealArray]] = {}
@@ -228,6 +229,7 @@ class TabulatedTrajectory:
     highest_order = ACCELERATION + END_ORDER
 
     def __init__(self, trajectory: Trajectory) -> None:
+        # polynomials between knots, one for each of position, velocity and acceleration
         table = tabulate(trajectory, TABLE_TOLERANCE)
         self.breakpoints = tuple(trajectory.breakpoints)
         self.duration = trajectory.duration

@@ -128,28 +128,22 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
         folder = _root() / digest
         attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
+        # our own FMUs say more in annotations
         if str(description.generationTool).startswith("flexfmu "):
-            _restore_names(description, _names(path, folder))
-            _name_choices(description, _choices(path, folder))
+            # structured names instead of flat ones, so that they connect like any others
+            structured, numbered = _names(path, folder), _choices(path, folder)
+            for variable in description.modelVariables:
+                variable.name = structured.get(variable.name, variable.name)
+                # names of numbered choices, as enumerations have them in their types
+                if variable.name in numbered:
+                    items = [Item(name, str(value)) for name, value in numbered[variable.name].items()]
+                    variable.declaredType = SimpleType(variable.name, type=variable.type, items=items)
+        # arrays become scalar variables
         if description.fmiVersion.startswith("3."):
             _check_clocks(path, description)
             description = flattened(description, folder, {})
         _unpacked[digest] = folder, description
     return _unpacked[digest]
-
-
-def _restore_names(description: Any, structured: Mapping[str, str]) -> None:
-    """Give the variables of our own FMUs with flat names the structured ones, so that they connect like any others."""
-    for variable in description.modelVariables:
-        variable.name = structured.get(variable.name, variable.name)
-
-
-def _name_choices(description: Any, names: Mapping[str, Mapping[str, int]]) -> None:
-    """Give the numbered choices of our own FMUs their names, as enumerations have them in their types."""
-    for variable in description.modelVariables:
-        if variable.name in names:
-            items = [Item(name, str(value)) for name, value in names[variable.name].items()]
-            variable.declaredType = SimpleType(variable.name, type=variable.type, items=items)
 
 
 def attempt(path: Path, action: Callable[[], Any]) -> Any:
@@ -183,9 +177,11 @@ def _check(fmu: UnpackedFmu) -> None:
         raise FmuFileError(
             f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0 and 3.0: export it again"
         )
+    # made for co-simulation
     if description.coSimulation is None:
         kind = "model exchange" if description.modelExchange is not None else "scheduled execution"
         raise FmuFileError(f"{path} is for {kind} only; export it for co-simulation")
+    # a binary for this platform
     if not fmu.library.is_file():
         platform = fmu.library.parent.name
         platforms = sorted(each.name for each in (fmu.folder / "binaries").glob("*") if each.is_dir())

@@ -62,6 +62,7 @@ class Fmi3Transfers:
             worst = max((self._send(group, values) for group in continuous), default=OK)
             if not discrete or worst > WARNING:
                 return worst
+            # an event, if any discrete input is another than before
             changed = [each for each in discrete if each.changes(values, instance.epoch) or not instance.at_events]
             if changed:
                 worst = max(worst, instance.at_event(lambda: max(self._send(each, values) for each in changed)))
@@ -74,6 +75,7 @@ class Fmi3Transfers:
     ) -> StatusCall:
         """A call that fills ``derivatives`` (orders, n), row k - 1 for order k; what isn't a float, or is ``absent``
         (orders, n), is left as it is."""
+        # elements that are wanted, in rows of orders
         wanted = [
             (row, column, cast(ElementHandle, handle))
             for row in range(len(derivatives))
@@ -82,10 +84,12 @@ class Fmi3Transfers:
         ]
         if not wanted:
             return lambda: OK
+        # each array once per order, one after the other in a buffer of their own
         sizes = {(row, handle.reference): handle.size for row, _, handle in wanted}
         begins = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
         places = [begins[row, handle.reference] + handle.place for row, _, handle in wanted]
         flat = [row * len(handles) + column for row, column, _ in wanted]
+        # arguments of the function, and where the wanted elements go
         references = value_references([reference for _, reference in sizes])
         orders = np.array([row + 1 for row, _ in sizes], np.int32)
         buffer, target = np.zeros(sum(sizes.values())), derivatives.reshape(-1)
@@ -120,6 +124,7 @@ class Fmi3Transfers:
 
     def _send(self, group: _Group, values: RealArray) -> int:
         """Set the variables of a group."""
+        # the other elements of an array keep their values
         for handle, place in group.arrays:
             group.buffer[place] = self._array(handle)
         if (misfit := group.fill(values)) is not None:
@@ -135,16 +140,14 @@ class Fmi3Transfers:
             self._seen_instance = self._instance.instances
             self._arrays.clear()
         if handle.reference not in self._arrays:
-            self._arrays[handle.reference] = self._given(handle)
+            # start values, or what it is where the description doesn't say
+            group = _Group([replace(handle, place=place) for place in range(handle.size)], [])
+            if handle.start is not None:
+                self._arrays[handle.reference] = np.array(handle.start, group.buffer.dtype)
+            else:
+                self._instance.fmi[f"fmi3Get{group.type}"](self._instance.component, *group.arguments)
+                self._arrays[handle.reference] = group.read()
         return self._arrays[handle.reference]
-
-    def _given(self, handle: ElementHandle) -> NDArray[Any]:
-        """Start values of an array, or what it is where the description doesn't say."""
-        group = _Group([replace(handle, place=place) for place in range(handle.size)], [])
-        if handle.start is not None:
-            return np.array(handle.start, group.buffer.dtype)
-        self._instance.fmi[f"fmi3Get{group.type}"](self._instance.component, *group.arguments)
-        return group.read()
 
 
 class _Group:
@@ -163,11 +166,13 @@ class _Group:
         first = handles[0]
         self.type, self.discrete, self.columns = first.type, first.discrete, np.array(columns, np.intp)
         self._names = [each.name for each in handles]
+        # a place in the buffer for each array as a whole
         own = {each.reference: each for each in handles}
         begins = dict(zip(own, np.cumsum([0, *(each.size for each in own.values())]).tolist(), strict=False))
         self._places = np.array([begins[each.reference] + each.place for each in handles], np.intp)
         total = sum(each.size for each in own.values())
         self.arrays = [(each, slice(begins[n], begins[n] + each.size)) for n, each in own.items() if each.size > 1]
+        # buffers as the functions take them: texts as pointers, and as codes here
         self._references = value_references(list(own))
         self._texts = (c_char_p * total)() if self.type == "String" else None
         self.buffer = np.zeros(total, np.float64 if self._texts is not None else DTYPES[self.type])
@@ -186,6 +191,7 @@ class _Group:
     def fill(self, values: RealArray) -> tuple[str, float] | None:
         """Put values into the buffer; name and value of one that doesn't suit the type, if there is any."""
         new = values[self.columns]
+        # whole numbers are rounded, and must fit their type
         if self.buffer.dtype.kind in "iu":
             new = np.rint(new)
             limits = np.iinfo(self.buffer.dtype)

@@ -67,8 +67,11 @@ def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
     _add_ranges(description, folder)
     elements: dict[int, list[Element]] = {}
     variables: list[Element] = []
+    # signals, and what may be set before initialisation
     for variable in description.modelVariables:
-        if variable.type not in ("Binary", "Clock") and _is_used(variable):
+        shown = variable.causality in ("input", "output", "parameter", "structuralParameter")
+        used = shown or (variable.initial in ("exact", "approx") and variable.variability != "constant")
+        if used and variable.type not in ("Binary", "Clock"):
             scalars = list(_elements(variable, sizes))
             variables += scalars
             elements.setdefault(variable.valueReference, []).extend(scalars)
@@ -76,6 +79,7 @@ def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
     def known(variables: Sequence[Any] | None) -> list[Element] | None:
         return None if variables is None else [e for v in variables for e in elements.get(v.valueReference, [])]
 
+    # each element of an output depends on all elements of what the output depends on
     outputs = [
         Unknown(variable=element, dependencies=known(unknown.dependencies))
         for unknown in description.outputs
@@ -104,11 +108,13 @@ def by_elements(description: Any, parameters: Mapping[str, Any]) -> dict[str, Va
     elements = {each.name: each for each in description.modelVariables if isinstance(each, Element)}
     if not elements:
         return dict(parameters)
+    # names of the elements of each array
     arrays: dict[str, list[str]] = {}
     for name, element in elements.items():
         if element.array:
             arrays.setdefault(element.array, []).append(name)
     single = {name: parameters[name] for name, each in elements.items() if _structural(each) and name in parameters}
+    # a value for each element
     for name, value in parameters.items():
         names = arrays.get(name, [name])
         values = np.asarray(value, dtype=object).ravel().tolist() if name in arrays else [value]
@@ -118,24 +124,17 @@ def by_elements(description: Any, parameters: Mapping[str, Any]) -> dict[str, Va
                 f"got {len(values)}"
             )
         single |= zip(names, values, strict=True)
-    return {name: _as_stored(elements.get(name), value) for name, value in single.items()}
-
-
-def _as_stored(element: Element | None, value: Value) -> Value:
-    """A number of single precision as it will be read back."""
-    single = element is not None and element.handle is not None and element.handle.type == "Float32"
-    return float(np.float32(value)) if single and isinstance(value, int | float) else value
+    # numbers of single precision as they will be read back
+    short = {name for name, each in elements.items() if each.handle is not None and each.handle.type == "Float32"}
+    return {
+        name: float(np.float32(value)) if name in short and isinstance(value, int | float) else value
+        for name, value in single.items()
+    }
 
 
 def _structural(variable: Any) -> bool:
     """Whether it is a structural parameter."""
     return isinstance(variable, Element) and variable.handle is not None and variable.handle.structural
-
-
-def _is_used(variable: Any) -> bool:
-    """Whether it is a signal or may be set before initialisation."""
-    shown = variable.causality in ("input", "output", "parameter", "structuralParameter")
-    return shown or (variable.initial in ("exact", "approx") and variable.variability != "constant")
 
 
 def _add_ranges(description: Any, folder: Path) -> None:
@@ -154,7 +153,11 @@ def _add_ranges(description: Any, folder: Path) -> None:
 
 def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
     """The variable, or one for each element of an array."""
-    shape = _shape(variable, sizes)
+    # size in each dimension, a number or a structural parameter; () for a scalar
+    shape = tuple(
+        int(each.start if each.start is not None else sizes.get(each.variable.name, each.variable.start))
+        for each in variable.dimensions
+    )
     names, texts = element_names(variable.name, shape), _starts(variable, prod(shape))
     handle = ElementHandle(
         kind="Integer" if variable.type == "Enumeration" else _KINDS.get(variable.type, "Integer"),  # type: ignore[arg-type]
@@ -167,6 +170,7 @@ def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
         discrete=_KINDS.get(variable.type) != "Real" or variable.variability == "discrete",
         structural=variable.causality == "structuralParameter",
     )
+    # all that fmpy has read, with names and types as in FMI 2.0
     causality = "parameter" if handle.structural else variable.causality
     plain = asdict(variable, recurse=False) | {"type": _KINDS.get(variable.type, "Integer"), "causality": causality}
     plain["python_type"] = plain.pop("_python_type")
@@ -176,14 +180,6 @@ def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
         yield Element(
             **(plain | {"name": name, "start": start}), handle=replace(handle, name=name, place=place), array=array
         )
-
-
-def _shape(variable: Any, sizes: Mapping[str, int]) -> tuple[int, ...]:
-    """Size in each dimension; () for a scalar."""
-    return tuple(
-        int(each.start if each.start is not None else sizes.get(each.variable.name, each.variable.start))
-        for each in variable.dimensions
-    )
 
 
 def element_names(name: str, shape: tuple[int, ...]) -> list[str]:

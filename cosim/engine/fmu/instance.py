@@ -127,6 +127,7 @@ class Instance(ABC):
                 f"{self._fmu.path.name} can be instantiated only once per process (canBeInstantiatedOnlyOncePerProcess = "
                 f"true), and {_alive[sole]} is its instance; run one after the other, or export it for several instances",
             )
+        # each name once in a process; what the FMU says goes into its log
         self.log.open()
         self.component.value = self._created(f"{name} {next(_serial)}".encode())
         if self.component.value is None:

@@ -231,6 +231,7 @@ class SampledFmu:
         self.report, self.take_report = self._fmu.report, self._fmu.take_report
         self.variables, self.can_save = self._fmu.variables, self._fmu.can_save
         self.feedthrough = self._fmu.feedthrough if feedthrough is None else feedthrough
+        # inputs wait here for the next instant
         self._inputs = np.array([i for i, each in enumerate(self.variables) if each.causality == "input"], np.intp)
         self._values = np.zeros(len(self.variables))
         self._send = nothing

@@ -92,6 +92,7 @@ class FmuSlave:
         self.name = name
         self.path = Path(path)
         self.parameters = self._given = dict(parameters or {})
+        # variables, derivatives and capabilities by the model description
         self._fmu = resized(open_fmu(self.path), self._given)
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
@@ -104,12 +105,14 @@ class FmuSlave:
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
         self.needs_regular_steps = needs_regular_steps(self._fmu)
+        # the instance that is in use, and calls that set start values
         self._instance, self._transfers = _interface(self._fmu)
         self._counters = Statistics(known.others, self._transfers.get)
         self._starts = self._given_starts = self._starting(self._given)
         self._presets: dict[int, float] = {}
         self._run: FmuStates | None = None
         self._free: Call = nothing
+        # what a run leaves
         self.statistics: Mapping[str, int] = {}
         self.messages: tuple[str, ...] = ()
         self.remarks: tuple[str, ...] = ()
@@ -137,6 +140,7 @@ class FmuSlave:
             finally:
                 self.terminate()
 
+        # in a child process, or here where the FMU may be instantiated again
         try:
             if AVAILABLE:
                 self.lacking = self.absent = in_child(tried, lambda: None, CALL_LIMIT)
@@ -199,17 +203,20 @@ class FmuSlave:
         self.remarks, self.absent = (), dict(self.lacking)
         for missing in self._missing:
             missing.fill(False)
+        # a new instance; freed at the latest with the slave
         instance = self._instance
         instance.instantiate(self.name)
         self._run = run = FmuStates(instance)
         self._free = weakref.finalize(self, run.free)
         instance.set_up(start_time, stop_time, tolerance)
+        # start values and inputs before initialisation mode
         for start in self._starts.values():
             start.set()
         handles = [self._handles[index] for index in self._presets]
         presets = self._transfers.set(handles, np.array([*self._presets.values()]))
         instance.check("setting inputs", presets)
 
+        # and again in it, for FMUs of other tools that have forgotten them
         def repeat() -> None:
             if self._fmu.is_ours:
                 return

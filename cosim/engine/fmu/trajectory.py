@@ -72,6 +72,7 @@ class FmuTrajectory:
             return signals
         fmu.initialize(float(instants[0]), float(instants[-1]) + 1.0, None)
         try:
+            # from instant to instant: kinds first, then derivatives of the highest kind
             for n, instant in enumerate(instants.tolist()):
                 if n:
                     fmu.step(float(instants[n - 1]), instant - float(instants[n - 1]))

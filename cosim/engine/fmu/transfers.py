@@ -73,6 +73,7 @@ class Transfers:
         """Read variables of one kind."""
         if kind == "Real" and len(columns) == values.size:
             return self._bind("fmi2GetReal", references, values)
+        # numbers of other types through a buffer of their own
         if kind == "String":
             return self._get_texts(columns, references, values)
         buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
@@ -89,6 +90,7 @@ class Transfers:
         """Set variables of one kind."""
         if kind == "Real" and len(columns) == values.size:
             return self._bind("fmi2SetReal", references, values)
+        # numbers of other types through a buffer of their own, rounded
         if kind == "String":
             return self._set_texts(columns, references, values)
         buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
@@ -133,6 +135,7 @@ class Transfers:
         self, function: str, handles: Sequence[Handle], derivatives: RealArray, absent: NDArray[np.bool_] | None = None
     ) -> StatusCall:
         """All orders of all variables in one call, but for what isn't a Real or is absent."""
+        # what is wanted, in rows of orders
         orders = np.repeat(np.arange(1, len(derivatives) + 1, dtype=np.int32), len(handles))
         references = value_references([handle.reference for handle in handles] * len(derivatives))
         real = np.tile([handle.kind == "Real" for handle in handles], len(derivatives))
@@ -142,6 +145,7 @@ class Transfers:
             return lambda: OK
         if real.all():
             return self._bind_derivatives(function, references, orders, derivatives)
+        # through a buffer of their own where some are left out
         buffer = np.zeros(int(real.sum()))
         transfer = self._bind_derivatives(function, references[real], orders[real], buffer)
         flat, getting = derivatives.reshape(-1), function.startswith("fmi2Get")

@@ -52,9 +52,11 @@ class ControlledSteps:
         self._control = control
         self._error = error
         self._budget = budget
+        # length of the next step, the least one, and how many there may be
         self._step = min(first, control.largest)
         self._least = control.least(first)
         self._first, self._most = first, WORK_AT_START + WORK * budget.span / first
+        # signals at the end of the last step, and states to go back to: of the run, and of the long steps
         self._signals = np.empty(0)
         self._short: Snapshot | None = None
         self._long: Snapshot | None = None

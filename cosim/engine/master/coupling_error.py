@@ -211,6 +211,7 @@ def _find(ports: Sequence[OutputPort], names: Sequence[str]) -> list[Watched]:
         for port in ports
         for column, index in enumerate(port.indices)
     }
+    # columns of each port that are asked for
     columns: dict[OutputPort, list[int]] = {}
     for name in names:
         if name not in known:

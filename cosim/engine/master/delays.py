@@ -52,6 +52,7 @@ class SignalDelay:
 
     def _way(self) -> str:
         """What happens between source and target."""
+        # from the longest delay to none
         if self.hold:
             return (
                 f"{0.5 * self.hold:.6g} s late on average, held for {self.hold:.6g} s between the samples of its source"

@@ -74,6 +74,7 @@ def outcome_of(error: BaseException | None, initialized: bool) -> Outcome:
         NotFiniteError: Outcome.NOT_FINITE,
         SlaveEnded: Outcome.ENDED_BY_SLAVE,
     }
+    # any other error, and any before the first step, by when it came
     other = Outcome.STEP_FAILED if initialized else Outcome.INITIALISATION_FAILED
     return next((kind for error_type, kind in kinds.items() if isinstance(error, error_type) and initialized), other)
 
@@ -90,6 +91,7 @@ def message_of(error: BaseException | None, outcome: Outcome, active: str, reach
         reason = (
             f"it called sys.exit({'' if error.code is None else repr(error.code)}); raise an exception to end a run"
         )
+    # the slave's own time, if it knows it better
     known: float | None = getattr(error, "time", None)
     when = f" at {reached if known is None else known:.9g} s"
     if outcome is Outcome.ENDED_BY_SLAVE:

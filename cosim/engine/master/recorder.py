@@ -62,7 +62,8 @@ class Recorder:
     def append(self, time: float) -> None:
         """Record the current signals of all ports."""
         if self._count == self.time.size:
-            self._grow()
+            self._enlarge(2 * self._count)
+            self.time[self._count :] = np.nan
         for signals, rows in self.blocks:
             rows[self._count] = signals
         self.time[self._count] = time
@@ -100,11 +101,6 @@ class Recorder:
         """Map all shared memory at once, which is cheaper than page by page; for a process that begins to record."""
         for memory in self._memories:
             memory.populate()
-
-    def _grow(self) -> None:
-        """Double the capacity."""
-        self._enlarge(2 * self.time.size)
-        self.time[self._count :] = np.nan
 
     def _enlarge(self, capacity: int) -> None:
         """Make room for so many instants."""

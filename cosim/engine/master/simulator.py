@@ -127,6 +127,7 @@ class Simulator:
             progress: called now and then with the simulated fraction.
         """
         steps, values = self._grid.times.size - 1, self._recorder.values
+        # warn of what a long run costs
         if self._control is None and is_long(steps, values):
 
             def trial(steps: int) -> Simulation:
@@ -203,6 +204,7 @@ class Simulator:
             if isinstance(error, SlaveEnded):
                 self._record_end(error)
         finally:
+            # terminate all, whatever has happened; the first error counts
             active = self._schedule.active.value
             for index, slave in self._terminating:
                 self._schedule.active.value = index
