@@ -39,7 +39,10 @@ _END = b"complete"
 
 
 class ChildLostError(CosimError):
-    """A child process has ended, or was ended, without a result; the message says how, as a predicate of who was at work."""
+    """A child process has ended, or was ended, without a result; the message says how.
+
+    The message is a predicate: its subject is the slave that was called.
+    """
 
 
 def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float) -> Any:
@@ -49,7 +52,7 @@ def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float
 
     Args:
         action: what to do; it returns something that can be pickled.
-        look: called now and then while the child works; gives something that changes when it gets on.
+        look: called now and then while the child works; its result changes when the child goes on.
         limit: how long that may stay the same [s].
 
     Raises:
@@ -187,11 +190,11 @@ def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
         sys.stdout = sys.stderr
         # a progress bar has a thread, which isn't here
         sys.stdout, sys.stderr = (getattr(each, "rich_proxied_file", each) for each in (sys.stdout, sys.stderr))
-        # who watches the parent's signals has nothing to do with those of its child
+        # handlers of the parent's signals have nothing to do with those of its child
         signal.set_wakeup_fd(-1)
         # the parent hears of Ctrl-C, too, and passes it on
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, _interrupt)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
         try:
             sent = pickle.dumps((True, action()))
@@ -204,10 +207,6 @@ def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
         code = 0
     finally:
         os._exit(code)
-
-
-def _interrupt(*_: object) -> Never:
-    raise KeyboardInterrupt
 
 
 def portable(error: BaseException, instead: BaseException) -> BaseException:

@@ -44,7 +44,7 @@ class ResultsError(CosimError):
 
 
 class SlaveWarning(UserWarning):
-    """A slave can be used, but does something else than it states or was told."""
+    """A slave can be used, but does something else than it states or than was set."""
 
 
 class SlaveError(CosimError):

@@ -211,7 +211,7 @@ class HasOffset(Protocol):
 
 @runtime_checkable
 class SamplesInTwoPhases(Sampled, Protocol):
-    """Can tell its outputs before all inputs are known, as a discrete system y = C x + D u with zeros in D can.
+    """Can calculate its outputs before all inputs are known, as a discrete system y = C x + D u with zeros in D can.
 
     At a sample instant the master calls `output` once or more, then `update` once; `sample` does both.
     """

@@ -7,7 +7,7 @@ from functools import cached_property
 from math import factorial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.hermite import hermite_derivatives
@@ -115,8 +115,13 @@ class TrajectorySlave:
         else:
             self._polynomials, self._ends = self._limits(self.trajectory, times, near)
         self._times = times
-        if self.ends_exactly:
-            self._polynomials = self._hermite_polynomials(self._polynomials)
+        if not self.ends_exactly:
+            return
+        # polynomials (N, 10, variables) that meet the limits at both ends; after the last point the Taylor polynomial
+        begins, self._polynomials = self._polynomials, np.zeros((times.size, HERMITE_ORDER + 1, len(self.variables)))
+        self._polynomials[-1, : END_ORDER + 1] = begins[-1]
+        beginnings, endings = begins[:-1].swapaxes(0, 1), self._ends[1:].swapaxes(0, 1)
+        self._polynomials[:-1] = hermite_derivatives(beginnings, endings, np.diff(times)[:, None]).swapaxes(0, 1)
 
     def _looked_up(self, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
         """Limits at a few points, for a master that chooses its steps on the way and asks for the same ones again and
@@ -136,11 +141,18 @@ class TrajectorySlave:
 
     def _limits(self, source: Trajectory, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
         """(N, orders, variables): right limits and left limits of all references with their derivatives."""
-        first, last = self._landings(times, near)
+        # where breakpoints share a communication point, left limits at the first and right limits at the last, exactly
+        points = np.array(self.breakpoints)
+        begin, end = points.searchsorted(times - near), points.searchsorted(times + near, "right")
+        first, last, lands = times.copy(), times.copy(), begin < end
+        first[lands], last[lands] = points[begin[lands]], points[end[lands] - 1]
+        # right limits at all points, then left limits where they differ
         jumps = np.flatnonzero(np.isin(first, self.breakpoints))
         left = np.arange(times.size + jumps.size) >= times.size
         order = END_ORDER if self.ends_exactly else self.max_output_order
-        both = _references(source, np.concatenate([last, first[jumps]]), left, order)
+        jets = limits(source, np.concatenate([last, first[jumps]]), left, order + 2)
+        stacked = np.concatenate([jets[kind : kind + order + 1] for kind in range(len(REFERENCES))], axis=2)
+        both = np.ascontiguousarray(stacked.swapaxes(0, 1))
         begins, ends = both[: times.size], both[: times.size, : END_ORDER + 1].copy()
         ends[jumps] = both[times.size :, : END_ORDER + 1]
         return begins, ends
@@ -177,15 +189,6 @@ class TrajectorySlave:
         self._next = 0
         self._now = self._ends[0]
 
-    def _landings(self, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
-        """Times at which left and right limits are taken: where breakpoints share a communication point, left of the
-        first and right of the last, exactly."""
-        points = np.array(self.breakpoints)
-        begin, end = points.searchsorted(times - near), points.searchsorted(times + near, "right")
-        first, last, lands = times.copy(), times.copy(), begin < end
-        first[lands], last[lands] = points[begin[lands]], points[end[lands] - 1]
-        return first, last
-
     @cached_property
     def _table(self) -> Trajectory:
         """The trajectory by look-up, where it can be tabulated."""
@@ -193,21 +196,6 @@ class TrajectorySlave:
             return TabulatedTrajectory(self.trajectory)
         except ModelError:
             return self.trajectory
-
-    def _hermite_polynomials(self, begins: RealArray) -> RealArray:
-        """(N, 10, variables): polynomial of the step that begins at each point; after the last, the Taylor polynomial."""
-        polynomials = np.zeros((self._times.size, HERMITE_ORDER + 1, len(self.variables)))
-        polynomials[-1, : END_ORDER + 1] = begins[-1]
-        left, right = begins[:-1].swapaxes(0, 1), self._ends[1:].swapaxes(0, 1)
-        polynomials[:-1] = hermite_derivatives(left, right, np.diff(self._times)[:, None]).swapaxes(0, 1)
-        return polynomials
-
-
-def _references(trajectory: Trajectory, times: RealArray, left: NDArray[np.bool_], order: int) -> RealArray:
-    """(N, order + 1, variables): one-sided limits of all references with their derivatives."""
-    jets = limits(trajectory, times, left, order + 2)
-    stacked = np.concatenate([jets[kind : kind + order + 1] for kind in range(len(REFERENCES))], axis=2)
-    return np.ascontiguousarray(stacked.swapaxes(0, 1))
 
 
 class TabulatedTrajectory:

@@ -1,4 +1,4 @@
-"""What an FMU can do with derivatives and steps, as far as its model description tells."""
+"""What an FMU can do with derivatives and steps, as far as its model description says."""
 
 from __future__ import annotations
 

@@ -64,7 +64,9 @@ class UnpackedFmu:
         Raises:
             FmuFileError: the annotation doesn't make sense.
         """
-        return _sampling(self.path, self.folder)
+        return _annotation(
+            self.path, self.folder, "Sampling", lambda at: (_number(at["sampleTime"]), _number(at["offset"]))
+        )
 
     @property
     def breakpoints(self) -> tuple[float, ...] | None:
@@ -73,7 +75,7 @@ class UnpackedFmu:
         Raises:
             FmuFileError: the annotation doesn't make sense.
         """
-        return _breakpoints(self.path, self.folder)
+        return _annotation(self.path, self.folder, "Breakpoints", lambda at: tuple(map(_number, at["times"].split())))
 
     @property
     def is_ours(self) -> bool:
@@ -131,7 +133,8 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
         # our own FMUs say more in annotations
         if str(description.generationTool).startswith("flexfmu "):
             # structured names instead of flat ones, so that they connect like any others
-            structured, numbered = _names(path, folder), _choices(path, folder)
+            structured: Mapping[str, str] = _annotation(path, folder, NAMES, dict) or {}
+            numbered = _annotation(path, folder, ANNOTATION, _numbered) or {}
             for variable in description.modelVariables:
                 variable.name = structured.get(variable.name, variable.name)
                 # names of numbered choices, as enumerations have them in their types
@@ -140,7 +143,14 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
                     variable.declaredType = SimpleType(variable.name, type=variable.type, items=items)
         # arrays become scalar variables
         if description.fmiVersion.startswith("3."):
-            _check_clocks(path, description)
+            # clocks tick at instants that the importer must keep
+            clocks = [variable.name for variable in description.modelVariables if variable.type == "Clock"]
+            if clocks:
+                more = f" and {len(clocks) - 3} more" if len(clocks) > 3 else ""
+                raise FmuFileError(
+                    f"{path} has clocks ({', '.join(clocks[:3])}{more}), which this program doesn't run; export it without "
+                    "them, for co-simulation"
+                )
             description = flattened(description, folder, {})
         _unpacked[digest] = folder, description
     return _unpacked[digest]
@@ -157,17 +167,6 @@ def attempt(path: Path, action: Callable[[], Any]) -> Any:
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FmuFileError(f"{path} is a broken FMU: {reason}; `flexfmu validate` tells more") from error
-
-
-def _check_clocks(path: Path, description: Any) -> None:
-    """Clocks tick at instants that the importer must keep."""
-    clocks = [variable.name for variable in description.modelVariables if variable.type == "Clock"]
-    if clocks:
-        more = f" and {len(clocks) - 3} more" if len(clocks) > 3 else ""
-        raise FmuFileError(
-            f"{path} has clocks ({', '.join(clocks[:3])}{more}), which this program doesn't run; export it without them, "
-            "for co-simulation"
-        )
 
 
 def _check(fmu: UnpackedFmu) -> None:
@@ -189,44 +188,18 @@ def _check(fmu: UnpackedFmu) -> None:
         raise FmuFileError(f"{path} has no binary for {platform} (it has: {found}); build it for this platform")
 
 
-def _sampling(path: Path, folder: Path) -> tuple[float, float] | None:
-    """Sample time and offset [s] of an exported block; None for any other FMU.
+def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
+    """What an annotation of our own FMUs says; None in any other FMU.
 
     Args:
         path: the FMU file.
         folder: where it has been unpacked.
+        element: name of the annotation.
+        parse: makes sense of its attributes.
 
     Raises:
         FmuFileError: the annotation doesn't make sense.
     """
-    return _annotation(path, folder, "Sampling", lambda at: (_number(at["sampleTime"]), _number(at["offset"])))
-
-
-def _breakpoints(path: Path, folder: Path) -> tuple[float, ...] | None:
-    """Breakpoints [s] of an exported trajectory, ascending; None for any other FMU. Arguments as for `_sampling`.
-
-    Raises:
-        FmuFileError: the annotation doesn't make sense.
-    """
-    return _annotation(path, folder, "Breakpoints", lambda at: tuple(map(_number, at["times"].split())))
-
-
-def _choices(path: Path, folder: Path) -> Mapping[str, Mapping[str, int]]:
-    """Integer parameters whose values have names: parameter → name → value; none in any other FMU. Arguments as for
-    `_sampling`.
-
-    Raises:
-        FmuFileError: the annotation doesn't make sense.
-    """
-    return _annotation(path, folder, ANNOTATION, lambda at: {name: _numbered(text) for name, text in at.items()}) or {}
-
-
-def _names(path: Path, folder: Path) -> Mapping[str, str]:
-    """Structured names of variables with flat ones: flat → structured; none in any other FMU. Arguments as for `_sampling`."""
-    return _annotation(path, folder, NAMES, dict) or {}
-
-
-def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
     root = ElementTree.parse(folder / "modelDescription.xml")
     found = root.find(f"VendorAnnotations/Tool[@name='flexfmu']//{element}")
     if found is None:
@@ -244,6 +217,7 @@ def _number(text: str) -> float:
     return value
 
 
-def _numbered(text: str) -> dict[str, int]:
-    """``"static=1 undeformed=2"`` as a dictionary."""
-    return {name: int(number) for name, _, number in (item.partition("=") for item in text.split())}
+def _numbered(attributes: Mapping[str, str]) -> dict[str, dict[str, int]]:
+    """Integer parameters whose values have names: parameter → name → value, from texts such as ``static=1 undeformed=2``."""
+    pairs = {parameter: (item.partition("=") for item in text.split()) for parameter, text in attributes.items()}
+    return {parameter: {name: int(number) for name, _, number in items} for parameter, items in pairs.items()}

@@ -51,7 +51,7 @@ class Fmi3Instance(Instance):
         self._next_event, self.epoch, self.instances = inf, 0, 0
         self._events_after: dict[int | None, float] = {}
         self._configurable = self._stepping = False
-        # what fmi3DoStep and fmi3UpdateDiscreteStates tell, written by the FMU
+        # results of fmi3DoStep and fmi3UpdateDiscreteStates, written by the FMU
         self._event, self._ends, self._early, self._reached = c_bool(), c_bool(), c_bool(), c_double()
         self._again, self._timed, self._unused, self._time = c_bool(), c_bool(), c_bool(), c_double()
 
@@ -112,13 +112,13 @@ class Fmi3Instance(Instance):
         """
         now, end, idle = time, time + step, 0
         near, do_step = NEAR * step + 4.0 * ulp(end), self.fmi["fmi3DoStep"]
-        told = byref(self._event), byref(self._ends), byref(self._early), byref(self._reached)
+        results = byref(self._event), byref(self._ends), byref(self._early), byref(self._reached)
         while True:
             # up to the next time event, if one is announced and the FMU can be stepped there
             announced = now < self._next_event < end - near and not self._regular
             target = self._next_event if announced else end
             length = step if (now, target) == (time, end) else target - now
-            if (status := do_step(self.component, now, length, bool(no_rollback), *told)) > fmi2.WARNING:
+            if (status := do_step(self.component, now, length, bool(no_rollback), *results)) > fmi2.WARNING:
                 raise self.error(f"the step from {now:.9g} s by {length:.9g} s", status, now)
             reached = self._reached.value if self._early.value else target
             if self._ends.value:
@@ -152,9 +152,9 @@ class Fmi3Instance(Instance):
     def _update(self, time: float | None) -> None:
         """Iterate the event until nothing changes any more, and go over to step mode."""
         unused = byref(self._unused)
-        told = byref(self._again), byref(self._ends), unused, unused, byref(self._timed), byref(self._time)
+        results = byref(self._again), byref(self._ends), unused, unused, byref(self._timed), byref(self._time)
         for _ in range(MOST_ROUNDS):
-            self.check("an event", lambda: int(self.fmi["fmi3UpdateDiscreteStates"](self.component, *told)))
+            self.check("an event", lambda: int(self.fmi["fmi3UpdateDiscreteStates"](self.component, *results)))
             if self._ends.value:
                 raise self._ended(time)
             if not self._again.value:

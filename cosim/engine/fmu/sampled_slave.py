@@ -81,7 +81,7 @@ def _tried(slave: FmuSlave, fmu: UnpackedFmu) -> frozenset[str]:
     try:
         return frozenset(in_child(lambda: _immediate(slave), lambda: None, CALL_LIMIT))
     except ChildLostError:
-        return frozenset()  # its run will tell
+        return frozenset()  # its run will show what is wrong
 
 
 def _immediate(slave: FmuSlave) -> frozenset[str]:
@@ -205,7 +205,7 @@ class SampledFmu:
         can_save: whether the FMU can save and restore its state.
 
     Raises:
-        FmuFileError: the FMU is missing or broken, or doesn't tell its sample time and gets none.
+        FmuFileError: the FMU is missing or broken, or states no sample time and gets none.
         InputError: a parameter doesn't exist or its value doesn't suit its type.
     """
 
@@ -258,7 +258,7 @@ class SampledFmu:
         return self._fmu.remarks
 
     def _sender(self) -> Call:
-        """A call that hands the inputs to the FMU."""
+        """A call that sets the FMU's inputs."""
         if not self._inputs.size:
             return nothing
         buffer = np.empty(self._inputs.size)

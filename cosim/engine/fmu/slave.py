@@ -126,7 +126,7 @@ class FmuSlave:
         """Lower the orders of outputs whose derivatives a trial instance refuses, or gives as no finite numbers.
 
         Dymola and OpenModelica state one order and give NaN, always or right after initialisation. A trial that fails says
-        nothing: the run will tell.
+        nothing: the run will show.
         """
         real = [i for i, handle in enumerate(self._handles) if handle.kind == "Real"]
         outputs = [i for i in real if self.variables[i].causality == "output"]
@@ -157,7 +157,7 @@ class FmuSlave:
         found = np.full(shape, np.nan)
         handles = [self._handles[index] for index in outputs]
         if not self._instance.accepts(self._transfers.get_derivatives(handles, found)):
-            # asked one by one, it tells which
+            # asked one by one, it shows which
             for column, handle in enumerate(handles):
                 one = np.full((shape[0], 1), np.nan)
                 accepted = self._instance.accepts(self._transfers.get_derivatives([handle], one))
@@ -242,7 +242,7 @@ class FmuSlave:
                 )
 
     def _read_back(self, setting: Setting) -> Value | None:
-        """The present value of what was set; None where the FMU doesn't tell."""
+        """The present value of what was set; None where the FMU doesn't give it."""
         call, value = self._transfers.reading(setting)
         return value() if self._instance.accepts(call) else None
 

@@ -25,7 +25,7 @@ class FmuTrajectory:
         path: an FMU that `flexfmu.fmu_build.trajectory_build` has made.
 
     Raises:
-        FmuFileError: the FMU is missing or broken, or doesn't tell its breakpoints.
+        FmuFileError: the FMU is missing or broken, or states no breakpoints.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -114,8 +114,12 @@ class Setting:
 
 
 def settable_variables(description: Any) -> Mapping[str, Any]:
-    """Name → what fmpy has read of each variable that may be set before initialisation."""
-    return {v.name: v for v in description.modelVariables if _has_start(v)}
+    """Name → what fmpy has read of each variable that may be set before initialisation (FMI 2.0.4, section 2.2.7)."""
+    return {
+        v.name: v
+        for v in description.modelVariables
+        if v.causality in ("parameter", "input") or (v.initial in ("exact", "approx") and v.variability != "constant")
+    }
 
 
 def settings(known: Mapping[str, Any], parameters: Mapping[str, Value]) -> Sequence[Setting]:
@@ -131,19 +135,15 @@ def settings(known: Mapping[str, Any], parameters: Mapping[str, Value]) -> Seque
     result = []
     for name, value in parameters.items():
         if name not in known:
-            raise InputError(f"the FMU has no parameter {name!r}; {_remedy(name, known)}")
+            # the name that may have been meant, or all parameters
+            near = get_close_matches(name, known, n=1)
+            names = ", ".join(name for name, v in known.items() if v.causality == "parameter") or "none"
+            remedy = f"did you mean {near[0]!r}?" if near else f"it has: {names}"
+            raise InputError(f"the FMU has no parameter {name!r}; {remedy}")
         variable = known[name]
         lasting = variable.initial != "approx"
         result.append(Setting(name, _handle(variable), _in_range(variable, typed(variable, value)), lasting))
     return result
-
-
-def _remedy(name: str, known: Mapping[str, Any]) -> str:
-    """The name that may have been meant, or all parameters."""
-    near = get_close_matches(name, known, n=1)
-    if near:
-        return f"did you mean {near[0]!r}?"
-    return f"it has: {', '.join(name for name, v in known.items() if v.causality == 'parameter') or 'none'}"
 
 
 def _number_for(variable: Any, value: Value) -> Value:
@@ -167,19 +167,15 @@ def items(variable: Any) -> dict[str, int]:
     return {item.name: int(item.value) for item in declared.items or ()} if declared else {}
 
 
-def _has_start(variable: Any) -> bool:
-    """Whether a variable may be set before initialisation (FMI 2.0.4, section 2.2.7)."""
-    settable = variable.initial in ("exact", "approx") and variable.variability != "constant"
-    return variable.causality in ("parameter", "input") or settable
-
-
 def _in_range(variable: Any, value: Value) -> Value:
     """The value, if the variable's type and range allow it."""
     if variable.type not in ("Real", "Integer") or isinstance(value, str):
         return value
+    # limits of the variable, or of its type
     low, high = (_bound(variable, bound) for bound in ("min", "max"))
     if (low is None or value >= low) and (high is None or value <= high) and abs(value) <= float_info.max:
         return value
+    # else say which values are possible
     unit = _unit(variable)
     unit = "" if unit in ("", "1") else f" {unit}"
     limits = [f"at least {low:g}{unit}"] if low is not None else []
@@ -222,7 +218,7 @@ def typed(variable: Any, value: Value) -> Value:
 
 
 def in_words(variable: Any, value: Value) -> str:
-    """A value of the variable for people, with its unit or its name."""
+    """A value of the variable for messages, with its unit or its name."""
     if variable.type == "String":
         return repr(value)
     if variable.type == "Boolean":

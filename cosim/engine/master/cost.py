@@ -54,8 +54,12 @@ def cost(steps: int, values: int, references: int, trial: Callable[[int], Simula
             if AVAILABLE
             else _seconds_per_step(trial)
         )
+    time = ""
+    if seconds is not None:
+        duration = seconds * steps
+        unit, size = ("h", 3600.0) if duration > 5400.0 else ("min", 60.0) if duration > 90.0 else ("s", 1.0)
+        time = f"{duration / size:.2g} {unit} and "
     # memory: references are all calculated before the first step, values recorded as they come
-    time = "" if seconds is None else f"{_duration(seconds * steps)} and "
     tabulated = references * steps
     gigabytes = 1e-9 * max(BYTES_PER_REFERENCE * tabulated, BYTES_KEPT * tabulated + BYTES_PER_VALUE * values)
     return (
@@ -76,9 +80,3 @@ def _seconds_per_step(trial: Callable[[int], Simulation]) -> float | None:
                 return None
             taken.append(perf_counter() - begin)
     return max(taken[1] - taken[0], 0.0) / (TRIED_STEPS - FEW_STEPS)
-
-
-def _duration(seconds: float) -> str:
-    """Seconds, minutes or hours."""
-    unit, size = ("h", 3600.0) if seconds > 5400.0 else ("min", 60.0) if seconds > 90.0 else ("s", 1.0)
-    return f"{seconds / size:.2g} {unit}"

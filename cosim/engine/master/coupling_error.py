@@ -77,6 +77,7 @@ class CouplingError:
     ) -> None:
         self._control = control
         self._span = span
+        # signals to watch, and the order that their error goes with
         if control.signals is None:
             self._watched = _watched_by_default(system, ports, couplings)
         else:
@@ -92,12 +93,14 @@ class CouplingError:
         Args:
             inputs: input ports, in the order of `System.slaves`.
         """
+        # signals that are read once more after a step, and first derivatives
         pairs = list(zip(self._watched, (inputs[slave] for slave in self._slaves), strict=True))
         self.following = [
             each.port for each, port in pairs if any(not _errs(group.source.slave) for group in port.groups)
         ]
         if self._control.signals is None:
             self._watched = [each.with_rates(port) for each, port in pairs]
+        # where the signals are in their ports
         self._places = [
             (each.port.signals.reshape(-1), each.rows * each.port.indices.size + each.columns) for each in self._watched
         ]
@@ -154,7 +157,7 @@ class CouplingError:
 
 def _watched_by_default(system: System, ports: Sequence[OutputPort], couplings: Couplings) -> list[Watched]:
     """Of all slaves whose inputs have an error: outputs that are passed on; all continuous ones where none is, or where
-    they tell no rates. Those that an erring input enters at once, as it does a spring's force, follow the others; they
+    they give no rates. Those that an erring input enters at once, as it does a spring's force, follow the others; they
     count if there are no others."""
     watched: list[Watched] = []
     following: list[Watched] = []

@@ -14,7 +14,7 @@ from flexfmu.cosim.engine.slave import PredictsOutputs, Sampled, feedthrough, in
 
 
 class Transport(Enum):
-    """How signals get to an input; the value says so to people."""
+    """How signals get to an input; the value describes it in messages."""
 
     ANNOUNCED = "known in advance over the whole step"
     SAMPLED = "read at the sample instants"

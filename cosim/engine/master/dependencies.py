@@ -66,7 +66,7 @@ def _in_loops(graph: Graph) -> set[int]:
 
 
 def in_one_call(slave: Slave) -> bool:
-    """Whether the slave samples in one call, with all of its inputs at hand."""
+    """Whether the slave samples in one call, with all of its inputs."""
     return isinstance(slave, Sampled) and not isinstance(slave, SamplesInTwoPhases)
 
 

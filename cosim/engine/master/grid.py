@@ -30,11 +30,11 @@ MAXIMUM_POINTS = 20_000_000
 
 
 MAXIMUM_RATIO = 1000
-"""Sample times must be p/q communication steps with q up to this: coarse enough to tell intent from chance, since a
+"""Sample times must be p/q communication steps with q up to this: coarse enough that no chance fits, since a
 random number comes that near to such a fraction less than once in a million times."""
 
 RATIO_TOLERANCE = 1e-12
-"""Relative rounding of a ratio of two times that people have typed in or calculated."""
+"""Relative rounding of a ratio of two times that users have typed in or calculated."""
 
 SUGGESTED_RATIO = 10
 """Largest denominator of a sample time that an error message suggests."""

@@ -1,4 +1,4 @@
-"""The instructions of a compiled run, and how they are handed to the C side."""
+"""The instructions of a compiled run, and the structures that the C side reads."""
 
 from __future__ import annotations
 

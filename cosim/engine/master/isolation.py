@@ -35,7 +35,7 @@ def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *
         wanted: what the user says; None for isolation where slaves are from elsewhere.
         slaves: the slaves.
         call_limit: how long a slave may stay in one call [s].
-        theirs: whether Python slaves are the caller's own objects, who may want to look at them after the run.
+        theirs: whether Python slaves are the caller's own objects, which the caller may read after the run.
 
     Raises:
         InputError: isolation is wanted on a platform that doesn't have it.

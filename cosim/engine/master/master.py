@@ -36,7 +36,7 @@ def simulate(
     step or extrapolates from its beginning, as the algorithm has it. Its degree follows from the derivatives that
     source and target can handle.
 
-    Every run ends by terminating the slaves. A failing slave doesn't raise: the outcome tells, and the recording holds
+    Every run ends by terminating the slaves. A failing slave doesn't raise: the outcome says so, and the recording has
     everything up to the last completed step.
 
     Args:

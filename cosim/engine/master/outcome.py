@@ -13,7 +13,7 @@ from flexfmu.cosim.engine.results import Recording
 
 
 class Outcome(Enum):
-    """How a simulation ended; the value is a sentence for people."""
+    """How a simulation ended; the value is a sentence for users."""
 
     COMPLETED = "the simulation reached its stop time"
     ENDED_BY_SLAVE = "a slave asked to end the simulation; the results end there"

@@ -115,7 +115,7 @@ def make_plan(system: System, couplings: Couplings, algorithm: Algorithm) -> Pla
     }
     positions = sampling_positions(system)
     passing = _passing(system, stale_after_step(system, couplings), sampling, positions)
-    # at a communication point: polynomials of the coming step first, on them depends what is passed on
+    # at a communication point: polynomials of the coming step first, since what is passed on depends on them
     exchange = [
         Operation(Action.ANNOUNCE, i) for i, slave in enumerate(system.slaves) if isinstance(slave, PredictsOutputs)
     ]

@@ -1,4 +1,4 @@
-"""What the master holds for each slave during a run: buffers for its outputs and inputs, bound transfers, and groups
+"""What the master keeps for each slave during a run: buffers for its outputs and inputs, bound transfers, and groups
 of signals between them.
 
 Over a communication step an input follows a polynomial. It extrapolates its source's value and derivatives from the beginning
@@ -218,7 +218,7 @@ class InputPort:
         slave: the slave.
         groups: where the inputs come from.
         fed: (orders + 1, n) values in row 0, derivatives below.
-        send: a call that hands ``fed`` to the slave.
+        send: a call that sets the slave's inputs from ``fed``.
     """
 
     def __init__(self, slave: Slave, indices: Indices, groups: Sequence[SignalGroup]) -> None:
@@ -267,15 +267,13 @@ def wire(
     system: System, coupled: Couplings, selection: Selection = EVERYTHING
 ) -> tuple[list[InputPort], list[OutputPort]]:
     """Ports of all slaves, in the order of `System.slaves`."""
-    outputs = [_output_port(system, i, coupled, selection) for i in range(len(system.slaves))]
+    outputs = []
+    for i, slave in enumerate(system.slaves):
+        # as many derivatives as its targets take
+        orders = [max(each.order, each.ends or 0) for (source, _), each in coupled.items() if source == i]
+        fed = {each.output for each in system.connections if each.source == i}
+        outputs.append(OutputPort(slave, max(orders, default=0), fed, selection))
     return [_input_port(system, i, outputs, coupled) for i in range(len(system.slaves))], outputs
-
-
-def _output_port(system: System, source: int, coupled: Couplings, selection: Selection) -> OutputPort:
-    """The port of one slave, with as many derivatives as its targets take."""
-    orders = [max(each.order, each.ends or 0) for (giver, _), each in coupled.items() if giver == source]
-    fed = {each.output for each in system.connections if each.source == source}
-    return OutputPort(system.slaves[source], max(orders, default=0), fed, selection)
 
 
 def _input_port(system: System, target: int, outputs: list[OutputPort], coupled: Couplings) -> InputPort:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import mmap
 import os
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -94,7 +94,11 @@ class Recorder:
         """Everything recorded so far, named ``slave.variable``."""
         columns: dict[str, Column] = {}
         for names, units, texts, rows in zip(self._names, self._units, self._texts, self._rows, strict=True):
-            columns |= zip(names, _columns(units, texts, rows[: self._count]), strict=True)
+            # values and derivatives of one signal after the other; of texts their codes
+            known = TEXTS.known() if any(texts) else []
+            signals = rows[: self._count].transpose(2, 1, 0).copy()
+            for name, unit, text, signal in zip(names, units, texts, signals, strict=True):
+                columns[name] = Column(unit, signal[0], texts=known) if text else Column(unit, *signal)
         return Recording(self.time[: self._count].copy(), columns)
 
     def populate(self) -> None:
@@ -143,10 +147,3 @@ class _Memory:
         if self._map is not None:
             with suppress(OSError):
                 self._map.madvise(_MADV_POPULATE_WRITE)
-
-
-def _columns(units: Sequence[str], texts: Sequence[bool], rows: RealArray) -> Iterator[Column]:
-    """Columns of signals with these units, some of them texts, from their rows (N, orders + 1, n)."""
-    known = TEXTS.known() if any(texts) else []
-    for unit, text, column in zip(units, texts, rows.transpose(2, 1, 0).copy(), strict=True):
-        yield Column(unit, column[0], texts=known) if text else Column(unit, *column)

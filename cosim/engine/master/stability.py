@@ -2,7 +2,7 @@
 
 A physical instability that the communication steps resolve changes a signal by little from step to step. Where, over
 many steps, a signal changes each time by about as much as it amounts to, and ever more, what grows is made by the
-coupling (or can't be told from it with this step). And where a signal goes up and down from each step to the next, ever
+coupling (or can't be distinguished from that with this step). And where a signal goes up and down from each step to the next, ever
 further, a loop overshoots more every time it is closed: its gain is too high for the step, or for the sample time.
 """
 

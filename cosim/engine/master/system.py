@@ -117,7 +117,7 @@ def connect(slaves: Sequence[Slave], connections: Iterable[Wire], *, loops: Loop
             slave = slaves[each.target]
             raise WiringError(f"{slave.name}.{slave.variables[each.input].name} is connected twice; keep one source")
         seen.add((each.target, each.input))
-    # orders of calls: at one instant by direct feedthrough, over a step by who needs whose signals
+    # orders of calls: at one instant by direct feedthrough, over a step sources first
     exchange_order = _exchange_order(slaves, resolved, loops)
     step_order = _step_order(slaves, resolved)
     position = {slave: i for i, slave in enumerate(step_order)}
