@@ -65,7 +65,7 @@ def instructions(schedule: Schedule, operations: Iterable[Operation]) -> list[In
     """The same calls in the same order for the C side."""
     tables = {
         i: slave
-        for i, slave in enumerate(schedule.slaves)
+        for i, slave in schedule.predicting.items()
         if isinstance(slave, HasTables) and schedule.outputs[i].reads_all
     }
     return [found for each in operations for found in _translation(schedule, tables, each)]
