@@ -50,6 +50,11 @@ def build(folder: Path, flags: tuple[str, ...]) -> Path:
     return program
 
 
+def objects_beside(program: Path, sources: list[Path]) -> list[Path]:
+    """Object files of sources that a test program has been linked from."""
+    return [program.with_name(f"{source.stem}.o") for source in sources]
+
+
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(tmp_path_factory.mktemp("plain"), ("-O2",))
@@ -72,15 +77,17 @@ def test_lists_all_tests(program: Path) -> None:
     assert len(NAMES) >= 40
 
 
+@pytest.mark.slow
 def test_sanitizers_find_nothing(sanitized: Path) -> None:
     """A read beyond an array or an overflow gives right results on one machine and wrong ones on another."""
     run(sanitized, *NAMES)
 
 
 @pytest.mark.skipif(shutil.which("size") is None, reason="no size")
-def test_has_no_writable_globals(tmp_path: Path) -> None:
+def test_has_no_writable_globals(program: Path, tmp_path: Path) -> None:
     """Several instances in one process, and threads, must not share anything that changes."""
-    objects = compile_all(tmp_path, sorted(RUNTIME.glob("*.c")), ("-O2",))
+    others = sorted(set(RUNTIME.glob("*.c")) - set(SOURCES))
+    objects = [*objects_beside(program, SOURCES), *compile_all(tmp_path, others, ("-O2",))]
     sections = [
         line.split() for line in run("size", "-A", *objects).splitlines() if line.startswith((".data ", ".bss "))
     ]
@@ -89,10 +96,10 @@ def test_has_no_writable_globals(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
-def test_exports_the_fmi_functions_only(tmp_path: Path) -> None:
+def test_exports_the_fmi_functions_only(program: Path, tmp_path: Path) -> None:
     """Two FMUs in one process would otherwise call into each other."""
     library = tmp_path / "library.so"
-    run(COMPILER, "-shared", *compile_all(tmp_path, [*SOURCES, TESTS / "models.c"], ("-O2",)), "-lm", "-o", library)
+    run(COMPILER, "-shared", *objects_beside(program, [*SOURCES, TESTS / "models.c"]), "-lm", "-o", library)
     exported = {line.split()[-1] for line in run("nm", "-D", "--defined-only", library).splitlines()}
     functions = {name for name in exported if name.startswith("fmi2")}
     assert exported - functions - {"_init", "_fini", "_edata", "_end", "__bss_start"} == set()

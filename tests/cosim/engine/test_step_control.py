@@ -46,7 +46,7 @@ def benchmark() -> Any:
         ("oscillator", 0, (1e-1, 1e-2)),
         ("oscillator", 1, (1e-2, 1e-3, 1e-4)),
         ("oscillator", 2, (1e-2, 1e-4, 1e-6)),
-        ("robot with a spring", 1, (1e-2,)),
+        pytest.param("robot with a spring", 1, (1e-2,), marks=pytest.mark.slow),
         ("robot led by a trajectory", 1, (1e-2,)),
     ],
 )
