@@ -32,7 +32,7 @@ class Shape:
         rotation: turning of the cross sections times the length; the slope, unless shear takes part of it.
         strain: drotation/dxi for bending, dphi/dxi for axial shapes.
         tip: phi(1).
-        wave_number: dimensionless wave number; tells how fine a quadrature has to be.
+        wave_number: dimensionless wave number, which sets the number of quadrature nodes.
         text: which shape it is, for documentation.
     """
 

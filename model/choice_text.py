@@ -1,4 +1,4 @@
-"""A choice of effects in words, for people and for the documentation of what was built."""
+"""Sentences about a choice of effects, for the command line and for the documentation of FMUs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _FAMILIES: Mapping[str, str] = {
 
 
 def percent(value: float) -> str:
-    """A relative error for people: two digits, and no more than is worth reading."""
+    """A relative error in percent with two digits."""
     if value >= 0.1:
         return f"{100.0 * value:.0f} %"
     return "0" if value == 0.0 else f"{100.0 * value:.2g} %" if value >= 1e-6 else "< 0.0001 %"
 
 
 def set_text(scene: Scene) -> str:
-    """A scene's elastic effects in words."""
+    """A scene's elastic effects, separated by commas."""
     effects = scene.effects
     found = [
         f"{word} {getattr(effects, key)}{' static' if key in effects.quasi_static else ''}"

@@ -58,7 +58,7 @@ class EffectContext:
     """What effects are made from.
 
     Attributes:
-        scene: the scene, whose keys say which effects it asks for.
+        scene: the scene, whose keys choose the effects.
         registry: where an effect registers its parameters and the values that follow from them.
         links: mass, sizes and stiffness of the link groups, in symbols.
     """
@@ -73,7 +73,7 @@ class Effect(ABC):
 
     Attributes:
         note: title, sentence and formula for the documentation, and what the effect contributes: of the class, or of an
-            instance where they depend on what the scene asks for.
+            instance where they depend on the scene's values.
     """
 
     note: EffectNote
@@ -81,7 +81,7 @@ class Effect(ABC):
     @classmethod
     @abstractmethod
     def from_scene(cls, context: EffectContext) -> Iterable[Effect]:
-        """The effects of this class that a scene asks for; none where it leaves them out."""
+        """The effects of this class that a scene chooses; none where it leaves them out."""
 
     def families(self) -> tuple[Family, ...]:
         """Elastic families that the effect adds to the links."""

@@ -124,7 +124,7 @@ def assemble(scene: Scene) -> FiveBar:
             f"scene {scene.name} leaves the choice of effects open (`effects.select`): resolve it first, with "
             f"`flexfmu.cosim.choices.effects.choice.resolved(scene)`"
         )
-    # parameters of the mechanism, then those of the effects that the scene asks for
+    # parameters of the mechanism, then those of the effects that the scene chooses
     registry = ParameterRegistry()
     parameters = mechanism_parameters(registry, scene.mechanism)
     links: dict[LinkGroup, LinkProperties] = {

@@ -88,6 +88,7 @@ def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:
     Source: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct. Mech. 6
     (1978), eq. (14) in the plane.
     """
+    # slopes and strains at the nodes of a quadrature, as functions of the link's coordinates
     xi, weights = np.polynomial.legendre.leggauss(40)
     energy = casadi.SX(0)
     for link, part in _bending(robot):

@@ -1,4 +1,10 @@
-"""Rigid kinematics of the five-bar: inverse and forward for points and jets, and the margins to what planning must avoid."""
+"""Rigid kinematics of the five-bar: inverse and forward for points and jets, and margins to singularities.
+
+A leg is a triangle of base, elbow and end effector, whose sides are known: the law of cosines gives the motor angle, with the sign of
+the working mode (type-1 singularities where a leg is stretched or folded). The end effector is an intersection of two circles about
+the elbows, chosen by the assembly mode (type-2 singularities where the distal links are parallel; Gosselin and Angeles, Singularity
+analysis of closed-loop kinematic chains, IEEE Trans. Robot. Autom. 6 (1990)).
+"""
 
 from __future__ import annotations
 
@@ -38,6 +44,7 @@ class RigidKinematics:
 
     def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
         """Jets of q11 and q21 [rad] from jets of the end-effector position [m]."""
+        # both legs at once, along a leading axis
         proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
         legs = (2, *(1,) * len(x.shape))
         signs = np.array(WORKING_MODES[self.mechanism.working_mode], dtype=float).reshape(legs)
@@ -56,6 +63,7 @@ class RigidKinematics:
 
         Out of reach the sine is NaN.
         """
+        # type 1: distance of each base from where its leg is stretched or folded
         proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
         distances = [np.hypot(*(position - base).T) for base in bases(self.mechanism)]
         reaches = [
@@ -67,6 +75,7 @@ class RigidKinematics:
             )
             for leg, d in enumerate(distances)
         ]
+        # type 2: angle between the distal links
         return (*reaches, Margin(SINE_NAME, "1", self.sine(position), SINE_MARGIN))
 
     def sine(self, position: RealArray) -> RealArray:

@@ -1,4 +1,7 @@
-"""Small motions of the torque-driven plant about an equilibrium, as a state-space system for python-control."""
+"""Small motions of the torque-driven plant about an equilibrium, as a state-space system for python-control.
+
+The plant's residual M a + b(y, v, u) = 0 is linearised with exact derivatives; accelerations are eliminated from states and outputs.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Natural frequencies and damping of the flexible robot with locked motors, about its static equilibrium."""
+"""Natural frequencies and damping of the flexible robot with locked motors, about its static equilibrium.
+
+Small motions satisfy M x'' + C x' + K x = 0. Undamped frequencies are the generalised eigenvalues of (K, M), damped modes the
+eigenvalues of the first-order form in [x, x'].
+"""
 
 from __future__ import annotations
 
@@ -54,10 +58,12 @@ def damped_modes(scene: Scene, joints: tuple[float, float] | RealArray) -> Dampe
     n = numeric_model(scene).n
     if n == 0:
         return DampedModes(np.empty(0), np.empty(0))
+    # first-order form in [x, x'] about a stable equilibrium
     mass, damping, stiffness = _matrices(scene, joints)
     _stable(eigh(stiffness, mass, eigvals_only=True), joints)
     acceleration = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
     values = np.linalg.eigvals(np.vstack([np.eye(n, 2 * n, n), acceleration])).astype(complex)
+    # one of each conjugate pair, ascending; overdamped motions have none
     values = values[values.imag > OSCILLATING * np.abs(values)]
     values = values[np.argsort(np.abs(values))]
     size = np.abs(values)

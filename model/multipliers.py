@@ -69,6 +69,7 @@ def constrained_model(scene: Scene) -> ConstrainedModel:
     """
     rigid = {f"effects.{family}": 0 for family in scene.effects.quasi_static}
     five_bar = assemble(scene.replace(rigid | {"effects.quasi_static": []}) if rigid else scene)
+    # symbols of all coordinates, constraints, and the forces that a motion needs
     d, n = five_bar.registry.derived_at_start(), five_bar.robot.q_e.numel()
     q, v = casadi.SX.sym("q", 2 + n + PASSIVE), casadi.SX.sym("v", 2 + n + PASSIVE)
     a = casadi.SX.sym("a", q.numel())
@@ -136,9 +137,11 @@ def _split(q: casadi.SX, n: int) -> tuple[casadi.SX, casadi.SX, casadi.SX]:
 
 def _constraints(five_bar: FiveBar, q: casadi.SX, d: casadi.DM) -> casadi.SX:
     """f(q) of eq. (18): both distal tips are the end effector, both distal bases are the proximal tips."""
+    # angles of the proximal links, with the twists of the transmissions
     q_a, q_e, q_p = _split(q, five_bar.robot.q_e.numel())
     tips = TipMap(five_bar.robot)
     links = q_a + tips.twist.T @ q_e if q_e.numel() else q_a
+    # what is left between the tips of a leg's links and where they should be
     end = q_p[6:8]
     at_end, at_elbow = [], []
     for leg in (1, 2):
@@ -162,6 +165,7 @@ def _force(five_bar: FiveBar, q: casadi.SX, v: casadi.SX, a: casadi.SX, d: casad
     """Generalised forces that a motion in all coordinates needs, in the order of q."""
     n = five_bar.robot.q_e.numel()
     twist = five_bar.robot.twist_selection
+    # the redundant configuration, rates and accelerations as functions of the coordinates
     q_a, q_e, q_p = _split(q, n)
     links = q_a + twist.T @ q_e if n else q_a
     directions = [casadi.vertcat(casadi.cos(t), casadi.sin(t)) for t in (links[0], links[1], q_p[2], q_p[5])]
@@ -172,6 +176,7 @@ def _force(five_bar: FiveBar, q: casadi.SX, v: casadi.SX, a: casadi.SX, d: casad
         return casadi.vertcat(w_a + twist.T @ w_e if n else w_a, w_p[2], w_p[5], w_p[0:2], w_p[3:5], w_p[6:8], w_e)
 
     force = five_bar.dynamics.force(x, redundant(v), redundant(a), d)
+    # the redundant forces in the order of q; a twist turns the link without the motor
     passive = casadi.vertcat(force[4:6], force[2], force[6:8], force[3], force[8:10])
     elastic = force[10:] + twist @ force[0:2] if n else force[10:]
     return casadi.vertcat(force[0:2], elastic, passive)

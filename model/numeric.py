@@ -43,6 +43,7 @@ class NumericModel:
 @lru_cache(maxsize=32)
 def numeric_model(scene: Scene) -> NumericModel:
     """The numeric model of a scene, made once."""
+    # the five-bar in symbols, and numbers for its derived values
     five_bar = assemble(scene)
     m, closure = five_bar.motion, five_bar.closure
     u = casadi.vertcat(m.q_a, m.v_a, m.a_a)
@@ -52,6 +53,7 @@ def numeric_model(scene: Scene) -> NumericModel:
         filled = [casadi.densify(casadi.cse(casadi.substitute(r, five_bar.registry.d, values))) for r in results]
         return casadi.Function(name, arguments, filled)
 
+    # forces in motion and at rest, energies
     force, zeros = five_bar.forces.elastic, casadi.SX.zeros(m.q_e.numel())
     at_rest = casadi.substitute(force, casadi.vertcat(m.v_e, m.a_e), casadi.vertcat(zeros, zeros))
     state = closure.redundant()

@@ -1,4 +1,4 @@
-"""Parameters of the model in two layers: what a user sets (p), and what follows from it once (d), so that no evaluation repeats it.
+"""Parameters of the model in two layers: what a user sets (p), and derived values (d), computed once from p.
 
 Every robot has those of its mechanism, from which the links' properties follow; the others belong to effects.
 """
@@ -23,7 +23,7 @@ LARGEST = 1e9
 
 
 class ParameterRegistry:
-    """Collects the parameters that the chosen effects ask for while a model is put together.
+    """Collects the parameters of the chosen effects while a model is assembled.
 
     Derived values are symbols in the equations of motion; their expressions go into the function ``derive(p) -> d``.
     """
@@ -34,7 +34,7 @@ class ParameterRegistry:
         self._derived: dict[str, tuple[casadi.SX, casadi.SX]] = {}
 
     def parameter(self, variable: Variable) -> casadi.SX:
-        """The symbol of an FMI parameter; the same variable asked for twice is one parameter."""
+        """The symbol of an FMI parameter; the same variable registered twice is one parameter."""
         known = self._variables.setdefault(variable.name, variable)
         if known != variable:
             raise ValueError(f"parameter `{variable.name}` is declared twice with different attributes")
@@ -67,7 +67,7 @@ class ParameterRegistry:
         return next(i for i, (symbol, _) in enumerate(self._derived.values()) if casadi.is_equal(symbol, derived))
 
     def find_derived(self, name: str) -> casadi.SX:
-        """The symbol of a derived value, zero where no effect has asked for it."""
+        """The symbol of a derived value, zero where no effect has registered it."""
         return self._derived[name][0] if name in self._derived else casadi.SX(0)
 
     @property

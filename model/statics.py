@@ -1,4 +1,8 @@
-"""Static equilibrium of the flexible robot with locked motors."""
+"""Static equilibrium of the flexible robot with locked motors, by Newton's method with step halving.
+
+The stiffness is exact, so that convergence is quadratic. Near the solution elastic forces of stiff families cancel to rounding; from
+there on a step needn't make the residual smaller.
+"""
 
 from __future__ import annotations
 
@@ -54,6 +58,7 @@ def _newton(model: NumericModel, u: RealArray) -> RealArray:
     q = np.zeros(model.n)
     if model.n == 0:
         return q
+    # iterate until a full step is at rounding, or no part of it makes the residual smaller
     force = _static_force(model, q, u)
     for _ in range(MAXIMUM_ITERATIONS):
         step = np.linalg.solve(model.static_stiffness(q, u).full(), -force)
@@ -64,6 +69,7 @@ def _newton(model: NumericModel, u: RealArray) -> RealArray:
             break
         if np.linalg.norm(step) < np.finfo(float).eps * np.linalg.norm(q) or not np.any(force):
             return q
+    # a residual that is rounding of the forces that cancel is as good as zero
     if _at_rounding(model, u, q, force):
         return q
     raise EquilibriumError(

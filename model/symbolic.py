@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-if TYPE_CHECKING:  # these types are light: whoever only passes them on doesn't load CasADi
+if TYPE_CHECKING:  # code that only passes these types on doesn't load CasADi
     import casadi
 
 Causality = Literal["input", "parameter", "output"]
@@ -141,7 +141,7 @@ class Spot:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A mechanism in its start pose, for whoever wants to draw it."""
+    """A mechanism in its start pose, for pictures of it."""
 
     bars: tuple[Bar, ...]
     spots: tuple[Spot, ...]

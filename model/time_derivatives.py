@@ -60,6 +60,7 @@ def motion_rate2(
         arguments [y, v, a, j, u, u1, u2, d] with jerk j = a', u1 = u', u2 = u'', and d2r/dt2 and d2o/dt2, one after the
         other; the snap would add M s and do/da s.
     """
+    # the chain rule twice along the motion: v = y', a = v', j = a', and the inputs' own derivatives
     y, v, a, u = motion.y, motion.v, motion.a, motion.u
     j, u1, u2 = casadi.SX.sym("j", y.numel()), casadi.SX.sym("u1", u.numel()), casadi.SX.sym("u2", u.numel())
     no_snap, both = casadi.SX.zeros(y.numel()), casadi.vertcat(residual, outputs)

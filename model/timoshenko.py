@@ -24,14 +24,14 @@ from flexfmu.model.robot import LinkGroup
 from flexfmu.trajectories.jets import RealArray
 
 SPARE_POLYNOMIALS = 20
-"""Polynomials beyond two for each mode asked for; the modes converge exponentially with them."""
+"""Polynomials beyond two for each mode; the modes converge exponentially with them."""
 
 Number = TypeVar("Number", float, casadi.SX)
 
 
 @dataclass(frozen=True)
 class Slenderness:
-    """What tells a beam from a slender one: rotary = I/(A l²), shear = EI/(k G A l²)."""
+    """Measures of a beam's thickness, zero for a slender one: rotary = I/(A l²), shear = EI/(k G A l²)."""
 
     rotary: float
     shear: float
@@ -94,10 +94,12 @@ def _clamped_modes(modes: int, slenderness: Slenderness, tip_held: bool) -> tupl
     """Modes of a clamped beam with a free or a pinned tip, by a Ritz method in polynomials that is exact to rounding."""
     if not modes:
         return ()
+    # trial functions that satisfy the clamp, and the pin where the tip is held
     count = 2 * modes + SPARE_POLYNOMIALS
     xi = Legendre([0.5, 0.5], domain=[0.0, 1.0])
     rotations = [xi * Legendre.basis(k, domain=[0.0, 1.0]) for k in range(count)]
     displacements = [(1.0 - xi) * rotation for rotation in rotations] if tip_held else rotations
+    # mass and stiffness from kinetic and strain energy, by a quadrature that is exact for these polynomials
     nodes, weights = np.polynomial.legendre.leggauss(count + 3)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
 

@@ -98,6 +98,7 @@ def beam_element(section: BeamSection, length: float, gravity: tuple[float, floa
         gravity: [m/s²].
         damping_time: ratio of viscous to elastic stresses (Kelvin and Voigt) [s].
     """
+    # energies and dissipation
     x, v, a = (casadi.SX.sym(name, COORDINATES) for name in "xva")
     shear = 0.0 if np.isinf(section.shear) else 12.0 * section.bending / (section.shear * length**2)
     kinetic = _kinetic_energy(section, length, shear, x, v)
@@ -105,6 +106,7 @@ def beam_element(section: BeamSection, length: float, gravity: tuple[float, floa
     potential = 0.5 * _form(_stiffness(section, length, shear), deformation)
     potential -= section.mass * length * casadi.dot(casadi.SX(list(gravity)), _centre(length, shear, x))
     lost = 0.5 * damping_time * _form(_stiffness(section, length, shear), casadi.jtimes(deformation, x, v))
+    # Lagrange's equations, and their Jacobians for Newton's method
     momentum = casadi.gradient(kinetic, v)
     force = casadi.jtimes(momentum, x, v) + casadi.jtimes(momentum, v, a)
     force += casadi.gradient(potential - kinetic, x) + casadi.gradient(lost, v)

@@ -1,4 +1,4 @@
-"""Static equilibrium and natural frequencies of the finite elements, with locked motors."""
+"""Static equilibrium (Newton's method) and natural frequencies of the finite elements, with locked motors."""
 
 from __future__ import annotations
 

@@ -51,6 +51,7 @@ class Mesh:
 
 def five_bar_mesh(elements: int) -> Mesh:
     """So many elements a link; proximal tips and distal roots share positions, so do both distal tips."""
+    # bases and motors come first, then the end effector, then node after node of each link
     free = iter(range(HELD, HELD + 100 * (elements + 1)))
     end = (next(free), next(free))
     nodes = {}

@@ -74,12 +74,13 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
     Args:
         robot: the finite elements.
         joints: motion of the motors [rad], which stand still after its end.
-        instants: at which the motion is wanted, (N,), ascending, above zero [s].
+        instants: to record, (N,), ascending, above zero [s].
         step: longest step [s]; each interval is cut into equal ones.
 
     Raises:
         EquilibriumError: the start has no static equilibrium, or a step's iteration doesn't converge.
     """
+    # equal steps within each interval, evaluated at all stages of it at once
     course = _Course(robot, joints.evaluate(0.0, 0)[0, 0])
     wanted = set(instants.tolist())
     for begin, end in _intervals(joints, instants):
@@ -102,7 +103,7 @@ def _intervals(joints: Trajectory, instants: RealArray) -> Iterator[tuple[float,
 
 
 class _Course:
-    """A motion on its way: the present state, the factorised matrix, and what has been passed."""
+    """A running integration: the present state, the factorised iteration matrix, and the recorded instants."""
 
     def __init__(self, robot: FiniteElementRobot, joints: RealArray) -> None:
         self._robot = robot
@@ -114,11 +115,13 @@ class _Course:
 
     def advance(self, time: float, h: float, motors: RealArray) -> None:
         """One step of length h to a time; `motors` are angles, rates and accelerations (3, 2, stages)."""
+        # predict with constant accelerations, prescribe the motors
         x = self._x[:, None] + h * STAGES * self._v[:, None]
         v, a = self._v[:, None] + np.zeros(3), self._a[:, None] + np.zeros(3)
         x[HELD:] += h**2 * a[HELD:] @ TWICE.T
         v[HELD:] += h * a[HELD:] @ TABLEAU.T
         x[list(MOTORS)], v[list(MOTORS)], a[list(MOTORS)] = motors
+        # correct until forces balance; the last stage is the new state
         force = self._balance(time, h, x, v, a)
         self._x, self._v, self._a, self._force = x[:, -1], v[:, -1], a[:, -1], force[:, -1]
 
@@ -152,5 +155,5 @@ class _Course:
         self._passed.append((time, self._x[end], self._v[end], self._a[end], self._force[motors]))
 
     def motion(self) -> ElementMotion:
-        """What has been kept."""
+        """The recorded instants."""
         return ElementMotion(*(np.array(column) for column in zip(*self._passed, strict=True)))

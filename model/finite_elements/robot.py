@@ -48,10 +48,12 @@ class FiniteElementRobot:
 
     def forces(self, x: RealArray, v: RealArray, a: RealArray) -> RealArray:
         """Forces (size, S) that motions need from outside, from coordinates, rates and accelerations (size, S) each."""
+        # elements of all links
         total = np.zeros(x.shape)
         for chain in self.chains:
             parts = _mapped(chain.element.force, chain.index, x, v, a)
             np.add.at(total, chain.index.T, parts.transpose(1, 2, 0))
+        # payload: point mass with its weight, and rotary inertia
         end, payload = list(self.mesh.end), self.scene.payload
         total[end] += payload.mass * (a[end] - np.array(self.scene.effects.gravity)[:, None])
         total[self._payload_angle] += payload.inertia * a[self._payload_angle]

@@ -1,4 +1,4 @@
-"""What a scene says of an automatic choice of effects: what is wanted of it, and what came out."""
+"""Keys of an automatic choice of effects: the request in the scene, and the result that `flexfmu` writes."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ MeasureName = Literal[
     "residual_vibration_amplitude",
     "residual_vibration_rms",
 ]
-"""Metrics that an automatic choice can be held to."""
+"""Metrics whose accuracy an automatic choice can guarantee."""
 
 MEASURES: tuple[MeasureName, ...] = get_args(MeasureName)
 
 INTEGRATOR_SHARE = 0.5
-"""Share of the tolerance that is left to the integrator; the other half is that of the effects left out."""
+"""Share of the tolerance for the integrator's error; the rest is for the effects left out."""
 
 DEFAULT_TOLERANCE = 0.01
-"""Relative error that is asked for where neither scene nor command says one."""
+"""Relative error where neither scene nor command names one."""
 
 SMALLEST, LARGEST = LEAST_TOLERANCE / INTEGRATOR_SHARE, 10.0
 """Limits of the tolerance for effects."""
@@ -77,7 +77,7 @@ def fill_in(effects: Any, cosimulation: Any) -> tuple[Any, Any]:
     if not isinstance(effects, Mapping) or effects.get("select") != "auto":
         return effects, cosimulation
     tolerance = effects.get("tolerance")
-    if isinstance(cosimulation, Mapping):  # a wrong tolerance for effects is told by that key alone
+    if isinstance(cosimulation, Mapping):  # a wrong tolerance for effects is reported by that key alone
         number = tolerance if isinstance(tolerance, float | int) else LARGEST
         cosimulation = {"tolerance": integrator_tolerance(number), **cosimulation}
     return {"basis": "craig-bampton", **effects}, cosimulation
@@ -86,7 +86,7 @@ def fill_in(effects: Any, cosimulation: Any) -> tuple[Any, Any]:
 def contradictions(
     select: str | None, given: Mapping[str, object], basis: str, switched_on: tuple[str, ...]
 ) -> Iterator[str]:
-    """What contradicts an automatic choice, or belongs to one alone, in one sentence each.
+    """One sentence for each key that contradicts an automatic choice, or has no meaning without one.
 
     Args:
         select: ``auto`` or None.

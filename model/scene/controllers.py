@@ -34,7 +34,7 @@ class PdSection(SampledSection):
 
 
 class Clamping(Section):
-    """The integral is held where it would drive the torque further into its limit."""
+    """Conditional integration: the integral stops where it would drive the torque further into its limit."""
 
     kind: Literal["clamping"] = "clamping"
 
@@ -73,8 +73,8 @@ class PidSection(SampledSection):
 
 
 class ComputedTorqueSection(SampledSection):
-    """Rigid inverse dynamics of the reference acceleration with PD correction; `payload` is the mass that it reckons
-    with, the scene's own by default."""
+    """Rigid inverse dynamics of the reference acceleration with PD correction; `payload` is the mass of its model,
+    the scene's own by default."""
 
     kind: Literal["computed-torque"]
     proportional: Annotated[NotNegativePerJoint, quantity("1/s2")]

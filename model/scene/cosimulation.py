@@ -11,7 +11,7 @@ from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, named_k
 Tolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
 
 LEAST_TOLERANCE = 1e-12
-"""Smallest relative tolerance of the FMU: below it the steps that it asks for are those of rounding errors, so that all give the
+"""Smallest relative tolerance of the FMU: below it rounding errors determine the steps, so that all give the
 same result."""
 
 
@@ -27,7 +27,7 @@ FmuTolerance = Annotated[float, AfterValidator(_achievable), quantity("1", le=0.
 
 
 class StepControl(Section):
-    """Communication steps chosen on the way, so that the error of the coupling over the whole run stays below `tolerance`
+    """Communication step control, so that the error of the coupling over the whole run stays below `tolerance`
     times the signals' magnitudes; `step` is the first one."""
 
     tolerance: Tolerance
@@ -42,7 +42,7 @@ class StepControl(Section):
 
 
 class FixedPoint(Section):
-    """Signals are passed round until they stay; `relaxation` below 1 helps where they grow."""
+    """Fixed-point iteration on the signals of a loop; `relaxation` below 1 helps where it diverges."""
 
     kind: Literal["fixed-point"]
     tolerance: Tolerance = 1e-10
@@ -51,7 +51,7 @@ class FixedPoint(Section):
 
 
 class Anderson(Section):
-    """A quasi-Newton method that learns from the last iterations."""
+    """Anderson acceleration: a quasi-Newton method whose Jacobian is estimated from the last iterations."""
 
     kind: Literal["anderson"]
     tolerance: Tolerance = 1e-10

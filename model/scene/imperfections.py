@@ -24,7 +24,7 @@ NumberPerJoint = Annotated[tuple[float, float], BeforeValidator(for_both)]
 
 
 class SignalSection(LoopSection):
-    """Something that signals of both joints pass: the motors' torques, the measured positions or velocities, or the
+    """An inline block for signals of both joints: the motors' torques, the measured positions or velocities, or the
     references (all of them where it delays, the positions alone otherwise).
 
     The sample time is that of the first controller with one, else the communication step; a lag needs none.
@@ -48,7 +48,7 @@ class SaturationSection(SignalSection):
     def _one_kind_of_limits(self) -> Self:
         two_sided = self.lower is not None and self.upper is not None
         if (self.limit is None) != two_sided or (self.lower is None) != (self.upper is None):
-            raise ValueError("give either `limit`, which holds both ways, or `lower` and `upper`")
+            raise ValueError("give either `limit`, for both directions, or `lower` and `upper`")
         if self.lower is not None and self.upper is not None and not all(map(lt, self.lower, self.upper)):
             raise ValueError(f"`lower` must be below `upper`, got {list(self.lower)} and {list(self.upper)}")
         return self
@@ -170,7 +170,7 @@ class LagSection(SignalSection):
 
 
 class PayloadErrorSection(Section):
-    """The robot carries (1 + relative) times the scene's payload, and nothing else knows of it."""
+    """The robot carries (1 + relative) times the payload that plan, controllers and shapers assume."""
 
     kind: Literal["payload-error"]
     relative: Annotated[float, quantity("1", ge=-1.0)]

@@ -26,7 +26,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$"), AfterValidator(_not_rese
 
 
 FOLDER = "folder"
-"""Under this key the validation context tells the scene file's folder."""
+"""Key of the validation context under which the scene file's folder stands."""
 
 
 def _from_scene_file(path: str, info: ValidationInfo) -> str:
@@ -46,7 +46,7 @@ ParameterValue = Annotated[float | int | bool | str, BeforeValidator(_one_value)
 
 
 class LoopSection(Section):
-    """Something with signals: its name in the system, and connections that names alone don't make.
+    """A slave's name in the system, and connections that names alone don't make.
 
     `connect` maps an input to its source: `{ "error" = "joint1.position" }`, or with the names of the slaves
     `{ "plant.joint1.torque" = "mine.torque" }`.
@@ -60,7 +60,7 @@ class LoopSection(Section):
 
 
 class SampledSection(LoopSection):
-    """Something with a sample time of its own."""
+    """A slave with a sample time of its own."""
 
     sample_time: Seconds
     offset: SecondsOrZero = 0.0
@@ -84,8 +84,8 @@ class FmuSection(LoopSection):
 
     With a `sample_time` it is stepped at its own instants only, its inputs sampled and its outputs held; without one an
     exported block has its own, an FMU that can't vary its communication step takes the step size of its default
-    experiment, and any other is stepped. `output_order` is the highest derivative of its outputs that it is asked for, 0 for
-    none; by default what its description says and it really gives.
+    experiment, and any other is stepped. `output_order` is the highest derivative of its outputs that is used, 0 for
+    none; by default what its description says and the FMU delivers.
     """
 
     kind: Literal["fmu"]

@@ -96,6 +96,7 @@ class Scene(Section):
 
         They are hints, not errors: soft materials and huge mechanisms can be meant.
         """
+        # lengths that suggest millimetres
         mechanism, path = self.mechanism, self.trajectory
         links = {"proximal": mechanism.proximal, "distal": mechanism.distal}
         lengths = {f"mechanism.{name}.length": link.length for name, link in links.items()}
@@ -112,6 +113,7 @@ class Scene(Section):
             for name, link in links.items()
             if link.diameter > 0.5 * link.length
         ]
+        # densities in g/cm3, moduli in GPa
         material = mechanism.material
         if material.density < LEAST_DENSITY:
             hints.append(
@@ -141,6 +143,7 @@ class Scene(Section):
         Raises:
             SceneError: a key is unknown or a value out of range.
         """
+        # set each dotted key in the scene's plain data, then validate all of it
         data = self.model_dump(exclude_none=True)
         for key, value in changes.items():
             *parents, last = key.split(".")

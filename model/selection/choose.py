@@ -126,7 +126,7 @@ Error = Callable[[Scene], float]
 """Scene → error of its set of effects, the largest over all metrics."""
 
 HOPELESS = 3.0
-"""Error of a quick estimate, in units of the limit, from which a set isn't looked at more sharply."""
+"""Error of a quick estimate, in units of the limit, from which no sharp estimate is made."""
 
 
 def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: float) -> Scene:

@@ -1,4 +1,8 @@
-"""A robot along its planned motion: matrices of small elastic motions at every instant, and what it does exactly."""
+"""A robot along its planned motion: matrices of small elastic motions at every instant, and its exact nonlinear outputs.
+
+The matrices are Jacobians of the elastic forces about the undeformed robot that follows the planned joint motion; with them the
+response to the loads of that motion is linear, M(t) q'' + C(t) q' + K(t) q = f(t).
+"""
 
 from __future__ import annotations
 
@@ -34,7 +38,7 @@ _NAME = re.compile(r"link(?P<leg>\d)(?P<link>\d)\.(?P<direction>\w+)\[(?P<mode>\
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """What a robot does at N instants: end effector [m, m/s, m/s²] and torques [N m], each (N, 2)."""
+    """Outputs of a robot at N instants: end effector [m, m/s, m/s²] and torques [N m], each (N, 2)."""
 
     position: RealArray
     velocity: RealArray
@@ -46,7 +50,7 @@ class LinearizedMotion:
     """The robot of a scene along a motion.
 
     Args:
-        scene: with all effects that are looked at.
+        scene: with all effects that are compared.
         grid: instants of the motion.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""The instants at which a motion is looked at, with both sides of every jump."""
+"""The instants at which a motion is evaluated, with both sides of every jump."""
 
 from __future__ import annotations
 
@@ -68,6 +68,7 @@ class MotionGrid:
 
 def motion_grid(motion: JointMotion, dwell: float) -> MotionGrid:
     """The instants of a motion with a standstill of `dwell` [s] after it."""
+    # equal steps between breakpoints; the last instant of each span takes the left side of its jump
     bounds = [*motion.breakpoints, *([motion.duration + dwell] if dwell else [])]
     step = max(min(bounds[-1] / STEPS, LONGEST_STEP), bounds[-1] / MOST_STEPS)
     times, joints, spans, start = [], [], [], 0
@@ -79,6 +80,7 @@ def motion_grid(motion: JointMotion, dwell: float) -> MotionGrid:
         joints.append(np.concatenate([u[0], u[1], u[2]], axis=1))
         spans.append((start, start + time.size))
         start += time.size
+    # standstill before and after
     ends = [motion.evaluate(np.array([0.0]), 2, "left"), motion.evaluate(np.array([motion.duration]), 2, "right")]
     rests = np.concatenate(ends, axis=1).transpose(1, 0, 2).reshape(2, 6)
     return MotionGrid(np.concatenate(times), np.concatenate(joints), rests, tuple(spans), motion.duration)

@@ -76,16 +76,19 @@ class LinearSystem:
         self, motion: Motion, load: RealArray, a: int, b: int, h: float, position: RealArray, velocity: RealArray
     ) -> None:
         """Fill a motion's instants a..b-1 from where it is at their start."""
+        # the new acceleration as a linear function of the predicted position and rate, for all instants at once
         mass, damping, stiffness = self.mass[a:b], self.damping[a:b], self.stiffness[a:b]
         q, v, n = h * h * _BETA * _NEW, h * _GAMMA * _NEW, position.size
         inverse = np.linalg.inv(mass + v * damping + q * stiffness)
         gain = -inverse @ np.concatenate([stiffness, damping], axis=2)
         push = np.einsum("kij,kj->ki", inverse, load[a:b])
+        # start: the acceleration that the equations give there
         x = np.zeros((4, n))  # position, rate, acceleration, the method's auxiliary acceleration
         x[0], x[1] = position, velocity
         x[2] = x[3] = np.linalg.solve(mass[0], load[a] - damping[0] @ velocity - stiffness[0] @ position)
         result = np.empty((b - a, 4, n))
         result[0] = x
+        # step by step: predict, then correct by the new acceleration
         predict, correct = _predictor(h), np.array([q, v, 1.0, _NEW])[:, None]
         for k in range(1, b - a):
             x = predict @ x
