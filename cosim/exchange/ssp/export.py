@@ -19,9 +19,9 @@ from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
     Component,
     Connector,
-    Parameter,
     ParameterSet,
     SspConnection,
+    SspParameter,
     SspUnit,
     Structure,
 )
@@ -157,7 +157,7 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
     return ComponentFmu(component, bare.fmu, bare.variables, bare.units)
 
 
-def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[Parameter]:
+def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[SspParameter]:
     """Values of the slave's real parameters, and of all else that differs from the FMU's start."""
     # real parameters with their start values in the FMU, and what the scene changes
     started = {
@@ -174,7 +174,7 @@ def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[Parameter]:
             value = float(value)
         elif variable.type == "Integer":
             value = typed(variable, value)
-        found.append(Parameter(f"{slave.name}.{name}", variable.type, value, _unit_name(fmu, name)))
+        found.append(SspParameter(f"{slave.name}.{name}", variable.type, value, _unit_name(fmu, name)))
     return found
 
 

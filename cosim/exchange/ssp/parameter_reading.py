@@ -12,8 +12,8 @@ from flexfmu.cosim.exchange.ssp.archive import SspArchive
 from flexfmu.cosim.exchange.ssp.structure import (
     Binding,
     MappingEntry,
-    Parameter,
     ParameterSet,
+    SspParameter,
     SspTransformation,
     SspUnit,
     ValueMap,
@@ -130,7 +130,7 @@ def _parameter_set(root: XmlElement) -> ParameterSet:
     Raises:
         SspError: a parameter has no value.
     """
-    found: dict[str, Parameter] = {}
+    found: dict[str, SspParameter] = {}
     repeated: list[str] = []
     for each in map(_parameter, root.children("Parameters", "Parameter")):
         if found.get(each.name, each) != each:
@@ -139,7 +139,7 @@ def _parameter_set(root: XmlElement) -> ParameterSet:
     return ParameterSet(root.required("name"), tuple(found.values()), read_units(root), tuple(repeated))
 
 
-def _parameter(node: XmlElement) -> Parameter:
+def _parameter(node: XmlElement) -> SspParameter:
     """One parameter with its typed value."""
     value = next((each for each in node.children("*") if each.tag in (*_READ, *NUMBERS, "Binary")), None)
     if value is None:
@@ -152,7 +152,7 @@ def _parameter(node: XmlElement) -> Parameter:
     found = _READ[kind](value, "value")
     if found is None:
         raise value.error("lacks the attribute 'value'; add it")
-    return Parameter(node.required("name"), kind, found, value.text("unit"))
+    return SspParameter(node.required("name"), kind, found, value.text("unit"))
 
 
 _READ: dict[str, Callable[[XmlElement, str], Value | None]] = {

@@ -8,7 +8,15 @@ from dataclasses import dataclass, replace
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, LinearMap
-from flexfmu.cosim.exchange.ssp.structure import Binding, MappingEntry, Parameter, SspError, Structure, ValueMap, levels
+from flexfmu.cosim.exchange.ssp.structure import (
+    Binding,
+    MappingEntry,
+    SspError,
+    SspParameter,
+    Structure,
+    ValueMap,
+    levels,
+)
 from flexfmu.cosim.exchange.ssp.variables import ComponentFmu, conversion, variable_unit
 from flexfmu.cosim.exchange.ssp.wiring import ConnectorName, Network, Origin
 
@@ -39,7 +47,7 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
         SspError: a value doesn't suit its variable's type or unit, or comes from one that can't be set.
     """
     values: dict[str, dict[str, Value]] = {name: {} for name in fmus}
-    connector_values: dict[ConnectorName, tuple[Parameter, str]] = {}
+    connector_values: dict[ConnectorName, tuple[SspParameter, str]] = {}
     ignored: list[str] = []
     # values by name, to FMUs or to systems' connectors
     for binding, names in _levels(structure, fmus, network):
@@ -90,7 +98,7 @@ def _levels(
             yield from ((binding, inside) for binding in level.bindings)
 
 
-def _used(binding: Binding) -> Sequence[tuple[Parameter, MappingEntry]]:
+def _used(binding: Binding) -> Sequence[tuple[SspParameter, MappingEntry]]:
     """The values of a set that count, each with its target."""
     named = [replace(each, name=binding.prefix + each.name) for each in binding.values.parameters]
     if binding.mapping is None:
@@ -132,7 +140,7 @@ def _along(origin: Origin, value: float, where: str) -> float:
         raise SspError(f"{where}: {error}") from error
 
 
-def _number(parameter: Parameter, where: str) -> float:
+def _number(parameter: SspParameter, where: str) -> float:
     """The value, which has to be a number.
 
     Raises:
@@ -143,7 +151,7 @@ def _number(parameter: Parameter, where: str) -> float:
     return float(parameter.value)
 
 
-def _value(parameter: Parameter, fmu: ComponentFmu, name: str, where: str) -> Value:
+def _value(parameter: SspParameter, fmu: ComponentFmu, name: str, where: str) -> Value:
     """The value in the variable's type.
 
     Raises:

@@ -104,7 +104,7 @@ class SspConnection:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class SspParameter:
     """A value for a variable.
 
     Attributes:
@@ -125,7 +125,7 @@ class ParameterSet:
     """Values with the units that they use, and remarks on what was wrong with the file."""
 
     name: str
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[SspParameter, ...]
     units: tuple[SspUnit, ...] = ()
     remarks: tuple[str, ...] = ()
 

@@ -19,7 +19,7 @@ from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.reports.figure_style import GREY, draw, save, style
 from flexfmu.cosim.studies.workprec.study import FAMILIES, WorkPrecisionStudy, sentence
-from flexfmu.cosim.studies.workprec.trial import Trial
+from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
 
 FONT_SIZE = 5.5
 
@@ -169,7 +169,7 @@ def save_figures(study: WorkPrecisionStudy, folder: Path) -> list[str]:
     return names
 
 
-def lines_of(study: WorkPrecisionStudy, name: str) -> dict[str, list[Trial]]:
+def lines_of(study: WorkPrecisionStudy, name: str) -> dict[str, list[WorkPrecisionTrial]]:
     """Line → its trials."""
     trials = study.family(name)
     return {line: [each for each in trials if each.line == line] for line in dict.fromkeys(t.line for t in trials)}

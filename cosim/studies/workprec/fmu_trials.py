@@ -12,7 +12,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.timing import fastest, fastest_in_turns
-from flexfmu.cosim.studies.workprec.trial import SceneUnderTest, Trial, completed
+from flexfmu.cosim.studies.workprec.trial import SceneUnderTest, WorkPrecisionTrial, completed
 from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.scene.loop import SampledSection
 
@@ -45,7 +45,7 @@ def integrator_trials(
     announce: Announce,
     controlled: Sequence[str] = CONTROLLED,
     fixed_steps: Sequence[float] = FIXED_STEPS,
-) -> Iterator[Trial]:
+) -> Iterator[WorkPrecisionTrial]:
     """Integrators over tolerances, and the classical one over fixed steps [s], at one communication step [s]."""
     for name in controlled:
         for tolerance in TOLERANCES:
@@ -59,7 +59,7 @@ def integrator_trials(
         yield fmu_trial(subject, "integrators", "rk4", f"{1e6 * fixed:g} µs", scene, {"communication_step": step})
 
 
-def coupling_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[Trial]:
+def coupling_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """Communication steps for each order of the input polynomials, with a tight tolerance of the integrator."""
     for order in ORDERS:
         for step in STEPS:
@@ -68,7 +68,7 @@ def coupling_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[Tri
             yield fmu_trial(subject, "communication", f"inputs of degree {order}", f"{1e3 * step:g} ms", {}, options)
 
 
-def algorithm_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[Trial]:
+def algorithm_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """Coupling algorithms of the master over communication steps, for scenes with something to couple."""
     section = subject.scene.cosimulation
     samples = [each.sample_time for each in subject.scene.controller if isinstance(each, SampledSection)]
@@ -89,7 +89,7 @@ def fmu_trial(
     label: str,
     changes: Mapping[str, object],
     options: Mapping[str, Any],
-) -> Trial:
+) -> WorkPrecisionTrial:
     """One co-simulation: its error, and the time of master, FMU and recording once all is loaded."""
     try:
         scene = subject.scene.replace(dict(changes))
@@ -97,10 +97,10 @@ def fmu_trial(
         run = completed(prepared.run())
         error = subject.error(subject.positions(run))
     except FAILURES as failure:
-        return Trial(family, line, label, None, None, " ".join(str(failure).split()))
+        return WorkPrecisionTrial(family, line, label, None, None, " ".join(str(failure).split()))
     statistics = run.health.statistics
     note = ", ".join(f"{statistics[key]} {key}" for key in ("steps", "evaluations") if key in statistics)
-    return Trial(family, line, label, error, fastest(prepared.run), note)
+    return WorkPrecisionTrial(family, line, label, error, fastest(prepared.run), note)
 
 
 RIGID: Mapping[str, object] = {
@@ -160,7 +160,9 @@ def ladder() -> tuple[Rung, ...]:
     )
 
 
-def effect_trials(subject: SceneUnderTest, step: float, tolerance: float, announce: Announce) -> Iterator[Trial]:
+def effect_trials(
+    subject: SceneUnderTest, step: float, tolerance: float, announce: Announce
+) -> Iterator[WorkPrecisionTrial]:
     """Every rung, its error against the richest set, its time in turns with the others; the scene's damping and loads stay."""
     announce("richest set of effects")
     options = {"communication_step": step, "tolerance": tolerance}
@@ -169,7 +171,7 @@ def effect_trials(subject: SceneUnderTest, step: float, tolerance: float, announ
     truth = replace(subject)
     truth.__dict__["reference"] = subject.positions(completed(rich.run()))
     # errors first
-    runs: list[tuple[Trial, PreparedScene]] = []
+    runs: list[tuple[WorkPrecisionTrial, PreparedScene]] = []
     for rung in ladder():
         announce(f"effects: {rung.line}, {rung.label}")
         trial, prepared = _rung_trial(truth, rung, options)
@@ -183,14 +185,16 @@ def effect_trials(subject: SceneUnderTest, step: float, tolerance: float, announ
     yield from (replace(trial, time=time) for (trial, _), time in zip(runs, times, strict=True))
 
 
-def _rung_trial(truth: SceneUnderTest, rung: Rung, options: Mapping[str, float]) -> tuple[Trial, PreparedScene | None]:
+def _rung_trial(
+    truth: SceneUnderTest, rung: Rung, options: Mapping[str, float]
+) -> tuple[WorkPrecisionTrial, PreparedScene | None]:
     """A rung's error, and its run where there is one to be timed."""
     try:
         scene = truth.scene.replace({**RIGID, **rung.changes})
         prepared = PreparedScene(scene, motion=truth.motion, **options)  # type: ignore[arg-type]
         positions = truth.positions(completed(prepared.run()))
     except FAILURES as failure:
-        return Trial("effects", rung.line, rung.label, None, None, " ".join(str(failure).split())), None
+        return WorkPrecisionTrial("effects", rung.line, rung.label, None, None, " ".join(str(failure).split())), None
     if np.isnan(positions).all():
-        return Trial("effects", rung.line, rung.label, None, None, "no positions"), None
-    return Trial("effects", rung.line, rung.label, truth.error(positions), None), prepared
+        return WorkPrecisionTrial("effects", rung.line, rung.label, None, None, "no positions"), None
+    return WorkPrecisionTrial("effects", rung.line, rung.label, truth.error(positions), None), prepared

@@ -28,7 +28,7 @@ from flexfmu.cosim.studies.workprec.equations import (
     motion_polynomials,
 )
 from flexfmu.cosim.studies.workprec.fmu_trials import Announce
-from flexfmu.cosim.studies.workprec.trial import Curve, RunError, SceneUnderTest, Trial, sweep
+from flexfmu.cosim.studies.workprec.trial import Curve, RunError, SceneUnderTest, WorkPrecisionTrial, sweep
 from flexfmu.model.multipliers import PASSIVE, ConstrainedModel, constrained_model
 
 ScipyMethod = Literal["Radau", "BDF", "LSODA", "DOP853"]
@@ -45,12 +45,12 @@ ABSOLUTE = 1e-4
 of this size bend."""
 
 
-def scipy_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[Trial]:
+def scipy_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """SciPy's solvers with the exact Jacobian, restarted at every breakpoint, positions at the instants of comparison."""
     system, parts = system_of(subject)
     for method in SCIPY:
 
-        def trial(tolerance: float, method: ScipyMethod = method) -> Trial:
+        def trial(tolerance: float, method: ScipyMethod = method) -> WorkPrecisionTrial:
             announce(f"SciPy {method}, tolerance {tolerance:.0e}")
             run = scipy_run(subject, system, parts, method, tolerance)
             return solver_trial(subject, f"SciPy {method}", f"{tolerance:.0e}", run)
@@ -58,11 +58,11 @@ def scipy_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> It
         yield from sweep(TOLERANCES, trial, ours)
 
 
-def sundials_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[Trial]:
+def sundials_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """CVODES through CasADi, rate and exact Jacobian compiled, restarted at every breakpoint."""
     system, parts = system_of(subject)
 
-    def trial(tolerance: float) -> Trial:
+    def trial(tolerance: float) -> WorkPrecisionTrial:
         announce(f"CasADi cvodes, tolerance {tolerance:.0e}")
         run = _sundials(subject, system, parts, "cvodes", tolerance)
         return solver_trial(subject, "CasADi cvodes", f"{tolerance:.0e}", run)
@@ -76,13 +76,13 @@ def system_of(subject: SceneUnderTest) -> tuple[InitialValueProblem, tuple[Motio
     return equations(subject.scene, (float(q1), float(q2))), motion_polynomials(subject.motion.joints, subject.stop)
 
 
-def solver_trial(subject: SceneUnderTest, line: str, label: str, run: Callable[[], RealArray]) -> Trial:
+def solver_trial(subject: SceneUnderTest, line: str, label: str, run: Callable[[], RealArray]) -> WorkPrecisionTrial:
     """One run of a solver: (N, 2) positions at the instants of comparison."""
     try:
         error = subject.error(run())
     except (RunError, RuntimeError, ValueError) as failure:
-        return Trial("tools", line, label, None, None, " ".join(str(failure).split()))
-    return Trial("tools", line, label, error, fastest(run))
+        return WorkPrecisionTrial("tools", line, label, None, None, " ".join(str(failure).split()))
+    return WorkPrecisionTrial("tools", line, label, error, fastest(run))
 
 
 def independent_reference(subject: SceneUnderTest, tolerance: float = 1e-11) -> RealArray:
@@ -209,14 +209,16 @@ RATES = {"index 1": 0.0, "index 1, Baumgarte 100/s": 100.0}
 """Line → rate of the stabilisation [1/s]."""
 
 
-def formulation_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[Trial]:
+def formulation_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """SciPy's Radau on every formulation; notes have the largest violation of the constraints."""
     system, parts = system_of(subject)
     for tolerance in FORMULATION_TOLERANCES:
         announce(f"minimal coordinates, {SOLVER}, tolerance {tolerance:.0e}")
         run = scipy_run(subject, system, parts, SOLVER, tolerance, exact_jacobian=False)  # nor have the others one
         label = f"{tolerance:.0e}"
-        yield Trial("formulations", "minimal coordinates", label, subject.error(run()), fastest(run), "no constraints")
+        yield WorkPrecisionTrial(
+            "formulations", "minimal coordinates", label, subject.error(run()), fastest(run), "no constraints"
+        )
     model = constrained_model(subject.scene)
     for line, rate in RATES.items():
         function = compile_function(index_one(model, rate))
@@ -247,7 +249,7 @@ def _index_one_trial(
     parts: tuple[MotionPolynomial, ...],
     line: str,
     tolerance: float,
-) -> Trial:
+) -> WorkPrecisionTrial:
     """A run of all coordinates with multipliers, its error, and by how much it violates the constraints."""
     # start in static equilibrium, or undeformed, with the passive coordinates that assemble the mechanism
     rates = [BoundFunction(function, piece.numbers) for piece in parts]
@@ -270,8 +272,10 @@ def _index_one_trial(
     try:
         states = run()
     except (RunError, ValueError) as failure:
-        return Trial("formulations", line, label, None, None, " ".join(str(failure).split()))
+        return WorkPrecisionTrial("formulations", line, label, None, None, " ".join(str(failure).split()))
     size = 10 + model.n
     violation = max(float(np.abs(model.constraints(state[:size]).full()).max()) for state in states)
     note = f"constraints violated by up to {violation:.1e} m"
-    return Trial("formulations", line, label, subject.error(states[:, size - 2 : size]), fastest(run), note)
+    return WorkPrecisionTrial(
+        "formulations", line, label, subject.error(states[:, size - 2 : size]), fastest(run), note
+    )

@@ -19,7 +19,7 @@ from flexfmu.cosim.reports.text import markdown_table, titled_table
 from flexfmu.cosim.studies.workprec import fmu_trials, solver_trials, tool_trials
 from flexfmu.cosim.studies.workprec.fmu_trials import Announce
 from flexfmu.cosim.studies.workprec.tool_trials import PAPER_LINE
-from flexfmu.cosim.studies.workprec.trial import Curve, SceneUnderTest, Trial, subject_of
+from flexfmu.cosim.studies.workprec.trial import Curve, SceneUnderTest, WorkPrecisionTrial, subject_of
 from flexfmu.model.scene.schema import Scene
 
 STEP = 1e-3
@@ -50,9 +50,9 @@ class WorkPrecisionStudy:
     scale: float
     agreement: float | None
     references: str
-    trials: tuple[Trial, ...]
+    trials: tuple[WorkPrecisionTrial, ...]
 
-    def family(self, name: str) -> tuple[Trial, ...]:
+    def family(self, name: str) -> tuple[WorkPrecisionTrial, ...]:
         """The trials of one family."""
         return tuple(each for each in self.trials if each.family == name)
 
@@ -84,7 +84,7 @@ def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: f
         agreement = subject.error(solver_trials.independent_reference(subject))
         references += "; SciPy's DOP853 at 1e-11"
     # families in their order, since later ones use the trials of earlier ones
-    trials: list[Trial] = []
+    trials: list[WorkPrecisionTrial] = []
     makers = _makers(subject, step, announce, trials)
     for name in (each for each in FAMILIES if each in families):
         trials += makers[name]()
@@ -92,15 +92,15 @@ def run_study(scene: Scene, families: Sequence[str], announce: Announce, step: f
 
 
 def _makers(
-    subject: SceneUnderTest, step: float, announce: Announce, known: Sequence[Trial]
-) -> dict[str, Callable[[], Iterator[Trial]]]:
+    subject: SceneUnderTest, step: float, announce: Announce, known: Sequence[WorkPrecisionTrial]
+) -> dict[str, Callable[[], Iterator[WorkPrecisionTrial]]]:
     """Family → function that makes its trials; it may use those of the families before it."""
     has_equations = is_differential_equation(subject.scene)
 
-    def nothing() -> Iterator[Trial]:
+    def nothing() -> Iterator[WorkPrecisionTrial]:
         return iter(())
 
-    def tools() -> Iterator[Trial]:
+    def tools() -> Iterator[WorkPrecisionTrial]:
         # our best settings stand among the tools, measured with the integrators or here
         measured = [each for each in known if each.family == "integrators"]
         ours = Curve.of(measured or fmu_trials.integrator_trials(subject, step, announce, ("automatic",), ()))
@@ -140,7 +140,7 @@ CHOICES = ("integrators", "communication")
 """Families between whose settings a user of this FMU chooses."""
 
 
-def cheapest(trials: Iterable[Trial], error: float) -> Trial | None:
+def cheapest(trials: Iterable[WorkPrecisionTrial], error: float) -> WorkPrecisionTrial | None:
     """The fastest trial that is at least so accurate."""
     good = [each for each in trials if each.error is not None and each.error <= error and each.time is not None]
     return min(good, key=lambda each: each.time or 0.0, default=None)
@@ -210,7 +210,7 @@ def terminal_table(study: WorkPrecisionStudy) -> Table:
     return table
 
 
-def row(study: WorkPrecisionStudy, trial: Trial) -> tuple[str, ...]:
+def row(study: WorkPrecisionStudy, trial: WorkPrecisionTrial) -> tuple[str, ...]:
     """Cells of a trial's line."""
     if trial.error is None or trial.time is None:
         return (trial.family, trial.line, trial.label, "failed", "", "", trial.note)

@@ -19,7 +19,15 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.timing import fastest
 from flexfmu.cosim.studies.references import DAMPING_TIME, compare_motions
 from flexfmu.cosim.studies.workprec.fmu_trials import Announce
-from flexfmu.cosim.studies.workprec.trial import SAMPLING, Curve, RunError, SceneUnderTest, Trial, completed, sweep
+from flexfmu.cosim.studies.workprec.trial import (
+    SAMPLING,
+    Curve,
+    RunError,
+    SceneUnderTest,
+    WorkPrecisionTrial,
+    completed,
+    sweep,
+)
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.model.scene.effects import ModalDamping
 from flexfmu.model.scene.errors import SceneError
@@ -38,7 +46,7 @@ PAPER_SHARE = 50
 """A run at 10 MHz is simulated over this fraction of the whole time, and its time multiplied: it would take a minute."""
 
 
-def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[Trial]:
+def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """fmpy integrates the FMU with CVODE; the references are a table of values, as fmpy takes no derivatives.
 
     The trial measures fmpy's import: it sets inputs at the ends of output intervals alone, an error of first order that no tolerance
@@ -47,7 +55,7 @@ def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announ
     path = build_scene(subject.scene).path
     description = open_fmu(path).description
     if description.modelExchange is None:
-        yield Trial("tools", "fmpy, CVODE", "", None, None, "the FMU is not for model exchange")
+        yield WorkPrecisionTrial("tools", "fmpy, CVODE", "", None, None, "the FMU is not for model exchange")
         return
     # what all settings share
     folder = str(open_fmu(path).folder)
@@ -62,7 +70,7 @@ def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announ
         "output": ["end_effector.position.x", "end_effector.position.y"],
     }
 
-    def trial(setting: tuple[float, float]) -> Trial:
+    def trial(setting: tuple[float, float]) -> WorkPrecisionTrial:
         interval, tolerance = setting
         label = f"{1e3 * interval:g} ms, {tolerance:.0e}"
         announce(f"fmpy, CVODE, {label}")
@@ -85,7 +93,7 @@ def input_table(subject: SceneUnderTest, spacing: float) -> Any:
     return table
 
 
-def paper_trial(subject: SceneUnderTest, announce: Announce) -> Trial:
+def paper_trial(subject: SceneUnderTest, announce: Announce) -> WorkPrecisionTrial:
     """The classical Runge-Kutta method at 10 MHz over the beginning of the motion, its time scaled up."""
     announce(PAPER_LINE)
     changes = {"cosimulation.integrator": "rk4", "cosimulation.integrator_step": PAPER_STEP}
@@ -96,25 +104,25 @@ def paper_trial(subject: SceneUnderTest, announce: Announce) -> Trial:
         prepared.stop_time = share
         run = completed(prepared.run())
     except CosimError as failure:
-        return Trial("tools", PAPER_LINE, "", None, None, " ".join(str(failure).split()))
+        return WorkPrecisionTrial("tools", PAPER_LINE, "", None, None, " ".join(str(failure).split()))
     note = f"simulated to {1e3 * share:.0f} ms, the time multiplied by {subject.stop / share:.0f}"
     time = fastest(prepared.run) * subject.stop / share
-    return Trial("tools", PAPER_LINE, "0.1 µs", subject.error(subject.positions(run)), time, note)
+    return WorkPrecisionTrial("tools", PAPER_LINE, "0.1 µs", subject.error(subject.positions(run)), time, note)
 
 
-def _fmpy_trial(subject: SceneUnderTest, arguments: dict[str, Any], label: str) -> Trial:
+def _fmpy_trial(subject: SceneUnderTest, arguments: dict[str, Any], label: str) -> WorkPrecisionTrial:
     def run() -> Any:
         return fmpy.simulate_fmu(**arguments)
 
     try:
         result = run()
     except Exception as failure:
-        return Trial("tools", "fmpy, CVODE", label, None, None, " ".join(str(failure).split()))
+        return WorkPrecisionTrial("tools", "fmpy, CVODE", label, None, None, " ".join(str(failure).split()))
     positions = np.stack(
         [np.interp(subject.instants, result["time"], result[f"end_effector.position.{axis}"]) for axis in "xy"], axis=1
     )
     note = "inputs held over the output interval"
-    return Trial("tools", "fmpy, CVODE", label, subject.error(positions), fastest(run), note)
+    return WorkPrecisionTrial("tools", "fmpy, CVODE", label, subject.error(positions), fastest(run), note)
 
 
 EXUDYN_LINE = "Exudyn, ANCF beams"
@@ -129,11 +137,13 @@ CONVERGED_ELEMENTS, CONVERGED_STEP = 4, 2.5e-5
 """Exudyn's own reference."""
 
 
-def exudyn_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[Trial]:
+def exudyn_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
     """The same mechanism by ANCF beam elements; errors are counted from Exudyn's own converged run, since all its links bend
     and stretch whatever the scene chooses, and it has no modal damping."""
     if find_spec("exudyn") is None:
-        yield Trial("tools", EXUDYN_LINE, "", None, None, "exudyn is not installed: pip install flexfmu[peers]")
+        yield WorkPrecisionTrial(
+            "tools", EXUDYN_LINE, "", None, None, "exudyn is not installed: pip install flexfmu[peers]"
+        )
         return
     from flexfmu.cosim.studies.workprec.exudyn_peer import ExudynMotion, simulate_exudyn
 
@@ -150,7 +160,7 @@ def exudyn_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> I
         yield failed("", failure)
         return
 
-    def trial(step: float) -> Trial:
+    def trial(step: float) -> WorkPrecisionTrial:
         label = f"{1e3 * step:g} ms"
         try:
             motion = run(step, ELEMENTS)
@@ -158,7 +168,7 @@ def exudyn_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> I
             return failed(label, failure)
         error = compare_motions(motion, converged, subject.motion, subject.instants).position
         note = f"{ELEMENTS} elements a link, from its own converged run"
-        return Trial("tools", EXUDYN_LINE, label, error, motion.time, note)
+        return WorkPrecisionTrial("tools", EXUDYN_LINE, label, error, motion.time, note)
 
     yield from sweep(EXUDYN_STEPS, trial, ours)
 
@@ -170,6 +180,6 @@ def comparable(scene: Scene) -> Scene:
     return scene.replace({"effects.damping": {"kind": "stiffness", "time": DAMPING_TIME}})
 
 
-def failed(label: str, failure: Exception) -> Trial:
+def failed(label: str, failure: Exception) -> WorkPrecisionTrial:
     """Why there is no result."""
-    return Trial("tools", EXUDYN_LINE, label, None, None, " ".join(str(failure).split()))
+    return WorkPrecisionTrial("tools", EXUDYN_LINE, label, None, None, " ".join(str(failure).split()))

@@ -105,7 +105,7 @@ TrialSetting = TypeVar("TrialSetting")
 
 
 @dataclass(frozen=True)
-class Trial:
+class WorkPrecisionTrial:
     """One setting of one line.
 
     Attributes:
@@ -138,14 +138,14 @@ class Curve:
         trials: the settings that no other setting of the tool beats in both error and time, by ascending error.
     """
 
-    trials: tuple[Trial, ...]
+    trials: tuple[WorkPrecisionTrial, ...]
 
     @classmethod
-    def of(cls, trials: Iterable[Trial]) -> Curve:
+    def of(cls, trials: Iterable[WorkPrecisionTrial]) -> Curve:
         """The curve of all settings that were tried; failures and those that another one beats are left out."""
         good = [each for each in trials if each.error is not None and each.time is not None]
         # from the smallest error upwards, each setting that is faster than all before it
-        best: list[Trial] = []
+        best: list[WorkPrecisionTrial] = []
         for each in sorted(good, key=lambda each: (each.error, each.time)):
             if not best or (each.time or 0.0) < (best[-1].time or 0.0):
                 best.append(each)
@@ -169,7 +169,9 @@ class Curve:
         return float(np.exp(np.interp(np.log(error), np.log(np.maximum(errors, TINY)), np.log(times))))
 
 
-def sweep(settings: Iterable[TrialSetting], run: Callable[[TrialSetting], Trial], ours: Curve) -> Iterator[Trial]:
+def sweep(
+    settings: Iterable[TrialSetting], run: Callable[[TrialSetting], WorkPrecisionTrial], ours: Curve
+) -> Iterator[WorkPrecisionTrial]:
     """Trials of another tool, the loosest setting first, until it is as accurate as our best or `TOO_SLOW` for its error."""
     for setting in settings:
         trial = run(setting)

@@ -19,9 +19,9 @@ from flexfmu.cosim.exchange.ssp.structure import (
     Component,
     Connector,
     MappingEntry,
-    Parameter,
     ParameterSet,
     SspConnection,
+    SspParameter,
     SspUnit,
     Structure,
     Subsystem,
@@ -50,10 +50,10 @@ VALUES: dict[str, Any] = {
 
 
 @st.composite
-def parameters(draw: st.DrawFn) -> Parameter:
+def parameters(draw: st.DrawFn) -> SspParameter:
     """A parameter of any type."""
     kind: Any = draw(st.sampled_from(sorted(VALUES)))
-    return Parameter(draw(NAMES), kind, draw(VALUES[kind]), draw(st.none() | NAMES) if kind == "Real" else None)
+    return SspParameter(draw(NAMES), kind, draw(VALUES[kind]), draw(st.none() | NAMES) if kind == "Real" else None)
 
 
 def few(strategy: Any, by: str | None = None) -> Any:

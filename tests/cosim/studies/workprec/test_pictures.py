@@ -12,7 +12,7 @@ from matplotlib.text import Annotation
 from flexfmu.cosim.reports.figure_style import draw
 from flexfmu.cosim.studies.workprec.figures import draw_family, keep_apart, label_points
 from flexfmu.cosim.studies.workprec.study import WorkPrecisionStudy
-from flexfmu.cosim.studies.workprec.trial import Trial
+from flexfmu.cosim.studies.workprec.trial import WorkPrecisionTrial
 from flexfmu.model.scene.file import load_scene
 
 
@@ -68,7 +68,8 @@ def test_a_label_with_room_stays_where_it_is_looked_for(crowded: Figure) -> None
 def test_axes_have_plain_numbers() -> None:
     """Times and real-time factors below one are written like those above."""
     trials = tuple(
-        Trial("tools", "slow", label, error, time) for label, error, time in (("a", 1e-3, 9.0), ("b", 1e-5, 0.009))
+        WorkPrecisionTrial("tools", "slow", label, error, time)
+        for label, error, time in (("a", 1e-3, 9.0), ("b", 1e-5, 0.009))
     )
     figure = draw(6.6, 4.8)
     axes = figure.subplots()

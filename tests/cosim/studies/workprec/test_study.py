@@ -29,7 +29,7 @@ from flexfmu.cosim.studies.workprec.study import (
     notes,
     sentence,
 )
-from flexfmu.cosim.studies.workprec.trial import Curve, SceneUnderTest, Trial, subject_of, sweep
+from flexfmu.cosim.studies.workprec.trial import Curve, SceneUnderTest, WorkPrecisionTrial, subject_of, sweep
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 
@@ -82,7 +82,7 @@ def test_other_solvers_get_the_exact_jacobian(subject: SceneUnderTest) -> None:
 @pytest.mark.slow
 def test_other_tools_reach_our_errors(subject: SceneUnderTest) -> None:
     """Each implicit solver gets there with its own tolerance; fmpy's import, which holds inputs, with shorter output intervals."""
-    ours = Curve((Trial("tools", "flexfmu", "", 1e-5, 1e9),))
+    ours = Curve((WorkPrecisionTrial("tools", "flexfmu", "", 1e-5, 1e9),))
     trials = [*solver_trials.scipy_trials(subject, ours, silent), *solver_trials.sundials_trials(subject, ours, silent)]
     for line in ("SciPy Radau", "SciPy BDF", "SciPy LSODA", "SciPy DOP853", "CasADi cvodes"):
         assert Curve.of(each for each in trials if each.line == line).least <= 1e-5, line
@@ -159,16 +159,16 @@ def test_the_ladder_climbs(subject: SceneUnderTest) -> None:
 
 
 TRIALS = (
-    Trial("integrators", "gauss4", "1e-5", 1e-6, 4e-3),
-    Trial("integrators", "gauss2", "1e-3", 5e-4, 2e-3),
-    Trial("integrators", "rk4", "0.1 ms", None, None, "blew up"),
-    Trial("communication", "inputs of degree 9", "5 ms", 2e-5, 1e-3),
-    Trial("tools", "flexfmu", "gauss4 1e-5", 1e-6, 4e-3),
-    Trial("tools", "flexfmu", "gauss2 1e-3", 1e-4, 2e-3),
-    Trial("tools", "SciPy Radau", "1e-3", 1e-4, 0.2),
-    Trial("tools", "SciPy Radau", "1e-5", 1e-6, 0.8),
-    Trial("tools", "Exudyn", "1 ms", 5e-3, 0.5),
-    Trial("tools", "fixed step of 10 MHz", "", 1e-6, 40.0),
+    WorkPrecisionTrial("integrators", "gauss4", "1e-5", 1e-6, 4e-3),
+    WorkPrecisionTrial("integrators", "gauss2", "1e-3", 5e-4, 2e-3),
+    WorkPrecisionTrial("integrators", "rk4", "0.1 ms", None, None, "blew up"),
+    WorkPrecisionTrial("communication", "inputs of degree 9", "5 ms", 2e-5, 1e-3),
+    WorkPrecisionTrial("tools", "flexfmu", "gauss4 1e-5", 1e-6, 4e-3),
+    WorkPrecisionTrial("tools", "flexfmu", "gauss2 1e-3", 1e-4, 2e-3),
+    WorkPrecisionTrial("tools", "SciPy Radau", "1e-3", 1e-4, 0.2),
+    WorkPrecisionTrial("tools", "SciPy Radau", "1e-5", 1e-6, 0.8),
+    WorkPrecisionTrial("tools", "Exudyn", "1 ms", 5e-3, 0.5),
+    WorkPrecisionTrial("tools", "fixed step of 10 MHz", "", 1e-6, 40.0),
 )
 """Made-up figures."""
 
@@ -200,13 +200,16 @@ def test_curves_and_sweeps() -> None:
     """A curve has the settings that none beats, its time between them goes with a power of the error, and beyond its ends it
     is that of the loosest, or unknown. Another tool is tried until it is as accurate, or a hundred times as slow."""
     settings = [(1e-2, 1.0), (1e-3, 3.0), (1e-4, 2.0), (1e-6, 8.0), (None, None)]
-    trials = [Trial("tools", "any", str(error), error, time) for error, time in settings]
+    trials = [WorkPrecisionTrial("tools", "any", str(error), error, time) for error, time in settings]
     ours = Curve.of(trials)
     assert [each.error for each in ours.trials] == [1e-6, 1e-4, 1e-2]
     assert ours.time(1e-5) == pytest.approx(4.0)
     assert (ours.time(1.0), ours.time(1e-7)) == (pytest.approx(1.0), None)
-    accurate = [Trial("tools", "accurate", "", error, 9.0) for error in (1e-3, 1e-6, 1e-9)]
-    slow = [Trial("tools", "slow", "", *each) for each in ((None, None), (1e-2, 10.0), (1e-4, 200.0), (1e-5, 500.0))]
+    accurate = [WorkPrecisionTrial("tools", "accurate", "", error, 9.0) for error in (1e-3, 1e-6, 1e-9)]
+    slow = [
+        WorkPrecisionTrial("tools", "slow", "", *each)
+        for each in ((None, None), (1e-2, 10.0), (1e-4, 200.0), (1e-5, 500.0))
+    ]
     assert list(sweep(accurate, lambda trial: trial, ours)) == accurate[:2]
     assert list(sweep(slow, lambda trial: trial, ours)) == slow[:3]
     assert list(sweep(slow, lambda trial: trial, Curve(()))) == slow
