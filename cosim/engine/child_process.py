@@ -145,6 +145,7 @@ class _Supervisor:
             return "it closed the files of its process"
         if (code := os.waitstatus_to_exitcode(self._status)) >= 0:
             return f"it ended its process with exit status {code}; a slave must return from every call"
+        # ended by a signal
         number = signal.Signals(-code)
         hint = "; perhaps the memory was full" if number is signal.SIGKILL else ""
         return f"it crashed with {number.name} ({signal.strsignal(number)}){hint}"

@@ -146,6 +146,7 @@ class Recording:
 def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:
     """The table (N, n) of lines with texts in quotes, numbered as they come; in which columns they are, and all of them."""
     rows = [row for row in csv.reader(io.StringIO(body, newline=""), quoting=csv.QUOTE_NONNUMERIC) if row]
+    # columns are texts or numbers as in the first row
     texts = {i for i, cell in enumerate(rows[0]) if isinstance(cell, str)}
     codes: dict[str, int] = {}
     table = [

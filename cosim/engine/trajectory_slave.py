@@ -221,6 +221,7 @@ class TabulatedTrajectory:
         table = tabulate(trajectory, TABLE_TOLERANCE)
         self.breakpoints = tuple(trajectory.breakpoints)
         self.duration = trajectory.duration
+        # pieces between knots; one that appears twice is a breakpoint
         begins = np.flatnonzero(np.diff(table.times) > 0.0)
         self._begins, widths = table.times[begins], np.diff(table.times)[begins]
         jets = table.jets.swapaxes(0, 1)

@@ -93,12 +93,14 @@ class Fmi3Instance(Instance):
 
     def initialize(self, meanwhile: Call) -> None:
         """Go through initialisation mode, and do something in it; events at the start follow."""
+        # structural parameters are fixed from here on
         self._configurable = False
         enter = self.fmi["fmi3EnterInitializationMode"]
         self.check("initialisation", lambda: int(enter(self.component, *self._experiment)))
         meanwhile()
         self.check("initialisation", lambda: self._call("ExitInitializationMode"))
         self._initialized = True
+        # the FMU is in event mode now
         if self._events:
             self._update(self._experiment[2])
         self._stepping = True

@@ -142,8 +142,10 @@ def _add_ranges(description: Any, folder: Path) -> None:
     root = ElementTree.parse(folder / "modelDescription.xml").getroot()
     unsigned = {each.get("name"): each for each in root.iterfind("ModelVariables/*") if each.tag.startswith("UInt")}
     for variable in description.modelVariables:
+        # fmpy leaves these out
         if variable.name in unsigned:
             variable.min, variable.max = (unsigned[variable.name].get(bound) for bound in ("min", "max"))
+        # neither its own nor its type's: what the C type can take
         if "Int" in variable.type:
             limits, stated = np.iinfo(DTYPES[variable.type]), (variable, variable.declaredType)
             for bound, limit in (("min", limits.min), ("max", limits.max)):

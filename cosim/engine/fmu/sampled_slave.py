@@ -261,6 +261,7 @@ class SampledFmu:
         """A call that sets the FMU's inputs."""
         if not self._inputs.size:
             return nothing
+        # from the values that wait, in the order of the inputs
         buffer = np.empty(self._inputs.size)
         send = self._fmu.bind_set(self._inputs, buffer)
 

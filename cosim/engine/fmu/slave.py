@@ -231,6 +231,7 @@ class FmuSlave:
 
     def _differences(self) -> Iterator[str]:
         """What isn't as it was set; inputs that others have set since are left out, and what can't be read."""
+        # inputs that other slaves have set since don't count
         preset = {self.variables[index].name for index in self._presets}
         for name, start in self._starts.items():
             value, found = start.setting.value, self._read_back(start.setting)
@@ -314,6 +315,7 @@ class FmuSlave:
 
         def tidy() -> None:
             read()
+            # once missing an order stays so for the run, and those above it
             finite = np.isfinite(derivatives)
             if not finite.all():
                 missing[:] |= np.logical_or.accumulate(~finite, axis=0)

@@ -33,6 +33,7 @@ class FmuTrajectory:
         if not points:
             raise FmuFileError(f"{path} doesn't tell its breakpoints; run it as a slave that is stepped")
         self.breakpoints = points
+        # one instance for each one-sided limit
         self._runs = {side: FmuSlave(path, f"trajectory, {side} limits", {"limit": side}) for side in get_args(Side)}
         variables = self._runs["right"].variables
         self._outputs = np.array([i for i, each in enumerate(variables) if each.causality == "output"], np.intp)

@@ -59,9 +59,11 @@ def read_variables(description: Any) -> FmuVariables:
         for v in description.modelVariables
         if v.causality in ("input", "output") or (v.causality == "parameter" and v.type != "String")
     ]
+    # all others are read for statistics alone
     names = {v.name for v in connectable}
     others = {v.name: _handle(v) for v in description.modelVariables if v.name not in names}
     inputs = {v.name for v in connectable if v.causality == "input"}
+    # direct feedthrough, as far as it is stated
     depends = {
         unknown.variable.name: tuple(v.name for v in unknown.dependencies if v.name in inputs)
         for unknown in description.outputs

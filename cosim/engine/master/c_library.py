@@ -24,6 +24,7 @@ RunProgram = Callable[[CProgram, int, CProgress], int]
 def load() -> RunProgram | None:
     """The function that carries programs out; None where it can't be compiled, for want of a compiler for example."""
     try:
+        # compiled on the first use on this machine
         library = CDLL(str(_library()))
     except (BuildError, OSError):
         return None

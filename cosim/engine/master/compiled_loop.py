@@ -59,6 +59,7 @@ class CompiledLoop:
 
     @cached_property
     def _program(self) -> CProgram:
+        # addresses of arrays that live as long as this loop
         (advance, exchange), (n_advance, n_exchange) = self._packed, map(len, self._instructions)
         return CProgram(
             advance=addressof(advance),

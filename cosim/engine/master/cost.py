@@ -74,6 +74,7 @@ def _seconds_per_step(trial: Callable[[int], Simulation]) -> float | None:
     taken = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        # two lengths, since both take the same time to initialise
         for steps in (FEW_STEPS, TRIED_STEPS):
             begin = perf_counter()
             if trial(steps).steps < steps:

@@ -190,6 +190,7 @@ def _errs(source: Slave) -> bool:
 
 def _entered_rates(inputs: InputPort, outputs: OutputPort) -> NDArray[np.bool_]:
     """(n,) which first derivatives of a slave's outputs change at once with an input that errs."""
+    # what the derivatives become when all inputs that err are changed a little
     before, fed = outputs.signals.copy(), inputs.fed.copy()
     with StateKeeper([inputs.slave]) as state:
         for group in inputs.groups:
@@ -199,6 +200,7 @@ def _entered_rates(inputs: InputPort, outputs: OutputPort) -> NDArray[np.bool_]:
         outputs.transfer()
         entered: NDArray[np.bool_] = outputs.signals[1] != before[1]
         state.restore()
+    # buffers as before; the slave is already back
     inputs.fed[:], outputs.signals[:] = fed, before
     return entered
 

@@ -87,11 +87,13 @@ def _delay(
     """The delay of one connection."""
     source, target = system.slaves[connection.source], system.slaves[connection.target]
     seconds, hold = step if coupling.transport is Transport.EXTRAPOLATED else 0.0, 0.0
+    # a sample may be older than its target's instant, and is held for those that are stepped
     if isinstance(source, Sampled) and isinstance(target, Sampled):
         sampled_later = in_one_call(source) and positions[connection.source] >= positions[connection.target]
         seconds = _age(source, target, sampled_later)
     elif isinstance(source, Sampled):
         hold = source.sample_time
+    # what the source itself adds
     latencies = source.latency if isinstance(source, HasLatency) else {}
     latency = latencies.get(source.variables[connection.output].name, 0.0)
     return SignalDelay(system.describe(connection), seconds, coupling.transport, coupling.order, hold, latency)

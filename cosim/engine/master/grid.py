@@ -113,6 +113,7 @@ def check_regular_steps(system: System, grid: TimeGrid, step: float, varies: boo
     Raises:
         InputError: steps differ, or step control chooses them.
     """
+    # equal steps suit every slave
     steps = np.diff(grid.times)
     least, largest = float(steps.min()), float(steps.max())
     if largest - least <= COINCIDENT * largest and not varies:
@@ -213,9 +214,11 @@ def _ratio(clock: Clock, what: str, step: float) -> Fraction:
             f"{step:.12g} s; take at least {step / MAXIMUM_RATIO:.12g} s, or a communication step of at most "
             f"{value * MAXIMUM_RATIO:.12g} s"
         )
+    # a fraction within rounding
     ratio = Fraction(exact).limit_denominator(MAXIMUM_RATIO)
     if abs(float(ratio) - exact) <= RATIO_TOLERANCE * exact:
         return ratio
+    # else times near by that fit, or a communication step
     below = Fraction(exact).limit_denominator(SUGGESTED_RATIO)
     whole = max(1, round(exact)) if exact > 0.5 else Fraction(1, round(1.0 / exact))
     fitting = " or ".join(
@@ -255,6 +258,7 @@ def sample_instants(clock: Clock, start: float, stop: float, near: float = 0.0) 
         )
     if not 0.0 <= clock.offset < np.inf:
         raise InputError(f"{clock.name}: the offset must be zero or positive, got {clock.offset} s")
+    # each from its number, never from the one before
     count = max(0, int((stop - start - clock.offset + near) / clock.sample_time + 1.0))
     return start + (clock.offset + clock.sample_time * np.arange(count, dtype=np.float64))
 

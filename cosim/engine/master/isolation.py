@@ -44,6 +44,7 @@ def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *
         raise InputError(
             f"isolate = true needs Linux, this is {sys.platform}: leave `isolate` out to run all slaves in this process"
         )
+    # slaves from elsewhere, but not objects whose owner may read them afterwards
     if wanted is None:
         foreign = [slave for slave in slaves if is_foreign(slave)]
         objects = theirs and any(not hasattr(slave, "path") for slave in foreign)

@@ -274,6 +274,7 @@ class IteratedStep:
                     each.call(point, begin, end)
                 return self._signals.gather()
 
+            # the first guess continues the signals over the step
             guess = self._signals.extrapolated(end - begin)
             solution = self._solver.solve(around, guess, self._signals.scale)
         self._signals.accept(solution, self._name, end, STEP_REMEDY)

@@ -146,16 +146,19 @@ def _passing(
         positions: exchange step of each slave in which it samples in one call; outputs alone are calculated in all of its.
     """
     operations: list[Operation] = []
+    # each exchange step in its place, and which number it has
     connected = {each.target for each in system.connections}
     position = 0
     for each in system.exchange_order:
         members = each.slaves if isinstance(each, AlgebraicLoop) else (each,)
         body: list[Operation] = []
         for i in members:
+            # which samples belong to this exchange step
             samples: list[Operation] = []
             if i in sampling and (sampling[i] is Action.OUTPUT or positions[i] == position):
                 samples = [Operation(sampling[i], i, When.WHEN_DUE)]
             position += 1
+            # without inputs and samples there is nothing to do
             if i in connected or samples:
                 read = When.ALWAYS if i in stale or isinstance(each, AlgebraicLoop) else When.AT_JUMPS
                 body += [Operation(Action.FEED, i), *samples, Operation(Action.READ, i, read)]
@@ -178,13 +181,16 @@ def _step(system: System, couplings: Couplings, algorithm: Algorithm) -> Operati
     """Advance all slaves that are stepped, sources first; those that feed each other are repeated on demand."""
     groups = step_groups(system, algorithm)
     interpolating = {target for (_, target), coupling in couplings.items() if coupling.ends is not None}
+    # all signals at the beginning of the step, before any of them moves on
     operations = [Operation(Action.REMEMBER, i) for group in groups for i in group.slaves if i in interpolating]
     for group in groups:
         body: list[Operation] = []
         for i in group.slaves:
+            # inputs whose sources are at the end already, then the step
             if i in interpolating:
                 body.append(Operation(Action.INTERPOLATE, i))
             body += [Operation(Action.STEP, i), Operation(Action.READ, i)]
+        # a group that is repeated is one operation
         if group.solver is not None:
             body = [Operation(Action.SOLVE, group.slaves[0], loop=group, body=tuple(body))]
         operations += body

@@ -224,6 +224,7 @@ class InputPort:
     def __init__(self, slave: Slave, indices: Indices, groups: Sequence[SignalGroup]) -> None:
         self.slave = slave
         self.groups = tuple(groups)
+        # one buffer for all inputs, and calls that fill and send it
         self.fed = np.zeros((1 + max((group.degree for group in groups), default=0), indices.size))
         self.interpolating = tuple(group for group in groups if group.interpolates)
         self._begins: list[RealArray] = []

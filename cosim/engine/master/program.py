@@ -123,9 +123,11 @@ def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -
 
 def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:
     """A bound call, in C where it is known what it does."""
+    # values first, then derivatives
     if isinstance(call, Both):
         yield from _transfer(call.first, when, owner)
         yield from _transfer(call.second, when, owner)
+    # an FMI function on fixed buffers
     elif isinstance(call, Checked) and isinstance(call.call, partial):
         checked = call
         yield fmi_transfer(call.call, when, owner, lambda status, begin, end: checked.error(status))

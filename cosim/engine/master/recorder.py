@@ -134,6 +134,7 @@ class _Memory:
             rows = np.empty((capacity, *self._shape))
             rows[: len(self._rows)] = self._rows
         else:
+            # a file that grows for all processes, mapped anew
             size = capacity * self._row_bytes
             if size > os.fstat(self._file).st_size:
                 os.ftruncate(self._file, size)

@@ -88,11 +88,13 @@ class Schedule:
 
         Nothing of an earlier run is left.
         """
+        # forget the run before
         for inputs, outputs in zip(self.inputs, self.outputs, strict=True):
             inputs.reset()
             outputs.reset()
         for signals in self._unknowns.values():
             signals.reset()
+        # one slave after the other, with the signals of those that are ready
         start, stop = float(self._grid.times[0]), float(self._grid.times[-1])
         ready: list[OutputPort] = []
         for i in self.plan.start:

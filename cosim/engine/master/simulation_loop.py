@@ -98,6 +98,7 @@ class SimulationLoop:
         """Run piece by piece; between the pieces progress is reported and the user can interrupt."""
         compiled.begin()
         count = self._grid.times.size - 1
+        # as many pieces as there are reports of progress, or looks for an interruption
         pieces = min(PROGRESS_CALLS, count) if self._progress is not None else 1 + count // UNINTERRUPTED
         try:
             for piece in range(1, pieces + 1):
