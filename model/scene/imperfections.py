@@ -48,7 +48,7 @@ class SaturationSection(SignalSection):
     def _one_kind_of_limits(self) -> Self:
         two_sided = self.lower is not None and self.upper is not None
         if (self.limit is None) != two_sided or (self.lower is None) != (self.upper is None):
-            raise ValueError("give either `limit`, for both directions, or `lower` and `upper`")
+            raise ValueError("give either `limit`, which holds both ways, or `lower` and `upper`")
         if self.lower is not None and self.upper is not None and not all(map(lt, self.lower, self.upper)):
             raise ValueError(f"`lower` must be below `upper`, got {list(self.lower)} and {list(self.upper)}")
         return self
