@@ -122,6 +122,7 @@ def free_fall(tmp_path: Path) -> Iterator[tuple[Plant, SymbolicModel]]:
     plant.close()
 
 
+@pytest.mark.slow
 def test_unforced_and_undamped_it_keeps_its_energy(free_fall: tuple[Plant, SymbolicModel]) -> None:
     """Falling under gravity turns potential into kinetic energy without a loss of 1e-9 of what was turned."""
     from flexfmu.model.numeric import numeric_model

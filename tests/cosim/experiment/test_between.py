@@ -47,6 +47,7 @@ def residual(run: Run) -> float:
     return value
 
 
+@pytest.mark.slow
 def test_shapers_in_a_motion_driven_scene(motion_driven: Scene) -> None:
     """On the joints, analytically and sampled, a shaper cancels the vibration; the run is longer by its duration, and the
     summary says by how much and how far the path is left."""

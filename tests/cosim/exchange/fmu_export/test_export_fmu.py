@@ -120,6 +120,7 @@ def test_feedthrough_is_declared(declared: dict[str, tuple[str, ...]], dependenc
     assert [each.name for each in unknown.dependencies] == dependencies
 
 
+@pytest.mark.slow
 def test_equal_exports_are_equal_files(tmp_path: Path) -> None:
     """The same block gives the same bytes, and is found in the cache; any change makes another GUID."""
     first, second = (build_block_fmu(fir(), tmp_path / f"{name}.fmu", cache=False) for name in "ab")
