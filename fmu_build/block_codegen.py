@@ -1,4 +1,8 @@
-"""A discrete-time block → C: one function by CasADi for output and update, the constant tables by a template."""
+"""A discrete-time block → C: one function by CasADi for output and update, the constant tables by a template.
+
+Shift registers, states that only move on, are copied in runs instead of one statement each. A delay line of thousands of
+samples, written as scalars, would be thousands of statements, on which a C compiler spends minutes; as a run it is one loop.
+"""
 
 from __future__ import annotations
 
@@ -31,6 +35,9 @@ _QUICK = """#if defined(__GNUC__) && !defined(__clang__)
 #pragma GCC optimize("O0")
 #endif
 """
+
+SHORTEST_RUN = 16
+"""States of the shortest run that is copied; fewer are cheaper as statements."""
 
 _ARGUMENTS = ("x", "u", "p")
 
@@ -110,10 +117,6 @@ def _check_function(
         )
 
 
-SHORTEST_RUN = 16
-"""Fewer states are cheaper as statements."""
-
-
 def with_runs_copied(function: casadi.Function) -> casadi.Function:
     """The same function (x, u, p) → (y, next x) of scalars, with long runs next_x[i..j] = x[k..l] as copies.
 
@@ -124,9 +127,11 @@ def with_runs_copied(function: casadi.Function) -> casadi.Function:
     runs = _runs(_sources(next_x, symbols[0]))
     if not runs:
         return function
+    # scalar equations of the states that are computed
     copied = {i for begin, _, length in runs for i in range(begin, begin + length)}
     rest = [i for i in range(next_x.numel()) if i not in copied]
     computed = casadi.Function(f"{function.name()}_computed", symbols, [y, next_x[rest]])
+    # their results and the copied runs in the order of the states, in matrices, which stay loops in C
     arguments = [casadi.MX.sym(name, symbol.numel()) for name, symbol in zip("xup", symbols, strict=True)]
     outputs, states = computed.call(arguments)
     pieces = _pieces(runs, arguments[0], states, next_x.numel())

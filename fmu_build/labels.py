@@ -1,4 +1,8 @@
-"""Names beside the parts of a drawing, placed so that they cover neither each other nor the drawing."""
+"""Names beside the parts of a drawing, placed so that they cover neither each other nor the drawing.
+
+A greedy placement (Christensen, Marks and Shieber, An empirical study of algorithms for point-feature label placement, ACM TOG 14
+(1995)): label after label takes the candidate that touches least, starting with the direction away from the drawing's middle.
+"""
 
 from __future__ import annotations
 
@@ -57,11 +61,13 @@ def place_labels(
     """
     points = [view(spot.position) for spot in drawing.spots]
     middle = sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
+    # names with their points and the directions that suit them
     named = [(spot.name, at, _between(middle, at)) for spot, at in zip(drawing.spots, points, strict=True)]
     for bar in drawing.bars:
         start, end = view(bar.start), view(bar.end)
         at = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2
         named.append((bar.name, at, _across(_between(start, end), _between(middle, at))))
+    # the candidate that touches least, among those inside the picture
     placed: list[Label] = []
     for name, at, away in named:
         candidates = _candidates(name, at, away)

@@ -2,7 +2,7 @@
 
     python generators/elementary_constants.py    # writes fmu_build/c-runtime/elementary_*_constants.h
 
-Needs mpmath; the test suite holds the headers to what comes out here.
+Needs mpmath; a test compares the headers with what this writes.
 """
 
 from __future__ import annotations

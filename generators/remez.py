@@ -1,4 +1,7 @@
-"""Minimax polynomials by Remez' exchange algorithm, in as many digits as mpmath is told.
+"""Minimax polynomials by Remez' exchange algorithm, in as many digits as mpmath is set to.
+
+A polynomial is best where its error takes its largest size with alternating signs at degree + 2 nodes (Chebyshev). Solve for such
+a polynomial at given nodes, move the nodes to the extrema of its error, and repeat until the extrema are equal.
 
 J.-M. Muller, Elementary Functions, 3rd edition, Birkhäuser 2016, section 3.6.
 """
@@ -28,7 +31,9 @@ def minimax(function: Function, weight: Function, low: mpf, high: mpf, degree: i
     Raises:
         ArithmeticError: the exchange doesn't settle.
     """
-    nodes = _chebyshev(low, high, degree + 2)
+    count = degree + 2
+    # the zeros of a Chebyshev polynomial are a good first guess
+    nodes = [(low + high) / 2 - (high - low) / 2 * cos(pi * (2 * i + 1) / (2 * count)) for i in range(count)]
     for _ in range(MOST_EXCHANGES):
         coefficients = _levelled(function, weight, nodes)
         highest_first = coefficients[::-1]
@@ -36,6 +41,7 @@ def minimax(function: Function, weight: Function, low: mpf, high: mpf, degree: i
         def error(x: mpf, highest_first: list[mpf] = highest_first) -> mpf:
             return weight(x) * (_horner(highest_first, x) - function(x))
 
+        # exchange: the extrema become the nodes
         nodes = _extrema(error, low, high, nodes)
         sizes = [abs(error(x)) for x in nodes]
         if max(sizes) - min(sizes) <= FLAT * max(sizes):
@@ -48,10 +54,6 @@ def _horner(highest_first: list[mpf], x: mpf) -> mpf:
     for coefficient in highest_first:
         value = value * x + coefficient
     return value
-
-
-def _chebyshev(low: mpf, high: mpf, count: int) -> list[mpf]:
-    return [(low + high) / 2 - (high - low) / 2 * cos(pi * (2 * i + 1) / (2 * count)) for i in range(count)]
 
 
 def _levelled(function: Function, weight: Function, nodes: list[mpf]) -> list[mpf]:

@@ -1,4 +1,8 @@
-"""Dependencies that the model structure declares, against what changes when something is changed."""
+"""Dependencies that the model structure declares, against what changes when an input or a state is moved up and down.
+
+A change shows a dependency, a difference between the two directions a dependency that is not linear. Independence is never
+proved: a dependency may be small at all points that are tried.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Derivatives that the FMU gives, against differences of what it computes."""
+"""Derivatives that the FMU gives, against differences of what it computes.
+
+Each quotient is taken with two step sizes. Where both agree they are trusted; where they don't, a kink, a vibration or an inner
+iteration's tolerance is in the way and nothing is said. Directional derivatives: central differences of second order; output
+derivatives: central differences of fourth order along the run (Fornberg, Generation of finite difference formulas on
+arbitrarily spaced grids, Mathematics of Computation 51 (1988)).
+"""
 
 from __future__ import annotations
 
@@ -15,7 +21,7 @@ from numpy.typing import NDArray
 from flexfmu.fmu_build.validation.finding import Finding
 from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
 from flexfmu.fmu_build.validation.instance import RealArray
-from flexfmu.fmu_build.validation.steps import KICK, kicked_states
+from flexfmu.fmu_build.validation.steps import PERTURBATION, perturbed_states
 from flexfmu.fmu_build.validation.variables import moved, size_of
 
 DIFFERENCES = (1e-5, 1e-4)
@@ -353,8 +359,8 @@ def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> Rea
     jets: list[list[Any]] = []
     begin = _begin(fmu)
     with fmu.instance("derivatives") as instance:
-        instance.initialize(kicked_states(fmu))
-        instance.set(fmu.inputs, np.array([moved(variable, KICK) for variable in fmu.inputs]))
+        instance.initialize(perturbed_states(fmu))
+        instance.set(fmu.inputs, np.array([moved(variable, PERTURBATION) for variable in fmu.inputs]))
         if not all(instance.step(n) for n in range(begin)):
             return np.array(jets)
         for n in range(MOST_POINTS if fmu.has_variable_step else min(fmu.steps - begin, MOST_POINTS)):

@@ -1,4 +1,8 @@
-"""What holds for model exchange alone, and between the two interfaces of one FMU."""
+"""What holds for model exchange alone, and between the two interfaces of one FMU.
+
+Both interfaces contain one model: integrated by CVODE to a tight tolerance, model exchange is the reference for co-simulation.
+What gets less with smaller communication steps or a tighter tolerance is left to the solvers.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,7 @@ POINTS = 100
 LONGEST = 5.0
 """Longest time for one integration [s]."""
 
-KICK = 0.05
+PERTURBATION = 0.05
 """Change of starts and inputs, relative to their size, that sets the model in motion."""
 
 LEAST_MOTION = 1e-4
@@ -88,11 +92,18 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
             return
         # each state gets a value of its own, so that an exchange of two shows
         x = instance.continuous_states()
-        kicked = x + KICK * np.array([size_of(variable) for variable in fmu.states]) * (1.0 + 0.1 * np.arange(x.size))
-        instance.set_continuous_states(kicked)
+        perturbed = x + PERTURBATION * np.array([size_of(variable) for variable in fmu.states]) * (
+            1.0 + 0.1 * np.arange(x.size)
+        )
+        instance.set_continuous_states(perturbed)
         # what FMI says twice
         pairs = (
-            ("fmi2GetContinuousStates", "what fmi2SetContinuousStates has set", instance.continuous_states(), kicked),
+            (
+                "fmi2GetContinuousStates",
+                "what fmi2SetContinuousStates has set",
+                instance.continuous_states(),
+                perturbed,
+            ),
             (
                 "fmi2GetContinuousStates",
                 "fmi2GetReal of the state",
@@ -184,7 +195,7 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
     """
     if fmu.kind is not Kind.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
         return
-    for starts, inputs in _kicks(fmu):
+    for starts, inputs in _perturbations(fmu):
         # the same motion by CVODE, and by communication steps of one or two sizes
         try:
             exchange = _integrated(fmu, starts, inputs)
@@ -221,14 +232,14 @@ def _parts(fmu: FmuUnderTest) -> tuple[int, ...]:
     return (1, 4) if fmu.description.coSimulation.canHandleVariableCommunicationStepSize else (1,)
 
 
-def _kicks(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], RealArray]]:
+def _perturbations(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], RealArray]]:
     """Other starts of the states with inputs at their starts, then other inputs; then all as it is."""
-    states = {v: moved(v, KICK) for v in fmu.states if v in fmu.settable("output", "local")}
+    states = {v: moved(v, PERTURBATION) for v in fmu.states if v in fmu.settable("output", "local")}
     still = np.array([start_of(variable) for variable in fmu.inputs])
     if states:
         yield states, still
     if fmu.inputs:
-        yield {}, np.array([moved(variable, KICK) for variable in fmu.inputs])
+        yield {}, np.array([moved(variable, PERTURBATION) for variable in fmu.inputs])
     yield {}, still
 
 

@@ -1,4 +1,10 @@
-"""Whether a reset, a saved state, a neighbour and a second try leave everything as it was, to the last bit."""
+"""Whether a reset, a saved state, another instance and a second run leave everything as it was, to the last bit.
+
+The same calls with the same values are the same arithmetic, so recordings are compared bit by bit; a difference shows memory that
+is not part of the state.
+
+    python -m flexfmu.fmu_build.validation.replay FOLDER KIND PACE STATE RESULT    # in a process of its own
+"""
 
 from __future__ import annotations
 
@@ -23,7 +29,7 @@ FRACTIONS = (0.0, 0.25, 0.75)
 OTHER_PROCESS_TIMEOUT = 60.0
 """Longest wait for a process that replays a state [s]."""
 
-KICK = 0.02
+PERTURBATION = 0.02
 """Change of parameters relative to their size."""
 
 READS = 10
@@ -92,7 +98,7 @@ def repeats_after_reset(fmu: FmuUnderTest) -> Iterator[Finding]:
 def _run_changed(fmu: FmuUnderTest, instance: Any) -> RealArray:
     """A run with other parameters and inputs; it ends where the FMU can't go on with them."""
     try:
-        instance.initialize({variable: moved(variable, KICK) for variable in changeable(fmu)})
+        instance.initialize({variable: moved(variable, PERTURBATION) for variable in changeable(fmu)})
         return np.asarray(instance.advance(0, fmu.steps, size=-3.0))
     except Exception:  # fmpy's own kinds of errors: these values may be impossible
         return np.zeros((0, 1))
@@ -101,7 +107,7 @@ def _run_changed(fmu: FmuUnderTest, instance: Any) -> RealArray:
 def changeable(fmu: FmuUnderTest) -> list[Any]:
     """Real parameters that have another value than their start within their bounds."""
     parameters = [variable for variable in fmu.settable("parameter") if variable.type == "Real"]
-    return [variable for variable in parameters if moved(variable, KICK) != start_of(variable)]
+    return [variable for variable in parameters if moved(variable, PERTURBATION) != start_of(variable)]
 
 
 def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -168,7 +174,7 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
     inputs = list(fmu.inputs)
     if fmu.kind is Kind.COSIMULATION:  # in model exchange discrete ones are set at events alone
         inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
-    inputs = [variable for variable in inputs if moved(variable, KICK) != start_of(variable)]
+    inputs = [variable for variable in inputs if moved(variable, PERTURBATION) != start_of(variable)]
     times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
     with fmu.instance("inputs") as instance:
         instance.initialize()
@@ -180,7 +186,7 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
         state, values, time = instance.save(), instance.get(inputs), instance.get(times)
         instance.advance(half, fmu.steps)  # first of all this sets the inputs, which have been read
         instance.restore(state)
-        instance.set(inputs, np.array([moved(variable, KICK) for variable in inputs]))
+        instance.set(inputs, np.array([moved(variable, PERTURBATION) for variable in inputs]))
         instance.restore(state)
         again, then = instance.get(inputs), instance.get(times)
         instance.discard(state)
@@ -279,7 +285,7 @@ def two_instances_are_independent(fmu: FmuUnderTest) -> Iterator[Finding]:
         alone = instance.run()
     with fmu.instance("changed") as instance:
         changed = _run_changed(fmu, instance)
-    values = {variable: moved(variable, KICK) for variable in changeable(fmu)} if len(changed) else {}
+    values = {variable: moved(variable, PERTURBATION) for variable in changeable(fmu)} if len(changed) else {}
     size = -3.0 if len(changed) else 1.0
     # both step by step in turns
     with fmu.instance("one") as one, fmu.instance("two") as two:

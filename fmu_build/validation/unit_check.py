@@ -1,4 +1,7 @@
-"""Units that a model description defines, against what their names mean."""
+"""Units that a model description defines, against what their names mean: exponents and factors of SI units.
+
+Names whose meaning is not certain, such as a/b.c, are not judged. Source: BIPM, The International System of Units, 9th edition.
+"""
 
 from __future__ import annotations
 
