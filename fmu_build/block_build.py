@@ -60,6 +60,7 @@ def build_block_fmu(
         return generate_block_sources(block, experiment, progress, naming)
 
     check_block(block)
+    # a thousand samples in steps of the sample time, unless the caller has other times
     step = block.sample_time if step is None else step
     end = float(f"{DEFAULT_SAMPLES * block.sample_time:.12g}") if stop_time is None else stop_time
     experiment = DefaultExperiment(stop_time=end, step=step)
@@ -81,6 +82,7 @@ def generate_block_sources(
     """
     progress("generating C")
     block = with_starts(block)
+    # C under the block's own names, variables under those of the convention
     functions, facts = generate_block(block)
     named = named_block(block, naming)
 

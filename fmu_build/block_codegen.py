@@ -54,6 +54,7 @@ def sample_function(block: SymbolicBlock) -> casadi.Function:
     _check_function(block, "output", block.output, sizes, len(block.outputs))
     _check_function(block, "update", block.update, sizes, len(block.states))
     functions = (block.output, block.update)
+    # scalar functions share subexpressions, matrix functions keep their loops
     is_scalar = all(function.is_a("SXFunction") for function in functions)
     symbol: Any = casadi.SX if is_scalar else casadi.MX
     arguments = [symbol.sym(name, size) for name, size in zip(_ARGUMENTS, sizes, strict=True)]
@@ -78,6 +79,7 @@ def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunct
     except RuntimeError as error:
         reason = str(error).strip().splitlines()[-1]
         raise ModelError(f"block '{block.name}' cannot be exported: CasADi has no C for it ({reason})") from error
+    # straight-line code too long for the optimiser is compiled without it
     code = code if code.count("\n") < LARGE else _QUICK + code
     return {SAMPLE_FILE: code, HEADER_FILE: render(HEADER_FILE + ".j2", functions=(facts,))}, facts
 

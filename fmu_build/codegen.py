@@ -105,10 +105,12 @@ def _prepare(name: str, function: casadi.Function, sizes: Mapping[str, tuple[int
     arguments, result = FUNCTION_SIGNATURES[name]
     if function.n_in() != len(arguments) or function.n_out() != 1:
         raise ModelError(f"function '{name}' must take ({', '.join(arguments)}) and give {result}, got {function}")
+    # the signature that the C runtime calls
     for position, argument in enumerate(arguments):
         _check_shape(f"argument {argument} of '{name}'", function.sparsity_in(position), sizes[argument])
     _check_shape(f"result {result} of '{name}'", function.sparsity_out(0), sizes[result])
 
+    # scalar operations, shared where they repeat
     symbols = [casadi.SX.sym(argument, function.sparsity_in(i)) for i, argument in enumerate(arguments)]
     value = casadi.cse(casadi.densify(function.call(symbols)[0]))
     return casadi.Function(f"model_{name}", symbols, [value], list(arguments), [result])

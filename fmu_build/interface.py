@@ -137,6 +137,7 @@ def _reordered(interface: Interface, variables: Sequence[FmiVariable]) -> Interf
     def unknowns(each: Sequence[Unknown]) -> tuple[Unknown, ...]:
         return tuple(Unknown(new[u.index], tuple(sorted(new[i] for i in u.dependencies))) for u in each)
 
+    # derivatives and dependencies are indices too
     return Interface(
         variables=tuple(
             replace(v, index=new[v.index], derivative=None if v.derivative is None else new[v.derivative])
@@ -276,6 +277,7 @@ def choice_variable(
 def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariable, ...]:
     """The choice of the initial state and the counters: they share one range of value references."""
     initial = choice_variable(INITIAL, "static" if static_start else "undeformed", first_index, value_reference=0)
+    # what the integrator counts, from value reference 1 on
     counters = tuple(
         FmiVariable(
             index=first_index + count,

@@ -96,9 +96,11 @@ def _covered(label: Label, others: Sequence[Label], stamps: Sequence[Stamp]) -> 
     """How many labels and circles a label would touch."""
     left, top, right, bottom = label.box
     touched = 0
+    # circles of the drawing
     for (x, y), radius in stamps:
         across, down = max(left - x, 0.0, x - right), max(top - y, 0.0, y - bottom)
         touched += hypot(across, down) < radius + GAP
+    # labels that are placed already
     for other in others:
         its_left, its_top, its_right, its_bottom = other.box
         beside = max(its_left - right, left - its_right)

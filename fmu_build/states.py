@@ -58,6 +58,7 @@ def find_states(model: SymbolicModel) -> States:
     """
     position: dict[str | None, int] = {variable.name: index for index, variable in enumerate(model.outputs)}
     derivative = {variable.derivative_of: variable.name for variable in model.outputs}
+    # coordinates, their rates, the rates of these
     levels = [list(model.unknowns)]
     for _ in range(2):
         levels.append([_shown(derivative, name, "time derivative of") for name in levels[-1]])
@@ -93,6 +94,7 @@ def _shown(table: Mapping[str | None, T], name: str, what: str) -> T:
 def _nominals(model: SymbolicModel) -> tuple[float, ...]:
     """Sizes of the states in a usual motion, two digits: the error norm is sqrt(sum kappa_i dy_i² + mu_i dv_i²)."""
     n = model.degrees_of_freedom
+    # weights of the error norm at the start values
     derived = model.functions["derive"]([variable.start or 0.0 for variable in model.parameters])
     *weights, floor = model.functions["error_scale"](derived).full().ravel().tolist()
     sizes = [USUAL_MOTION * floor / sqrt(weight) if weight > 0.0 else 1.0 for weight in weights]

@@ -107,6 +107,7 @@ def find_compiler(platform: Platform) -> Compiler:
     is_native = platform.zig_target == native_platform().zig_target
     compiler = _native_compiler(platform) if is_native else None
     compiler = compiler or _zig_compiler(platform)
+    # what is missing, and how to get it
     if compiler is None:
         where = "" if is_native else f" for {platform.name} on {native_platform().name}"
         remedy = _REMEDY if is_native else "run: pip install flexfmu[zig]"

@@ -200,6 +200,7 @@ def trajectory_interface(motion: TableMotion) -> Interface:
     names = [output.name for output in motion.outputs]
     check_names([*names, LIMIT.name])
     index_of = {name: index for index, name in enumerate(names, start=1)}
+    # reals, then the only Integer, which numbers from 0 again
     reals = tuple(real_variable(output, index_of) for output in motion.outputs)
     limit = choice_variable(LIMIT, "left", len(reals) + 1, value_reference=0, variability="tunable")
     return Interface(

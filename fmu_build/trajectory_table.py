@@ -91,11 +91,14 @@ def hermite(left: RealArray, right: RealArray, width: RealArray, fraction: float
         width: (N,) length of the intervals.
         fraction: where, 0..1 from left to right.
     """
+    # Taylor coefficients in the interval's own variable
     scaled = np.array([width**k / factorial(k) for k in range(END_ORDER + 1)])[:, :, None]
     a, b = left * scaled, right * scaled
+    # seen from the nearer end, so that rounding errors vanish at both
     if fraction > 0.5:
         signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0])[:, None, None]
         a, b, fraction = signs * b, signs * a, 1.0 - fraction
+    # the upper half of the coefficients removes the mismatch at the other end
     known = np.array([[comb(j, i) for j in range(5)] for i in range(5)], dtype=np.float64)
     rest = np.tensordot(np.array(end_matrix(), dtype=np.float64), b - np.tensordot(known, a, axes=1), axes=1)
     powers = fraction ** np.arange(10.0)
@@ -123,6 +126,7 @@ def _errors(trajectory: Trajectory, begins: RealArray, ends: RealArray, fraction
     right = trajectory.evaluate(ends, ORDERS - 1, "left")
     errors = np.zeros((len(begins), len(KINDS)))
     for fraction in fractions.tolist():
+        # at each fraction all intervals at once
         width = ends - begins
         exact = trajectory.evaluate(begins + fraction * width, len(KINDS) - 1, "right")
         for kind in range(len(KINDS)):

@@ -125,9 +125,11 @@ def unit_exponents(name: str) -> dict[str, int]:
     Raises:
         ModelError: a symbol is unknown or the spelling is not understood.
     """
+    # the spelling, factor by factor
     factors = list(_FACTOR.finditer(name))
     if "".join(factor.group() for factor in factors) != name or not factors:
         raise ModelError(f"unit '{name}' is not understood; write it like N.m or rad/s2")
+    # exponents add up
     total = dict.fromkeys(_BASE_UNITS, 0)
     for factor in factors:
         symbol = factor["symbol"]

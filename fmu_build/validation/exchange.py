@@ -96,20 +96,11 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
             1.0 + 0.1 * np.arange(x.size)
         )
         instance.set_continuous_states(perturbed)
-        # what FMI says twice
+        # what FMI says in two ways
+        getter = "fmi2GetContinuousStates"
         pairs = (
-            (
-                "fmi2GetContinuousStates",
-                "what fmi2SetContinuousStates has set",
-                instance.continuous_states(),
-                perturbed,
-            ),
-            (
-                "fmi2GetContinuousStates",
-                "fmi2GetReal of the state",
-                instance.continuous_states(),
-                instance.get(fmu.states),
-            ),
+            (getter, "what fmi2SetContinuousStates has set", instance.continuous_states(), perturbed),
+            (getter, "fmi2GetReal of the state", instance.continuous_states(), instance.get(fmu.states)),
             ("fmi2GetDerivatives", "fmi2GetReal of the derivative", instance.derivatives(), instance.get(rates)),
         )
         nominals = instance.nominals()

@@ -138,15 +138,8 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
                 expected = futures.setdefault(mark, rows if saving else undisturbed[mark:])
                 found += _compare(fmu, "state", expected, rows, "after fmi2SetFMUstate", _STATE_REMEDY)
         yield from found
-        # the memory of a state can be used for another one
         if not saving and not found:
-            instance.restore(states[0])
-            instance.advance(0, marks[1])
-            states[0] = instance.save(states[0])
-            instance.advance(marks[1], fmu.steps)
-            instance.restore(states[0])
-            rows = instance.advance(marks[1], fmu.steps)
-            yield from _compare(fmu, "state", undisturbed[marks[1] :], rows, _AGAIN, _STATE_REMEDY)
+            yield from _saving_in_used_memory(fmu, instance, states, marks[1], undisturbed)
         # freed states leave no pointer behind
         for state in states:
             instance.discard(state)
@@ -156,6 +149,19 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
             yield Finding("state", message, remedy, Severity.WARNING)
     if not saving:
         yield from _saving_in_each_step(fmu, undisturbed)
+
+
+def _saving_in_used_memory(
+    fmu: FmuUnderTest, instance: Any, states: list[Any], mark: int, undisturbed: RealArray
+) -> Iterator[Finding]:
+    """A finding if a state at ``mark`` differs where it is saved in the memory of the first of ``states``, which it replaces."""
+    instance.restore(states[0])
+    instance.advance(0, mark)
+    states[0] = instance.save(states[0])
+    instance.advance(mark, fmu.steps)
+    instance.restore(states[0])
+    rows = instance.advance(mark, fmu.steps)
+    yield from _compare(fmu, "state", undisturbed[mark:], rows, _AGAIN, _STATE_REMEDY)
 
 
 def _saving_in_each_step(fmu: FmuUnderTest, undisturbed: RealArray) -> Iterator[Finding]:
