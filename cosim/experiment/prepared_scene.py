@@ -199,12 +199,7 @@ class PreparedScene:
         self._system = connect(self._parts.slaves, self._parts.wiring.connections, loops=self._coupling.loops)
         # how to run it: step, tolerance, isolation, recorded signals
         self._step = section.step if communication_step is None else communication_step
-        duration = self._loop.motion.duration
-        if self._step > duration:
-            raise InputError(
-                f"the communication step of {self._step:g} s is longer than the motion of {duration:g} s: reduce "
-                f"`cosimulation.step` (--step), to {duration / 1000:.1g} s for example"
-            )
+        _check_step(self._step, self._loop.motion.duration)
         self._tolerance = section.tolerance if tolerance is None else tolerance
         self._isolate = section.isolate if isolate is None else isolate
         self._call_limit = section.call_limit if call_limit is None else call_limit
@@ -300,6 +295,19 @@ class PreparedScene:
     def isolate_python_slaves(self) -> None:
         """Isolate the caller's own Python slaves too, unless isolation isn't wanted, so that they stay as they are."""
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=False)
+
+
+def _check_step(step: float, duration: float) -> None:
+    """A communication step [s] must fit into the motion [s].
+
+    Raises:
+        InputError: it doesn't.
+    """
+    if step > duration:
+        raise InputError(
+            f"the communication step of {step:g} s is longer than the motion of {duration:g} s: reduce "
+            f"`cosimulation.step` (--step), to {duration / 1000:.1g} s for example"
+        )
 
 
 def _run_companion(

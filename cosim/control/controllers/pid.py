@@ -108,7 +108,6 @@ def pid(
             torque = saturate(rest + now, lower, upper)
         return torque, casadi.vertcat(1.0, carried, slope, e, d)
 
-    integral_at_start = per_joint(joints, "initial_torque", initial_torque, "N.m")
     return block(
         name,
         "PID control of the joints",
@@ -124,7 +123,7 @@ def pid(
             *gains(joints, "filter_time", filter_time, "s", "Time constant of the derivative filter"),
             *(limits.parameters(joints) if limits else ()),
         ],
-        states=[0.0, *integral_at_start, *[0.0] * (3 * n)],
+        states=[0.0, *per_joint(joints, "initial_torque", initial_torque, "N.m"), *[0.0] * (3 * n)],
     )
 
 
