@@ -42,7 +42,7 @@ JOINT_REFERENCES = tuple(
     for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s2"))
     for joint in (1, 2)
 )
-"""Position, velocity and acceleration of both joints, as a trajectory puts them out."""
+"""Position, velocity and acceleration of both joints, as a trajectory outputs them."""
 
 
 def shaper_block(

@@ -1,4 +1,4 @@
-"""A motion there and back again, many times: what learning controllers need."""
+"""A motion there and back, repeated for learning controllers."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Says whether a controlled robot has run away from its references: the loop is unstable, whatever ended the run.
+"""Tells an unstable control loop from its recorded motion, whatever ended the run.
 
-What the motion needs is known, so that the recorded motion can be held against it. A loop that is stable follows, or at least
-comes to rest with its references; linear growth is exponential, and its factor per sample is the loop's largest multiplier.
+The joints' velocities are compared with the planned ones. A stable loop follows its references, or at least comes to rest with them.
+The error of an unstable linear loop grows exponentially; its factor per sample is the largest magnitude of the loop's eigenvalues.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BEYOND, BEYOND_BEFORE_FAILURE = 3.0, 1.0
 one that failed."""
 
 AT_REST, ON_THE_MOVE = 0.05, 0.5
-"""The same for what grows while the references rest (below, stick-slip and beats of undamped links are at home), and for what doesn't die
+"""The same for what grows while the references rest (below, it may be stick-slip or the beats of undamped links), and for what doesn't die
 down either."""
 
 GROWTH_AT_REST, LASTING = 1.3, 0.8
@@ -39,7 +39,7 @@ SATURATED = 0.05
 """Share of the instants that a torque spends at its largest value, from which that is a limit."""
 
 INSTANTS = 500
-"""At which the planned motion is looked at for its largest velocity."""
+"""Instants at which the largest velocity of the planned motion is sought."""
 
 
 def divergence(run: Run) -> str | None:
@@ -56,7 +56,7 @@ def divergence(run: Run) -> str | None:
     errors = np.stack([each.values for each in columns if each is not None], axis=1) - joints.evaluate(time, 1)[1]
     error = abs(errors).max(axis=1)
     peak = abs(joints.evaluate(np.linspace(0.0, joints.duration, INSTANTS), 1)[1]).max()
-    # what falls until its controller catches it is none the worse for it
+    # a robot may fall until its controller catches it
     fall = sqrt(hypot(*run.scene.effects.gravity) / run.scene.mechanism.proximal.length)
     scale = max(float(peak), fall)
     step, unit = _step(run)
@@ -91,7 +91,7 @@ def _runaway(time: RealArray, error: RealArray, step: float, bound: float) -> Gr
 
 
 def _unrest(time: RealArray, error: RealArray, step: float, begin: float, scale: float) -> Growth | None:
-    """Growth of an error (N,) through all of the standstill from ``begin`` [s] on, or what doesn't die down there."""
+    """Growth of an error (N,) through all of the standstill from ``begin`` [s] on, or of one that doesn't decay there."""
     parts = [(time >= early) & (time <= late) for early, late in pairwise(np.linspace(begin, time[-1], 4))]
     if begin >= time[-1] or not all(part.any() for part in parts):
         return None
@@ -111,7 +111,7 @@ def _step(run: Run) -> tuple[float, str]:
 
 
 def _remedies(run: Run) -> str:
-    """What may help, in one sentence."""
+    """Remedies, in one sentence."""
 
     def remedies() -> Iterator[str]:
         scene, latest = run.scene, max(run.delays, key=lambda delay: delay.average, default=None)

@@ -21,7 +21,7 @@ class Loop:
     """What stands between the planned motion and the robot.
 
     Attributes:
-        motion: the planned motion, shapers included: what a perfect controller would make of it.
+        motion: the planned motion with shapers, as a perfect controller would follow it.
         driving: joint trajectory that is streamed; that of the motion but for sampled shapers.
         controllers: slaves that output torques (or whatever the robot takes).
         inline_blocks: slaves that signals pass.

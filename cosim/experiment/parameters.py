@@ -28,7 +28,7 @@ CHOICE_KEYS = ("tolerance", "choice")
 
 @dataclass(frozen=True)
 class SceneValue:
-    """What a scene says of a parameter: its key in the scene file, of the whole vector for a component, and its value."""
+    """A parameter's key in the scene file (of the whole vector for a component) and its value."""
 
     key: str
     value: float

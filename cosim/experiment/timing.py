@@ -1,4 +1,4 @@
-"""How long something takes."""
+"""Measuring wall time and processor time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def fastest(run: Callable[[], object]) -> float:
 
 
 def fastest_in_turns(runs: Sequence[Callable[[], object]]) -> tuple[float, ...]:
-    """Processor times [s] of the fastest of several runs of each, for comparison: a machine is faster at one moment than at another."""
+    """Processor times [s] of the fastest of several runs of each, taken in turns since a machine's speed varies."""
     best = [_timed(run) for run in runs]
     total = sum(best)
     for _ in range(MOST):

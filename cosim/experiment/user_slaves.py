@@ -1,4 +1,4 @@
-"""Slaves of whatever a user has: blocks, python-control systems, FMUs, slaves, and code named by ``module:name``."""
+"""Slaves from a user's blocks, python-control systems, FMUs, Python slaves, and code named by ``module:name``."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
 
 
 def _described(error: Exception | SystemExit) -> str:
-    """Kind, words and place of an error in a user's code."""
+    """Kind, message and place of an error in a user's code."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"

@@ -16,7 +16,7 @@ from flexfmu.model.scene.imperfections import NoiseSection
 from flexfmu.model.symbolic import SymbolicBlock, Variable
 
 Draw = Callable[[Streams], tuple[Vector, Streams]]
-"""Streams of n channels → random numbers (n,) and the streams behind them."""
+"""Streams of n channels → random numbers (n,) and the advanced streams."""
 
 
 def gaussian_noise(

@@ -75,7 +75,7 @@ def seeded(names: Sequence[str], seed: Vector) -> Streams:
 
 
 def draw(streams: Streams) -> tuple[Vector, Streams]:
-    """One number of each stream, uniform in (0, 1), and the streams behind it."""
+    """One number of each stream, uniform in (0, 1), and the advanced streams."""
     first, second = (
         _remainder(multiplier * state, modulus)
         for state, multiplier, modulus in zip((streams.first, streams.second), MULTIPLIERS, MODULI, strict=True)
