@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import casadi
 
 from flexfmu.model.dynamics import RedundantState
-from flexfmu.model.robot import LEGS, Direction, Robot, TipMap
+from flexfmu.model.robot import LEGS, Robot, TipMap
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,11 @@ class Closure:
         self.q_a = motion.q_a + self._twist(motion.q_e)
         self._bases = [robot.links[f"link{leg}1"].base for leg in LEGS]
         self.e_a = [casadi.vertcat(casadi.cos(self.q_a[i]), casadi.sin(self.q_a[i])) for i in range(2)]
-        self.reach = [proximal + self._tip(i, 1, "axial") for i in range(2)]
-        self.sag = [self._tip(i, 1, "bending") for i in range(2)]
+        tip = self._tips.displacement
+        self.reach = [proximal + tip(f"link{leg}1", "axial", motion.q_e) for leg in LEGS]
+        self.sag = [tip(f"link{leg}1", "bending", motion.q_e) for leg in LEGS]
         # distal links: flexible lengths, whose circles meet in the end effector
-        self.length = [distal + self._tip(i, 2, "axial") for i in range(2)]
+        self.length = [distal + tip(f"link{leg}2", "axial", motion.q_e) for leg in LEGS]
         self.elbows = [
             b + e * r + _normal(e) * s for b, e, r, s in zip(self._bases, self.e_a, self.reach, self.sag, strict=True)
         ]
@@ -81,16 +82,6 @@ class Closure:
         self.sine = self.e_p[0][0] * self.e_p[1][1] - self.e_p[0][1] * self.e_p[1][0]
         self._move()
         self._accelerate()
-
-    def _tip(self, leg: int, link: int, direction: Direction) -> casadi.SX:
-        return self._tips.displacement(f"link{leg + 1}{link}", direction, self._motion.q_e)
-
-    def _tip_rate(self, leg: int, link: int, direction: Direction) -> casadi.SX:
-        return self._tips.rate(f"link{leg + 1}{link}", direction, self._motion.q_e, self._motion.v_e)
-
-    def _tip_acceleration(self, leg: int, link: int, direction: Direction) -> casadi.SX:
-        m = self._motion
-        return self._tips.acceleration(f"link{leg + 1}{link}", direction, m.q_e, m.v_e, m.a_e)
 
     def _twist(self, coordinates: casadi.SX) -> casadi.SX:
         """Link minus motor angles (2, 1), or their rates, for q_e or its rate."""
@@ -124,9 +115,9 @@ class Closure:
         # turning rates of the proximal links, rates of the links' tips
         w_a = m.v_a + self._twist(m.v_e)
         self.w_a = [w_a[i] for i in range(2)]
-        reach = [self._tip_rate(i, 1, "axial") for i in range(2)]
-        sag = [self._tip_rate(i, 1, "bending") for i in range(2)]
-        self.length_rate = [self._tip_rate(i, 2, "axial") for i in range(2)]
+        reach = [self._tips.rate(f"link{leg}1", "axial", m.q_e, m.v_e) for leg in LEGS]
+        sag = [self._tips.rate(f"link{leg}1", "bending", m.q_e, m.v_e) for leg in LEGS]
+        self.length_rate = [self._tips.rate(f"link{leg}2", "axial", m.q_e, m.v_e) for leg in LEGS]
         # components of the elbow velocity along and across the proximal link
         self._along = [reach[i] - self.w_a[i] * self.sag[i] for i in range(2)]
         self._across = [sag[i] + self.w_a[i] * self.reach[i] for i in range(2)]
@@ -146,9 +137,9 @@ class Closure:
         m, w, wp = self._motion, self.w_a, self.w_p
         # angular accelerations of the proximal links, second derivatives of the tips
         self.wd_a = m.a_a + self._twist(m.a_e)
-        reach = [self._tip_acceleration(i, 1, "axial") for i in range(2)]
-        sag = [self._tip_acceleration(i, 1, "bending") for i in range(2)]
-        length = [self._tip_acceleration(i, 2, "axial") for i in range(2)]
+        reach = [self._tips.acceleration(f"link{leg}1", "axial", m.q_e, m.v_e, m.a_e) for leg in LEGS]
+        sag = [self._tips.acceleration(f"link{leg}1", "bending", m.q_e, m.v_e, m.a_e) for leg in LEGS]
+        length = [self._tips.acceleration(f"link{leg}2", "axial", m.q_e, m.v_e, m.a_e) for leg in LEGS]
         # components of the elbow acceleration along and across the proximal link
         along = [reach[i] - self.wd_a[i] * self.sag[i] - w[i] * (self._sag_rate[i] + self._across[i]) for i in range(2)]
         across = [

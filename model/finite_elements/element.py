@@ -104,7 +104,8 @@ def beam_element(section: BeamSection, length: float, gravity: tuple[float, floa
     kinetic = _kinetic_energy(section, length, shear, x, v)
     deformation = _deformation(length, shear, x)
     potential = 0.5 * _form(_stiffness(section, length, shear), deformation)
-    potential -= section.mass * length * casadi.dot(casadi.SX(list(gravity)), _centre(length, shear, x))
+    points = (w * _point(length, shear, x, xi) for xi, w in zip(POINTS, WEIGHTS, strict=True))
+    potential -= section.mass * length * casadi.dot(casadi.SX(list(gravity)), sum(points, casadi.SX(2, 1)))
     lost = 0.5 * damping_time * _form(_stiffness(section, length, shear), casadi.jtimes(deformation, x, v))
     # Lagrange's equations, and their Jacobians for Newton's method
     momentum = casadi.gradient(kinetic, v)
@@ -124,10 +125,12 @@ def _function(name: str, arguments: list[casadi.SX], result: casadi.SX) -> casad
 
 def _kinetic_energy(section: BeamSection, length: float, shear: float, x: casadi.SX, v: casadi.SX) -> casadi.SX:
     """Of displacements along and across, and of turning sections [J]."""
-    total = casadi.SX(0)
+    total, line = casadi.SX(0), x[3:5] - x[0:2]
     for xi, weight in zip(POINTS, WEIGHTS, strict=True):
         velocity = casadi.jtimes(_point(length, shear, x, xi), x, v)
-        rate = casadi.jtimes(_section_angle(shear, x, xi), x, v)
+        # angle of the cross section, up to whole turns
+        angle = casadi.atan2(line[1], line[0]) + casadi.dot(casadi.SX(_deflection(shear, xi)[2]), _ends(x))
+        rate = casadi.jtimes(angle, x, v)
         density = section.mass * casadi.dot(velocity, velocity) + section.rotary * rate**2
         total += 0.5 * weight * length * density
     return total
@@ -171,17 +174,6 @@ def _point(length: float, shear: float, x: casadi.SX, xi: float) -> casadi.SX:
     normal = casadi.vertcat(-line[1], line[0]) / casadi.norm_2(line)
     across = length * casadi.dot(casadi.SX(_deflection(shear, xi)[0]), _ends(x))
     return x[0:2] + xi * line + across * normal
-
-
-def _centre(length: float, shear: float, x: casadi.SX) -> casadi.SX:
-    """Centre of mass (2, 1) [m]."""
-    return sum((w * _point(length, shear, x, xi) for xi, w in zip(POINTS, WEIGHTS, strict=True)), casadi.SX(2, 1))
-
-
-def _section_angle(shear: float, x: casadi.SX, xi: float) -> casadi.SX:
-    """Angle of the cross section at xi [rad], up to whole turns."""
-    line = x[3:5] - x[0:2]
-    return casadi.atan2(line[1], line[0]) + casadi.dot(casadi.SX(_deflection(shear, xi)[2]), _ends(x))
 
 
 def _deflection(shear: float, xi: float) -> tuple[RealArray, RealArray, RealArray]:

@@ -10,7 +10,6 @@ Source: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), se
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -80,10 +79,13 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
     Raises:
         EquilibriumError: the start has no static equilibrium, or a step's iteration doesn't converge.
     """
-    # equal steps within each interval, evaluated at all stages of it at once
     course = _Course(robot, joints.evaluate(0.0, 0)[0, 0])
     wanted = set(instants.tolist())
-    for begin, end in _intervals(joints, instants):
+    # intervals between instants and breakpoints that aren't the same but for rounding
+    stop = float(instants[-1])
+    breakpoints = [t for t in joints.breakpoints if t < stop and np.abs(instants - t).min() > SAME_TIME * stop]
+    for begin, end in pairwise(sorted({0.0, *breakpoints, *instants.tolist()})):
+        # equal steps within each, with the motors at all stages at once
         count = math.ceil((end - begin) / step * (1.0 - 1e-9))
         h = (end - begin) / count
         stages = begin + h * (np.arange(count)[:, None] + STAGES)
@@ -93,13 +95,6 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
         if end in wanted:
             course.record(end)
     return course.motion()
-
-
-def _intervals(joints: Trajectory, instants: RealArray) -> Iterator[tuple[float, float]]:
-    """Between instants and breakpoints that aren't the same but for rounding."""
-    stop = float(instants[-1])
-    breakpoints = [t for t in joints.breakpoints if t < stop and np.abs(instants - t).min() > SAME_TIME * stop]
-    return pairwise(sorted({0.0, *breakpoints, *instants.tolist()}))
 
 
 class _Course:
