@@ -50,6 +50,9 @@ OPTIONAL = ("control", "exudyn", "plotly")
 HEAVY = (*OPTIONAL, "casadi", "matplotlib", "fmpy", "lief")
 """What a light module may put off loading, by an import within a function of what needs it."""
 
+SLOW = ("scipy",)
+"""What takes longer to load than a scene takes to read: functions that scenes don't need may import it."""
+
 
 @dataclass(frozen=True)
 class Module:
@@ -161,7 +164,7 @@ def test_imports_stand_at_the_top(modules: Mapping[str, Module]) -> None:
 
     def may_wait(late: str, module: Module) -> bool:
         light = not any(needs(HEAVY, each, {module.name}) for each in module.top)
-        return (light and needs(HEAVY, late, set())) or needs(OPTIONAL, late, set())
+        return (light and needs(HEAVY, late, set())) or needs((*OPTIONAL, *SLOW), late, set())
 
     wrong = [
         f"{module.name} imports {late} within a function"

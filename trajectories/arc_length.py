@@ -14,13 +14,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.interpolate import CubicHermiteSpline
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 NODES = 20
 """Legendre polynomials per panel: a panel that they don't resolve is halved."""
@@ -110,6 +113,8 @@ def tabulate(speed: Callable[[RealArray], RealArray], end: float) -> ArcLengthTa
     speeds = np.stack([_expansion(speed, a, b) for a, b in pairwise(edges)], axis=1)
     lengths = legendre.legint(speeds, lbnd=-1.0) * (0.5 * np.diff(edges))
     starts = np.concatenate([[0.0], np.cumsum(lengths.sum(axis=0))])  # every Legendre polynomial is 1 at the end
+    from scipy.interpolate import CubicHermiteSpline  # here, since reading a scene needs no scipy
+
     # a piecewise cubic u(s) through points on every panel, with exact slopes, as the first guess of the inverse
     xi = np.linspace(-1.0, 1.0, GUESSES_PER_PANEL, endpoint=False)
     u = edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (xi + 1.0)

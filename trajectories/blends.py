@@ -17,8 +17,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import fresnel
 
 from flexfmu.trajectories.curves import ParametricPiece, PiecewiseCurve, PlacedPiece, PlaneJets
 from flexfmu.trajectories.errors import TrajectoryError, positive
@@ -110,6 +108,8 @@ class Clothoid:
 
     def jets(self, s: RealArray, order: int) -> PlaneJets:
         """See `flexfmu.trajectories.curves.Piece`; the position is a pair of Fresnel integrals."""
+        from scipy.special import fresnel  # here, since reading a scene needs no scipy
+
         # the Fresnel integrals run over (s/length) sqrt(2 turning / π)
         unit = self.length * math.sqrt(QUARTER / self.turning)
         across, along = fresnel(s / unit)
@@ -142,6 +142,8 @@ class ClothoidPair(Blend):
     @cached_property
     def first_turning(self) -> float:
         """α [rad]: how far the first clothoid turns; π/4 when e = d."""
+        from scipy.optimize import brentq  # here, since reading a scene needs no scipy
+
         ratio = self.width / self.height
         return float(brentq(lambda a: aspect_ratio(a) - ratio, 0.0, QUARTER, xtol=1e-16, rtol=4 * np.finfo(float).eps))
 
@@ -161,6 +163,7 @@ class ClothoidPair(Blend):
 
 def unit_extent(first_turning: float) -> tuple[float, float]:
     """Width and height of the pair with peak curvature 1 whose first clothoid turns by ``first_turning`` [rad]."""
+    from scipy.special import fresnel
 
     def end(turning: float) -> tuple[float, float]:
         """Across and along the start tangent."""

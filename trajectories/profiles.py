@@ -15,7 +15,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 
 from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError, within
@@ -199,6 +198,8 @@ def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Sid
 
 def time_at(profile: Profile, fraction: float) -> float:
     """The fraction of the duration at which the profile passes ``fraction`` of the path, 0 to 1 exclusive."""
+    from scipy.optimize import brentq  # here, since reading a scene needs no scipy
+
     # a profile is monotonic, so that there is one root
     pieces = profile.pieces
     starts = [piece.start for piece in pieces[1:]]
