@@ -29,13 +29,13 @@ from effect_grid import GRID, Case, drawn, fmu_of
 from effect_search import FAMILIES, all_sets, set_size, smallest
 
 from flexfmu.cosim.choices.effects.choice import EXACT, MEASURED, choose_verified, observe
+from flexfmu.cosim.choices.effects.estimator import scales
+from flexfmu.cosim.choices.effects.search import SAFETY, one_more
 from flexfmu.cosim.choices.effects.study import effectivity
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.choice_text import percent, set_text
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, MeasureName, integrator_tolerance
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.choose import SAFETY, one_more
-from flexfmu.model.selection.measures import scales
 
 EFFECTIVITIES, SHARE = (1.0, 10.0), 0.9
 """Where the effectivity should lie, and in how many of the scenes."""

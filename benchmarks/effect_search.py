@@ -6,8 +6,8 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
+from flexfmu.cosim.choices.effects.estimator import RICHEST, Estimator, with_set
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.estimator import RICHEST, Estimator, with_set
 
 FAMILIES = ("proximal_bending", "proximal_axial", "distal_bending", "distal_axial")
 

@@ -22,7 +22,8 @@ from typing import Any
 
 from flexfmu import load_scene
 from flexfmu.cosim.experiment.prepared_scene import run_scene
-from flexfmu.cosim.metrics.metrics import Measurement, measure_run
+from flexfmu.cosim.metrics.metric_table import Measurement
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.scene.schema import Scene
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)

@@ -19,8 +19,8 @@ from flexfmu.cosim.engine.fmu.variables import parameter_names
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, display
-from flexfmu.cosim.metrics.metrics import Measurement, measure_run
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement, display
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.cosim.reports.modes_table import modes_along_path
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.studies.paper.computed import blend_length, case_scene, peak_task_acceleration

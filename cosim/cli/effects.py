@@ -8,6 +8,7 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
+from flexfmu.cosim.choices.effects.search import absent_effects
 from flexfmu.cosim.choices.effects.study import (
     Comparison,
     EffectRow,
@@ -25,7 +26,6 @@ from flexfmu.cosim.reports.text import to_json
 from flexfmu.model.choice_text import percent, set_text
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, Choice
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.selection.choose import absent_effects
 
 
 def effects_command(source: str, tolerance: float | None, of: list[str], check: bool, as_json: bool) -> int:

@@ -16,8 +16,8 @@ from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, display
-from flexfmu.cosim.metrics.metrics import Measurement, Settings, measure, settings_for, with_errors
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement, display
+from flexfmu.cosim.metrics.metrics import Settings, measure, settings_for, with_errors
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.reports.text import titled_table, to_json
 from flexfmu.model.choice_text import choice_sentence

@@ -1,107 +1,270 @@
-"""The metrics of a run: names, units and what each of them says. How they are computed is in `flexfmu.cosim.metrics.metrics`."""
+"""The metrics of a run: name, unit, description and computation of each, in one table that everything else reads.
+
+A metric is a function of a `Solution`: the signals of a motion, known from a recording (`flexfmu.cosim.metrics.metrics`) or from an
+estimate (`flexfmu.cosim.choices.effects.estimator`), both of which reduce them to a peak, a root mean square or a final value.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import ceil, floor, log10
+from operator import methodcaller
+from typing import Protocol
+
+from flexfmu.cosim.metrics.signals import (
+    ACCELERATION,
+    FIRST_BENDING,
+    JOINT_POSITIONS,
+    POSITION,
+    TIP_DEFLECTIONS,
+    TORQUES,
+    VELOCITY,
+)
 
 
 @dataclass(frozen=True)
-class MetricInfo:
-    """What a metric is.
+class Measurement:
+    """The value of one metric.
+
+    Attributes:
+        value: in the SI unit of `METRICS`; None where the metric doesn't exist (no dwell, not settled, run cut short).
+        interpolation_error: the part of the error that interpolation between communication points contributes, as far
+            from the recording itself.
+        error: estimated error of the value in the same unit; None where it isn't known.
+        reason: the run's own message where the run failed and so has no value.
+    """
+
+    value: float | None
+    interpolation_error: float = 0.0
+    error: float | None = None
+    reason: str = ""
+
+
+class Signal(Protocol):
+    """A quantity over a span of time, with one or more channels and its time derivatives."""
+
+    def peak(self) -> Measurement:
+        """Largest Euclidean norm over the channels."""
+        ...
+
+    def root_mean_square(self, order: int = 0) -> Measurement:
+        """Root of the mean over time of the squared norm of a time derivative of some order."""
+        ...
+
+    def final(self, order: int = 0) -> Measurement:
+        """Norm of a time derivative of some order at the end of the span, as the left-hand limit."""
+        ...
+
+
+class Solution:
+    """The signals of a motion; None stands for one that the robot doesn't have or the solution doesn't know.
+
+    Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
+    """
+
+    def torque(self, joint: int) -> Signal | None:
+        """Torque of motor 1 or 2 over the motion [N.m]."""
+
+    def modal_deflection(self) -> Signal | None:
+        """First bending coordinate of proximal link 1 over the motion [m]; zero for a rigid link."""
+
+    def tip_deflection(self, leg: int) -> Signal | None:
+        """Transverse displacement of the tip of proximal link 1 or 2 over the motion [m]; zero for a rigid link."""
+
+    def path_error(self) -> Signal | None:
+        """Deviation of the end effector from the rigid robot's over motion and dwell [m]."""
+
+    def path_error_in_motion(self) -> Signal | None:
+        """The same over the motion alone [m]."""
+
+    def residual_vibration(self) -> Signal | None:
+        """Deviation of the end effector from the equilibrium at the end pose during the dwell [m]."""
+
+    def tracking_error(self, joint: int) -> Signal | None:
+        """Angle of motor 1 or 2 minus its planned angle, over motion and dwell [rad]."""
+
+    def tracking_error_in_motion(self, joint: int) -> Signal | None:
+        """The same over the motion alone [rad]."""
+
+    def settling_time(self) -> Measurement:
+        """Time after the motion from which the residual vibration stays within the settling band [s]."""
+        return Measurement(None)
+
+
+Computation = Callable[[Solution], Measurement]
+"""How a metric follows from the signals of a motion."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """What a metric is, and how it is computed.
 
     Attributes:
         label: short name for tables.
         unit: SI unit of the value in ``summary.json``.
-        display_unit, display_factor: unit for people, and what to multiply the SI value by.
-        negligible: error in the SI unit, far below what can be measured, that never causes a warning.
         description: one sentence.
+        computation: its value from the signals of a motion.
+        columns: recorded signals that it is made of, whose magnitude bounds its rounding error.
     """
 
     label: str
     unit: str
-    display_unit: str
-    display_factor: float
-    negligible: float
     description: str
+    computation: Computation
+    columns: tuple[str, ...] = POSITION
+
+    @property
+    def display_unit(self) -> str:
+        """Unit for people."""
+        return _DISPLAY[self.unit][0]
+
+    @property
+    def display_factor(self) -> float:
+        """What to multiply the SI value by for people."""
+        return _DISPLAY[self.unit][1]
+
+    @property
+    def negligible(self) -> float:
+        """Error in the SI unit, far below what can be measured, that never causes a warning."""
+        return _DISPLAY[self.unit][2]
 
 
-_NEGLIGIBLE: Mapping[str, float] = {"m": 1e-12, "m/s": 1e-9, "m/s2": 1e-5, "N.m": 1e-9, "s": 1e-9, "rad": 1e-12}
+_DISPLAY: Mapping[str, tuple[str, float, float]] = {
+    "m": ("mm", 1e3, 1e-12),
+    "m/s": ("m/s", 1.0, 1e-9),
+    "m/s2": ("m/s²", 1.0, 1e-5),
+    "N.m": ("N·m", 1.0, 1e-9),
+    "s": ("s", 1.0, 1e-9),
+    "rad": ("mrad", 1e3, 1e-12),
+}
+"""SI unit → unit for people, factor to it, and negligible error in the SI unit."""
 
-_DISPLAY_UNITS: Mapping[str, str] = {"N.m": "N·m", "m/s2": "m/s²"}
+
+def _peak(signal: Callable[[Solution], Signal | None]) -> Computation:
+    """Largest norm of a signal; no value where there is no such signal."""
+    return lambda solution: found.peak() if (found := signal(solution)) else Measurement(None)
 
 
-def _millimetres(label: str, description: str) -> MetricInfo:
-    return MetricInfo(label, "m", "mm", 1e3, _NEGLIGIBLE["m"], description)
+def _root_mean_square(signal: Callable[[Solution], Signal | None], order: int = 0) -> Computation:
+    """Root mean square of a time derivative of a signal."""
+    return lambda solution: found.root_mean_square(order) if (found := signal(solution)) else Measurement(None)
 
 
-def _plain(label: str, unit: str, description: str) -> MetricInfo:
-    return MetricInfo(label, unit, _DISPLAY_UNITS.get(unit, unit), 1.0, _NEGLIGIBLE[unit], description)
+def _final(signal: Callable[[Solution], Signal | None], order: int) -> Computation:
+    """Norm of a time derivative of a signal at its end."""
+    return lambda solution: found.final(order) if (found := signal(solution)) else Measurement(None)
 
 
 _BOTH_SIDES = "over the motion, both sides of every jump and t = 0+ included"
 
-METRICS: Mapping[str, MetricInfo] = {
-    "peak_torque_1": _plain("Peak torque, joint 1", "N.m", f"Largest |torque| of motor 1 {_BOTH_SIDES}."),
-    "peak_torque_2": _plain("Peak torque, joint 2", "N.m", f"Largest |torque| of motor 2 {_BOTH_SIDES}."),
-    "peak_modal_deflection_1": _millimetres(
-        "Peak modal deflection, link 1", "Largest |first bending coordinate| of proximal link 1 over the motion."
+METRICS: Mapping[str, Metric] = {
+    **{
+        f"peak_torque_{joint}": Metric(
+            f"Peak torque, joint {joint}",
+            "N.m",
+            f"Largest |torque| of motor {joint} {_BOTH_SIDES}.",
+            _peak(methodcaller("torque", joint)),
+            TORQUES[joint - 1 : joint],
+        )
+        for joint in (1, 2)
+    },
+    "peak_modal_deflection_1": Metric(
+        "Peak modal deflection, link 1",
+        "m",
+        "Largest |first bending coordinate| of proximal link 1 over the motion.",
+        _peak(lambda solution: solution.modal_deflection()),
+        (FIRST_BENDING,),
     ),
-    "peak_tip_deflection_1": _millimetres(
-        "Peak tip deflection, link 1",
-        "Largest |transverse displacement| of the tip of proximal link 1 over the motion.",
+    **{
+        f"peak_tip_deflection_{leg}": Metric(
+            f"Peak tip deflection, link {leg}",
+            "m",
+            f"Largest |transverse displacement| of the tip of proximal link {leg} over the motion.",
+            _peak(methodcaller("tip_deflection", leg)),
+            TIP_DEFLECTIONS[leg - 1 : leg],
+        )
+        for leg in (1, 2)
+    },
+    "peak_position_error": Metric(
+        "Peak position error",
+        "m",
+        "Largest distance from the rigid robot's end effector over motion and dwell.",
+        _peak(lambda solution: solution.path_error()),
     ),
-    "peak_tip_deflection_2": _millimetres(
-        "Peak tip deflection, link 2",
-        "Largest |transverse displacement| of the tip of proximal link 2 over the motion.",
-    ),
-    "peak_position_error": _millimetres(
-        "Peak position error", "Largest distance from the rigid robot's end effector over motion and dwell."
-    ),
-    "rms_acceleration_error": _plain(
+    "rms_acceleration_error": Metric(
         "RMS acceleration error",
         "m/s2",
         "Root mean square over the motion of the distance from the rigid acceleration.",
+        _root_mean_square(lambda solution: solution.path_error_in_motion(), order=2),
+        ACCELERATION,
     ),
-    "end_position_error": _millimetres(
-        "End position error", "Distance from the rigid robot's end effector at the end of the motion."
+    "end_position_error": Metric(
+        "End position error",
+        "m",
+        "Distance from the rigid robot's end effector at the end of the motion.",
+        _final(lambda solution: solution.path_error_in_motion(), order=0),
     ),
-    "end_velocity_error": _plain(
-        "End velocity error", "m/s", "Norm of the velocity's deviation from the rigid robot's at the end of the motion."
+    "end_velocity_error": Metric(
+        "End velocity error",
+        "m/s",
+        "Norm of the velocity's deviation from the rigid robot's at the end of the motion.",
+        _final(lambda solution: solution.path_error_in_motion(), order=1),
+        VELOCITY,
     ),
-    "end_acceleration_error": _plain(
+    "end_acceleration_error": Metric(
         "End acceleration error",
         "m/s2",
         "Norm of the acceleration's deviation at the end of the motion, before the acceleration's last jump.",
+        _final(lambda solution: solution.path_error_in_motion(), order=2),
+        ACCELERATION,
     ),
-    "residual_vibration_amplitude": _millimetres(
-        "Residual vibration, amplitude", "Largest distance from the equilibrium at the end pose during the dwell."
+    "residual_vibration_amplitude": Metric(
+        "Residual vibration, amplitude",
+        "m",
+        "Largest distance from the equilibrium at the end pose during the dwell.",
+        _peak(lambda solution: solution.residual_vibration()),
     ),
-    "residual_vibration_rms": _millimetres(
-        "Residual vibration, RMS", "Root mean square during the dwell of the distance from that equilibrium."
+    "residual_vibration_rms": Metric(
+        "Residual vibration, RMS",
+        "m",
+        "Root mean square during the dwell of the distance from that equilibrium.",
+        _root_mean_square(lambda solution: solution.residual_vibration()),
     ),
-    "settling_time": _plain(
+    "settling_time": Metric(
         "Settling time",
         "s",
         "Time after the motion's end from which the end effector stays within the settling band around that equilibrium.",
+        lambda solution: solution.settling_time(),
+        ("time",),
     ),
 }
 
-
-LOOP_METRICS: Mapping[str, MetricInfo] = {
-    f"{kind}_tracking_error_{joint}": MetricInfo(
-        f"{label}, joint {joint}", "rad", "mrad", 1e3, _NEGLIGIBLE["rad"], text.format(joint)
-    )
-    for kind, label, text in (
-        ("peak", "Peak tracking error", "Largest |angle of motor {} - planned angle| over motion and dwell."),
-        ("rms", "RMS tracking error", "Root mean square over the motion of the angle of motor {} - planned angle."),
-    )
-    for joint in (1, 2)
+LOOP_METRICS: Mapping[str, Metric] = {
+    **{
+        f"peak_tracking_error_{joint}": Metric(
+            f"Peak tracking error, joint {joint}",
+            "rad",
+            f"Largest |angle of motor {joint} - planned angle| over motion and dwell.",
+            _peak(methodcaller("tracking_error", joint)),
+            JOINT_POSITIONS,
+        )
+        for joint in (1, 2)
+    },
+    **{
+        f"rms_tracking_error_{joint}": Metric(
+            f"RMS tracking error, joint {joint}",
+            "rad",
+            f"Root mean square over the motion of the angle of motor {joint} - planned angle.",
+            _root_mean_square(methodcaller("tracking_error_in_motion", joint)),
+            JOINT_POSITIONS,
+        )
+        for joint in (1, 2)
+    },
 }
 """Metrics of a robot that is driven by torques, beside `METRICS`."""
 
-ALL_METRICS: Mapping[str, MetricInfo] = {**METRICS, **LOOP_METRICS}
+ALL_METRICS: Mapping[str, Metric] = {**METRICS, **LOOP_METRICS}
 
 
 def display(name: str, value: float | None, digits: int = 6, error: float | None = None) -> str:

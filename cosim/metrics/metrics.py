@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -21,13 +22,10 @@ from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.bernstein import last_time_above
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS, LOOP_METRICS, METRICS
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement, Solution
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (
-    ACCELERATION,
-    FIRST_BENDING,
     JOINT_POSITIONS,
-    POSITION,
     TIP_DEFLECTIONS,
     TORQUES,
     deviation_from_point,
@@ -46,24 +44,6 @@ if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """The value of one metric.
-
-    Attributes:
-        value: in the SI unit of `METRICS`; None where the metric doesn't exist (no dwell, not settled, run cut short).
-        interpolation_error: the part of the error that interpolation between communication points contributes, as far
-            from the recording itself.
-        error: estimated error of the value in the same unit; None where it isn't known.
-        reason: the run's own message where the run failed and so has no value.
-    """
-
-    value: float | None
-    interpolation_error: float = 0.0
-    error: float | None = None
-    reason: str = ""
 
 
 class Metrics(dict[str, T]):
@@ -192,7 +172,7 @@ def _settle(stated: dict[str, Measurement], recording: Recording, settings: Sett
     settled, radius = stated["settling_time"], stated["residual_vibration_amplitude"].error
     if settled.error is None or radius is None:
         return
-    moved = settling(_vibration(recording, settings), settings.settling_band, radius).interpolation_error
+    moved = RecordedSolution(recording, settings).settling_time(radius).interpolation_error
     stated["settling_time"] = replace(settled, error=max(settled.error, moved))
 
 
@@ -203,26 +183,11 @@ def _curvature_rounding(recording: Recording, value: float | None) -> float:
     return min(curvature, 0.5 * curvature**2 / value) if value else curvature
 
 
-_SIGNALS: Mapping[str, tuple[str, ...]] = {
-    "peak_torque_1": TORQUES[:1],
-    "peak_torque_2": TORQUES[1:],
-    "peak_modal_deflection_1": (FIRST_BENDING,),
-    "peak_tip_deflection_1": TIP_DEFLECTIONS[:1],
-    "peak_tip_deflection_2": TIP_DEFLECTIONS[1:],
-    "rms_acceleration_error": ACCELERATION,
-    "end_velocity_error": tuple(name.replace("position", "velocity") for name in POSITION),
-    "end_acceleration_error": ACCELERATION,
-    "settling_time": ("time",),
-    **dict.fromkeys(LOOP_METRICS, JOINT_POSITIONS),
-}
-"""Metric → the signals that it is made of; end-effector positions for all others."""
-
-
 def _magnitude(recording: Recording, name: str) -> float:
     """Largest magnitude of the signals that a metric is made of; a rigid link has none."""
-    columns = [recording.columns[each].values for each in _SIGNALS.get(name, POSITION) if each in recording.columns]
-    columns += [recording.time] if name == "settling_time" else []
-    return max((float(np.abs(values).max()) for values in columns), default=0.0)
+    columns = {"time": recording.time} | {each: column.values for each, column in recording.columns.items()}
+    values = [columns[each] for each in ALL_METRICS[name].columns if each in columns]
+    return max((float(np.abs(each).max()) for each in values), default=0.0)
 
 
 def settings_for(plan: MotionPlan, robot: Scene | None = None) -> Settings:
@@ -246,20 +211,9 @@ def measure(recording: Recording, settings: Settings) -> Metrics[Measurement]:
     Raises:
         ResultsError: a signal that the metrics need was not recorded or is not finite.
     """
-    end = settings.task.duration
-    deviation = deviation_from_rigid(position(recording), settings.task)
-    motion = deviation.within(0.0, end)
-    measurements = {
-        **_loads(recording, end),
-        "peak_position_error": peak(deviation.consistent),
-        "rms_acceleration_error": root_mean_square(motion.consistent, order=2),
-        "end_position_error": _at_end(motion, order=0),
-        "end_velocity_error": _at_end(motion, order=1),
-        "end_acceleration_error": _at_end(motion, order=2),
-        **_residual(recording, settings),
-        **_tracking(recording, settings),
-    }
-    return Metrics({name: _finite(name, measurements[name]) for name in ALL_METRICS if name in measurements})
+    solution = RecordedSolution(recording, settings)
+    names = ALL_METRICS if solution.tracks_joints else METRICS
+    return Metrics({name: _finite(name, ALL_METRICS[name].computation(solution)) for name in names})
 
 
 def _finite(name: str, measurement: Measurement) -> Measurement:
@@ -269,93 +223,143 @@ def _finite(name: str, measurement: Measurement) -> Measurement:
     return measurement
 
 
-def _loads(recording: Recording, end: float) -> dict[str, Measurement]:
-    """Peak torques and deflections over the motion; a rigid link doesn't deflect."""
-    found: dict[str, Measurement] = {}
-    for joint, name in enumerate(TORQUES, start=1):
-        found[f"peak_torque_{joint}"] = peak(segments(recording, [name]).within(0.0, end).consistent)
-    modal = modal_deflection(recording)
-    found["peak_modal_deflection_1"] = Measurement(0.0) if modal is None else peak(modal.within(0.0, end).consistent)
-    for leg, name in enumerate(TIP_DEFLECTIONS, start=1):
-        flexible = name in recording.columns
-        found[f"peak_tip_deflection_{leg}"] = (
-            peak(segments(recording, [name]).within(0.0, end).consistent) if flexible else Measurement(0.0)
-        )
-    return found
+@dataclass(frozen=True)
+class RecordedSignal:
+    """A signal between communication points; see `Signal`."""
+
+    segments: HermiteSegments
+
+    def peak(self) -> Measurement:
+        """Largest norm; its error is how much further another segment might reach, at least that of the peak's segment."""
+        signal = self.segments.consistent
+        largest, errors = signal.maximum_norm(), signal.error_estimate()
+        reached = np.linalg.norm(signal.evaluate(np.linspace(0.0, 1.0, 2 * len(signal.control))), axis=2).max(axis=0)
+        return Measurement(largest, max(float(np.max(reached + errors)) - largest, float(errors[np.argmax(reached)])))
+
+    def root_mean_square(self, order: int = 0) -> Measurement:
+        """Root of the mean squared norm of a time derivative; its error is that of the estimated deviation e from it.
+
+        To second order e changes the root of the mean of p² by (mean of p e + half the mean of e²) / root.
+        """
+        signal = self.segments.consistent
+        points, _ = signal.quadrature
+        values, deviation = signal.evaluate(points, order), signal.deviation_estimate(points, order)
+        root = math.sqrt(signal.mean_product(values, values))
+        bound = math.sqrt(signal.mean_product(deviation, deviation))
+        change = abs(signal.mean_product(values, deviation)) + 0.5 * bound**2
+        return Measurement(root, min(change / root, bound) if root > 0.0 else bound)
+
+    def final(self, order: int = 0) -> Measurement:
+        """Norm of a time derivative at the end of the last segment, a communication point: nothing is interpolated."""
+        return Measurement(float(np.linalg.norm(self.segments.right[order, -1])))
+
+    def settling(self, band: float, uncertainty: float = 0.0) -> Measurement:
+        """Time from the first segment's start after which the norm stays below ``band`` [s]; None if it never does.
+
+        Its error is how far the last crossing moves when the vibration's amplitude changes by the interpolation error, or by
+        the ``uncertainty`` where that is larger.
+        """
+        vibration = self.segments.consistent
+        begin, stop = float(vibration.start[0]), float(vibration.end[-1])
+        crossing = last_time_above(vibration.control, vibration.start, vibration.duration, band)
+        if crossing is None:
+            return Measurement(0.0)
+        # the crossings of a slightly wider and a slightly narrower band
+        near = int(np.searchsorted(vibration.end, crossing))
+        error = max(float(vibration.error_estimate()[min(near, len(vibration.end) - 1)]), uncertainty)
+        spread = [
+            last_time_above(vibration.control, vibration.start, vibration.duration, level)
+            for level in (band + error, max(band - error, 0.0))
+        ]
+        early, late = (begin if time is None else time for time in spread)
+        return Measurement(crossing - begin if crossing < stop else None, late - early)
 
 
-def _residual(recording: Recording, settings: Settings) -> dict[str, Measurement]:
-    """What is left of the vibration during the dwell."""
-    names = ("residual_vibration_amplitude", "residual_vibration_rms", "settling_time")
-    if settings.dwell == 0.0:
-        return dict.fromkeys(names, Measurement(None))
-    vibration = _vibration(recording, settings)
-    measurements = (peak(vibration), root_mean_square(vibration), settling(vibration, settings.settling_band))
-    return dict(zip(names, measurements, strict=True))
+class NoSignal:
+    """What a rigid link's deflection is: zero throughout, and exactly so; see `Signal`."""
 
-
-def _vibration(recording: Recording, settings: Settings) -> HermiteSegments:
-    """Deviation from the equilibrium at the end pose, during the dwell."""
-    vibration = deviation_from_point(position(recording), settings.end_equilibrium)
-    return vibration.within(settings.task.duration, math.inf).consistent
-
-
-def _tracking(recording: Recording, settings: Settings) -> dict[str, Measurement]:
-    """How far the joints of a robot that is driven by torques stray from their planned motion."""
-    if settings.joints is None or any(name not in recording.columns for name in JOINT_POSITIONS):
-        return {}
-    found = {}
-    for joint in range(len(JOINT_POSITIONS)):
-        error = joint_error(recording, joint, settings.joints)
-        found[f"peak_tracking_error_{joint + 1}"] = peak(error.consistent)
-        motion = error.within(0.0, settings.task.duration)
-        found[f"rms_tracking_error_{joint + 1}"] = root_mean_square(motion.consistent)
-    return found
-
-
-def peak(signal: HermiteSegments) -> Measurement:
-    """Largest norm; its error is how much further another segment might reach, at least that of the peak's segment."""
-    largest, errors = signal.maximum_norm(), signal.error_estimate()
-    reached = np.linalg.norm(signal.evaluate(np.linspace(0.0, 1.0, 2 * len(signal.control))), axis=2).max(axis=0)
-    return Measurement(largest, max(float(np.max(reached + errors)) - largest, float(errors[np.argmax(reached)])))
-
-
-def root_mean_square(signal: HermiteSegments, order: int = 0) -> Measurement:
-    """Root of the mean squared norm of a time derivative; its error is that of the estimated deviation e from it.
-
-    To second order e changes the root of the mean of p² by (mean of p e + half the mean of e²) / root.
-    """
-    points, _ = signal.quadrature
-    values, deviation = signal.evaluate(points, order), signal.deviation_estimate(points, order)
-    root = math.sqrt(signal.mean_product(values, values))
-    bound = math.sqrt(signal.mean_product(deviation, deviation))
-    change = abs(signal.mean_product(values, deviation)) + 0.5 * bound**2
-    return Measurement(root, min(change / root, bound) if root > 0.0 else bound)
-
-
-def settling(vibration: HermiteSegments, band: float, uncertainty: float = 0.0) -> Measurement:
-    """Time from the first segment's start after which the norm stays below ``band`` [s]; None if it never does.
-
-    Its error is how far the last crossing moves when the vibration's amplitude changes by the interpolation error, or by
-    the ``uncertainty`` where that is larger.
-    """
-    begin, stop = float(vibration.start[0]), float(vibration.end[-1])
-    crossing = last_time_above(vibration.control, vibration.start, vibration.duration, band)
-    if crossing is None:
+    def peak(self) -> Measurement:
+        """Zero."""
         return Measurement(0.0)
-    near = int(np.searchsorted(vibration.end, crossing))
-    error = max(float(vibration.error_estimate()[min(near, len(vibration.end) - 1)]), uncertainty)
-    spread = [
-        last_time_above(vibration.control, vibration.start, vibration.duration, level)
-        for level in (band + error, max(band - error, 0.0))
-    ]
-    early, late = (begin if time is None else time for time in spread)
-    return Measurement(crossing - begin if crossing < stop else None, late - early)
+
+    def root_mean_square(self, order: int = 0) -> Measurement:
+        """Zero."""
+        return Measurement(0.0)
+
+    def final(self, order: int = 0) -> Measurement:
+        """Zero."""
+        return Measurement(0.0)
 
 
-def _at_end(signal: HermiteSegments, order: int) -> Measurement:
-    """Norm of a time derivative at the end of the last segment, a communication point: nothing is interpolated."""
-    return Measurement(float(np.linalg.norm(signal.right[order, -1])))
+class RecordedSolution(Solution):
+    """The signals of a complete recording, interpolated when first needed; methods as in `Solution`.
+
+    Args:
+        recording: signals with their time derivatives.
+        settings: the motion that was planned, and what follows it.
+
+    Attributes:
+        tracks_joints: whether the robot is driven by torques, so that its joints stray from their planned motion.
+    """
+
+    def __init__(self, recording: Recording, settings: Settings) -> None:
+        self._recording, self._settings, self._end = recording, settings, settings.task.duration
+        self.tracks_joints = settings.joints is not None and all(name in recording.columns for name in JOINT_POSITIONS)
+
+    def torque(self, joint: int) -> RecordedSignal:
+        return self._in_motion(segments(self._recording, TORQUES[joint - 1 : joint]))
+
+    def modal_deflection(self) -> RecordedSignal | NoSignal:
+        modal = modal_deflection(self._recording)
+        return NoSignal() if modal is None else self._in_motion(modal)
+
+    def tip_deflection(self, leg: int) -> RecordedSignal | NoSignal:
+        name = TIP_DEFLECTIONS[leg - 1]
+        return self._in_motion(segments(self._recording, [name])) if name in self._recording.columns else NoSignal()
+
+    def path_error(self) -> RecordedSignal:
+        return RecordedSignal(self._path_error)
+
+    def path_error_in_motion(self) -> RecordedSignal:
+        return self._path_error_in_motion
+
+    def residual_vibration(self) -> RecordedSignal | None:
+        return self._vibration if self._settings.dwell else None
+
+    def tracking_error(self, joint: int) -> RecordedSignal | None:
+        error = self._tracking_error(joint)
+        return None if error is None else RecordedSignal(error)
+
+    def tracking_error_in_motion(self, joint: int) -> RecordedSignal | None:
+        error = self._tracking_error(joint)
+        return None if error is None else self._in_motion(error)
+
+    def settling_time(self, uncertainty: float = 0.0) -> Measurement:
+        """As in `Solution`; ``uncertainty`` as for `RecordedSignal.settling`."""
+        vibration = self.residual_vibration()
+        return Measurement(None) if vibration is None else vibration.settling(self._settings.settling_band, uncertainty)
+
+    def _in_motion(self, signal: HermiteSegments) -> RecordedSignal:
+        return RecordedSignal(signal.within(0.0, self._end))
+
+    @cached_property
+    def _path_error(self) -> HermiteSegments:
+        return deviation_from_rigid(position(self._recording), self._settings.task)
+
+    @cached_property
+    def _path_error_in_motion(self) -> RecordedSignal:
+        return self._in_motion(self._path_error)
+
+    @cached_property
+    def _vibration(self) -> RecordedSignal:
+        vibration = deviation_from_point(position(self._recording), self._settings.end_equilibrium)
+        return RecordedSignal(vibration.within(self._end, math.inf))
+
+    def _tracking_error(self, joint: int) -> HermiteSegments | None:
+        planned = self._settings.joints
+        if planned is None or not self.tracks_joints:
+            return None
+        return joint_error(self._recording, joint - 1, planned)
 
 
 def metrics_of(run: Run) -> dict[str, float | None]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from flexfmu.trajectories.trajectory import Trajectory
 
 POSITION = ("end_effector.position.x", "end_effector.position.y")
+VELOCITY = ("end_effector.velocity.x", "end_effector.velocity.y")
 ACCELERATION = ("end_effector.acceleration.x", "end_effector.acceleration.y")
 JOINT_POSITIONS = ("joint1.position", "joint2.position")
 TORQUES = ("joint1.torque", "joint2.torque")

@@ -2,7 +2,7 @@
 
 The error of the path is estimated from the forces that the next order of the theory adds along the recorded motion: those of
 foreshortening where the scene leaves it out, and those of bending beyond it. The linear response to them is one step of
-Newton's method for the whole motion, as in `flexfmu.model.selection.estimator`. Motors are taken to move as they did.
+Newton's method for the whole motion, as in `flexfmu.cosim.choices.effects.estimator`. Motors are taken to move as they did.
 """
 
 from __future__ import annotations

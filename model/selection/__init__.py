@@ -1,1 +1,1 @@
-"""Which effects a scene calls for: estimates of what each is worth along the planned motion, and the cheapest set."""
+"""How a robot responds elastically along a planned motion, linearised about the rigid one, and what sets of effects cost."""

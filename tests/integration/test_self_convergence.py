@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
-from flexfmu.cosim.metrics.metrics import Measurement, measure_run
+from flexfmu.cosim.metrics.metric_table import Measurement
+from flexfmu.cosim.metrics.metrics import measure_run
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from flexfmu.cosim.choices.effects.estimator import Estimator, scales
+from flexfmu.cosim.choices.effects.search import SAFETY, choose_effects, rich_enough
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
@@ -25,9 +27,6 @@ from flexfmu.model.scene.choice import (
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.choose import SAFETY, choose_effects, rich_enough
-from flexfmu.model.selection.estimator import Estimator
-from flexfmu.model.selection.measures import scales
 from flexfmu.model.selection.motion_grid import JointMotion
 
 MEASURED: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")

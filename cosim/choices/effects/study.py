@@ -20,6 +20,8 @@ from flexfmu.cosim.choices.effects.choice import (
     quiet,
     wanted,
 )
+from flexfmu.cosim.choices.effects.estimator import Estimator, scales
+from flexfmu.cosim.choices.effects.search import estimated_errors, given_effects, neighbours, richer
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.metrics.metric_table import METRICS
@@ -28,10 +30,7 @@ from flexfmu.cosim.reports.text import titled_table
 from flexfmu.model.choice_text import percent
 from flexfmu.model.scene.choice import Choice, EstimatedEffect, MeasureName, integrator_tolerance
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.choose import estimated_errors, given_effects, neighbours, richer
 from flexfmu.model.selection.cost import Cost, costs
-from flexfmu.model.selection.estimator import Estimator
-from flexfmu.model.selection.measures import scales
 
 POSES = 3
 """Poses of the frequencies: start, middle and end of the path."""

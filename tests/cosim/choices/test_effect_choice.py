@@ -11,6 +11,8 @@ from typer.testing import CliRunner
 from flexfmu.cosim.choices.effects import choice as verified
 from flexfmu.cosim.choices.effects import study as effect_check
 from flexfmu.cosim.choices.effects.choice import EXACT, MEASURED, Observed, choose_verified, observe, resolved
+from flexfmu.cosim.choices.effects.estimator import Estimator, richest, with_set
+from flexfmu.cosim.choices.effects.search import SAFETY, one_more
 from flexfmu.cosim.choices.effects.study import EVERYTHING, check_choice, comparisons, study_effects
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import InputError
@@ -20,8 +22,6 @@ from flexfmu.model.plants import build_model
 from flexfmu.model.scene.choice import MeasureName
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.choose import SAFETY, one_more
-from flexfmu.model.selection.estimator import Estimator, richest, with_set
 
 ROOT = Path(__file__).parents[3]
 OPEN = load_scene(ROOT / "examples" / "effects_auto.toml")

@@ -13,8 +13,8 @@ import pytest
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.metric_table import METRICS
-from flexfmu.cosim.metrics.metrics import Measurement, Settings, measure, measure_run
+from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
+from flexfmu.cosim.metrics.metrics import Settings, measure, measure_run
 
 T, DWELL, STEP = 0.4, 0.3, 2e-3
 OMEGA = 2 * math.pi * 20.0

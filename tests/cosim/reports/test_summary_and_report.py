@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.prepared_scene import Run
-from flexfmu.cosim.metrics.metric_table import METRICS
-from flexfmu.cosim.metrics.metrics import Measurement, measure_run, settings_for
+from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
+from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.cosim.reports import plots
 from flexfmu.cosim.reports.plots import draw_plots

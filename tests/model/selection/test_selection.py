@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from flexfmu.cosim.experiment.planning import plan
-from flexfmu.model.numeric import numeric_model
-from flexfmu.model.scene.choice import MeasureName
-from flexfmu.model.scene.effects import LOADS
-from flexfmu.model.scene.file import load_scene
-from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.choose import (
+from flexfmu.cosim.choices.effects.estimator import RICHEST, Estimator, richest, scales, with_set
+from flexfmu.cosim.choices.effects.search import (
     absent_effects,
     cheapest,
     choose_effects,
@@ -23,8 +18,12 @@ from flexfmu.model.selection.choose import (
     poorer,
     rich_enough,
 )
-from flexfmu.model.selection.estimator import RICHEST, Estimator, richest, with_set
-from flexfmu.model.selection.measures import scales
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.model.numeric import numeric_model
+from flexfmu.model.scene.choice import MeasureName
+from flexfmu.model.scene.effects import LOADS
+from flexfmu.model.scene.file import load_scene
+from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.motion_grid import motion_grid
 from flexfmu.model.selection.response import LinearSystem
 

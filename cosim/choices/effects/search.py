@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import get_args
 
+from flexfmu.cosim.choices.effects.estimator import Estimator, richest, with_set
 from flexfmu.model.enrichment import Neighbour, enrichments, reductions
 from flexfmu.model.scene.choice import INTEGRATOR_SHARE, Choice, EstimatedEffect, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS, FamilyName
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.estimator import Estimator, richest, with_set
 from flexfmu.model.selection.motion_grid import JointMotion
 
 SAFETY = 1.5

@@ -10,20 +10,22 @@ method's correction.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
+from scipy.integrate import trapezoid
 
+from flexfmu.cosim.metrics.metric_table import METRICS, Measurement, Solution
 from flexfmu.model.scene.choice import MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, Effects, FamilyName
 from flexfmu.model.scene.schema import Scene
-from flexfmu.model.selection.linearized_motion import LinearizedMotion
-from flexfmu.model.selection.measures import Behaviour, measure_behaviour, scales
+from flexfmu.model.selection.linearized_motion import LinearizedMotion, Outputs
 from flexfmu.model.selection.motion_grid import JointMotion, MotionGrid, motion_grid
 from flexfmu.model.selection.response import Motion
+from flexfmu.trajectories.jets import RealArray
 
 Metrics = Mapping[MeasureName, float]
 """Values in SI units, or errors relative to the metrics' scales."""
@@ -56,6 +58,104 @@ def richest(scene: Scene) -> Scene:
     return with_set(scene, RICHEST)
 
 
+FLOOR, ASKED_FLOOR = 0.1, 1e-4
+"""Where a metric is near zero, errors are relative to this fraction of the largest deviation that elasticity causes; the second one
+holds where the user asked for the metric: what is smaller, no run resolves."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampledSignal:
+    """A signal at the instants of a motion; see `flexfmu.cosim.metrics.metric_table.Signal`.
+
+    Attributes:
+        time: (N,) instants [s]; the time of a jump appears twice.
+        derivatives: order → values (N, c) of a time derivative, for the orders that are known.
+    """
+
+    time: RealArray
+    derivatives: Mapping[int, RealArray]
+
+    def peak(self) -> Measurement:
+        """Largest norm."""
+        return Measurement(float(np.linalg.norm(self.derivatives[0], axis=1).max()))
+
+    def root_mean_square(self, order: int = 0) -> Measurement:
+        """By the trapezoidal rule."""
+        squares = np.sum(self.derivatives[order] ** 2, axis=1)
+        return Measurement(float(np.sqrt(trapezoid(squares, self.time) / (self.time[-1] - self.time[0]))))
+
+    def final(self, order: int = 0) -> Measurement:
+        """At the last instant."""
+        return Measurement(float(np.linalg.norm(self.derivatives[order], axis=1)[-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatedSolution(Solution):
+    """What a set of effects makes of a motion, at its instants; methods as in `Solution`.
+
+    Attributes:
+        grid: the instants.
+        outputs: what the robot does at them.
+        rigid: what it would do if it were rigid.
+        rest: end effector at the end pose's static equilibrium, (2,) [m].
+    """
+
+    grid: MotionGrid
+    outputs: Outputs
+    rigid: Outputs
+    rest: RealArray
+
+    def torque(self, joint: int) -> SampledSignal:
+        moving = self.grid.moving
+        return SampledSignal(self.grid.time[moving], {0: self.outputs.torque[moving, joint - 1 : joint]})
+
+    def path_error(self) -> SampledSignal:
+        return SampledSignal(self.grid.time, {0: self.outputs.position - self.rigid.position})
+
+    def path_error_in_motion(self) -> SampledSignal:
+        moving = self.grid.moving
+        position = (self.outputs.position - self.rigid.position)[moving]
+        acceleration = (self.outputs.acceleration - self.rigid.acceleration)[moving]
+        return SampledSignal(self.grid.time[moving], {0: position, 2: acceleration})
+
+    def residual_vibration(self) -> SampledSignal | None:
+        dwelling = ~self.grid.moving
+        if not dwelling.any():
+            return None
+        distance = np.linalg.norm(self.outputs.position[dwelling] - self.rest, axis=1, keepdims=True)
+        return SampledSignal(self.grid.time[dwelling], {0: distance})
+
+    def metrics(self, of: Iterable[MeasureName]) -> dict[MeasureName, float]:
+        """Metrics in SI units.
+
+        Raises:
+            ValueError: one of them has no value, since it needs a dwell.
+        """
+        found: dict[MeasureName, float] = {}
+        for name in of:
+            value = METRICS[name].computation(self).value
+            if value is None:
+                raise ValueError(f"{name} needs a standstill after the motion")
+            found[name] = value
+        return found
+
+
+def scales(reference: Mapping[MeasureName, float], asked: Collection[MeasureName] = ()) -> dict[MeasureName, float]:
+    """What errors of each metric are relative to, in the metric's unit.
+
+    This is the metric itself, but for positions at least `FLOOR` times the peak position error, which must be among the
+    metrics of the reference: a residual vibration that has died out is no scale for anything.
+
+    Args:
+        reference: metrics of the richest set.
+        asked: metrics that the user named, which are judged relative to themselves (down to `ASKED_FLOOR`).
+    """
+    # positions share a floor, other metrics are their own scale
+    peak = reference["peak_position_error"]
+    floors = {name: peak * (ASKED_FLOOR if name in asked else FLOOR) for name in reference if METRICS[name].unit == "m"}
+    return {name: max(abs(value), floors.get(name, 0.0)) for name, value in reference.items()}
+
+
 class Estimator:
     """Metrics of a scene's motion for any set of effects.
 
@@ -63,7 +163,7 @@ class Estimator:
         scene: robot and loads; its choice of elastic effects doesn't matter.
         motion: the planned motion of its motors.
         of: the metrics.
-        asked: those of them that the user named, see `flexfmu.model.selection.measures.scales`.
+        asked: those of them that the user named, see `scales`.
         most: the scene with the richest set, `richest(scene)` when None.
 
     Attributes:
@@ -96,7 +196,7 @@ class Estimator:
 
     @cached_property
     def scales(self) -> Metrics:
-        """What errors are relative to, see `flexfmu.model.selection.measures.scales`."""
+        """What errors are relative to, see `scales`."""
         units = scales(self._full, self.asked)
         return {name: units[name] for name in self._of}
 
@@ -104,13 +204,13 @@ class Estimator:
     def _full(self) -> Metrics:
         """What the reference and its scales need."""
         needed = tuple(dict.fromkeys(("peak_position_error", *self._of)))
-        return measure_behaviour(self._behaviour(self.richest.effects, sharp=True), needed)
+        return self._solution(self.richest.effects, sharp=True).metrics(needed)
 
     def metrics(self, effects: Effects, *, sharp: bool = True) -> Metrics:
         """The metrics with a set of effects, in SI units."""
         key = effects.model_dump_json(), sharp
         if key not in self._known:
-            self._known[key] = measure_behaviour(self._behaviour(effects, sharp), self._of)
+            self._known[key] = self._solution(effects, sharp).metrics(self._of)
         return self._known[key]
 
     def covers(self, effects: Effects) -> bool:
@@ -135,7 +235,7 @@ class Estimator:
             self._robots[key] = LinearizedMotion(self.richest.replace(theory), self._grid)
         return self._robots[key]
 
-    def _behaviour(self, effects: Effects, sharp: bool) -> Behaviour:
+    def _solution(self, effects: Effects, sharp: bool) -> EstimatedSolution:
         # which coordinates of the richest robot move, and which deflect statically
         robot = self._robot(effects)
         states, statics = (robot.coordinates(effects, static=wanted) for wanted in (False, True))
@@ -149,4 +249,6 @@ class Estimator:
         if statics.size:
             deflected = replace(motion, position=motion.position + robot.deflections(motion, statics))
             outputs = replace(outputs, position=robot.outputs(deflected).position)
-        return Behaviour(self._grid, outputs, self._rigid, robot.rest_position(self._grid.rests[1], states, statics))
+        return EstimatedSolution(
+            self._grid, outputs, self._rigid, robot.rest_position(self._grid.rests[1], states, statics)
+        )
