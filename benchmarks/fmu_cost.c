@@ -161,7 +161,7 @@ __attribute__((visibility("default"))) void fmu_cost(const char *path, double to
     }
   }
   for (int i = 0; i < COUNTERS; i++) figures[i] = statistics[i];
-  const flex_tableau *collocation = flex_find_method(integrator, tolerance, model->is_damped)->collocation;
+  const flex_tableau *collocation = flex_find_method(integrator, tolerance, model->is_damped, p->record->is_overdamped)->collocation;
   figures[ENDS_IN_STAGE] = collocation != NULL && flex_ends_in_stage(collocation);
   free(p);
   free((void *)inputs.values);

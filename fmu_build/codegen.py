@@ -22,6 +22,7 @@ MAX_INPUT_ORDER = 9
 
 DESCRIPTION_FILE = "model_description.c"
 HEADER_FILE = "model_functions.h"
+LANES_FILE = "model_residual_lanes.c"
 
 _MATHEMATICS = "#include <math.h>"
 
@@ -61,13 +62,21 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
     prepared = {name: _prepare(name, _function(model, name), sizes) for name in FUNCTION_SIGNATURES}
     facts = tuple(function_facts(name, function) for name, function in prepared.items())
     files = {function_file(name): with_all_arguments(c_code(function)) for name, function in prepared.items()}
+    if (lanes := lanes_code(files[function_file("residual")])) is not None:
+        files[LANES_FILE] = lanes
     return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts)}, facts
 
 
 def generate_description(
-    model: SymbolicModel, functions: tuple[GeneratedFunction, ...], guid: str, tolerance: float
+    model: SymbolicModel,
+    functions: tuple[GeneratedFunction, ...],
+    guid: str,
+    tolerance: float,
+    *,
+    has_lanes: bool = False,
 ) -> str:
-    """The C file that defines ``flex_the_model``; ``tolerance`` is the relative one that holds by default."""
+    """The C file that defines ``flex_the_model``; ``tolerance`` is the relative one that holds by default, ``has_lanes``
+    whether there is a residual for lanes."""
     return render(
         DESCRIPTION_FILE + ".j2",
         model=model,
@@ -77,6 +86,7 @@ def generate_description(
         tolerance=tolerance,
         n_derived=_function(model, "derive").numel_out(0),
         max_input_order=MAX_INPUT_ORDER,
+        has_lanes=has_lanes,
     )
 
 
@@ -140,6 +150,39 @@ def with_all_arguments(code: str) -> str:
     """Generated C that takes every argument and result to be there; CasADi asks before each access, which costs up to a tenth."""
     code = re.sub(r"arg\[(\d+)\]\? (arg\[\1\]\[\d+\]) : 0", r"\2", code)
     return re.sub(r"if \(res\[(\d+)\]!=0\) (?=res\[\1\])", "", code)
+
+
+_ON_LANES = re.compile(r"\b(sin|cos|sqrt|fabs|casadi_sq)\b")
+_OTHER_CALL = re.compile(r"[A-Za-z_]\w*\(|\?|\bif\b|[<>!&|]")
+
+
+def lanes_code(code: str) -> str | None:
+    """The residual for several points side by side, from its C for one point; None if it branches or calls a function that
+    has no counterpart in ``lanes_math.h``.
+
+    Args:
+        code: C file of the residual, as from `with_all_arguments`.
+    """
+    match = re.search(r"static int casadi_f0\([^)]*\) \{\n(.*?)\n  return 0;\n\}", code, re.DOTALL)
+    if match is None:
+        return None
+    lines = match.group(1).splitlines()
+    declarations = [line.replace("casadi_real", "flex_lanes") for line in lines if line.startswith("  casadi_real")]
+    statements = "\n".join(line for line in lines if not line.startswith("  casadi_real"))
+
+    # arguments and constants are put into lanes, results are taken out of them
+    statements = re.sub(r"arg\[4\]\[(\d+)\]", r"flex_all(d[\1])", statements)
+    statements = re.sub(r"arg\[([0-3])\]\[(\d+)\]", _lanes_argument, statements)
+    statements = re.sub(r"res\[0\]\[(\d+)\]=(\w+);", r"flex_store(r + 4 * \1, \2);", statements)
+    statements = re.sub(r"(?<=[=(])-?\d+\.?\d*(e[-+]?\d+)?(?=[*+;)-])", r"flex_all(\g<0>)", statements)
+    statements = _ON_LANES.sub(lambda name: f"flex_lanes_{name[0].removeprefix('casadi_')}", statements)
+    if _OTHER_CALL.search(re.sub(r"\bflex_\w+\(", "(", statements)):
+        return None
+    return render(LANES_FILE + ".j2", declarations="\n".join(declarations), statements=statements)
+
+
+def _lanes_argument(match: re.Match[str]) -> str:
+    return f"flex_load({'yvau'[int(match[1])]} + 4 * {match[2]})"
 
 
 def function_facts(name: str, function: casadi.Function) -> GeneratedFunction:

@@ -8,7 +8,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Literal
 
 from flexfmu.fmu_build.cache import content_hash
-from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, generate_description, generate_functions, identifier
+from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, LANES_FILE, generate_description, generate_functions, identifier
 from flexfmu.fmu_build.description import Description, description_xml, plant_description
 from flexfmu.fmu_build.documentation import documentation, plant_picture
 from flexfmu.fmu_build.experiment import DefaultExperiment
@@ -89,7 +89,8 @@ def generate_sources(
     named = named_model(model, naming)
 
     def code(guid: str) -> dict[str, str]:
-        return functions | {DESCRIPTION_FILE: generate_description(named, facts, guid, experiment.tolerance)}
+        description = generate_description(named, facts, guid, experiment.tolerance, has_lanes=LANES_FILE in functions)
+        return functions | {DESCRIPTION_FILE: description}
 
     description = replace(plant_description(model).named(naming), enumerations=enumerations)
     pages = documentation(named, description, experiment)

@@ -89,7 +89,8 @@ def _arctangent() -> list[str]:
 def _polynomial(
     name: str, function: Function, weight: Function, low: mpf, high: mpf, degree: int, *, skip: bool = False
 ) -> list[str]:
-    """An inline function; ``skip`` where the interval contains 0, at which the function is a limit."""
+    """An inline function and its expression as a macro, for lanes; ``skip`` where the interval contains 0, at which the
+    function is a limit."""
     precision, mp.prec = mp.prec, 400
     tiny = high * mpf(2) ** -40
 
@@ -102,14 +103,16 @@ def _polynomial(
     coefficients, error = minimax(smooth, positive_weight, low, high, degree)
     mp.prec = precision
     comment = f"/* degree {degree}, weighted error {float(error):.1e} */"
-    body = f"  double z2 = z * z;\n  return {_by_pairs([_double(c) for c in coefficients])};"
-    return [comment, f"static inline double {name}(double z) {{", body, "}"]
+    macro = f"{name.upper()}(z, z2)"
+    body = f"  double z2 = z * z;\n  return {macro};"
+    expression = f"#define {macro} {_by_pairs([_double(c) for c in coefficients])}"
+    return [comment, expression, f"static inline double {name}(double z) {{", body, "}"]
 
 
 def _by_pairs(numbers: Sequence[str]) -> str:
     """Horner's form in z² of pairs, which a processor calculates side by side."""
-    pair = f"({numbers[0]} + z * {numbers[1]})" if len(numbers) > 1 else numbers[0]
-    return f"({pair} + z2 * {_by_pairs(numbers[2:])})" if len(numbers) > 2 else pair
+    pair = f"({numbers[0]} + (z) * {numbers[1]})" if len(numbers) > 1 else numbers[0]
+    return f"({pair} + (z2) * {_by_pairs(numbers[2:])})" if len(numbers) > 2 else pair
 
 
 def _double(x: mpf) -> str:

@@ -3,9 +3,10 @@
 #define FLEXFMU_ELEMENTARY_ARCTANGENT_CONSTANTS_H
 
 /* degree 3, weighted error 1.9e-25 */
+#define ARCTANGENT_SERIES(z, z2) ((-0x1.5555555555555p-2 + (z) * 0x1.9999999999782p-3) + (z2) * (-0x1.2492490bc77c4p-3 + (z) * 0x1.c70dfaf90172ep-4))
 static inline double arctangent_series(double z) {
   double z2 = z * z;
-  return ((-0x1.5555555555555p-2 + z * 0x1.9999999999782p-3) + z2 * (-0x1.2492490bc77c4p-3 + z * 0x1.c70dfaf90172ep-4));
+  return ARCTANGENT_SERIES(z, z2);
 }
 #define PI_HI 0x1.921fb54442d18p+1
 #define PI_LO 0x1.1a62633145c07p-53

@@ -3,9 +3,10 @@
 #define FLEXFMU_ELEMENTARY_EXPONENTIAL_CONSTANTS_H
 
 /* degree 5, weighted error 4.3e-23 */
+#define EXPONENTIAL_SERIES(z, z2) ((0x1.0000000000000p-1 + (z) * 0x1.5555555555555p-3) + (z2) * ((0x1.5555555547e9dp-5 + (z) * 0x1.1111111107481p-7) + (z2) * (0x1.6c17219cada09p-10 + (z) * 0x1.a01a6b893a37cp-13)))
 static inline double exponential_series(double z) {
   double z2 = z * z;
-  return ((0x1.0000000000000p-1 + z * 0x1.5555555555555p-3) + z2 * ((0x1.5555555547e9dp-5 + z * 0x1.1111111107481p-7) + z2 * (0x1.6c17219cada09p-10 + z * 0x1.a01a6b893a37cp-13)));
+  return EXPONENTIAL_SERIES(z, z2);
 }
 #define LN2_STEP_0 0x1.62e42ff000000p-6
 #define LN2_STEP_1 -0x1.718432a1b0e26p-40

@@ -3,9 +3,10 @@
 #define FLEXFMU_ELEMENTARY_LOGARITHM_CONSTANTS_H
 
 /* degree 6, weighted error 3.0e-24 */
+#define LOGARITHM_SERIES(z, z2) ((0x1.5555555555555p-2 + (z) * -0x1.000000000000ep-2) + (z2) * ((0x1.99999999999e9p-3 + (z) * -0x1.55555550fb08ep-3) + (z2) * ((0x1.2492491d8ca9ap-3 + (z) * -0x1.000358da9552ep-3) + (z2) * 0x1.c724250775be4p-4)))
 static inline double logarithm_series(double z) {
   double z2 = z * z;
-  return ((0x1.5555555555555p-2 + z * -0x1.000000000000ep-2) + z2 * ((0x1.99999999999e9p-3 + z * -0x1.55555550fb08ep-3) + z2 * ((0x1.2492491d8ca9ap-3 + z * -0x1.000358da9552ep-3) + z2 * 0x1.c724250775be4p-4)));
+  return LOGARITHM_SERIES(z, z2);
 }
 #define LN2_HI 0x1.62e42fefa3800p-1
 #define LN2_LO 0x1.ef35793c76730p-45

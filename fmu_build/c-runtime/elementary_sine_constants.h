@@ -3,14 +3,16 @@
 #define FLEXFMU_ELEMENTARY_SINE_CONSTANTS_H
 
 /* degree 5, weighted error 3.4e-18 */
+#define SINE_SERIES(z, z2) ((-0x1.5555555555549p-3 + (z) * 0x1.111111110f87bp-7) + (z2) * ((-0x1.a01a019c11a26p-13 + (z) * 0x1.71de3577be01fp-19) + (z2) * (-0x1.ae5e664028cf7p-26 + (z) * 0x1.5d93028de5563p-33)))
 static inline double sine_series(double z) {
   double z2 = z * z;
-  return ((-0x1.5555555555549p-3 + z * 0x1.111111110f87bp-7) + z2 * ((-0x1.a01a019c11a26p-13 + z * 0x1.71de3577be01fp-19) + z2 * (-0x1.ae5e664028cf7p-26 + z * 0x1.5d93028de5563p-33)));
+  return SINE_SERIES(z, z2);
 }
 /* degree 5, weighted error 4.7e-20 */
+#define COSINE_SERIES(z, z2) ((0x1.555555555554cp-5 + (z) * -0x1.6c16c16c1517ep-10) + (z2) * ((0x1.a01a019cb1bd1p-16 + (z) * -0x1.27e4f809f072bp-22) + (z2) * (0x1.1ee9ebe92648dp-29 + (z) * -0x1.8fae9c783185dp-37)))
 static inline double cosine_series(double z) {
   double z2 = z * z;
-  return ((0x1.555555555554cp-5 + z * -0x1.6c16c16c1517ep-10) + z2 * ((0x1.a01a019cb1bd1p-16 + z * -0x1.27e4f809f072bp-22) + z2 * (0x1.1ee9ebe92648dp-29 + z * -0x1.8fae9c783185dp-37)));
+  return COSINE_SERIES(z, z2);
 }
 #define HALF_PI_0 0x1.921fb54400000p+0
 #define HALF_PI_1 0x1.0b4611a600000p-34

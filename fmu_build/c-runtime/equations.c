@@ -1,5 +1,7 @@
 #include "equations.h"
 
+#include "lanes.h"
+
 static void widen(const flex_function *function, int *n_arg, int *n_res, int *n_iw, int *n_w) {
   if (function->n_arg > *n_arg) *n_arg = function->n_arg;
   if (function->n_res > *n_res) *n_res = function->n_res;
@@ -22,6 +24,9 @@ void flex_equations_take(flex_equations *equations, const flex_model *model, fle
   for (size_t i = 0; i < sizeof functions / sizeof *functions; i++) widen(functions[i], &n_arg, &n_res, &n_iw, &n_w);
 
   equations->model = model;
+#ifdef FLEX_LANES
+  equations->has_lanes = flex_has_lanes();
+#endif
   equations->arg = flex_take(arena, (size_t)n_arg * sizeof *equations->arg);
   equations->res = flex_take(arena, (size_t)n_res * sizeof *equations->res);
   equations->iw = flex_take_ints(arena, (size_t)n_iw);
@@ -84,6 +89,17 @@ int flex_residual(flex_equations *equations, const double *y, const double *v, c
   int refused = equations->model->residual.call(arg, equations->res, equations->iw, equations->w, 0);
   if (equations->model->n_frictions > 0) hold_residual(equations, a, r);
   return refused;
+}
+
+int flex_lanes_serve(const flex_equations *equations) {
+  const flex_model *model = equations->model;
+  return equations->has_lanes && model->residual_lanes != 0 && model->n_frictions == 0;
+}
+
+void flex_residual_lanes(flex_equations *equations, int count, const double *y, const double *v, const double *a,
+                         const double *u, double *r) {
+  *equations->evaluations += count;
+  equations->model->residual_lanes(y, v, a, u, equations->d, r);
 }
 
 int flex_mass_matrix(flex_equations *equations, const double *y, const double *u, double *mass) {

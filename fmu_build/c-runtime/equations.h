@@ -16,6 +16,7 @@ typedef struct {
   /* forces with which frictions hold what sticks, at the last residual [n_frictions] */
   double *holding;
   int *earlier_modes; /* scratch */
+  int has_lanes;      /* the processor's registers can be used */
 
   /* work space of the generated functions */
   const double **arg;
@@ -41,6 +42,11 @@ void flex_hold(const flex_equations *equations, double *rates);
 
 /* r(y, v, a, u), n numbers, a itself where friction holds; counted as an evaluation */
 int flex_residual(flex_equations *equations, const double *y, const double *v, const double *a, const double *u, double *r);
+
+/* the same for `count` points side by side, four numbers for each coordinate; only where `flex_lanes_serve` */
+int flex_lanes_serve(const flex_equations *equations);
+void flex_residual_lanes(flex_equations *equations, int count, const double *y, const double *v, const double *a,
+                         const double *u, double *r);
 
 /* M(y, u), n x n by columns, rows and columns of the unit matrix where friction holds */
 int flex_mass_matrix(flex_equations *equations, const double *y, const double *u, double *mass);

@@ -81,6 +81,9 @@ typedef struct {
   flex_function initial_inputs; /* (p) -> u: inputs at the start pose, for inputs that were never set */
   flex_function initial_coordinates; /* (p) -> y at the start, undeformed */
   flex_function residual;       /* (y, v, a, u, d) -> r [n] */
+  /* the residual of four points side by side: four numbers for each coordinate and input. NULL where the compiler or the
+   * equations have no lanes */
+  void (*residual_lanes)(const double *y, const double *v, const double *a, const double *u, const double *d, double *r);
   flex_function mass_matrix;    /* (y, u, d) -> M [n x n], symmetric, positive definite */
   flex_function outputs;        /* (y, v, a, u, d) -> o [n_outputs] */
 

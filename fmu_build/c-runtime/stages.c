@@ -46,13 +46,23 @@ void flex_stages_take_scratch(flex_stages *stages, int n, int n_inputs, flex_are
   stages->position = flex_take_doubles(arena, size);
   stages->rate = flex_take_doubles(arena, size);
   stages->residual = flex_take_doubles(arena, size);
-  stages->u = flex_take_doubles(arena, (size_t)(FLEX_MAX_STAGES * n_inputs));
+  stages->u = flex_take_doubles(arena, (size_t)(2 * FLEX_MAX_STAGES * n_inputs));
+  stages->lanes = flex_take_doubles(arena, 2 * size);
   stages->weight = flex_take_doubles(arena, (size_t)n);
   flex_newton_take_scratch(&stages->matrix, n, arena);
 }
 
 void flex_stages_use(flex_stages *stages, const flex_tableau *tableau) {
   stages->tableau = stages->matrix.tableau = tableau;
+
+  // by columns; a lane without a stage repeats the last one
+  for (int lane = 0; lane < FLEX_MAX_STAGES; lane++) {
+    int i = lane < tableau->stages ? lane : tableau->stages - 1;
+    for (int j = 0; j < tableau->stages; j++) {
+      stages->to_position[j][lane] = tableau->a_squared[i][j];
+      stages->to_rate[j][lane] = tableau->a[i][j];
+    }
+  }
 }
 
 void flex_stages_clear(flex_stages *stages) {
@@ -96,8 +106,60 @@ static void move(int n, double h, double drift, const double *restrict y, const 
   w[c] = v[c] + h * w[c];
 }
 
+/* one coordinate of all stages, from its accelerations; the operations of `flex_combine` and `move` in their order */
+static inline void move_lanes(int s, const double (*restrict to_position)[FLEX_MAX_STAGES],
+                              const double (*restrict to_rate)[FLEX_MAX_STAGES], const double *restrict drift, double h,
+                              double y, double v, const double *restrict a, double *restrict q, double *restrict w) {
+  double square = h * h;
+  for (int i = 0; i < FLEX_MAX_STAGES; i++) {
+    double position = to_position[0][i] * a[0] + to_position[1][i] * a[1], rate = to_rate[0][i] * a[0] + to_rate[1][i] * a[1];
+    if (s == 3) {
+      position += to_position[2][i] * a[2];
+      rate += to_rate[2][i] * a[2];
+    }
+    if (s == 4) {
+      position = position + to_position[2][i] * a[2] + to_position[3][i] * a[3];
+      rate = rate + to_rate[2][i] * a[2] + to_rate[3][i] * a[3];
+    }
+    q[i] = y + (drift[i] * v + square * position);
+    w[i] = v + h * rate;
+  }
+}
+
+// residuals of all stages, side by side
+static void evaluate_lanes(flex_stages *stages, double h, const double *y, const double *v) {
+  const flex_tableau *tableau = stages->tableau;
+  int n = stages->n, s = tableau->stages;
+  double drift[FLEX_MAX_STAGES], *q = stages->position, *w = stages->rate, *a = stages->lanes, *r = a + FLEX_MAX_STAGES * n;
+  for (int i = 0; i < FLEX_MAX_STAGES; i++) drift[i] = tableau->c[i < s ? i : s - 1] * h;
+  for (int c = 0; c < n; c++) {
+    double *each = a + FLEX_MAX_STAGES * c;
+    for (int i = 0; i < FLEX_MAX_STAGES; i++) each[i] = stages->acceleration[(i < s ? i : s - 1) * n + c];
+    move_lanes(s, stages->to_position, stages->to_rate, drift, h, y[c], v[c], each, q + FLEX_MAX_STAGES * c,
+               w + FLEX_MAX_STAGES * c);
+  }
+  const double *u = stages->u + FLEX_MAX_STAGES * stages->inputs->count;
+  flex_residual_lanes(stages->equations, s, q, w, a, u, r);
+  for (int c = 0; c < n; c++)
+    for (int i = 0; i < s; i++) stages->residual[i * n + c] = r[FLEX_MAX_STAGES * c + i];
+}
+
+// inputs of the stages, also side by side
+static void evaluate_inputs(flex_stages *stages, double t, double h) {
+  const flex_tableau *tableau = stages->tableau;
+  int s = tableau->stages, m = stages->inputs->count;
+  double *lanes = stages->u + FLEX_MAX_STAGES * m;
+  for (int i = 0; i < s; i++) flex_inputs_evaluate(stages->inputs, t, tableau->c[i] * h, stages->u + i * m);
+  for (int k = 0; k < m; k++)
+    for (int i = 0; i < FLEX_MAX_STAGES; i++) lanes[FLEX_MAX_STAGES * k + i] = stages->u[(i < s ? i : s - 1) * m + k];
+}
+
 // residuals of all stages at the present accelerations
 static int evaluate(flex_stages *stages, double h, const double *y, const double *v) {
+  if (flex_lanes_serve(stages->equations)) {
+    evaluate_lanes(stages, h, y, v);
+    return 0;
+  }
   const flex_tableau *tableau = stages->tableau;
   int n = stages->n, s = tableau->stages, m = stages->inputs->count, refused = 0;
   const double *a = stages->acceleration;
@@ -229,9 +291,7 @@ flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const do
     // matrix and inputs of this step
     if (is_worn(stages) && refresh(stages, t, h, y, v, a0, scale)) return FLEX_NOT_FINITE;
     if (flex_newton_factor(&stages->matrix, h)) return FLEX_NOT_FINITE;
-    for (int i = 0; i < tableau->stages; i++)
-      flex_inputs_evaluate(stages->inputs, t, tableau->c[i] * h, stages->u + i * stages->inputs->count);
-
+    evaluate_inputs(stages, t, h);
     int was_fresh = record->fresh_steps == 0, measures = record->unchecked_steps >= UNCHECKED_STEPS;
     long long before = record->iterations;
     flex_outcome outcome = iterate(stages, h, y, v, scale, target);

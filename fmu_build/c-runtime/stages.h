@@ -45,7 +45,10 @@ typedef struct {
   double *acceleration;
 
   /* scratch; inputs: stages x inputs */
-  double *position, *rate, *residual, *u, *weight;
+  double *position, *rate, *residual, *u, *weight, *lanes;
+
+  /* coefficients of the stages side by side: of each stage's acceleration in the positions and rates of all */
+  double to_position[FLEX_MAX_STAGES][FLEX_MAX_STAGES], to_rate[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
 } flex_stages;
 
 void flex_stages_take_state(flex_stages *stages, int n, flex_arena *arena);
