@@ -1,7 +1,5 @@
 #include "equations.h"
 
-#include "lanes.h"
-
 static void widen(const flex_function *function, int *n_arg, int *n_res, int *n_iw, int *n_w) {
   if (function->n_arg > *n_arg) *n_arg = function->n_arg;
   if (function->n_res > *n_res) *n_res = function->n_res;
@@ -24,9 +22,6 @@ void flex_equations_take(flex_equations *equations, const flex_model *model, fle
   for (size_t i = 0; i < sizeof functions / sizeof *functions; i++) widen(functions[i], &n_arg, &n_res, &n_iw, &n_w);
 
   equations->model = model;
-#ifdef FLEX_LANES
-  equations->has_lanes = flex_has_lanes();
-#endif
   equations->arg = flex_take(arena, (size_t)n_arg * sizeof *equations->arg);
   equations->res = flex_take(arena, (size_t)n_res * sizeof *equations->res);
   equations->iw = flex_take_ints(arena, (size_t)n_iw);

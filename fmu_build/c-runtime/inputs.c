@@ -56,6 +56,17 @@ void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset,
   }
 }
 
+void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const double *restrict offsets, double *restrict u) {
+  for (int i = 0; i < inputs->count; i++, u += 4) {
+    const double *c = polynomial(inputs, i);
+    double start = time - inputs->base[i], tau[4];
+    for (int lane = 0; lane < 4; lane++) tau[lane] = start + offsets[lane];
+    for (int lane = 0; lane < 4; lane++) u[lane] = c[inputs->degree[i]];
+    for (int k = inputs->degree[i] - 1; k >= 0; k--)
+      for (int lane = 0; lane < 4; lane++) u[lane] = u[lane] * tau[lane] + c[k];
+  }
+}
+
 void flex_inputs_rates(const flex_inputs *inputs, double time, double *u1, double *u2) {
   for (int i = 0; i < inputs->count; i++) {
     const double *c = polynomial(inputs, i);

@@ -44,6 +44,9 @@ static inline void flex_inputs_set_derivative(flex_inputs *inputs, int index, do
 /* values at time + offset; kept apart since the sum would lose the digits of short steps */
 void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset, double *u);
 
+/* values at four offsets, side by side: four numbers for each input */
+void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const double *offsets, double *u);
+
 /* first and second time derivatives at `time` */
 void flex_inputs_rates(const flex_inputs *inputs, double time, double *u1, double *u2);
 

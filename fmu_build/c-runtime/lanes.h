@@ -9,9 +9,9 @@
 /* GCC doesn't align a Windows stack for these registers (its bug 54412) */
 #if defined(__x86_64__) && defined(__GNUC__) && (defined(__clang__) || !defined(_WIN32)) && !defined(FLEX_PLAIN)
 #define FLEX_LANES 4
+#endif
 
-/* whether this processor and its operating system have the registers */
+/* whether this processor and its operating system have the registers, and this library the code for them */
 int flex_has_lanes(void);
 
-#endif
 #endif

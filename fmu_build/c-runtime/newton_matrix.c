@@ -15,6 +15,8 @@
 /* relative change of the step size that the factors bear: the convergence suffers less than from the model's own change */
 #define STEP_CHANGE 1e-3
 
+enum { LANES = 4 };
+
 void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena) {
   size_t square = (size_t)n * (size_t)n;
   matrix->n = n;
@@ -25,13 +27,14 @@ void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena
   matrix->pivots = flex_take_ints(arena, (size_t)(FLEX_MAX_BLOCKS * n));
 }
 
-void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, flex_arena *arena) {
+void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, int n_inputs, flex_arena *arena) {
   size_t size = (size_t)n;
   matrix->component = flex_take_doubles(arena, FLEX_MAX_STAGES * size);
   matrix->pairs = flex_take_doubles(arena, 2 * size);
   matrix->y = flex_take_doubles(arena, size);
   matrix->v = flex_take_doubles(arena, size);
   matrix->r = flex_take_doubles(arena, size);
+  matrix->lanes = flex_take_doubles(arena, LANES * (4 * size + (size_t)n_inputs));
 }
 
 void flex_newton_clear(flex_newton_matrix *matrix) {
@@ -56,6 +59,43 @@ static int difference_column(flex_newton_matrix *matrix, flex_equations *equatio
   return refused;
 }
 
+static void spread(int n, const double *x, double *lanes) {
+  for (int c = 0; c < n; c++)
+    for (int lane = 0; lane < LANES; lane++) lanes[LANES * c + lane] = x[c];
+}
+
+// all columns of dr/dy and dr/dv, those of two coordinates side by side
+static void difference_lanes(flex_newton_matrix *matrix, flex_equations *equations, const double *a, const double *u,
+                             const double *position_weight, const double *rate_weight, double scale) {
+  int n = matrix->n;
+  double *y = matrix->lanes, *v = y + LANES * n, *at = v + LANES * n, *r = at + LANES * n, *inputs = r + LANES * n;
+  spread(n, matrix->y, y);
+  spread(n, matrix->v, v);
+  spread(n, a, at);
+  spread(equations->model->n_inputs, u, inputs);
+
+  for (int first = 0; first < n; first += 2) {
+    // lanes: a change of y and one of v, then those of the next coordinate
+    double step[LANES];
+    for (int lane = 0; lane < LANES; lane++) {
+      int i = first + lane / 2;
+      if (i == n) continue;
+      double *x = (lane % 2 ? v : y) + LANES * i + lane, kept = *x;
+      double size = coordinate_scale(scale, (lane % 2 ? rate_weight : position_weight)[i]);
+      *x = kept + DIFFERENCE * fmax(size, fabs(kept));
+      step[lane] = *x - kept;
+    }
+    flex_residual_lanes(equations, first + 1 < n ? LANES : 2, y, v, at, inputs, r);
+    for (int lane = 0; lane < LANES; lane++) {
+      int i = first + lane / 2;
+      if (i == n) continue;
+      double *column = (lane % 2 ? matrix->damping : matrix->stiffness) + i * n;
+      for (int k = 0; k < n; k++) column[k] = (r[LANES * k + lane] - matrix->r[k]) / step[lane];
+      (lane % 2 ? v : y)[LANES * i + lane] = (lane % 2 ? matrix->v : matrix->y)[i];
+    }
+  }
+}
+
 int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *v,
                         const double *a, const double *u, const double *position_weight, const double *rate_weight,
                         double scale) {
@@ -64,7 +104,9 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
   memcpy(matrix->v, v, (size_t)n * sizeof *v);
   int refused = flex_mass_matrix(equations, y, u, matrix->mass);
   refused |= flex_residual(equations, y, v, a, u, matrix->r);
-  for (int i = 0; i < n; i++) {
+  int has_lanes = flex_lanes_serve(equations);
+  if (has_lanes) difference_lanes(matrix, equations, a, u, position_weight, rate_weight, scale);
+  for (int i = 0; i < n && !has_lanes; i++) {
     // what is held doesn't move: with anything in its columns, rounding errors of the factors would move it
     if (flex_is_held(equations, i)) {
       memset(matrix->stiffness + i * n, 0, (size_t)n * sizeof *y);

@@ -26,11 +26,11 @@ typedef struct {
   int *pivots;
 
   /* scratch */
-  double *component, *pairs, *y, *v, *r;
+  double *component, *pairs, *y, *v, *r, *lanes;
 } flex_newton_matrix;
 
 void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena);
-void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, flex_arena *arena);
+void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, int n_inputs, flex_arena *arena);
 
 /* forgets M, D, K and the factors */
 void flex_newton_clear(flex_newton_matrix *matrix);

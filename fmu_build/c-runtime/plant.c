@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "elementary.h"
+#include "lanes.h"
 #include "friction.h"
 #include "linear_algebra.h"
 
@@ -74,6 +75,7 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
   // seams between the parts
   flex_integrator *integrator = &plant->integrator;
   plant->equations.d = plant->d;
+  plant->equations.has_lanes = flex_has_lanes();
   plant->equations.modes = plant->modes;
   plant->equations.evaluations = &plant->record->stages.evaluations;
   integrator->record = &plant->record->integrator;

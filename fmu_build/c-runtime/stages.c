@@ -49,7 +49,7 @@ void flex_stages_take_scratch(flex_stages *stages, int n, int n_inputs, flex_are
   stages->u = flex_take_doubles(arena, (size_t)(2 * FLEX_MAX_STAGES * n_inputs));
   stages->lanes = flex_take_doubles(arena, 2 * size);
   stages->weight = flex_take_doubles(arena, (size_t)n);
-  flex_newton_take_scratch(&stages->matrix, n, arena);
+  flex_newton_take_scratch(&stages->matrix, n, n_inputs, arena);
 }
 
 void flex_stages_use(flex_stages *stages, const flex_tableau *tableau) {
@@ -107,8 +107,8 @@ static void move(int n, double h, double drift, const double *restrict y, const 
 }
 
 /* one coordinate of all stages, from its accelerations; the operations of `flex_combine` and `move` in their order */
-static inline void move_lanes(int s, const double (*restrict to_position)[FLEX_MAX_STAGES],
-                              const double (*restrict to_rate)[FLEX_MAX_STAGES], const double *restrict drift, double h,
+static inline void move_lanes(int s, double (*restrict to_position)[FLEX_MAX_STAGES],
+                              double (*restrict to_rate)[FLEX_MAX_STAGES], const double *restrict drift, double h,
                               double y, double v, const double *restrict a, double *restrict q, double *restrict w) {
   double square = h * h;
   for (int i = 0; i < FLEX_MAX_STAGES; i++) {
@@ -144,14 +144,19 @@ static void evaluate_lanes(flex_stages *stages, double h, const double *y, const
     for (int i = 0; i < s; i++) stages->residual[i * n + c] = r[FLEX_MAX_STAGES * c + i];
 }
 
-// inputs of the stages, also side by side
+// inputs of the stages, and side by side where they are evaluated so
 static void evaluate_inputs(flex_stages *stages, double t, double h) {
   const flex_tableau *tableau = stages->tableau;
   int s = tableau->stages, m = stages->inputs->count;
-  double *lanes = stages->u + FLEX_MAX_STAGES * m;
-  for (int i = 0; i < s; i++) flex_inputs_evaluate(stages->inputs, t, tableau->c[i] * h, stages->u + i * m);
+  if (!flex_lanes_serve(stages->equations)) {
+    for (int i = 0; i < s; i++) flex_inputs_evaluate(stages->inputs, t, tableau->c[i] * h, stages->u + i * m);
+    return;
+  }
+  double offsets[FLEX_MAX_STAGES], *lanes = stages->u + FLEX_MAX_STAGES * m;
+  for (int i = 0; i < FLEX_MAX_STAGES; i++) offsets[i] = tableau->c[i < s ? i : s - 1] * h;
+  flex_inputs_evaluate_lanes(stages->inputs, t, offsets, lanes);
   for (int k = 0; k < m; k++)
-    for (int i = 0; i < FLEX_MAX_STAGES; i++) lanes[FLEX_MAX_STAGES * k + i] = stages->u[(i < s ? i : s - 1) * m + k];
+    for (int i = 0; i < s; i++) stages->u[i * m + k] = lanes[FLEX_MAX_STAGES * k + i];
 }
 
 // residuals of all stages at the present accelerations
