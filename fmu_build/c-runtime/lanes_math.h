@@ -1,15 +1,15 @@
-/* Arithmetic on lanes, for generated code: what it calls has these names.
+/* Arithmetic on lanes, for generated code.
  *
- * Sine and cosine are those of elementary_sine.c for angles that its fast reduction serves, in the same order of operations; if one lane
- * holds another angle, all go through the scalar function. */
+ * Sine and cosine go through the operations of elementary_sine.c in the same order, for angles that its fast reduction serves; if one
+ * lane holds another angle, all go through the scalar function. */
 #ifndef FLEXFMU_LANES_MATH_H
 #define FLEXFMU_LANES_MATH_H
 
 #include "lanes.h"
 
 #ifdef FLEX_LANES
-#include <immintrin.h>
 #include <stdint.h>
+#include <string.h>
 
 #include "elementary.h"
 #include "elementary_pairs.h"
@@ -18,25 +18,37 @@
 #define FLEX_WIDE __attribute__((target("avx2")))
 #define FLEX_WIDE_INLINE static inline __attribute__((target("avx2"), always_inline))
 
-typedef __m256d flex_lanes;
+typedef double flex_lanes __attribute__((vector_size(8 * FLEX_LANES)));
+typedef int64_t flex_lane_bits __attribute__((vector_size(8 * FLEX_LANES)));
 
-FLEX_WIDE_INLINE flex_lanes flex_all(double x) { return _mm256_set1_pd(x); }
-FLEX_WIDE_INLINE flex_lanes flex_load(const double *x) { return _mm256_loadu_pd(x); }
-FLEX_WIDE_INLINE void flex_store(double *target, flex_lanes x) { _mm256_storeu_pd(target, x); }
+FLEX_WIDE_INLINE flex_lanes flex_all(double x) { return (flex_lanes){x, x, x, x}; }
+
+FLEX_WIDE_INLINE flex_lanes flex_load(const double *x) {
+  flex_lanes lanes;
+  memcpy(&lanes, x, sizeof lanes);
+  return lanes;
+}
+
+FLEX_WIDE_INLINE void flex_store(double *target, flex_lanes x) { memcpy(target, &x, sizeof x); }
+
 FLEX_WIDE_INLINE flex_lanes flex_lanes_sq(flex_lanes x) { return x * x; }
-FLEX_WIDE_INLINE flex_lanes flex_lanes_sqrt(flex_lanes x) { return _mm256_sqrt_pd(x); }
 
-FLEX_WIDE_INLINE flex_lanes flex_lanes_fabs(flex_lanes x) {
-  return _mm256_andnot_pd(flex_all(-0.0), x);
+FLEX_WIDE_INLINE flex_lanes flex_lanes_sqrt(flex_lanes x) { return (flex_lanes){sqrt(x[0]), sqrt(x[1]), sqrt(x[2]), sqrt(x[3])}; }
+
+FLEX_WIDE_INLINE flex_lanes flex_lanes_fabs(flex_lanes x) { return (flex_lanes)((flex_lane_bits)x & INT64_MAX); }
+
+/* a where all bits of a lane are set, b where none is */
+FLEX_WIDE_INLINE flex_lanes flex_choose(flex_lane_bits where, flex_lanes a, flex_lanes b) {
+  return (flex_lanes)((where & (flex_lane_bits)a) | (~where & (flex_lane_bits)b));
 }
 
 typedef struct {
   flex_lanes hi, lo;
-  __m256i quadrant;
+  flex_lane_bits quadrant;
   int is_slow; /* not an angle of the fast reduction */
 } flex_angles;
 
-/* quadrants and rests of angles; Cody and Waite's method as in elementary_sine.c */
+/* quadrants and rests of angles; Cody and Waite's method */
 FLEX_WIDE_INLINE flex_angles flex_reduce_lanes(flex_lanes x) {
   const flex_lanes to_integer = flex_all(0x1.8p52), size = flex_lanes_fabs(x);
   flex_lanes shifted = x * flex_all(TWO_OVER_PI) + to_integer, quarters = shifted - to_integer;
@@ -46,21 +58,19 @@ FLEX_WIDE_INLINE flex_angles flex_reduce_lanes(flex_lanes x) {
   flex_lanes hi = coarse + next, back = hi - coarse;
   flex_lanes lo = (coarse - (hi - back)) + (next - back);
 
-  // a fast sum with the last part
+  // fast sum with the last part; angles of the first quadrant stay as they are
   flex_lanes last = lo - quarters * flex_all(HALF_PI_2), sum = hi + last;
-  flex_lanes in_quadrant = _mm256_cmp_pd(size, flex_all(QUARTER_PI), _CMP_LE_OQ);
+  flex_lane_bits is_first = size <= flex_all(QUARTER_PI);
   flex_angles angles;
-  angles.hi = _mm256_blendv_pd(sum, x, in_quadrant);
-  angles.lo = _mm256_andnot_pd(in_quadrant, last - (sum - hi));
-  angles.quadrant = _mm256_andnot_si256(_mm256_castpd_si256(in_quadrant), _mm256_castpd_si256(shifted));
+  angles.hi = flex_choose(is_first, x, sum);
+  angles.lo = flex_choose(is_first, flex_all(0.0), last - (sum - hi));
+  angles.quadrant = ~is_first & (flex_lane_bits)shifted;
 
   // tiny, huge and no numbers, and rests next to zero
-  flex_lanes is_usual = _mm256_and_pd(_mm256_cmp_pd(size, flex_all(0x1p-27), _CMP_GE_OQ),
-                                      _mm256_cmp_pd(size, flex_all(1e6), _CMP_LT_OQ));
-  flex_lanes is_far = _mm256_and_pd(_mm256_cmp_pd(flex_lanes_fabs(hi), flex_all(0x1p-30), _CMP_GE_OQ),
-                                    _mm256_cmp_pd(quarters, flex_all(0.0), _CMP_NEQ_OQ));
-  flex_lanes is_fast = _mm256_and_pd(is_usual, _mm256_or_pd(in_quadrant, is_far));
-  angles.is_slow = _mm256_movemask_pd(is_fast) != 15;
+  flex_lane_bits is_usual = (size >= flex_all(0x1p-27)) & (size < flex_all(1e6));
+  flex_lane_bits is_far = (flex_lanes_fabs(hi) >= flex_all(0x1p-30)) & (quarters != flex_all(0.0));
+  flex_lane_bits is_fast = is_usual & (is_first | is_far);
+  angles.is_slow = !(is_fast[0] & is_fast[1] & is_fast[2] & is_fast[3]);
   return angles;
 }
 
@@ -77,28 +87,21 @@ FLEX_WIDE_INLINE flex_lanes flex_sine_lanes(flex_angles x, int turned) {
   flex_lanes cosine = sum + (lost + (z * z * COSINE_SERIES(z, z2) - x.hi * x.lo));
 
   // which of them, with which sign
-  __m256i quadrant = _mm256_add_epi64(x.quadrant, _mm256_set1_epi64x(turned));
-  flex_lanes is_odd = _mm256_castsi256_pd(_mm256_slli_epi64(quadrant, 63));
-  flex_lanes sign = _mm256_and_pd(_mm256_castsi256_pd(_mm256_slli_epi64(quadrant, 62)), flex_all(-0.0));
-  return _mm256_xor_pd(_mm256_blendv_pd(sine, cosine, is_odd), sign);
+  flex_lane_bits quadrant = x.quadrant + turned;
+  flex_lanes value = flex_choose(-(quadrant & 1), cosine, sine);
+  return (flex_lanes)((flex_lane_bits)value ^ (quadrant & 2) << 62);
 }
 
 FLEX_WIDE_INLINE flex_lanes flex_lanes_sin(flex_lanes x) {
   flex_angles angles = flex_reduce_lanes(x);
-  if (__builtin_expect(!angles.is_slow, 1)) return flex_sine_lanes(angles, 0);
-  double each[FLEX_LANES];
-  flex_store(each, x);
-  for (int i = 0; i < FLEX_LANES; i++) each[i] = elementary_sin(each[i]);
-  return flex_load(each);
+  if (!angles.is_slow) return flex_sine_lanes(angles, 0);
+  return (flex_lanes){elementary_sin(x[0]), elementary_sin(x[1]), elementary_sin(x[2]), elementary_sin(x[3])};
 }
 
 FLEX_WIDE_INLINE flex_lanes flex_lanes_cos(flex_lanes x) {
   flex_angles angles = flex_reduce_lanes(x);
-  if (__builtin_expect(!angles.is_slow, 1)) return flex_sine_lanes(angles, 1);
-  double each[FLEX_LANES];
-  flex_store(each, x);
-  for (int i = 0; i < FLEX_LANES; i++) each[i] = elementary_cos(each[i]);
-  return flex_load(each);
+  if (!angles.is_slow) return flex_sine_lanes(angles, 1);
+  return (flex_lanes){elementary_cos(x[0]), elementary_cos(x[1]), elementary_cos(x[2]), elementary_cos(x[3])};
 }
 
 #endif

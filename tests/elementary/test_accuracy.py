@@ -115,6 +115,14 @@ def test_sanitizers_find_nothing(evaluate: Evaluate, evaluate_sanitized: Evaluat
     np.testing.assert_array_equal(evaluate_sanitized(calls), evaluate(calls))
 
 
+@pytest.mark.parametrize("name", ["sin", "cos"])
+def test_lanes_give_the_same_bits(name: str, evaluate: Evaluate) -> None:
+    """A step's stages are evaluated side by side on some processors: these must get the numbers of all others."""
+    calls = [*calls_of(name, 20 * COUNT, seed=4), *special_calls([name])]
+    lanes = evaluate([(f"lanes_{name}", x, y) for _, x, y in calls])
+    np.testing.assert_array_equal(lanes.view(np.uint64), evaluate(calls).view(np.uint64))
+
+
 def test_minimum_and_maximum_tell_zeros_apart(evaluate: Evaluate) -> None:
     """C leaves the order of zeros open, and libraries differ; NaN gives way to a number."""
     calls = [("fmin", 0.0, -0.0), ("fmin", -0.0, 0.0), ("fmax", -0.0, 0.0), ("fmax", 0.0, -0.0)]
