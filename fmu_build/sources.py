@@ -133,8 +133,8 @@ def runtime_sources(kind: Kind = "plant") -> dict[str, str]:
 
 
 def elementary_sources() -> dict[str, str]:
-    """C files and headers of sin, exp and so on alone, which generated functions call."""
-    return {name: text for name, text in runtime_sources().items() if name.startswith("elementary")}
+    """C files and headers of sin, exp and so on alone, which generated functions call, one by one and on lanes."""
+    return {name: text for name, text in runtime_sources().items() if name.startswith(("elementary", "lanes"))}
 
 
 def _belongs(name: str, kind: Kind) -> bool:
