@@ -157,7 +157,7 @@ def test_one_shape_more_of_each_family_changes_nothing(monkeypatch: pytest.Monke
     names = get_args(MeasureName)
     estimates = estimator(LIGHT, names)
     counts: dict[str, Any] = {key: value + 1 for key, value in RICHEST.items() if type(value) is int}
-    monkeypatch.setattr(estimates, "RICHEST", {**RICHEST, **counts})
+    monkeypatch.setattr("flexfmu.cosim.choices.effects.estimator.RICHEST", {**RICHEST, **counts})
     finer = estimator(LIGHT, names)
     for name in names:
         assert abs(estimates.reference[name] - finer.reference[name]) < 1e-3 * estimates.scales[name], name
