@@ -78,7 +78,7 @@ def _measure(
     if not run.completed:
         return None, none, run.message if run.outcome.is_failure else None
     try:
-        settings = settings_for(run.plan, run.robot)
+        settings = settings_for(run)
         return settings, with_errors(run, measure(run.recording, settings), settings, companions, progress), None
     except (EquilibriumError, ResultsError) as error:
         return None, none, str(error)

@@ -21,6 +21,7 @@ import numpy as np
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.experiment.scene_run import Run, rest_position
 from flexfmu.cosim.metrics.bernstein import last_time_above
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement, Solution
 from flexfmu.cosim.metrics.segments import HermiteSegments
@@ -38,9 +39,6 @@ from flexfmu.cosim.metrics.signals import (
 
 if TYPE_CHECKING:
     from flexfmu.cosim.engine.master.simulation_loop import Progress
-    from flexfmu.cosim.experiment.planning import MotionPlan
-    from flexfmu.cosim.experiment.prepared_scene import Run
-    from flexfmu.model.scene.schema import Scene
     from flexfmu.trajectories.trajectory import Trajectory
 
 T = TypeVar("T")
@@ -100,13 +98,13 @@ def measure_run(run: Run, companions: int = 1) -> Metrics[Measurement]:
 
     Raises:
         ResultsError: a signal that the metrics need was not recorded.
-        StaticsError: the end pose has no static equilibrium.
+        EquilibriumError: the end pose has no static equilibrium.
     """
     if not run.completed:
         failed = Metrics(dict.fromkeys(METRICS, Measurement(None, reason=run.message)))
         failed.failure = run.message
         return failed
-    settings = settings_for(run.plan, run.robot)
+    settings = settings_for(run)
     return with_errors(run, measure(run.recording, settings), settings, companions)
 
 
@@ -190,19 +188,14 @@ def _magnitude(recording: Recording, name: str) -> float:
     return max((float(np.abs(each).max()) for each in values), default=0.0)
 
 
-def settings_for(plan: MotionPlan, robot: Scene | None = None) -> Settings:
-    """What the metrics of a scene's motion depend on; computes the static equilibrium at the end pose.
+def settings_for(run: Run) -> Settings:
+    """What the metrics of a run depend on besides its recording.
 
-    Args:
-        plan: the planned motion.
-        robot: the scene with the robot's own parameters; that of the plan when None.
+    Raises:
+        EquilibriumError: the end pose has no static equilibrium.
     """
-    from flexfmu.model.statics import static_equilibrium
-
-    end_joints = plan.joints.evaluate(np.array([plan.duration]), 0, side="left")[0, 0]
-    equilibrium = np.asarray(static_equilibrium(robot or plan.scene, end_joints).position, dtype=float)
-    section = plan.scene.cosimulation
-    return Settings(plan.task, equilibrium, plan.scene.trajectory.dwell, section.settling_band, plan.joints)
+    plan, band = run.plan, run.scene.cosimulation.settling_band
+    return Settings(plan.task, rest_position(run), run.scene.trajectory.dwell, band, plan.joints)
 
 
 def measure(recording: Recording, settings: Settings) -> Metrics[Measurement]:

@@ -244,7 +244,7 @@ def _simulated(candidate: Candidate, payload_error: float, fmu_path: Path) -> tu
     run = run_scene(scene, loop=loop_of(scene, motion), fmu_path=fmu_path, parameters=parameters)
     if not run.completed:
         raise CosimError(f"{candidate.label}, payload error {payload_error:+.0%}: {run.message}")
-    settings = settings_for(run.plan, run.robot)
+    settings = settings_for(run)
     if not scene.controller:
         return run, settings, 0.0
     rest = position_values(run)[:, -1]

@@ -66,7 +66,7 @@ class Page(HTMLParser):
 
 def report_of(run: Run) -> str:
     """The report of a run."""
-    settings = settings_for(run.plan) if run.completed else None
+    settings = settings_for(run) if run.completed else None
     plots = draw_plots(run, None if settings is None else settings.end_equilibrium)
     return render_report(summarise(run, measure_run(run)), plots)
 
@@ -108,7 +108,7 @@ def test_curves_peak_at_the_metrics(make_run: MakeRun, monkeypatch: pytest.Monke
     monkeypatch.setattr(plots, "to_svg", lambda figure, key, title: figures.setdefault(key, figure) and "")
     run = tracking(make_run())
     metrics = {name: measurement.value or 0.0 for name, measurement in measure_run(run).items()}
-    list(draw_plots(run, settings_for(run.plan).end_equilibrium))
+    list(draw_plots(run, settings_for(run).end_equilibrium))
     peaks = {key: [np.abs(line.get_ydata()) for line in figure.axes[0].lines] for key, figure in figures.items()}
     for key, factor, unit, names in (
         ("torques", 1.0, "N·m", ["peak_torque_1", "peak_torque_2"]),
