@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.reports.figure_style import GREY, INK, PALE, draw, mark_end
+from flexfmu.cosim.reports.mechanism_figure import MILLI, draw_to_scale
 from flexfmu.cosim.studies.paper.comparison import ComparisonTable
 from flexfmu.cosim.studies.paper.computed import PaperCase, SimulatedCase, case_scene, smooth_pieces, trajectory_scene
 
@@ -31,36 +31,10 @@ SEQUENCE = ("#0b5fa5", "#d1495b", "#2a9d6f")
 """Colours of lines that differ in a number (cycle times, blend lengths)."""
 
 
-MILLI = 1e3
-"""Drawings are in mm."""
-
-
-def pose(motion: MotionPlan, time: float) -> RealArray:
-    """Base 1, elbow 1, end effector, elbow 2, base 2 at a time of the motion, (5, 2) [m]."""
-    mechanism = motion.scene.mechanism
-    end_effector = motion.task.evaluate(np.array([time]), order=0)[0, 0]
-    angles = motion.joints.evaluate(np.array([time]), order=0)[0, 0]
-    bases = mechanism.base_half_distance * np.array([[-1.0, 0.0], [1.0, 0.0]])
-    elbows = bases + mechanism.proximal.length * np.column_stack([np.cos(angles), np.sin(angles)])
-    return np.stack([bases[0], elbows[0], end_effector, elbows[1], bases[1]])
-
-
 def draw_robot(axes: Axes, motion: MotionPlan) -> None:
     """Draw the robot at the start, the middle and the end of the motion (paler from one to the next), its motors and its path."""
-    mechanism = motion.scene.mechanism
-    diameters = (mechanism.proximal.diameter,) * 2 + (mechanism.distal.diameter,) * 2
-    for time, opacity in ((0.0, 1.0), (0.5 * motion.duration, 0.35), (motion.duration, 0.15)):
-        # links as thick as they are, proximal ones first, with hinges on top
-        points = MILLI * pose(motion, time)
-        for (start, end), diameter in zip(((0, 1), (4, 3), (1, 2), (3, 2)), diameters, strict=True):
-            axes.add_patch(_rod(points[start], points[end], MILLI * diameter, opacity))
-        for x, y in points:
-            axes.add_patch(Circle((x, y), 7.0, facecolor="white", edgecolor=INK, alpha=opacity, zorder=4))
-    # motors at the bases
-    half = MILLI * mechanism.base_half_distance
-    for x, name in ((-half, "motor 1"), (half, "motor 2")):
-        axes.add_patch(Circle((x, 0.0), 24.0, facecolor=PALE, edgecolor=INK, zorder=1))
-        axes.annotate(name, (x, -30.0), ha="center", va="top", fontsize=8, color=INK)
+    positions = motion.task.evaluate(np.array([0.0, 0.5, 1.0]) * motion.duration, order=0)[0]
+    draw_to_scale(axes, motion.scene.mechanism, zip(positions, (1.0, 0.35, 0.15), strict=True))
     # path with start and end marked
     path = MILLI * np.concatenate([derivatives[0] for _, derivatives in smooth_pieces(motion.task, 201, order=0)])
     axes.plot(path[:, 0], path[:, 1], color=SEQUENCE[1], linewidth=2.0, zorder=6)
@@ -82,15 +56,6 @@ def draw_workspace(axes: Axes, motion: MotionPlan) -> None:
     margin = np.min([np.minimum(long - distance, distance - short) for distance in distances], axis=0)
     axes.contourf(MILLI * x, MILLI * y, margin, levels=[0.0, np.inf], colors=[PALE], alpha=0.6)
     axes.contour(MILLI * x, MILLI * y, margin, levels=[0.0], colors=[GREY], linewidths=1.2)
-
-
-def _rod(start: RealArray, end: RealArray, diameter: float, opacity: float) -> Polygon:
-    """A rod with round ends from start to end [mm]."""
-    direction = np.arctan2(end[1] - start[1], end[0] - start[0])
-    angles = direction + np.linspace(0.5 * np.pi, 1.5 * np.pi, 25)
-    half_circle = 0.5 * diameter * np.column_stack([np.cos(angles), np.sin(angles)])
-    outline = np.concatenate([start + half_circle, end - half_circle])
-    return Polygon(outline, facecolor="#c3ccd5", edgecolor=INK, linewidth=0.9, alpha=opacity, zorder=3)
 
 
 POLYNOMIAL = "7th order polynomial"

@@ -1,0 +1,77 @@
+"""The rigid mechanism, drawn by matplotlib: links as lines in the report of a run, links and hinges to scale in the paper's figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Polygon
+
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.reports.figure_style import FIRST, INK, PAGE_GREY, PAGE_INK, PALE, SECOND
+from flexfmu.model.scene.assembly import Point, bases, elbows
+from flexfmu.model.scene.mechanism import Mechanism
+
+MILLI = 1e3
+"""Drawings to scale are in mm."""
+
+HINGE_RADIUS, MOTOR_RADIUS = 7.0, 24.0
+"""In drawings to scale [mm]."""
+
+
+def draw_lines(axes: Axes, mechanism: Mechanism, poses: Iterable[tuple[RealArray, float]]) -> None:
+    """Draw links as lines and motors as squares, in m and in the colours of a page.
+
+    Args:
+        axes: to draw on.
+        mechanism: lengths and working mode.
+        poses: positions of the end effector (2,) [m], each with the opacity of the pose.
+    """
+    for legs, end, opacity in _poses(mechanism, poses):
+        for base, elbow in legs:
+            for (start, stop), colour, width in (((base, elbow), PAGE_INK, 3.2), ((elbow, end), FIRST, 2.2)):
+                x, y = zip(start, stop, strict=True)
+                axes.plot(x, y, color=colour, linewidth=width, alpha=opacity, solid_capstyle="round")
+            axes.plot(*elbow, "o", color=PAGE_INK, markersize=4, alpha=opacity)
+        axes.plot(*end, "o", color=SECOND, markersize=6, alpha=max(opacity, 0.6))
+    # motors on top
+    for leg, base in enumerate(bases(mechanism), start=1):
+        axes.plot(*base, "s", color=PAGE_GREY, markersize=9)
+        axes.annotate(f"motor {leg}", base, xytext=(0, -14), textcoords="offset points", ha="center", fontsize=8.5)
+
+
+def draw_to_scale(axes: Axes, mechanism: Mechanism, poses: Iterable[tuple[RealArray, float]]) -> None:
+    """Draw links as thick as they are, with hinges and motors, in mm; arguments as for `draw_lines`."""
+    proximal, distal = MILLI * mechanism.proximal.diameter, MILLI * mechanism.distal.diameter
+    for legs, end, opacity in _poses(mechanism, poses):
+        # proximal links first, hinges on top
+        rods = [(base, elbow, proximal) for base, elbow in legs] + [(elbow, end, distal) for _, elbow in legs]
+        for start, stop, diameter in rods:
+            axes.add_patch(_rod(MILLI * np.array(start), MILLI * np.array(stop), diameter, opacity))
+        (base1, elbow1), (base2, elbow2) = legs
+        for x, y in (base1, elbow1, end, elbow2, base2):
+            hinge = (MILLI * x, MILLI * y)
+            axes.add_patch(Circle(hinge, HINGE_RADIUS, facecolor="white", edgecolor=INK, alpha=opacity, zorder=4))
+    # motors behind
+    for leg, (x, y) in enumerate(bases(mechanism), start=1):
+        axes.add_patch(Circle((MILLI * x, MILLI * y), MOTOR_RADIUS, facecolor=PALE, edgecolor=INK, zorder=1))
+        axes.annotate(f"motor {leg}", (MILLI * x, -30.0), ha="center", va="top", fontsize=8, color=INK)
+
+
+def _poses(
+    mechanism: Mechanism, poses: Iterable[tuple[RealArray, float]]
+) -> Iterator[tuple[list[tuple[Point, Point]], Point, float]]:
+    """For each pose base and elbow of both legs, the end effector [m], and the opacity."""
+    for position, opacity in poses:
+        end = float(position[0]), float(position[1])
+        yield list(zip(bases(mechanism), elbows(mechanism, end), strict=True)), end, opacity
+
+
+def _rod(start: RealArray, end: RealArray, diameter: float, opacity: float) -> Polygon:
+    """A rod with round ends from start to end [mm]."""
+    direction = np.arctan2(end[1] - start[1], end[0] - start[0])
+    angles = direction + np.linspace(0.5 * np.pi, 1.5 * np.pi, 25)
+    half_circle = 0.5 * diameter * np.column_stack([np.cos(angles), np.sin(angles)])
+    outline = np.concatenate([start + half_circle, end - half_circle])
+    return Polygon(outline, facecolor="#c3ccd5", edgecolor=INK, linewidth=0.9, alpha=opacity, zorder=3)
