@@ -7,6 +7,7 @@ points, so they bound it, and halving the interval brings them closer to it by a
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -27,6 +28,7 @@ def bernstein_basis(theta: RealArray, degree: int) -> RealArray:
     return np.asarray(binomial * column**order * (1.0 - column) ** (degree - order))
 
 
+@cache
 def gauss_legendre(count: int) -> tuple[RealArray, RealArray]:
     """Points and weights of Gauss quadrature on [0, 1], exact to degree 2 count - 1."""
     points, weights = np.polynomial.legendre.leggauss(count)
@@ -57,12 +59,12 @@ def maximum_norm(control: RealArray) -> float:
 
 def bisect(control: RealArray) -> tuple[RealArray, RealArray]:
     """Control points (degree + 1, n, c) of the two halves of every segment (de Casteljau's algorithm)."""
-    first, second, level = [control[0]], [control[-1]], control
-    while len(level) > 1:
+    first, second, level = np.empty_like(control), np.empty_like(control), control
+    for i in range(len(control)):
+        # each level of averages ends in a control point of either half
+        first[i], second[-1 - i] = level[0], level[-1]
         level = 0.5 * (level[:-1] + level[1:])
-        first.append(level[0])
-        second.append(level[-1])
-    return np.stack(first), np.stack(second[::-1])
+    return first, second
 
 
 def hermite_control_points(derivatives: RealArray, duration: RealArray) -> RealArray:
