@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from flexfmu.fmu_build.block_codegen import check_block, generate_block, generate_block_description
-from flexfmu.fmu_build.build import BuiltFmu, Progress, build_from_sources
+from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_from_sources
 from flexfmu.fmu_build.codegen import DESCRIPTION_FILE, MAX_INPUT_ORDER
 from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.documentation import documentation_files
@@ -32,7 +32,7 @@ def build_block_fmu(
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
     cache: bool = True,
-    progress: Progress = lambda message: None,
+    progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
     """Build an FMU 2.0 for co-simulation of a controller, shaper or imperfection, unless an equal one is in the cache.
 
@@ -72,7 +72,7 @@ def build_block_fmu(
 def generate_block_sources(
     block: SymbolicBlock,
     experiment: DefaultExperiment,
-    progress: Progress = lambda message: None,
+    progress: BuildProgress = lambda message: None,
     naming: Naming = "structured",
 ) -> Sources:
     """Everything of the FMU that is text.

@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # CasADi takes a quarter of a second to import, and a cached 
     from flexfmu.fmu_build.sources import Sources
     from flexfmu.model.symbolic import SymbolicModel
 
-Progress = Callable[[str], None]
+BuildProgress = Callable[[str], None]
 """Receives a few words on each stage of a build as it begins."""
 
 
@@ -69,7 +69,7 @@ def build_fmu(
     naming: Naming = "structured",
     enumerations: bool = False,
     cache: bool = True,
-    progress: Progress = lambda message: None,
+    progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
     """Build an FMU 2.0 for co-simulation, unless an equal one is in the cache.
 
@@ -116,7 +116,7 @@ def build_from_sources(
     output: Path | None = None,
     platforms: Iterable[str] | None = None,
     cache: bool = True,
-    progress: Progress = lambda message: None,
+    progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
     """Compile and pack sources of any kind, unless an equal FMU is in the cache.
 
@@ -175,7 +175,7 @@ def _generate(
     experiment: DefaultExperiment,
     naming: Naming,
     enumerations: bool,
-    progress: Progress,
+    progress: BuildProgress,
 ) -> Sources:
     from flexfmu.fmu_build.sources import generate_sources
 
@@ -186,7 +186,7 @@ def _generate(
 
 
 def _build(
-    make_sources: Callable[[], Sources], platforms: tuple[Platform, ...], cache: bool, progress: Progress
+    make_sources: Callable[[], Sources], platforms: tuple[Platform, ...], cache: bool, progress: BuildProgress
 ) -> bytes:
     compilers = [find_compiler(platform) for platform in platforms]  # first: a missing one should cost no time
     sources = make_sources()

@@ -22,7 +22,7 @@ Items = Mapping[str, tuple[int, str]]
 
 
 @dataclass(frozen=True)
-class Choice:
+class ChoiceParameter:
     """A parameter of type Integer whose values have names.
 
     Attributes:
@@ -58,7 +58,7 @@ class Choice:
         return next(name for name, (value, _) in self.items.items() if value == number)
 
 
-INITIAL = Choice(
+INITIAL = ChoiceParameter(
     "initial",
     "Elastic state at the start",
     {
@@ -76,7 +76,7 @@ FIXED_STEP = "integrator.step"
 INTEGRATOR_REFERENCE = 6
 """Value reference of the choice of the method, among the Integer variables: behind ``initial`` and the counters."""
 
-INTEGRATOR = Choice(
+INTEGRATOR = ChoiceParameter(
     "integrator",
     "Integration method",
     {
@@ -95,7 +95,7 @@ INTEGRATOR = Choice(
 """The parameter that chooses the integration method; the numbers are those of ``c-runtime/methods.h``."""
 
 
-def annotation(choices: Iterable[Choice]) -> dict[str, dict[str, str]]:
+def annotation(choices: Iterable[ChoiceParameter]) -> dict[str, dict[str, str]]:
     """The names of all values, as a vendor annotation; empty where there is no choice."""
     attributes = {
         choice.name: " ".join(f"{name}={number}" for name, (number, _) in choice.items.items()) for choice in choices

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
-from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR, Choice, annotation
+from flexfmu.fmu_build.choices import INITIAL, INTEGRATOR, ChoiceParameter, annotation
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER, identifier
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
@@ -60,7 +60,7 @@ class Description:
     name: str
     text: str
     interface: Interface
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[ChoiceParameter, ...] = ()
     enumerations: bool = False
     max_input_order: int = 0
     max_output_order: int = 0

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR, INTEGRATOR_REFERENCE, Choice
+from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR, INTEGRATOR_REFERENCE, ChoiceParameter
 from flexfmu.fmu_build.errors import ModelError, StartError
 from flexfmu.fmu_build.states import States, find_states, state_dependencies, state_name
 from flexfmu.fmu_build.units import DIMENSIONLESS, display_unit, quantity
@@ -24,7 +24,7 @@ STATISTICS: Mapping[str, str] = {
 }
 """Counters of the integrator, in the order of their value references."""
 
-Kind = Literal["Real", "Integer"]
+VariableType = Literal["Real", "Integer"]
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class FmiVariable:
 
     index: int
     value_reference: int
-    kind: Kind
+    kind: VariableType
     name: str
     description: str
     causality: str
@@ -249,7 +249,7 @@ def _check_start(variable: Variable) -> None:
 
 
 def choice_variable(
-    choice: Choice, start: str, index: int, value_reference: int, variability: str = "fixed"
+    choice: ChoiceParameter, start: str, index: int, value_reference: int, variability: str = "fixed"
 ) -> FmiVariable:
     """The description of a choice.
 

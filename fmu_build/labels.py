@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from math import cos, hypot, pi, sin
 from typing import Literal
 
-from flexfmu.model.symbolic import Drawing, Point
+from flexfmu.model.symbolic import Drawing
+from flexfmu.trajectories.curves import Point
 
 FONT_SIZE = 15.0
 """Of the labels [px]."""

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.fmu_build.labels import ROOM, Label, Stamp, place_labels
-from flexfmu.model.symbolic import Drawing, Part, Point
+from flexfmu.model.symbolic import Drawing, Part
+from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.jets import RealArray
 
 COLOURS: dict[Part, str] = {

@@ -20,7 +20,7 @@ from flexfmu.fmu_build.toolchain import COMMON_FLAGS
 if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
 
-Kind = Literal["plant", "block", "trajectory"]
+FmuKind = Literal["plant", "block", "trajectory"]
 """What an FMU contains; the same FMI layer serves all of them."""
 
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
@@ -98,7 +98,7 @@ def generate_sources(
 
 
 def assemble_sources(
-    kind: Kind,
+    kind: FmuKind,
     description: Description,
     experiment: DefaultExperiment,
     code: Callable[[str], dict[str, str]],
@@ -125,7 +125,7 @@ def assemble_sources(
     return Sources(identifier(description.name), guid, text, code(guid), runtime, pages, icon)
 
 
-def runtime_sources(kind: Kind = "plant") -> dict[str, str]:
+def runtime_sources(kind: FmuKind = "plant") -> dict[str, str]:
     """C files and headers of the runtime for an FMU of that kind, name → text."""
     folder = files("flexfmu.fmu_build") / "c-runtime"
     entries = sorted((entry for entry in folder.iterdir() if _belongs(entry.name, kind)), key=lambda e: e.name)
@@ -137,7 +137,7 @@ def elementary_sources() -> dict[str, str]:
     return {name: text for name, text in runtime_sources().items() if name.startswith(("elementary", "lanes"))}
 
 
-def _belongs(name: str, kind: Kind) -> bool:
+def _belongs(name: str, kind: FmuKind) -> bool:
     """Whether a file is a part of the runtime for that kind, by its name."""
     if not name.endswith((".c", ".h")):
         return False

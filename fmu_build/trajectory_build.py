@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from flexfmu.fmu_build.build import BuiltFmu, Progress, build_from_sources
-from flexfmu.fmu_build.choices import Choice
+from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_from_sources
+from flexfmu.fmu_build.choices import ChoiceParameter
 from flexfmu.fmu_build.codegen import DESCRIPTION_FILE
 from flexfmu.fmu_build.description import Description
 from flexfmu.fmu_build.documentation import documentation_files
@@ -41,7 +41,7 @@ def build_trajectory_fmu(
     platforms: Iterable[str] | None = None,
     naming: Naming = "structured",
     cache: bool = True,
-    progress: Progress = lambda message: None,
+    progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
     """Build an FMU 2.0 for co-simulation of a trajectory, shaped or not, unless an equal one is in the cache.
 
@@ -84,7 +84,7 @@ def generate_trajectory_sources(
     unit: str = "rad",
     name: str = "trajectory",
     naming: Naming = "structured",
-    progress: Progress = lambda message: None,
+    progress: BuildProgress = lambda message: None,
 ) -> Sources:
     """Everything of the FMU that is text.
 
@@ -116,7 +116,7 @@ def generate_trajectory_sources(
     return assemble_sources("trajectory", description, experiment, code, pages, png(motion_picture(motion)))
 
 
-LIMIT = Choice(
+LIMIT = ChoiceParameter(
     "limit",
     "What is shown at a breakpoint",
     {

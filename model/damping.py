@@ -39,7 +39,7 @@ class ModalDamping(StructuralDamping):
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
         damping = context.scene.effects.damping
-        if isinstance(damping, keys.ModalDamping) and damping.ratio:
+        if isinstance(damping, keys.ModalDampingSection) and damping.ratio:
             yield cls(context.registry, damping.ratio)
 
     def __init__(self, registry: ParameterRegistry, ratio: float) -> None:
@@ -70,8 +70,8 @@ class ProportionalDamping(StructuralDamping):
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
         damping = context.scene.effects.damping
-        rate = damping.rate if isinstance(damping, keys.MassDamping | keys.RayleighDamping) else 0.0
-        time = damping.time if isinstance(damping, keys.StiffnessDamping | keys.RayleighDamping) else 0.0
+        rate = damping.rate if isinstance(damping, keys.MassDampingSection | keys.RayleighDampingSection) else 0.0
+        time = damping.time if isinstance(damping, keys.StiffnessDampingSection | keys.RayleighDampingSection) else 0.0
         if rate or time:
             yield cls(context.registry, rate, time)
 

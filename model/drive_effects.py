@@ -81,7 +81,7 @@ class CoulombFriction(Effect):
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
         friction = context.scene.effects.joint_friction
-        if isinstance(friction, keys.SmoothFriction) and friction.coulomb:
+        if isinstance(friction, keys.SmoothFrictionSection) and friction.coulomb:
             yield cls(context.registry, friction.coulomb, friction.velocity)
 
     def __init__(self, registry: ParameterRegistry, torque: float, velocity: float) -> None:
@@ -105,7 +105,7 @@ class StickingFriction(Effect):
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
         friction = context.scene.effects.joint_friction
-        if isinstance(friction, keys.Stiction) and friction.holding:
+        if isinstance(friction, keys.StictionSection) and friction.holding:
             yield cls(context.registry, friction.coulomb, friction.holding, friction.stribeck_velocity)
 
     def __init__(

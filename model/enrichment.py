@@ -15,7 +15,7 @@ from flexfmu.model.robot import FAMILIES
 from flexfmu.model.scene.effects import LOADS, MAXIMUM_MODES, Effects
 from flexfmu.model.scene.schema import Scene
 
-Changes = dict[str, Any]
+EffectChanges = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Neighbour:
 def enrichments(scene: Scene) -> tuple[Neighbour, ...]:
     """All scenes that have one effect or one mode more."""
     effects = scene.effects
-    steps: list[tuple[str, str, Changes]] = []
+    steps: list[tuple[str, str, EffectChanges]] = []
     # elastic families; the tip of a distal link that bends doesn't move, so that no static shape helps there
     for key, modes, static in _families(effects):
         if static:
@@ -56,7 +56,7 @@ def enrichments(scene: Scene) -> tuple[Neighbour, ...]:
 def reductions(scene: Scene) -> tuple[Neighbour, ...]:
     """All scenes that have one effect or one mode less."""
     effects = scene.effects
-    steps: list[tuple[str, str, Changes]] = []
+    steps: list[tuple[str, str, EffectChanges]] = []
     # elastic families
     for key, modes, static in _families(effects):
         if modes and not static and key != "distal_bending":
@@ -84,7 +84,7 @@ def _families(effects: Effects) -> Iterator[tuple[str, int, bool]]:
         yield key, getattr(effects, key), key in effects.quasi_static
 
 
-def _static(effects: Effects, key: str, wanted: bool) -> Changes:
+def _static(effects: Effects, key: str, wanted: bool) -> EffectChanges:
     """The list of quasi-static families with or without one of them."""
     others = [family for family in effects.quasi_static if family != key]
     return {"effects.quasi_static": [*others, key] if wanted else others}

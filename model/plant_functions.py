@@ -14,7 +14,7 @@ from flexfmu.model.robot import Family
 from flexfmu.model.scene.assembly import WORKING_MODES
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import Friction, SymbolicModel, Variable
-from flexfmu.model.time_derivatives import Motion, acceleration_terms, forward, motion_forward, motion_rate2
+from flexfmu.model.time_derivatives import MotionSymbols, acceleration_terms, forward, motion_forward, motion_rate2
 
 MINIMUM_SINE = 0.01
 """Smallest |sine| of the angle between the distal links that is simulated: half of what planning accepts, and still two
@@ -44,7 +44,7 @@ class PlantEquations:
         error_scale: [kappa (n), mu (n), floor], as an expression of the derived values.
     """
 
-    motion: Motion
+    motion: MotionSymbols
     residual: casadi.SX
     outputs: Sequence[OutputRow]
     initial_inputs: casadi.SX

@@ -30,7 +30,7 @@ from flexfmu.model.scene.assembly import bases, elbows, motor_angles
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 from flexfmu.model.symbolic import Bar, Drawing, Friction, Spot, SymbolicModel, Variable
-from flexfmu.model.time_derivatives import Motion
+from flexfmu.model.time_derivatives import MotionSymbols
 
 REFERENCE_LOAD = 1.0
 """Acceleration [m/s²] whose static deflection is the floor of the motion-driven error norm: smaller motions aren't resolved
@@ -77,7 +77,7 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
     mass = 2 * (five_bar.links["proximal"].mass + five_bar.links["distal"].mass) + five_bar.end_effector_mass
     floor = REFERENCE_LOAD * mass * casadi.sqrt(compliance(five_bar)) if kappa else casadi.SX(1)
     equations = PlantEquations(
-        motion=Motion(m.q_e, m.v_e, m.a_e, casadi.vertcat(m.q_a, m.v_a, m.a_a)),
+        motion=MotionSymbols(m.q_e, m.v_e, m.a_e, casadi.vertcat(m.q_a, m.v_a, m.a_a)),
         residual=five_bar.forces.elastic,
         outputs=outputs,
         initial_inputs=casadi.vertcat(start_angles(five_bar, start, scene), casadi.SX.zeros(4)),
@@ -128,7 +128,7 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
     if scene.effects.reactions:
         outputs += reaction_outputs(five_bar.forces)
     equations = PlantEquations(
-        motion=Motion(
+        motion=MotionSymbols(
             casadi.vertcat(m.q_a, m.q_e),
             casadi.vertcat(m.v_a, m.v_e),
             casadi.vertcat(m.a_a, m.a_e),

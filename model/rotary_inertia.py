@@ -11,7 +11,7 @@ from flexfmu.model.beams import gram, mean
 from flexfmu.model.effects import Effect, EffectContext, column, dot, form, symmetric
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
 from flexfmu.model.robot import LinkGroup, Robot
-from flexfmu.model.scene.mechanism import Link as LinkKeys
+from flexfmu.model.scene.mechanism import LinkSection as LinkKeys
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.symbolic import EffectNote, Variable
 from flexfmu.model.timoshenko import Slenderness, shear_coefficient

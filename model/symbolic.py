@@ -25,6 +25,8 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:  # code that only passes these types on doesn't load CasADi
     import casadi
 
+    from flexfmu.trajectories.curves import Point
+
 Causality = Literal["input", "parameter", "output"]
 
 FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
@@ -108,7 +110,6 @@ class EffectNote:
     contributes: tuple[str, ...] = ()
 
 
-Point = tuple[float, float]
 Part = Literal["proximal", "distal", "motor", "joint", "end effector"]
 
 

@@ -10,7 +10,7 @@ import casadi
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionSymbols:
     """Symbols of the unknown coordinates y, their rates v and accelerations a (n, 1), and of the inputs u (m, 1)."""
 
     y: casadi.SX
@@ -30,13 +30,13 @@ def forward(arguments: Sequence[casadi.SX], expression: casadi.SX) -> tuple[list
     return [*arguments, *seeds], casadi.jtimes(expression, casadi.vertcat(*arguments), casadi.vertcat(*seeds))
 
 
-def acceleration_terms(motion: Motion, outputs: casadi.SX) -> tuple[tuple[int, int], ...]:
+def acceleration_terms(motion: MotionSymbols, outputs: casadi.SX) -> tuple[tuple[int, int], ...]:
     """(output, unknown) of each entry of do/da, column by column."""
     return tuple(zip(*casadi.jacobian(outputs, motion.a).sparsity().get_triplet(), strict=True))
 
 
 def motion_forward(
-    motion: Motion, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
+    motion: MotionSymbols, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
 ) -> tuple[list[casadi.SX], casadi.SX]:
     """What changes of y, v, u and constants d make of residual r (n, 1) and outputs o (n_outputs, 1) while a is held.
 
@@ -52,7 +52,7 @@ def motion_forward(
 
 
 def motion_rate2(
-    motion: Motion, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
+    motion: MotionSymbols, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
 ) -> tuple[list[casadi.SX], casadi.SX]:
     """The second total time derivatives of residual and outputs, without what the snap s = d2a/dt2 adds to them.
 

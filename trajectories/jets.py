@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from flexfmu.trajectories.errors import TrajectoryError
 
 RealArray: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

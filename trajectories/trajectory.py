@@ -10,23 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side
 from flexfmu.trajectories.errors import positive, times
-from flexfmu.trajectories.jets import Jet, RealArray, checked_order, compose, joined, stack, unstack
+from flexfmu.trajectories.jets import Indices, Jet, RealArray, checked_order, compose, joined, stack, unstack
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile, SmoothPiece, time_at
 
 SAME_TIME = 1e-12
 """Fraction of the duration within which two times are the same: breakpoints that near are merged, and a time that
 near to a breakpoint is at the breakpoint. Far above the rounding of integer ticks, far below any communication step."""
-
-
-Indices: TypeAlias = NDArray[np.intp]
 
 
 class Trajectory(Protocol):

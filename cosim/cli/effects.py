@@ -24,7 +24,7 @@ from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.summary import choice_summary
 from flexfmu.cosim.reports.text import to_json
 from flexfmu.model.choice_text import percent, set_text
-from flexfmu.model.scene.choice import INTEGRATOR_SHARE, Choice
+from flexfmu.model.scene.choice import INTEGRATOR_SHARE, ChoiceSection
 from flexfmu.model.scene.file import load_scene
 
 
@@ -68,7 +68,7 @@ def _as_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[str,
     return data | ({"check": found} if found else {})
 
 
-def _row_data(choice: Choice, row: EffectRow) -> dict[str, Any]:
+def _row_data(choice: ChoiceSection, row: EffectRow) -> dict[str, Any]:
     return {
         "effect": row.estimate.effect,
         "change": row.estimate.change,

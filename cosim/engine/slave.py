@@ -10,15 +10,12 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Literal, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from flexfmu.cosim.engine.errors import InputError
+from flexfmu.trajectories.jets import Indices as Indices
 from flexfmu.trajectories.jets import RealArray as RealArray
 
 Causality = Literal["input", "output", "parameter"]
 Type = Literal["Real", "Integer", "Boolean", "String", "Enumeration"]
-Indices = NDArray[np.intp]
 Call = Callable[[], None]
 
 TAKES: Mapping[Type, tuple[Type, ...]] = {

@@ -10,7 +10,7 @@ from flexfmu.cosim.control.imperfections.payload_error import PayloadError, with
 from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, shape_joints
-from flexfmu.cosim.experiment.user_slaves import Names, as_slave
+from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.experiment.wiring import InlineBlock, inline_block
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.trajectory import Trajectory
@@ -38,7 +38,7 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class Course:
+class ShapedMotion:
     """A motion with its shapers.
 
     Attributes:
@@ -72,12 +72,16 @@ def make_loop(
         InputError: something is of a kind that can't be a slave.
         TrajectoryError: a shaper can't act on this motion.
     """
-    names = Names()
+    names = SlaveNames()
     return close_loop(shape(motion, list(shapers), names), controllers, imperfections, connect or {}, names)
 
 
 def close_loop(
-    course: Course, controllers: Iterable[Any], imperfections: Iterable[Any], connect: Mapping[str, str], names: Names
+    course: ShapedMotion,
+    controllers: Iterable[Any],
+    imperfections: Iterable[Any],
+    connect: Mapping[str, str],
+    names: SlaveNames,
 ) -> Loop:
     """A loop about a motion whose shapers have acted; otherwise as `make_loop`.
 
@@ -99,9 +103,9 @@ def close_loop(
 def shape(
     motion: MotionPlan,
     shapers: Sequence[Any],
-    names: Names,
+    names: SlaveNames,
     repeat: Callable[[MotionPlan], MotionPlan] = lambda motion: motion,
-) -> Course:
+) -> ShapedMotion:
     """Let the shapers act, those along the path first, sampled ones as slaves.
 
     Args:
@@ -116,7 +120,7 @@ def shape(
     """
     if not shapers:
         motion = repeat(motion)
-        return Course(motion, motion.joints)
+        return ShapedMotion(motion, motion.joints)
 
     # shapers that change the planned motion: along the path, then of the joints
     chosen = [Shaper(each) if isinstance(each, ImpulseSequence) else each for each in shapers]
@@ -142,4 +146,4 @@ def shape(
                 once = shape_joints(motion.once, sequence)
                 shaped = replace(shaped, repetition=replace(motion.repetition, once=once))
             motion = shaped
-    return Course(motion, driving, tuple(inline_blocks))
+    return ShapedMotion(motion, driving, tuple(inline_blocks))

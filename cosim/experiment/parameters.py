@@ -8,7 +8,7 @@ from typing import Any
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.model.scene.assembly import motor_angles
-from flexfmu.model.scene.effects import Stiction
+from flexfmu.model.scene.effects import StictionSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.scene.section import Section
 
@@ -60,7 +60,7 @@ def _scene_values(scene: Scene) -> dict[str, SceneValue]:
         found.setdefault(f"damping.{key}", SceneValue(f"effects.damping.{key}", 0.0))
     # a breakaway torque holds by default what Coulomb friction does; no friction is one of zero
     friction, breakaway = scene.effects.joint_friction, "joint_friction.breakaway"
-    if isinstance(friction, Stiction):
+    if isinstance(friction, StictionSection):
         found[breakaway] = SceneValue(f"effects.{breakaway}", friction.holding)
     elif not friction.coulomb:
         found[breakaway] = SceneValue(f"effects.{breakaway}", 0.0)

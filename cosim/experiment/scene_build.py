@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flexfmu.fmu_build.build import BuiltFmu, Progress, build_fmu
+from flexfmu.fmu_build.build import BuildProgress, BuiltFmu, build_fmu
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.naming import Naming
@@ -42,7 +42,7 @@ def build_scene(
     naming: Naming = "structured",
     enumerations: bool = False,
     cache: bool = True,
-    progress: Progress = lambda message: None,
+    progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
     """Build the FMU of ``scene``, or take it from the cache without ever loading CasADi.
 

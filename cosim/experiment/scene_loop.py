@@ -15,7 +15,7 @@ from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.loop import Loop, close_loop, shape
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.cosim.experiment.user_slaves import Names, as_slave, from_source
+from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave, from_source
 from flexfmu.model.scene.controllers import LearningSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, PythonSection
@@ -37,7 +37,7 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None) -> Loop:
     planned = plan(scene) if motion is None else motion
     if not (scene.controller or shapers or scene.imperfection):
         return Loop(planned, planned.joints)
-    names = Names()
+    names = SlaveNames()
     builder = _Builder(scene, planned, names)
     # shapers change the motion, controllers learn over its cycles, imperfections sample with the controllers
     course = shape(planned, [builder.shaper(each) for each in shapers], names, lambda shaped: _repeated(scene, shaped))
@@ -77,7 +77,7 @@ class _Builder:
         connect: ``slave.input`` → source, from the sections built so far.
     """
 
-    def __init__(self, scene: Scene, planned: MotionPlan, names: Names) -> None:
+    def __init__(self, scene: Scene, planned: MotionPlan, names: SlaveNames) -> None:
         self._scene, self._planned, self._names = scene, planned, names
         self._holding_torques: Sequence[float] | None = None
         self.connect: dict[str, str] = {}

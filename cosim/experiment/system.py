@@ -112,7 +112,7 @@ def scene_system(
 
 
 @dataclass(frozen=True)
-class Coupling:
+class CouplingMethod:
     """How the master couples the slaves of a scene.
 
     Attributes:
@@ -126,15 +126,15 @@ class Coupling:
     step_control: StepDoubling | None
 
 
-def coupling_of(section: sections.Cosimulation) -> Coupling:
+def coupling_of(section: sections.Cosimulation) -> CouplingMethod:
     """The coupling that a scene asks for."""
     solver: LoopSolver | None = None
     if section.loop_solver is not None:
         tolerance, rounds = Tolerance(relative=section.loop_solver.tolerance), section.loop_solver.iterations
         match section.loop_solver:
-            case sections.FixedPoint(relaxation=relaxation):
+            case sections.FixedPointSection(relaxation=relaxation):
                 solver = FixedPoint(relaxation, tolerance, rounds)
-            case sections.Anderson():
+            case sections.AndersonSection():
                 solver = Anderson(tolerance=tolerance, rounds=rounds)
     # the implicit coupling has a solver of its own unless the scene names one
     implicit = Implicit() if solver is None else Implicit(solver)
@@ -143,4 +143,4 @@ def coupling_of(section: sections.Cosimulation) -> Coupling:
     if control is not None:
         largest = inf if control.maximum is None else control.maximum
         doubling = StepDoubling(control.tolerance, smallest=control.minimum, largest=largest)
-    return Coupling(algorithms[section.algorithm], solver, doubling)
+    return CouplingMethod(algorithms[section.algorithm], solver, doubling)

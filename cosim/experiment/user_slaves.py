@@ -20,7 +20,7 @@ from flexfmu.model.scene.loop import RESERVED
 from flexfmu.model.symbolic import SymbolicBlock
 
 
-class Names:
+class SlaveNames:
     """Names for slaves that can be renamed, each given once."""
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class Names:
         return self.chosen(name, "".join(c if c.isalnum() else "_" for c in Path(path).stem) or "fmu")
 
 
-def as_slave(source: Any, names: Names | None = None, name: str | None = None) -> Slave:
+def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = None) -> Slave:
     """A slave from a block, a python-control system, the path of an FMU, or a slave.
 
     The FMU of a block is sampled like the block, one that can't vary its step at the step size of its default experiment,
@@ -75,7 +75,7 @@ def as_slave(source: Any, names: Names | None = None, name: str | None = None) -
     from flexfmu.cosim.control.blocks.slave import BlockSlave
     from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 
-    names = names or Names()
+    names = names or SlaveNames()
     if isinstance(source, SymbolicBlock):
         return BlockSlave(source, names.chosen(name, source.name))
     if type(source).__module__.partition(".")[0] == "control":

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.model.scene.choice import DEFAULT_TOLERANCE
 from flexfmu.model.selection.motion_grid import MotionGrid
-from flexfmu.model.selection.response import Motion
+from flexfmu.model.selection.response import Response
 
 if TYPE_CHECKING:
     from flexfmu.cosim.experiment.scene_run import Run
@@ -65,14 +65,14 @@ def path_errors(run: Run) -> tuple[float, float]:
     short = (
         own if scene.effects.foreshortening else LinearizedMotion(scene.replace({"effects.foreshortening": True}), grid)
     )
-    motion = Motion(
+    motion = Response(
         *(
             _columns(recording, time, [name.format(each) for each in own.names])
             for name in ("{}", "der({})", "der({},2)")
         )
     )
 
-    def respond(load: NDArray[np.float64]) -> Motion:
+    def respond(load: NDArray[np.float64]) -> Response:
         still = scene.cosimulation.initial == "static"
         start = np.linalg.solve(own.linear.stiffness[0], load[0]) if still else np.zeros(load.shape[1])
         return own.linear.response(load, start)

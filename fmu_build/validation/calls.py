@@ -9,7 +9,7 @@ from typing import Any
 from fmpy.fmi1 import FMICallException
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.library import CANARY, announce
 
 NO_VARIABLE = 0x7FFFFFF1
@@ -31,39 +31,41 @@ def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
     yield from _accepted(fmu, late, True, "after the initialisation")
 
 
-Call = Callable[[Any], Any]
+FmiCall = Callable[[Any], Any]
 
-_UNKNOWN: dict[str, Call] = {
+_UNKNOWN: dict[str, FmiCall] = {
     "fmi2GetReal": lambda instance: instance.library.getReal([NO_VARIABLE]),
     "fmi2SetReal": lambda instance: instance.library.setReal([NO_VARIABLE], [0.0]),
     "fmi2GetInteger": lambda instance: instance.library.getInteger([NO_VARIABLE]),
     "fmi2GetBoolean": lambda instance: instance.library.getBoolean([NO_VARIABLE]),
 }
 
-_EARLY: dict[Kind, dict[str, Call]] = {
-    Kind.COSIMULATION: {
+_EARLY: dict[InterfaceType, dict[str, FmiCall]] = {
+    InterfaceType.COSIMULATION: {
         "fmi2ExitInitializationMode": lambda instance: instance.library.exitInitializationMode(),
         "fmi2DoStep": lambda instance: instance.library.doStep(instance.fmu.start, instance.fmu.step),
     },
-    Kind.EXCHANGE: {
+    InterfaceType.EXCHANGE: {
         "fmi2ExitInitializationMode": lambda instance: instance.library.exitInitializationMode(),
         "fmi2NewDiscreteStates": lambda instance: instance.library.newDiscreteStates(),
     },
 }
 
-_LATE: dict[Kind, dict[str, Call]] = {
-    Kind.COSIMULATION: {
+_LATE: dict[InterfaceType, dict[str, FmiCall]] = {
+    InterfaceType.COSIMULATION: {
         "fmi2EnterInitializationMode": lambda instance: instance.library.enterInitializationMode(),
         "fmi2DoStep with a negative step": lambda instance: instance.library.doStep(
             instance.fmu.start, -instance.fmu.step
         ),
     },
-    Kind.EXCHANGE: {"fmi2EnterInitializationMode": lambda instance: instance.library.enterInitializationMode()},
+    InterfaceType.EXCHANGE: {
+        "fmi2EnterInitializationMode": lambda instance: instance.library.enterInitializationMode()
+    },
 }
 
 
 def _accepted(
-    fmu: FmuUnderTest, calls: dict[str, Call], initialized: bool, when: str, severity: Severity = Severity.NOTE
+    fmu: FmuUnderTest, calls: dict[str, FmiCall], initialized: bool, when: str, severity: Severity = Severity.NOTE
 ) -> Iterator[Finding]:
     """One finding for the calls that are accepted, each tried with an instance of its own: an error may end it."""
     accepted = []

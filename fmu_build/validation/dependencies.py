@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import RealArray
 from flexfmu.fmu_build.validation.variables import size_of
 
@@ -32,11 +32,11 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Nothing depends on what it is not declared to depend on, and a constant factor is one."""
     structure = fmu.description
     unknowns = [*(structure.outputs or ())]
-    if fmu.kind is Kind.EXCHANGE:
+    if fmu.kind is InterfaceType.EXCHANGE:
         unknowns += structure.derivatives or ()
     # what may be moved: in co-simulation discrete inputs too
     inputs, reported, done = fmu.inputs, set[str](), 0
-    if fmu.kind is Kind.COSIMULATION:  # in model exchange discrete ones are set at events alone
+    if fmu.kind is InterfaceType.COSIMULATION:  # in model exchange discrete ones are set at events alone
         inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
     with fmu.instance("dependencies") as instance:
 
@@ -56,7 +56,7 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
             if instance.finished:
                 return
             yield from _violations(unknowns, inputs, instance, set_input, reported)
-            if fmu.kind is Kind.EXCHANGE:
+            if fmu.kind is InterfaceType.EXCHANGE:
                 yield from _violations(unknowns, fmu.states, instance, set_state, reported)
 
 

@@ -19,7 +19,7 @@ from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
 from flexfmu.fmu_build.validation.finding import Finding
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import RealArray
 from flexfmu.fmu_build.validation.steps import PERTURBATION, perturbed_states
 from flexfmu.fmu_build.validation.variables import moved, size_of
@@ -67,7 +67,7 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
     if not fmu.element.providesDirectionalDerivative:
         return
     with fmu.instance("directional") as instance:
-        if fmu.kind is Kind.COSIMULATION:
+        if fmu.kind is InterfaceType.COSIMULATION:
             instance.enter_initialization()
         else:
             instance.initialize()
@@ -123,14 +123,14 @@ def _not_linear(
 
 def _unknowns(fmu: FmuUnderTest) -> list[Any]:
     """Outputs, and for model exchange the states' derivatives."""
-    if fmu.kind is Kind.COSIMULATION:
+    if fmu.kind is InterfaceType.COSIMULATION:
         return fmu.smooth_outputs
     derivatives = [unknown.variable for unknown in fmu.description.derivatives or ()]
     return [*derivatives, *fmu.smooth_outputs]
 
 
 def _states(fmu: FmuUnderTest) -> list[Any]:
-    if fmu.kind is Kind.COSIMULATION:
+    if fmu.kind is InterfaceType.COSIMULATION:
         return []
     return [unknown.variable.derivative for unknown in fmu.description.derivatives or ()]
 
@@ -182,7 +182,7 @@ def _compare(
 
 def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Each order of an output's derivative against differences of the order below."""
-    most = int(fmu.element.maxOutputDerivativeOrder or 0) if fmu.kind is Kind.COSIMULATION else 0
+    most = int(fmu.element.maxOutputDerivativeOrder or 0) if fmu.kind is InterfaceType.COSIMULATION else 0
     if not most or not fmu.smooth_outputs:
         return
     references = [variable.valueReference for variable in fmu.smooth_outputs]
@@ -229,7 +229,7 @@ def _no_number_at_start(fmu: FmuUnderTest, references: list[int], most: int) -> 
 def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
     """In co-simulation a variable goes as the one that is declared as its derivative says, all through the step."""
     pairs = [(v.derivative, v) for v in fmu.description.modelVariables if v.derivative is not None and v.type == "Real"]
-    if fmu.kind is not Kind.COSIMULATION or not pairs:
+    if fmu.kind is not InterfaceType.COSIMULATION or not pairs:
         return
     with suppress(FMICallException):  # where the FMU refuses derivatives there is nothing to compare
         found = _contradiction(

@@ -16,7 +16,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import RealArray
 from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
@@ -60,7 +60,7 @@ _WANDER = 1e-4
 
 def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
     """The right-hand side is a function: back at the same states it has the same value, to the last bit."""
-    if fmu.kind is not Kind.EXCHANGE:
+    if fmu.kind is not InterfaceType.EXCHANGE:
         return
     with fmu.instance("pure") as instance:
         instance.initialize()
@@ -83,7 +83,7 @@ def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
     """States, their derivatives and nominals are those of the variables that ModelStructure lists, in its order."""
-    if fmu.kind is not Kind.EXCHANGE or not fmu.states:
+    if fmu.kind is not InterfaceType.EXCHANGE or not fmu.states:
         return
     rates = [unknown.variable for unknown in fmu.description.derivatives]
     with fmu.instance("states") as instance:
@@ -120,7 +120,7 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
     """fmi2CompletedIntegratorStep leaves the states as they are: what changes them is an event."""
-    if fmu.kind is not Kind.EXCHANGE or not fmu.states:
+    if fmu.kind is not InterfaceType.EXCHANGE or not fmu.states:
         return
     with fmu.instance("integrator_step") as instance:
         instance.initialize()
@@ -149,7 +149,7 @@ def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
 def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
     """As many event indicators as the description has, all of them numbers, the same at each call, also after events."""
     count = int(fmu.description.numberOfEventIndicators or 0)
-    if fmu.kind is not Kind.EXCHANGE or not count:
+    if fmu.kind is not InterfaceType.EXCHANGE or not count:
         return
     with fmu.instance("event_indicators") as instance:
         instance.initialize()
@@ -184,7 +184,7 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
 
     What differs as it does with Euler's method is left to the FMU's choice of a solver.
     """
-    if fmu.kind is not Kind.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
+    if fmu.kind is not InterfaceType.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
         return
     for starts, inputs in _perturbations(fmu):
         # the same motion by CVODE, and by communication steps of one or two sizes
@@ -278,7 +278,7 @@ def _simulate(fmu: FmuUnderTest, starts: dict[Any, float], signals: Any, stop: f
 
 def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, parts: int) -> RealArray:
     """Outputs of co-simulation after each step with constant inputs."""
-    slave = replace(fmu, kind=Kind.COSIMULATION, _library=None)
+    slave = replace(fmu, kind=InterfaceType.COSIMULATION, _library=None)
     rows = []
     with slave.instance("stepped") as instance:
         instance.initialize(starts | dict(zip(fmu.inputs, inputs, strict=True)))

@@ -18,7 +18,7 @@ import numpy as np
 from fmpy import fmi2
 from fmpy.logging import addLoggerProxy
 
-from flexfmu.fmu_build.validation.instance import CosimulationInstance, ExchangeInstance, Instance, RealArray
+from flexfmu.fmu_build.validation.instance import CosimulationInstance, ExchangeInstance, InstanceUnderTest, RealArray
 from flexfmu.fmu_build.validation.library import (
     GUARD,
     FMU2ModelLibrary,
@@ -51,7 +51,7 @@ _made, _alive = Counter[Path](), Counter[Path]()
 _NUMBERS = {"Real", "Integer", "Enumeration", "Boolean"}
 
 
-class Kind(Enum):
+class InterfaceType(Enum):
     """The two interfaces of FMI 2.0."""
 
     COSIMULATION = "co-simulation"
@@ -82,7 +82,7 @@ class FmuUnderTest:
 
     description: Any
     folder: Path
-    kind: Kind
+    kind: InterfaceType
     pace: float = 0.0
     messages: list[str] = field(default_factory=list)
     memory: dict[int, Any] = field(default_factory=dict)
@@ -117,7 +117,7 @@ class FmuUnderTest:
     def element(self) -> Any:
         """The description's element of this interface."""
         description = self.description
-        return description.coSimulation if self.kind is Kind.COSIMULATION else description.modelExchange
+        return description.coSimulation if self.kind is InterfaceType.COSIMULATION else description.modelExchange
 
     @property
     def can_save(self) -> bool:
@@ -137,7 +137,7 @@ class FmuUnderTest:
     @property
     def has_variable_step(self) -> bool:
         """Whether a communication step of any size may be made."""
-        return self.kind is Kind.COSIMULATION and bool(self.element.canHandleVariableCommunicationStepSize)
+        return self.kind is InterfaceType.COSIMULATION and bool(self.element.canHandleVariableCommunicationStepSize)
 
     def input_values(self, n: int, size: float = 1.0) -> RealArray:
         """Inputs at step ``n``: their starts, and a little more that changes from step to step; shape (inputs,)."""
@@ -192,7 +192,7 @@ class FmuUnderTest:
             raise OnlyOnceError
         self._instances += 1
         # a copy of the loaded library with an instance of its own
-        is_slave = self.kind is Kind.COSIMULATION
+        is_slave = self.kind is InterfaceType.COSIMULATION
         library: Any = copy(self.library())
         library.callbacks = self._callbacks()
         library.component = library.fmi2Instantiate(
@@ -214,7 +214,7 @@ class FmuUnderTest:
         _made[self.folder] += 1
         _alive[self.folder] += 1
         # freed however the check ends
-        instance: Instance = (CosimulationInstance if is_slave else ExchangeInstance)(self, library)
+        instance: InstanceUnderTest = (CosimulationInstance if is_slave else ExchangeInstance)(self, library)
         try:
             yield instance
         finally:
@@ -228,7 +228,7 @@ class FmuUnderTest:
             Exception: as fmpy does, if it cannot be loaded.
         """
         if self._library is None:
-            self._library = (FMU2SlaveLibrary if self.kind is Kind.COSIMULATION else FMU2ModelLibrary)(
+            self._library = (FMU2SlaveLibrary if self.kind is InterfaceType.COSIMULATION else FMU2ModelLibrary)(
                 guid=self.description.guid,
                 modelIdentifier=self.element.modelIdentifier,
                 unzipDirectory=str(self.folder),

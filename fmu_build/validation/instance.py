@@ -64,7 +64,7 @@ class Subject(Protocol):
         """Inputs at step ``n``, with changes multiplied by ``size``."""
 
 
-class Instance(ABC):
+class InstanceUnderTest(ABC):
     """An instance; a failed FMI call raises fmpy's exception.
 
     Attributes:
@@ -195,7 +195,7 @@ class Instance(ABC):
         self.discard(state)
 
 
-class CosimulationInstance(Instance):
+class CosimulationInstance(InstanceUnderTest):
     """Makes communication steps; what comes out are the outputs."""
 
     def initialize(self, values: Mapping[Any, Any] | None = None) -> None:
@@ -263,7 +263,7 @@ class CosimulationInstance(Instance):
             raise MisbehaviourError(f"a pending fmi2DoStep ends with status {status}", "carry out the step")
 
 
-class ExchangeInstance(Instance):
+class ExchangeInstance(InstanceUnderTest):
     """Moves the states to and fro without integrating; what comes out are states' derivatives and outputs."""
 
     def initialize(self, values: Mapping[Any, Any] | None = None) -> None:

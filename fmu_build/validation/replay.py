@@ -19,7 +19,7 @@ import numpy as np
 from fmpy.model_description import read_model_description
 
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.instance import RealArray
 from flexfmu.fmu_build.validation.variables import moved, start_of
 
@@ -178,7 +178,7 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
         return
     # inputs that may be set to something else
     inputs = list(fmu.inputs)
-    if fmu.kind is Kind.COSIMULATION:  # in model exchange discrete ones are set at events alone
+    if fmu.kind is InterfaceType.COSIMULATION:  # in model exchange discrete ones are set at events alone
         inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
     inputs = [variable for variable in inputs if moved(variable, PERTURBATION) != start_of(variable)]
     times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
@@ -244,7 +244,7 @@ def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
     # in another process, where addresses differ
     slave, model = fmu.description.coSimulation, fmu.description.modelExchange
     both = slave is not None and model is not None and slave.modelIdentifier == model.modelIdentifier
-    if findings or (both and fmu.kind is Kind.EXCHANGE):  # the same code has been tried with co-simulation
+    if findings or (both and fmu.kind is InterfaceType.EXCHANGE):  # the same code has been tried with co-simulation
         return
     when = "with a serialised state in another process"
     remedy = "serialised states must hold values, no addresses"
@@ -358,7 +358,7 @@ def _compare(
 def _main() -> None:
     """Write what the FMU outputs in this process: ``FOLDER KIND PACE STATE RESULT``, see `_in_new_process`."""
     folder, kind, pace, state, result = sys.argv[1:]
-    fmu = FmuUnderTest(read_model_description(folder, validate=False), Path(folder), Kind[kind], float(pace))
+    fmu = FmuUnderTest(read_model_description(folder, validate=False), Path(folder), InterfaceType[kind], float(pace))
     np.save(result, _continue_from(fmu, Path(state).read_bytes()))
 
 

@@ -20,7 +20,7 @@ from flexfmu.fmu_build.validation.description import (
     read_description,
 )
 from flexfmu.fmu_build.validation.finding import Finding, Severity, ranked
-from flexfmu.fmu_build.validation.fmu import Kind
+from flexfmu.fmu_build.validation.fmu import InterfaceType
 from flexfmu.fmu_build.validation.supervisor import run_checks
 
 TIME_LIMIT = 120.0
@@ -79,7 +79,7 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
 
 def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) -> list[Finding]:
     # every check for every interface
-    elements = {Kind.COSIMULATION: description.coSimulation, Kind.EXCHANGE: description.modelExchange}
+    elements = {InterfaceType.COSIMULATION: description.coSimulation, InterfaceType.EXCHANGE: description.modelExchange}
     offered = {kind: element for kind, element in elements.items() if element is not None}
     single = any(element.canBeInstantiatedOnlyOncePerProcess for element in offered.values())
     jobs = [f"{kind.name}:{check}" for kind in offered for check in CHECKS if not single or check not in SEVERAL]

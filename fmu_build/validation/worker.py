@@ -22,7 +22,7 @@ from fmpy.model_description import read_model_description
 
 from flexfmu.fmu_build.validation.catalogue import CHECKS, Check
 from flexfmu.fmu_build.validation.finding import Finding, Severity
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind, NoMoreInstancesError, OnlyOnceError
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType, NoMoreInstancesError, OnlyOnceError
 from flexfmu.fmu_build.validation.library import Watch, announce
 from flexfmu.fmu_build.validation.process_state import (
     closed_streams,
@@ -46,7 +46,7 @@ def main() -> None:
         threading.Thread(target=_watch, args=watched, daemon=True).start()
         # the FMU and the process as they are before the first check
         description = read_model_description(folder, validate=False)
-        fmus = {kind.name: FmuUnderTest(description, Path(folder), kind, float(pace)) for kind in Kind}
+        fmus = {kind.name: FmuUnderTest(description, Path(folder), kind, float(pace)) for kind in InterfaceType}
         standard = [os.dup(number) for number in range(3)]
         before = surroundings(Path(folder))
         # check by check; what is found is on file before the next one may crash

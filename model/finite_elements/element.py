@@ -20,7 +20,7 @@ import casadi
 import numpy as np
 
 from flexfmu.model.robot import LinkGroup
-from flexfmu.model.scene.mechanism import Link
+from flexfmu.model.scene.mechanism import LinkSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.timoshenko import shear_coefficient
 from flexfmu.trajectories.jets import RealArray
@@ -56,7 +56,7 @@ class BeamSection:
 
 def beam_section(scene: Scene, group: LinkGroup) -> BeamSection:
     """The links of a group, with shear and rotary inertia where ``effects.beam`` is Timoshenko's."""
-    link: Link = getattr(scene.mechanism, group)
+    link: LinkSection = getattr(scene.mechanism, group)
     outer, inner, material = link.diameter, link.inner_diameter, scene.mechanism.material
     area = math.pi / 4.0 * (outer**2 - inner**2)
     second = math.pi / 64.0 * (outer**4 - inner**4)

@@ -19,7 +19,7 @@ ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
-class Equilibrium:
+class RestState:
     """A robot at rest.
 
     Attributes:
@@ -33,7 +33,7 @@ class Equilibrium:
     torque: RealArray
 
 
-def equilibrium(robot: FiniteElementRobot, joints: RealArray) -> Equilibrium:
+def equilibrium(robot: FiniteElementRobot, joints: RealArray) -> RestState:
     """Equilibrium with the motors locked at the angles (q11, q21) [rad].
 
     Raises:
@@ -47,7 +47,7 @@ def equilibrium(robot: FiniteElementRobot, joints: RealArray) -> Equilibrium:
         x[HELD:] += step
         if np.abs(step).max() < ROUNDING:
             torque = robot.forces(*_columns(x, rest, rest))[list(MOTORS), 0]
-            return Equilibrium(x, x[list(robot.mesh.end)], torque)
+            return RestState(x, x[list(robot.mesh.end)], torque)
     raise EquilibriumError(
         f"no static equilibrium of the finite elements with the motors at q11 = {joints[0]:.6g} rad, q21 = {joints[1]:.6g} rad: "
         f"Newton's step is still {np.abs(step).max():.3g} m or rad after {MAXIMUM_ITERATIONS} iterations"

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from flexfmu.model.kinematics import RigidForwardKinematics
 from flexfmu.model.robot import LinkGroup
-from flexfmu.model.scene.assembly import Point, bases, elbow
+from flexfmu.model.scene.assembly import bases, elbow
 from flexfmu.model.scene.mechanism import Mechanism
+from flexfmu.trajectories.curves import Point
 from flexfmu.trajectories.jets import Jet, RealArray
 
 Index = NDArray[np.intp]

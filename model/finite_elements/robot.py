@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flexfmu.model.finite_elements.element import COORDINATES, BeamElement, beam_element, beam_section
 from flexfmu.model.finite_elements.mesh import LINKS, MOTORS, Mesh, five_bar_mesh, rigid_links, straight
-from flexfmu.model.scene.effects import NoDamping, StiffnessDamping
+from flexfmu.model.scene.effects import NoDampingSection, StiffnessDampingSection
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
@@ -119,9 +119,9 @@ def _mapped(function: casadi.Function, index: NDArray[np.intp], *states: RealArr
 
 def _damping_time(scene: Scene) -> float:
     damping = scene.effects.damping
-    if isinstance(damping, StiffnessDamping):
+    if isinstance(damping, StiffnessDampingSection):
         return damping.time
-    if isinstance(damping, NoDamping):
+    if isinstance(damping, NoDampingSection):
         return 0.0
     raise SceneError(
         f"finite elements have no damping of the kind '{damping.kind}', which belongs to modes: "

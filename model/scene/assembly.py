@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from flexfmu.model.scene.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from flexfmu.trajectories.curves import Point
 
 WORKING_MODES: dict[str, tuple[int, int]] = {
     "elbows-out": (+1, -1),
@@ -13,8 +17,6 @@ WORKING_MODES: dict[str, tuple[int, int]] = {
     "right": (-1, -1),
 }
 """Signs of acos in q_1 = angle(X - B_1) ± acos(..), q_2 = angle(X - B_2) ± acos(..)."""
-
-Point = tuple[float, float]
 
 
 def bases(mechanism: Mechanism) -> tuple[Point, Point]:

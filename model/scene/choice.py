@@ -55,7 +55,7 @@ class EstimatedEffect(Section):
     contribution: Shares
 
 
-class Choice(Section):
+class ChoiceSection(Section):
     """How the effects of a scene were chosen; written by `flexfmu`, not by hand.
 
     `error` is the estimated error of each metric because of what is left out, relative to the metric's scale.

@@ -20,7 +20,7 @@ from flexfmu.model.scene.section import (
 )
 
 Matrix = Annotated[tuple[Annotated[tuple[float, ...], BeforeValidator(as_tuple)], ...], BeforeValidator(as_tuple)]
-Names = Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
+SignalNames = Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
 TorqueLimit = Annotated[PositivePerJoint | None, quantity("N.m")]
 
 
@@ -33,27 +33,29 @@ class PdSection(SampledSection):
     torque_limit: TorqueLimit = None
 
 
-class Clamping(Section):
+class ClampingSection(Section):
     """Conditional integration: the integral stops where it would drive the torque further into its limit."""
 
     kind: Literal["clamping"] = "clamping"
 
 
-class BackCalculation(Section):
+class BackCalculationSection(Section):
     """The integral follows what the limit takes away, with the time constant `tracking_time`."""
 
     kind: Literal["back-calculation"]
     tracking_time: SecondsOrZero
 
 
-class Unprotected(Section):
+class UnprotectedSection(Section):
     """The integral winds up."""
 
     kind: Literal["none"]
 
 
-AntiWindup = Annotated[
-    Clamping | BackCalculation | Unprotected, BeforeValidator(named_kind), Field(discriminator="kind")
+AntiWindupSection = Annotated[
+    ClampingSection | BackCalculationSection | UnprotectedSection,
+    BeforeValidator(named_kind),
+    Field(discriminator="kind"),
 ]
 
 
@@ -69,7 +71,7 @@ class PidSection(SampledSection):
     setpoint_weight: float = 1.0
     derivative_weight: float = 1.0
     torque_limit: TorqueLimit = None
-    anti_windup: AntiWindup = Clamping()
+    anti_windup: AntiWindupSection = ClampingSection()
 
 
 class ComputedTorqueSection(SampledSection):
@@ -131,8 +133,8 @@ class StateSpaceSection(SampledSection):
     B: Matrix
     C: Matrix
     D: Matrix | None = None
-    inputs: Names
-    outputs: Names
+    inputs: SignalNames
+    outputs: SignalNames
 
 
 ControllerSection = Annotated[

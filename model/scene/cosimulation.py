@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, named_kind, quantity
 
-Tolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
+RelativeTolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
 
 LEAST_TOLERANCE = 1e-12
 """Smallest relative tolerance of the FMU: below it rounding errors determine the steps, so that all give the
@@ -30,7 +30,7 @@ class StepControl(Section):
     """Communication step control, so that the error of the coupling over the whole run stays below `tolerance`
     times the signals' magnitudes; `step` is the first one."""
 
-    tolerance: Tolerance
+    tolerance: RelativeTolerance
     minimum: Seconds | None = None
     maximum: Seconds | None = None
 
@@ -41,24 +41,26 @@ class StepControl(Section):
         return self
 
 
-class FixedPoint(Section):
+class FixedPointSection(Section):
     """Fixed-point iteration on the signals of a loop; `relaxation` below 1 helps where it diverges."""
 
     kind: Literal["fixed-point"]
-    tolerance: Tolerance = 1e-10
+    tolerance: RelativeTolerance = 1e-10
     iterations: Annotated[int, quantity("iterations", ge=1, le=100_000)] = 100
     relaxation: Annotated[float, quantity("1", gt=0.0, le=1.0)] = 1.0
 
 
-class Anderson(Section):
+class AndersonSection(Section):
     """Anderson acceleration: a quasi-Newton method whose Jacobian is estimated from the last iterations."""
 
     kind: Literal["anderson"]
-    tolerance: Tolerance = 1e-10
+    tolerance: RelativeTolerance = 1e-10
     iterations: Annotated[int, quantity("iterations", ge=1, le=100_000)] = 50
 
 
-LoopSolver = Annotated[FixedPoint | Anderson, Field(discriminator="kind"), BeforeValidator(named_kind)]
+LoopSolverSection = Annotated[
+    FixedPointSection | AndersonSection, Field(discriminator="kind"), BeforeValidator(named_kind)
+]
 
 
 class Cosimulation(Section):
@@ -79,6 +81,6 @@ class Cosimulation(Section):
     settling_band: Annotated[float, quantity("m", gt=0.0)] = 1e-5
     algorithm: Literal["gauss-seidel", "jacobi", "implicit"] = "gauss-seidel"
     step_control: StepControl | None = None
-    loop_solver: LoopSolver | None = None
+    loop_solver: LoopSolverSection | None = None
     isolate: bool | None = None
     call_limit: Seconds = 60.0

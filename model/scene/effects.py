@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from flexfmu.model.scene.choice import Choice, ChoiceTolerance, MeasureNames, contradictions
+from flexfmu.model.scene.choice import ChoiceSection, ChoiceTolerance, MeasureNames, contradictions
 from flexfmu.model.scene.section import Section, as_tuple, named_kind, quantity
 
 MAXIMUM_MODES = 40
@@ -20,13 +20,13 @@ MAXIMUM_MODES = 40
 ModeCount = Annotated[int, quantity("modes", ge=0, le=MAXIMUM_MODES)]
 
 
-class NoDamping(Section):
+class NoDampingSection(Section):
     """No structural damping."""
 
     kind: Literal["none"] = "none"
 
 
-class ModalDamping(Section):
+class ModalDampingSection(Section):
     """C_ii = 2 ratio sqrt(K_ii M_ii) for every mode of every link, with the link's own modal mass and stiffness."""
 
     kind: Literal["modal"]
@@ -38,7 +38,7 @@ class ModalDamping(Section):
         return f"Modal damping of every link mode, ratio {self.ratio:g}"
 
 
-class StiffnessDamping(Section):
+class StiffnessDampingSection(Section):
     """C = time * K on the elastic coordinates."""
 
     kind: Literal["stiffness"]
@@ -50,7 +50,7 @@ class StiffnessDamping(Section):
         return f"Damping proportional to the stiffness, time constant {self.time:g} s"
 
 
-class MassDamping(Section):
+class MassDampingSection(Section):
     """C = rate * M on the elastic coordinates, with the link's own modal mass M."""
 
     kind: Literal["mass"]
@@ -62,7 +62,7 @@ class MassDamping(Section):
         return f"Damping proportional to the mass, rate {self.rate:g} 1/s"
 
 
-class RayleighDamping(Section):
+class RayleighDampingSection(Section):
     """C = rate * M + time * K on the elastic coordinates, with the link's own modal mass M."""
 
     kind: Literal["rayleigh"]
@@ -75,14 +75,14 @@ class RayleighDamping(Section):
         return f"Damping {self.rate:g} 1/s times the mass and {self.time:g} s times the stiffness"
 
 
-Damping = Annotated[
-    NoDamping | ModalDamping | StiffnessDamping | MassDamping | RayleighDamping,
+DampingSection = Annotated[
+    NoDampingSection | ModalDampingSection | StiffnessDampingSection | MassDampingSection | RayleighDampingSection,
     BeforeValidator(named_kind),
     Field(discriminator="kind"),
 ]
 
 
-class SmoothFriction(Section):
+class SmoothFrictionSection(Section):
     """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor that turns with w."""
 
     kind: Literal["smooth"] = "smooth"
@@ -101,7 +101,7 @@ class SmoothFriction(Section):
         return f"Friction of each motor: {self.viscous:g} N m s/rad viscous, {self.coulomb:g} N m dry"
 
 
-class Stiction(Section):
+class StictionSection(Section):
     """Friction that holds a motor up to the torque `breakaway`, `coulomb` by default, and slips with `coulomb`.
 
     With a Stribeck velocity w_s it falls smoothly, coulomb + (breakaway - coulomb) exp(-(w / w_s)²), else at once.
@@ -145,7 +145,9 @@ def _smooth_by_default(value: Any) -> Any:
     return {"kind": "smooth", **value} if isinstance(value, dict) else value
 
 
-JointFriction = Annotated[SmoothFriction | Stiction, BeforeValidator(_smooth_by_default), Field(discriminator="kind")]
+JointFrictionSection = Annotated[
+    SmoothFrictionSection | StictionSection, BeforeValidator(_smooth_by_default), Field(discriminator="kind")
+]
 
 
 class Transmission(Section):
@@ -175,15 +177,15 @@ class Effects(Section):
     beam: Literal["euler-bernoulli", "timoshenko"] = "euler-bernoulli"
     foreshortening: bool = False
     quasi_static: Annotated[tuple[FamilyName, ...], BeforeValidator(as_tuple)] = ()
-    damping: Damping = NoDamping()
+    damping: DampingSection = NoDampingSection()
     motor_inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0
-    joint_friction: JointFriction = SmoothFriction()
+    joint_friction: JointFrictionSection = SmoothFrictionSection()
     transmission: Transmission | None = None
     reactions: bool = False
     select: Literal["auto"] | None = None
     tolerance: ChoiceTolerance | None = None
     of: MeasureNames | None = None
-    choice: Choice | None = None
+    choice: ChoiceSection | None = None
 
     @model_validator(mode="after")
     def _choice_is_free(self) -> Self:
@@ -257,7 +259,7 @@ LOADS: Mapping[str, Load] = {
         sentence=lambda gravity: "Gravity of ({:g}, {:g}) m/s2".format(*gravity),
     ),
     "damping": Load(
-        absent=NoDamping(),
+        absent=NoDampingSection(),
         change="without structural damping",
         sentence=lambda damping: damping.sentence,
     ),
@@ -267,7 +269,7 @@ LOADS: Mapping[str, Load] = {
         sentence=lambda inertia: f"Inertia of {inertia:g} kg m2 of each motor",
     ),
     "joint_friction": Load(
-        absent=SmoothFriction(),
+        absent=SmoothFrictionSection(),
         change="without friction",
         sentence=lambda friction: friction.sentence,
     ),

@@ -72,27 +72,29 @@ class RateLimitSection(SignalSection):
     falling_rate: PositivePerJoint | None = None
 
 
-class Linear(Section):
+class LinearSection(Section):
     """On the straight line between two samples."""
 
     kind: Literal["linear"] = "linear"
 
 
-class Lagrange(Section):
+class LagrangeSection(Section):
     """On the polynomial through `order` + 1 samples."""
 
     kind: Literal["lagrange"]
     order: Annotated[int, quantity("1", ge=1, le=10)]
 
 
-class Thiran(Section):
+class ThiranSection(Section):
     """By an all-pass of this order, which changes no amplitude."""
 
     kind: Literal["thiran"]
     order: Annotated[int, quantity("1", ge=1, le=10)]
 
 
-Interpolation = Annotated[Linear | Lagrange | Thiran, BeforeValidator(named_kind), Field(discriminator="kind")]
+InterpolationSection = Annotated[
+    LinearSection | LagrangeSection | ThiranSection, BeforeValidator(named_kind), Field(discriminator="kind")
+]
 
 
 class DelaySection(SignalSection):
@@ -102,7 +104,7 @@ class DelaySection(SignalSection):
     kind: Literal["delay"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
     time: SecondsOrZero
-    interpolation: Interpolation = Linear()
+    interpolation: InterpolationSection = LinearSection()
 
 
 class QuantisationSection(SignalSection):

@@ -12,7 +12,7 @@ Length = Annotated[float, quantity("m", gt=0.0)]
 LengthOrZero = Annotated[float, quantity("m", ge=0.0)]
 
 
-class Link(Section):
+class LinkSection(Section):
     """A round rod; `inner_diameter` makes it a tube."""
 
     length: Length
@@ -42,8 +42,8 @@ class Mechanism(Section):
     base_half_distance: Length
     working_mode: Literal["elbows-out", "elbows-in", "left", "right"]
     assembly_mode: Literal["left", "right"]
-    proximal: Link
-    distal: Link
+    proximal: LinkSection
+    distal: LinkSection
     material: Material
 
 

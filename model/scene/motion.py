@@ -13,8 +13,8 @@ from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, as_tupl
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
 
-Point = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
-Direction = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("1")]
+StartPoint = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m")]
+LiftDirection = Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("1")]
 
 
 class ProfileSection(Section):
@@ -62,7 +62,7 @@ else:
     )
 
 
-class Blend(Section):
+class BlendSection(Section):
     """Rounding of the path's two corners: d = height along the lift, e = width along the crossing."""
 
     kind: BlendName
@@ -73,11 +73,11 @@ class Blend(Section):
 class TrajectorySection(Section):
     """The Adept half cycle: lift, crossing and lowering with blended corners, then a standstill of `dwell`."""
 
-    start: Point
-    lift: Direction
+    start: StartPoint
+    lift: LiftDirection
     height: Length
     width: Length
-    blend: Blend
+    blend: BlendSection
     profile: Annotated[Profile, BeforeValidator(named_kind)]
     duration: Seconds
     dwell: SecondsOrZero = 0.0

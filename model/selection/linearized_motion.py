@@ -13,17 +13,14 @@ from functools import cached_property, lru_cache
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.effects import Effects
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.motion_grid import MotionGrid
-from flexfmu.model.selection.response import LinearSystem, Motion
-from flexfmu.trajectories.jets import RealArray
-
-Indices = NDArray[np.intp]
+from flexfmu.model.selection.response import LinearTimeVaryingSystem, Response
+from flexfmu.trajectories.jets import Indices, RealArray
 
 MATRICES_EVERY = 8
 """Instants from one evaluation of the matrices to the next; they follow the pose, which changes slowly."""
@@ -63,7 +60,7 @@ class LinearizedMotion:
         self._scene, self._grid = scene, grid
 
     @cached_property
-    def linear(self) -> LinearSystem:
+    def linear(self) -> LinearTimeVaryingSystem:
         """Matrices of small motions about the undeformed robot: evaluated at every few instants, straight lines between."""
         grid = self._grid
         # some instants of each span, both ends included
@@ -74,13 +71,13 @@ class LinearizedMotion:
         matrices = [matrix.reshape(n, count, n).transpose(1, 0, 2) for matrix in found]
         # instants at jumps are different ones at the same time, so that the index is what is interpolated along
         between = interp1d(coarse, np.stack(matrices), axis=1)(np.arange(grid.time.size))
-        return LinearSystem(between[0], between[1], between[2], grid.spans, grid.steps)
+        return LinearTimeVaryingSystem(between[0], between[1], between[2], grid.spans, grid.steps)
 
     @cached_property
     def load(self) -> RealArray:
         """Forces on the undeformed robot (N, n)."""
         rest = np.zeros((self._grid.time.size, self._model.n))
-        return -self.forces(Motion(rest, rest, rest))
+        return -self.forces(Response(rest, rest, rest))
 
     def coordinates(self, effects: Effects, *, static: bool = False) -> Indices:
         """Indices of the coordinates that are states with such effects, or of those that deflect statically.
@@ -99,19 +96,19 @@ class LinearizedMotion:
             found += [i] if belongs else []
         return np.array(found, dtype=np.intp)
 
-    def response(self, states: Indices, start: RealArray) -> Motion:
+    def response(self, states: Indices, start: RealArray) -> Response:
         """Elastic motion in linear approximation (N, n), with `states` alone moving, from rest at `start`."""
         return self._respond(states, self.load, start)
 
-    def corrected(self, motion: Motion, states: Indices) -> Motion:
+    def corrected(self, motion: Response, states: Indices) -> Response:
         """A motion with the linear response to the forces that it leaves unbalanced, from its own start."""
         return motion + self._respond(states, -self.forces(motion), np.zeros(states.size))
 
-    def _respond(self, states: Indices, load: RealArray, start: RealArray) -> Motion:
+    def _respond(self, states: Indices, load: RealArray, start: RealArray) -> Response:
         part = self.linear.restricted(states).response(load[:, states], start)
-        return Motion(*(self._spread(values, states) for values in (part.position, part.velocity, part.acceleration)))
+        return Response(*(self._spread(values, states) for values in (part.position, part.velocity, part.acceleration)))
 
-    def deflections(self, motion: Motion, statics: Indices) -> RealArray:
+    def deflections(self, motion: Response, statics: Indices) -> RealArray:
         """Static deflections of some coordinates under what a motion of the others puts on them (N, n)."""
         force = self.forces(motion)[:, statics]
         stiffness = self.linear.stiffness[np.ix_(np.arange(len(force)), statics, statics)]
@@ -145,18 +142,18 @@ class LinearizedMotion:
         result[:, at] = values
         return result
 
-    def forces(self, motion: Motion) -> RealArray:
+    def forces(self, motion: Response) -> RealArray:
         """Forces that all coordinates need for a motion (N, n)."""
         function = self._model.elastic_forces.map(motion.position.shape[0])
         arguments = motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
         return _full([function(*arguments)])[0].T
 
-    def hardening(self, motion: Motion) -> RealArray:
+    def hardening(self, motion: Response) -> RealArray:
         """Forces of bending beyond linear theory (N, n), which no set of effects contains."""
         function = self._model.hardening.map(motion.position.shape[0])
         return _full([function(motion.position.T)])[0].T
 
-    def outputs(self, motion: Motion) -> Outputs:
+    def outputs(self, motion: Response) -> Outputs:
         """End effector and torques of a motion."""
         function = self._model.motion.map(motion.position.shape[0])
         arguments = motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints

@@ -26,21 +26,21 @@ _NEW = (1 - _ALPHA_F) / (1 - _ALPHA_M)
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Response:
     """Coordinates, rates and accelerations, each (N, n)."""
 
     position: RealArray
     velocity: RealArray
     acceleration: RealArray
 
-    def __add__(self, other: Motion) -> Motion:
-        return Motion(
+    def __add__(self, other: Response) -> Response:
+        return Response(
             self.position + other.position, self.velocity + other.velocity, self.acceleration + other.acceleration
         )
 
 
 @dataclass(frozen=True, eq=False)
-class LinearSystem:
+class LinearTimeVaryingSystem:
     """Matrices at N instants, each (N, n, n).
 
     Attributes:
@@ -55,15 +55,17 @@ class LinearSystem:
     spans: tuple[tuple[int, int], ...]
     steps: RealArray
 
-    def restricted(self, kept: NDArray[np.intp]) -> LinearSystem:
+    def restricted(self, kept: NDArray[np.intp]) -> LinearTimeVaryingSystem:
         """The system with the coordinates `kept` alone."""
         pick = np.ix_(np.arange(self.mass.shape[0]), kept, kept)
-        return LinearSystem(self.mass[pick], self.damping[pick], self.stiffness[pick], self.spans, self.steps)
+        return LinearTimeVaryingSystem(
+            self.mass[pick], self.damping[pick], self.stiffness[pick], self.spans, self.steps
+        )
 
-    def response(self, load: RealArray, start: RealArray) -> Motion:
+    def response(self, load: RealArray, start: RealArray) -> Response:
         """The motion from rest at `start` (n,) under the load f (N, n); positions and rates don't jump."""
         count, n = load.shape
-        motion = Motion(*(np.zeros((count, n)) for _ in range(3)))
+        motion = Response(*(np.zeros((count, n)) for _ in range(3)))
         if not n:
             return motion
         position, velocity = start, np.zeros(n)
@@ -73,7 +75,7 @@ class LinearSystem:
         return motion
 
     def _cross(
-        self, motion: Motion, load: RealArray, a: int, b: int, h: float, position: RealArray, velocity: RealArray
+        self, motion: Response, load: RealArray, a: int, b: int, h: float, position: RealArray, velocity: RealArray
     ) -> None:
         """Fill a motion's instants a..b-1 from where it is at their start."""
         # the new acceleration as a linear function of the predicted position and rate, for all instants at once

@@ -9,7 +9,7 @@ import casadi
 import pytest
 
 from flexfmu.model.symbolic import EffectNote, SymbolicModel, Variable
-from flexfmu.model.time_derivatives import Motion, acceleration_terms, forward, motion_forward, motion_rate2
+from flexfmu.model.time_derivatives import MotionSymbols, acceleration_terms, forward, motion_forward, motion_rate2
 
 MakeModel = Callable[..., SymbolicModel]
 
@@ -57,7 +57,7 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
     K = casadi.vertcat(casadi.horzcat(d[1] + d[2], -d[2]), casadi.horzcat(-d[2], d[1] + d[2]))
     residual = d[0] * a + d[3] * K @ v + K @ y - casadi.vertcat(u, 0)
     outputs = casadi.vertcat(y[0], v[0], a[0], y[1], v[1], a[1], -d[1] * y[0], u * v[0])
-    motion = Motion(y, v, a, u)
+    motion = MotionSymbols(y, v, a, u)
     results = {
         "derive": ([p], p[:4]),
         "initial_inputs": ([p], p[4]),
@@ -112,7 +112,7 @@ def lever(name: str = "lever") -> SymbolicModel:
     """A rigid lever: no unknowns, the output is the input times the ratio."""
     empty = [casadi.SX.sym(symbol, 0) for symbol in "yva"]
     p, u, d = (casadi.SX.sym(symbol, 1) for symbol in "pud")
-    none, motion = casadi.SX(0, 1), Motion(*empty, u)
+    none, motion = casadi.SX(0, 1), MotionSymbols(*empty, u)
     results = {
         "derive": ([p], p),
         "initial_inputs": ([p], casadi.SX(0)),

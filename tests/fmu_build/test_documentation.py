@@ -19,7 +19,8 @@ from flexfmu.fmu_build.picture import png
 from flexfmu.model.plants import build_model
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
 from flexfmu.model.scene.file import load_scene
-from flexfmu.model.symbolic import Point, SymbolicModel
+from flexfmu.model.symbolic import SymbolicModel
+from flexfmu.trajectories.curves import Point
 
 VOID = {"meta", "br", "hr", "img", "input", "link"}
 

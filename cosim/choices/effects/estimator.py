@@ -24,7 +24,7 @@ from flexfmu.model.scene.effects import CHOOSABLE, Effects, FamilyName
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.linearized_motion import LinearizedMotion, Outputs
 from flexfmu.model.selection.motion_grid import JointMotion, MotionGrid, motion_grid
-from flexfmu.model.selection.response import Motion
+from flexfmu.model.selection.response import Response
 from flexfmu.trajectories.jets import RealArray
 
 Metrics = Mapping[MeasureName, float]
@@ -187,7 +187,7 @@ class Estimator:
         # what the robot would do if it were rigid
         robot = self._robot(self.richest.effects)
         rest = np.zeros(robot.load.shape)
-        self._rigid = robot.outputs(Motion(rest, rest, rest))
+        self._rigid = robot.outputs(Response(rest, rest, rest))
 
     @cached_property
     def reference(self) -> Metrics:

@@ -11,7 +11,7 @@ from typing import get_args
 
 from flexfmu.cosim.choices.effects.estimator import Estimator, richest, with_set
 from flexfmu.model.enrichment import Neighbour, enrichments, reductions
-from flexfmu.model.scene.choice import INTEGRATOR_SHARE, Choice, EstimatedEffect, MeasureName
+from flexfmu.model.scene.choice import INTEGRATOR_SHARE, ChoiceSection, EstimatedEffect, MeasureName
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS, FamilyName
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.motion_grid import JointMotion
@@ -105,7 +105,7 @@ def choose_effects(
         for each, is_chosen in neighbours(estimates, chosen)
     )
     error_of = estimates.errors(chosen.effects)
-    choice = Choice(
+    choice = ChoiceSection(
         tolerance=tolerance, of=of, error=tuple(factor[name] * error_of[name] for name in of), effects=worth
     )
     return chosen.replace({"effects.choice": choice.model_dump()})

@@ -28,7 +28,7 @@ from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.reports.text import titled_table
 from flexfmu.model.choice_text import percent
-from flexfmu.model.scene.choice import Choice, EstimatedEffect, MeasureName, integrator_tolerance
+from flexfmu.model.scene.choice import ChoiceSection, EstimatedEffect, MeasureName, integrator_tolerance
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.cost import Cost, costs
 
@@ -75,7 +75,7 @@ class EffectStudy:
     rows: tuple[EffectRow, ...]
 
     @property
-    def choice(self) -> Choice:
+    def choice(self) -> ChoiceSection:
         """How the effects were chosen: tolerance, metrics, estimated errors and contributions."""
         choice = self.scene.effects.choice
         assert choice is not None  # that is what `choose_effects` gives

@@ -9,7 +9,7 @@ import casadi
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
-    Kind,
+    JointQuantity,
     Limits,
     PerJoint,
     feedforward_outputs,
@@ -27,7 +27,7 @@ from flexfmu.model.numeric import inverse_dynamics
 from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSection
 from flexfmu.model.symbolic import SymbolicBlock
 
-MOTION: tuple[Kind, ...] = ("position", "velocity", "acceleration")
+MOTION: tuple[JointQuantity, ...] = ("position", "velocity", "acceleration")
 """What inverse dynamics take."""
 
 

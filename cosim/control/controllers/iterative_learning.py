@@ -10,7 +10,7 @@ import casadi
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.controllers.joints import (
     JOINTS,
-    Kind,
+    JointQuantity,
     PerJoint,
     feedforward_outputs,
     gains,
@@ -26,7 +26,7 @@ from flexfmu.trajectories.trajectory import SAME_TIME
 MAXIMUM_TABLE = 1_000_000
 """Tables of more samples than this are taken for a mistake in the cycle's unit."""
 
-GAIN_UNITS: Mapping[Kind, str] = {"position": "N.m/rad", "velocity": "N.m.s/rad", "acceleration": "N.m.s2/rad"}
+GAIN_UNITS: Mapping[JointQuantity, str] = {"position": "N.m/rad", "velocity": "N.m.s/rad", "acceleration": "N.m.s2/rad"}
 """Error that is learned from → unit of the learning gain."""
 
 
@@ -38,7 +38,7 @@ def iterative_learning(
     offset: float = 0.0,
     shift: int = 1,
     forgetting: float = 0.0,
-    learn_from: Kind = "position",
+    learn_from: JointQuantity = "position",
     joints: Sequence[str] = JOINTS,
     name: str = "learning",
 ) -> SymbolicBlock:

@@ -17,14 +17,14 @@ from flexfmu.model.symbolic import Variable
 JOINTS = ("joint1", "joint2")
 """Actuated joints of the five-bar."""
 
-Kind = Literal["position", "velocity", "acceleration"]
-UNITS: dict[Kind, str] = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s2"}
+JointQuantity = Literal["position", "velocity", "acceleration"]
+UNITS: dict[JointQuantity, str] = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s2"}
 
 PerJoint = float | Sequence[float]
 """One number for all joints, or one for each."""
 
 
-def references(joints: Sequence[str], *kinds: Kind) -> list[Variable]:
+def references(joints: Sequence[str], *kinds: JointQuantity) -> list[Variable]:
     """Inputs ``joint1.reference.position`` and so on, those of the first kind first."""
     return [
         Variable(f"{joint}.reference.{kind}", UNITS[kind], f"Reference {kind} of {joint}", "input", 0.0)
@@ -33,7 +33,7 @@ def references(joints: Sequence[str], *kinds: Kind) -> list[Variable]:
     ]
 
 
-def measurements(joints: Sequence[str], *kinds: Kind) -> list[Variable]:
+def measurements(joints: Sequence[str], *kinds: JointQuantity) -> list[Variable]:
     """Inputs ``joint1.position`` and so on, those of the first kind first."""
     return [
         Variable(f"{joint}.{kind}", UNITS[kind], f"Measured {kind} of {joint}", "input", 0.0)

@@ -131,11 +131,11 @@ def pid(
 def _from_section(section: scene.PidSection, context: LoopContext) -> SymbolicBlock:
     anti_windup: AntiWindup
     match section.anti_windup:
-        case scene.BackCalculation(tracking_time=time):
+        case scene.BackCalculationSection(tracking_time=time):
             anti_windup = BackCalculation(time)
-        case scene.Clamping():
+        case scene.ClampingSection():
             anti_windup = CLAMPING
-        case scene.Unprotected():
+        case scene.UnprotectedSection():
             anti_windup = Unprotected()
     return pid(
         section.proportional,

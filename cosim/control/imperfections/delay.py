@@ -143,11 +143,11 @@ def _delay_line(
 def _from_section(section: scene.DelaySection, context: LoopContext) -> SymbolicBlock:
     interpolation: Interpolation
     match section.interpolation:
-        case scene.Lagrange(order=order):
+        case scene.LagrangeSection(order=order):
             interpolation = Lagrange(order)
-        case scene.Thiran(order=order):
+        case scene.ThiranSection(order=order):
             interpolation = Thiran(order)
-        case scene.Linear():
+        case scene.LinearSection():
             interpolation = LINEAR
     channels = section_channels(section, context, REFERENCE_KINDS)
     return delay(channels, section.time, interpolation=interpolation, **sampling(section, context))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.fmu.calls import OK, WARNING, Calls, address, value_references
 from flexfmu.cosim.engine.fmu.instance import StatusCall
-from flexfmu.cosim.engine.fmu.variables import Handle, Kind, Setting, Value
+from flexfmu.cosim.engine.fmu.variables import FmiType, Handle, Setting, Value
 from flexfmu.cosim.engine.slave import TEXTS, RealArray
 
 DTYPES = {"Integer": np.int32, "Boolean": np.int32}
@@ -69,7 +69,7 @@ class Transfers:
             return call, lambda: TEXTS.known()[int(found[0])]
         return call, lambda: float(found[0])
 
-    def _get_kind(self, kind: Kind, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
+    def _get_kind(self, kind: FmiType, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
         """Read variables of one kind."""
         if kind == "Real" and len(columns) == values.size:
             return self._bind("fmi2GetReal", references, values)
@@ -86,7 +86,7 @@ class Transfers:
 
         return call
 
-    def _set_kind(self, kind: Kind, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
+    def _set_kind(self, kind: FmiType, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
         """Set variables of one kind."""
         if kind == "Real" and len(columns) == values.size:
             return self._bind("fmi2SetReal", references, values)
@@ -174,7 +174,7 @@ def _keeping(call: partial[int], *arrays: NDArray[np.generic]) -> StatusCall:
     return call
 
 
-def _by_kind(handles: Sequence[Handle]) -> list[tuple[Kind, list[int], list[int]]]:
+def _by_kind(handles: Sequence[Handle]) -> list[tuple[FmiType, list[int], list[int]]]:
     """(kind, columns, value references) of the handles of each kind."""
     kinds = dict.fromkeys(handle.kind for handle in handles)
     columns = {kind: [i for i, handle in enumerate(handles) if handle.kind == kind] for kind in kinds}

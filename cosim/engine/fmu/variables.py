@@ -13,7 +13,7 @@ from typing import Any, Literal, cast
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import TEXTS, Causality, SlaveVariable
 
-Kind = Literal["Real", "Integer", "Boolean", "String"]
+FmiType = Literal["Real", "Integer", "Boolean", "String"]
 """Which family of FMI functions reaches a variable; enumerations are reached like integers."""
 
 Value = float | int | bool | str
@@ -31,7 +31,7 @@ ROUNDING = 1e-12
 class Handle:
     """How the FMI functions reach a variable."""
 
-    kind: Kind
+    kind: FmiType
     reference: int
 
 

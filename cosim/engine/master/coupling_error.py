@@ -29,7 +29,7 @@ TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True)
-class Watched:
+class MonitoredSignals:
     """Signals of a port whose error counts.
 
     Attributes:
@@ -55,13 +55,13 @@ class Watched:
         units = [each.unit or each.name for each in variables]
         return [(self.port.slave.name, unit + "/s" * row) for unit, row in zip(units, self.rows.tolist(), strict=True)]
 
-    def with_rates(self, inputs: InputPort) -> Watched:
+    def with_rates(self, inputs: InputPort) -> MonitoredSignals:
         """With the first derivatives of all values that don't change at once with an input that errs."""
         if self.port.recorded < 2:
             return self
         rates = self.columns[~_entered_rates(inputs, self.port)[self.columns]]
         rows = np.concatenate([self.rows, np.ones(rates.size, np.intp)])
-        return Watched(self.port, rows, np.concatenate([self.columns, rates]))
+        return MonitoredSignals(self.port, rows, np.concatenate([self.columns, rates]))
 
 
 class CouplingError:
@@ -79,10 +79,10 @@ class CouplingError:
         self._span = span
         # signals to watch, and the order that their error goes with
         if control.signals is None:
-            self._watched = _watched_by_default(system, ports, couplings)
+            self._monitored = _monitored_by_default(system, ports, couplings)
         else:
-            self._watched = _find(ports, control.signals)
-        self._slaves = [system.slaves.index(each.port.slave) for each in self._watched]
+            self._monitored = _find(ports, control.signals)
+        self._slaves = [system.slaves.index(each.port.slave) for each in self._monitored]
         self.order = 1 + min(map(_degree, filter(_counts, couplings.values())), default=0)
         self.following: list[OutputPort] = []
 
@@ -94,19 +94,20 @@ class CouplingError:
             inputs: input ports, in the order of `System.slaves`.
         """
         # signals that are read once more after a step, and first derivatives
-        pairs = list(zip(self._watched, (inputs[slave] for slave in self._slaves), strict=True))
+        pairs = list(zip(self._monitored, (inputs[slave] for slave in self._slaves), strict=True))
         self.following = [
             each.port for each, port in pairs if any(not _errs(group.source.slave) for group in port.groups)
         ]
         if self._control.signals is None:
-            self._watched = [each.with_rates(port) for each, port in pairs]
+            self._monitored = [each.with_rates(port) for each, port in pairs]
         # where the signals are in their ports
         self._places = [
-            (each.port.signals.reshape(-1), each.rows * each.port.indices.size + each.columns) for each in self._watched
+            (each.port.signals.reshape(-1), each.rows * each.port.indices.size + each.columns)
+            for each in self._monitored
         ]
-        self._names = [name for each in self._watched for name in each.names]
+        self._names = [name for each in self._monitored for name in each.names]
         # magnitudes are learned by kind: signals of one slave with one unit
-        kinds = [kind for each in self._watched for kind in each.kinds]
+        kinds = [kind for each in self._monitored for kind in each.kinds]
         known = list(dict.fromkeys(kinds))
         self._kind = np.array([known.index(kind) for kind in kinds], np.intp)
         rates = [
@@ -155,12 +156,12 @@ class CouplingError:
         return self._names[signal]
 
 
-def _watched_by_default(system: System, ports: Sequence[OutputPort], couplings: Couplings) -> list[Watched]:
+def _monitored_by_default(system: System, ports: Sequence[OutputPort], couplings: Couplings) -> list[MonitoredSignals]:
     """Of all slaves whose inputs have an error: outputs that are passed on; all continuous ones where none is, or where
     they give no rates. Those that an erring input enters at once, as it does a spring's force, follow the others; they
     count if there are no others."""
-    watched: list[Watched] = []
-    following: list[Watched] = []
+    monitored: list[MonitoredSignals] = []
+    following: list[MonitoredSignals] = []
     for i in sorted({target for (_, target), coupling in couplings.items() if _counts(coupling)}):
         port, variables = ports[i], ports[i].slave.variables
         # outputs that are passed on
@@ -179,8 +180,8 @@ def _watched_by_default(system: System, ports: Sequence[OutputPort], couplings: 
             if index in (used or port.indices) and not variables[index].discrete
         ]
         states = [k for k in columns if variables[port.indices[k]].name not in entered]
-        (watched if states else following).append(_values(port, states or columns))
-    return watched or following
+        (monitored if states else following).append(_values(port, states or columns))
+    return monitored or following
 
 
 def _errs(source: Slave) -> bool:
@@ -205,7 +206,7 @@ def _entered_rates(inputs: InputPort, outputs: OutputPort) -> NDArray[np.bool_]:
     return entered
 
 
-def _find(ports: Sequence[OutputPort], names: Sequence[str]) -> list[Watched]:
+def _find(ports: Sequence[OutputPort], names: Sequence[str]) -> list[MonitoredSignals]:
     """The named outputs.
 
     Raises:
@@ -228,9 +229,9 @@ def _find(ports: Sequence[OutputPort], names: Sequence[str]) -> list[Watched]:
     return [_values(port, each) for port, each in columns.items()]
 
 
-def _values(port: OutputPort, columns: Sequence[int]) -> Watched:
+def _values(port: OutputPort, columns: Sequence[int]) -> MonitoredSignals:
     """Values of a port's signals."""
-    return Watched(port, np.zeros(len(columns), np.intp), np.array(columns, np.intp))
+    return MonitoredSignals(port, np.zeros(len(columns), np.intp), np.array(columns, np.intp))
 
 
 def _counts(coupling: Coupling) -> bool:

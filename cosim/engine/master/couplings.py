@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from flexfmu.cosim.engine.master.algorithms import Algorithm
-from flexfmu.cosim.engine.master.dependencies import Connection, Variable, contracted, find_loops, order_of_calls
+from flexfmu.cosim.engine.master.dependencies import Connection, VariableKey, contracted, find_loops, order_of_calls
 from flexfmu.cosim.engine.master.iteration import LoopSolver
 from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.slave import PredictsOutputs, Sampled, feedthrough, input_order, output_order
@@ -138,7 +138,7 @@ def _stepped(system: System) -> tuple[list[int], list[Connection]]:
 def _ordered_rings(stepped: Sequence[int], signals: Sequence[Connection]) -> list[set[int]]:
     """Slaves that feed each other, and single ones, sources before targets."""
     # a graph of whole slaves, and its loops
-    graph: dict[Variable, set[Variable]] = {(i, ""): set() for i in stepped}
+    graph: dict[VariableKey, set[VariableKey]] = {(i, ""): set() for i in stepped}
     for each in signals:
         graph[each.target, ""].add((each.source, ""))
     rings = find_loops(graph)

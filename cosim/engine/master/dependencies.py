@@ -14,10 +14,10 @@ from graphlib import CycleError, TopologicalSorter
 from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap
 from flexfmu.cosim.engine.slave import RatesFollowInputs, Sampled, SamplesInTwoPhases, Slave, feedthrough
 
-Variable = tuple[int, str]
+VariableKey = tuple[int, str]
 """Index of a slave and name of one of its variables."""
 
-Graph = Mapping[Variable, Collection[Variable]]
+Graph = Mapping[VariableKey, Collection[VariableKey]]
 """Variable → those it depends on at the same instant."""
 
 
@@ -35,12 +35,12 @@ class Connection:
     transformation: SignalMap = IDENTITY
 
 
-def source_of(slaves: Sequence[Slave], connection: Connection) -> Variable:
+def source_of(slaves: Sequence[Slave], connection: Connection) -> VariableKey:
     """The output that the connection starts from."""
     return connection.source, slaves[connection.source].variables[connection.output].name
 
 
-def target_of(slaves: Sequence[Slave], connection: Connection) -> Variable:
+def target_of(slaves: Sequence[Slave], connection: Connection) -> VariableKey:
     """The input that the connection leads to."""
     return connection.target, slaves[connection.target].variables[connection.input].name
 
@@ -75,7 +75,7 @@ def declared(slaves: Sequence[Slave], connections: Sequence[Connection], complet
 
     Inputs that aren't connected are left out: they wait for nothing.
     """
-    graph: dict[Variable, list[Variable]] = {}
+    graph: dict[VariableKey, list[VariableKey]] = {}
     connected = {target_of(slaves, each) for each in connections}
     for i, slave in enumerate(slaves):
         # within a slave: outputs on inputs
@@ -89,7 +89,7 @@ def declared(slaves: Sequence[Slave], connections: Sequence[Connection], complet
     return graph
 
 
-def cycle(graph: Graph) -> list[Variable]:
+def cycle(graph: Graph) -> list[VariableKey]:
     """Variables of a cycle in the direction of the signals, the first again at the end; empty when there is none."""
     try:
         TopologicalSorter(graph).prepare()
@@ -98,16 +98,16 @@ def cycle(graph: Graph) -> list[Variable]:
     return []
 
 
-def find_loops(graph: Graph) -> list[frozenset[Variable]]:
+def find_loops(graph: Graph) -> list[frozenset[VariableKey]]:
     """Sets of variables that depend on each other (the strongly connected components with a cycle).
 
     Cycles are contracted one after the other until none is left.
     """
     # contract one cycle; its members, themselves contracted cycles perhaps, become one node
-    groups: dict[Variable, set[Variable]] = {}  # node of the contracted graph → variables that it stands for
+    groups: dict[VariableKey, set[VariableKey]] = {}  # node of the contracted graph → variables that it stands for
     left = graph
     while ring := cycle(left):
-        members: set[Variable] = set()
+        members: set[VariableKey] = set()
         for each in ring:
             members |= groups.pop(each, {each})
         groups[ring[0]] = members
@@ -115,9 +115,9 @@ def find_loops(graph: Graph) -> list[frozenset[Variable]]:
     return sorted(map(frozenset, groups.values()), key=min)
 
 
-def _contract(graph: Graph, ring: set[Variable], name: Variable) -> Graph:
+def _contract(graph: Graph, ring: set[VariableKey], name: VariableKey) -> Graph:
     """The graph with a cycle made one node."""
-    result: dict[Variable, set[Variable]] = {}
+    result: dict[VariableKey, set[VariableKey]] = {}
     for node, needed in graph.items():
         merged = {name if each in ring else each for each in needed}
         result.setdefault(name if node in ring else node, set()).update(merged)
@@ -125,23 +125,25 @@ def _contract(graph: Graph, ring: set[Variable], name: Variable) -> Graph:
     return result
 
 
-def restricted(graph: Graph, inside: Collection[Variable], cut: Collection[Variable] = ()) -> Graph:
+def restricted(graph: Graph, inside: Collection[VariableKey], cut: Collection[VariableKey] = ()) -> Graph:
     """The part of the graph within a set of variables, without the use of the outputs ``cut``."""
     return {
         node: [each for each in graph.get(node, ()) if each in inside and each not in cut] for node in sorted(inside)
     }
 
 
-def tear(graph: Graph, outputs: Collection[Variable]) -> tuple[Variable, ...]:
+def tear(graph: Graph, outputs: Collection[VariableKey]) -> tuple[VariableKey, ...]:
     """Outputs that, when they are assumed, leave no loop: few, by taking those that feed the most inputs first."""
-    torn: list[Variable] = []
+    torn: list[VariableKey] = []
     while ring := cycle(restricted(graph, graph.keys(), torn)):
         users = {each: sum(each in needed for needed in graph.values()) for each in ring if each in outputs}
         torn.append(max(users, key=lambda each: (users[each], each)))
     return tuple(torn)
 
 
-def order_of_calls(graph: Graph, owner: Mapping[Variable, int], inputs: Collection[Variable] = ()) -> tuple[int, ...]:
+def order_of_calls(
+    graph: Graph, owner: Mapping[VariableKey, int], inputs: Collection[VariableKey] = ()
+) -> tuple[int, ...]:
     """Owners of variables in an order of exchange steps in which everything is up to date when it is needed.
 
     A topological sort that takes as many variables of one owner at a time as it can: one exchange step. An owner has a step
@@ -149,14 +151,14 @@ def order_of_calls(graph: Graph, owner: Mapping[Variable, int], inputs: Collecti
     are set before outputs are read, so an input that its owner's own output feeds waits for the next step. The graph must
     have no loop (see `contracted`).
     """
-    sorter: TopologicalSorter[Variable] = TopologicalSorter(graph)
+    sorter: TopologicalSorter[VariableKey] = TopologicalSorter(graph)
     sorter.prepare()
     order: list[int] = []
-    done: set[Variable] = set()
-    read: set[Variable] = set()  # in the current step
+    done: set[VariableKey] = set()
+    read: set[VariableKey] = set()  # in the current step
     ready = list(sorter.get_ready())
 
-    def reached() -> list[Variable]:
+    def reached() -> list[VariableKey]:
         """Variables that the current step can bring up to date too."""
         own = [node for node in ready if order and owner[node] == order[-1]]
         return [node for node in own if node not in inputs or read.isdisjoint(graph.get(node, ()))]
@@ -176,7 +178,7 @@ def order_of_calls(graph: Graph, owner: Mapping[Variable, int], inputs: Collecti
     return tuple(order)
 
 
-def _is_awaited(graph: Graph, owner: Mapping[Variable, int], chosen: int, done: Collection[Variable]) -> bool:
+def _is_awaited(graph: Graph, owner: Mapping[VariableKey, int], chosen: int, done: Collection[VariableKey]) -> bool:
     """Whether an exchange step of an owner would bring a variable up to date that others need."""
     # follow the step: variables whose needs are met, until there are no more
     reached = set(done)
@@ -188,7 +190,7 @@ def _is_awaited(graph: Graph, owner: Mapping[Variable, int], chosen: int, done: 
     return any(owner[node] != chosen and updated.intersection(needed) for node, needed in graph.items())
 
 
-def contracted(graph: Graph, groups: Iterable[Collection[Variable]]) -> Graph:
+def contracted(graph: Graph, groups: Iterable[Collection[VariableKey]]) -> Graph:
     """The graph with each group made one node, named after its smallest member."""
     for group in groups:
         graph = _contract(graph, set(group), min(group))

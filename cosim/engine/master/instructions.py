@@ -25,7 +25,7 @@ Failure = Callable[[int, float, float], BaseException]
 _FIELDS = ("function", "component", "references", "orders", "columns", "places", "source", "target", "due")
 
 
-class Kind(IntEnum):
+class Opcode(IntEnum):
     """What an instruction does; the names of ``master.h``."""
 
     VALUES = 0
@@ -90,7 +90,7 @@ class Instruction:
         kept: what these point to.
     """
 
-    kind: Kind
+    kind: Opcode
     when: When
     owner: int
     failure: Failure
@@ -119,14 +119,14 @@ def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure) -
     """fmi2GetReal, fmi2SetReal or their derivatives with bound arguments, see `Transfers`."""
     _, references, count, *orders, target = call.args
     pointers = {**_reached(call), "references": references, "target": target}
-    kind = Kind.DERIVATIVES if orders else Kind.VALUES
+    kind = Opcode.DERIVATIVES if orders else Opcode.VALUES
     more = {"orders": orders[0]} if orders else {}
     return Instruction(kind, when, owner, failure, {"count": count}, {**pointers, **more}, (call,))
 
 
 def fmi_step(call: partial[int], owner: int, failure: Failure) -> Instruction:
     """fmi2DoStep, never to go back to an earlier point."""
-    return Instruction(Kind.STEP, When.ALWAYS, owner, failure, {}, _reached(call), (call,))
+    return Instruction(Opcode.STEP, When.ALWAYS, owner, failure, {}, _reached(call), (call,))
 
 
 def _reached(call: partial[int]) -> dict[str, int | None]:
@@ -139,13 +139,13 @@ def table_row(table: RealArray, signals: RealArray, owner: int, rows: int) -> In
     stride = int(np.prod(table.shape[1:]))
     numbers = {"count": rows * signals.shape[1], "stride": stride}
     pointers: dict[str, int | None] = {"source": address(table), "target": address(signals)}
-    return Instruction(Kind.TABLE, When.ALWAYS, owner, _never, numbers, pointers, (table, signals))
+    return Instruction(Opcode.TABLE, When.ALWAYS, owner, _never, numbers, pointers, (table, signals))
 
 
 def copy(source: RealArray, target: RealArray, when: When, owner: int) -> Instruction:
     """``target`` becomes ``source``; both contiguous."""
     pointers: dict[str, int | None] = {"source": address(source), "target": address(target)}
-    return Instruction(Kind.COPY, when, owner, _never, {"count": source.size}, pointers, (source, target))
+    return Instruction(Opcode.COPY, when, owner, _never, {"count": source.size}, pointers, (source, target))
 
 
 def gather(
@@ -159,13 +159,13 @@ def gather(
         "places": address(places),
     }
     kept = (source, columns, target, places)
-    return Instruction(Kind.GATHER, when, owner, _never, {"count": columns.size}, pointers, kept)
+    return Instruction(Opcode.GATHER, when, owner, _never, {"count": columns.size}, pointers, kept)
 
 
 def finite(signals: RealArray, when: When, owner: int, failure: Failure) -> Instruction:
     """Fails where a signal isn't finite."""
     return Instruction(
-        Kind.FINITE, when, owner, failure, {"count": signals.size}, {"target": address(signals)}, (signals,)
+        Opcode.FINITE, when, owner, failure, {"count": signals.size}, {"target": address(signals)}, (signals,)
     )
 
 
@@ -183,7 +183,7 @@ def python_callback(function: Callable[[int, float, float], object], when: When,
 
     callback = CALLBACK(guarded)
     pointers: dict[str, int | None] = {"function": pointer(callback)}
-    return Instruction(Kind.CALL, when, owner, lambda *_: raised.pop(), {}, pointers, (callback,))
+    return Instruction(Opcode.CALL, when, owner, lambda *_: raised.pop(), {}, pointers, (callback,))
 
 
 def pointer(function: Any) -> int | None:

@@ -16,7 +16,7 @@ Round = Callable[[RealArray], RealArray]
 
 
 @dataclass(frozen=True)
-class Solution:
+class IterationResult:
     """Where an iteration ended.
 
     Attributes:
@@ -45,7 +45,7 @@ class Solution:
 class LoopSolver(Protocol):
     """Finds v with G(v) = v. The last v that it passes round is the solution that it returns."""
 
-    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> Solution:
+    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
         """Iterate until the residuals count as zero, or give up.
 
         Args:
@@ -96,12 +96,12 @@ class FixedPoint:
             raise InputError(f"the relaxation must be above 0 and at most 1, got {self.relaxation}")
         _check_rounds(self.rounds)
 
-    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> Solution:
+    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
         """Iterate until the residuals count as zero, or give up."""
         value = guess
         for count in range(1, self.rounds + 1):
             passed = around(value)
-            solution = Solution(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
+            solution = IterationResult(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
             if solution.converged:
                 break
             value = value + self.relaxation * solution.residual
@@ -130,14 +130,14 @@ class Anderson:
             raise InputError(f"the depth of Anderson's acceleration must be at least 1, got {self.depth}")
         _check_rounds(self.rounds)
 
-    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> Solution:
+    def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
         """Iterate until the residuals count as zero, or give up."""
         value = guess
         values: list[RealArray] = []
         residuals: list[RealArray] = []
         for count in range(1, self.rounds + 1):
             passed = around(value)
-            solution = Solution(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
+            solution = IterationResult(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
             if solution.converged:
                 break
             values, residuals = [*values[-self.depth :], value], [*residuals[-self.depth :], solution.residual]

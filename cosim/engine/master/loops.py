@@ -16,7 +16,7 @@ from typing import cast
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, LoopError
-from flexfmu.cosim.engine.master.iteration import LoopSolver, Solution
+from flexfmu.cosim.engine.master.iteration import IterationResult, LoopSolver
 from flexfmu.cosim.engine.master.ports import OutputPort, TimedCall
 from flexfmu.cosim.engine.master.system import AlgebraicLoop
 from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Sampled, SavesState, Slave, can_save
@@ -133,7 +133,7 @@ class LoopSignals:
             values[where] = ahead.ravel()
         return values
 
-    def accept(self, solution: Solution, loop: str, time: float, remedy: str) -> RealArray:
+    def accept(self, solution: IterationResult, loop: str, time: float, remedy: str) -> RealArray:
         """(size,) the signals that came back from the last round.
 
         Raises:
@@ -144,7 +144,7 @@ class LoopSignals:
         np.maximum(self.scale, abs(solution.value), out=self.scale)
         return solution.value + solution.residual
 
-    def _complaint(self, solution: Solution, loop: str, time: float, remedy: str) -> str:
+    def _complaint(self, solution: IterationResult, loop: str, time: float, remedy: str) -> str:
         """What is left after the last round, and where."""
         worst = solution.worst
         residual, allowed = abs(solution.residual[worst]), solution.allowed[worst]

@@ -24,7 +24,7 @@ UNINTERRUPTED = 100
 
 
 @dataclass(frozen=True)
-class Reached:
+class StepStatistics:
     """How far a run came.
 
     Attributes:
@@ -126,13 +126,13 @@ class SimulationLoop:
                 self._progress((time - times[0]) / (times[-1] - times[0]))
 
     @property
-    def reached(self) -> Reached:
+    def reached(self) -> StepStatistics:
         """How far the run came."""
         time, steps, largest = float(self._grid.times[self._passed]), self._passed, self._grid.largest_step
         if self._controlled is None:
-            return Reached(time, steps, 0, largest)
+            return StepStatistics(time, steps, 0, largest)
         taken = self._controlled
-        return Reached(max(time, taken.time), taken.accepted, taken.rejected, taken.largest or largest)
+        return StepStatistics(max(time, taken.time), taken.accepted, taken.rejected, taken.largest or largest)
 
     def _start(self) -> None:
         """Exchange and record the first instant."""

@@ -27,7 +27,7 @@ from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, m
 from flexfmu.cosim.engine.master.program import can_compile
 from flexfmu.cosim.engine.master.recorder import Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
-from flexfmu.cosim.engine.master.simulation_loop import Progress, Reached, SimulationLoop
+from flexfmu.cosim.engine.master.simulation_loop import Progress, SimulationLoop, StepStatistics
 from flexfmu.cosim.engine.master.stability import find_alternation, find_instability
 from flexfmu.cosim.engine.master.step_control import StepDoubling
 from flexfmu.cosim.engine.master.system import System
@@ -57,7 +57,7 @@ class Ending:
     error: BaseException | None
     initialized: bool
     active: str
-    reached: Reached
+    reached: StepStatistics
     reports: Sequence[Mapping[str, Any]] = ()
     texts: Sequence[str] = ()
 
@@ -189,11 +189,11 @@ class Simulator:
             recorder.catch_up()
         return Ending(error, recorder.count > 0, self._schedule.active_name, self._recorded_so_far())
 
-    def _recorded_so_far(self) -> Reached:
+    def _recorded_so_far(self) -> StepStatistics:
         """How far a run came that has left nothing but its recording."""
         time = self._recorder.time[: self._recorder.count]
         start = float(self._grid.times[0])
-        return Reached(
+        return StepStatistics(
             float(time[-1]) if time.size else start, int((np.diff(time) > 0.0).sum()), 0, self._grid.largest_step
         )
 

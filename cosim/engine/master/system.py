@@ -11,7 +11,7 @@ from flexfmu.cosim.engine.errors import AlgebraicLoopError, WiringError
 from flexfmu.cosim.engine.master.dependencies import (
     Connection,
     Graph,
-    Variable,
+    VariableKey,
     contracted,
     cycle,
     declared,
@@ -211,17 +211,17 @@ def _loop(
     return AlgebraicLoop(name, order, tuple((slave, index[slave][variable]) for slave, variable in torn), solver)
 
 
-def _full_name(slaves: Sequence[Slave], variable: Variable) -> str:
+def _full_name(slaves: Sequence[Slave], variable: VariableKey) -> str:
     """``slave.variable``."""
     return f"{slaves[variable[0]].name}.{variable[1]}"
 
 
-def _chain(slaves: Sequence[Slave], variables: Sequence[Variable]) -> str:
+def _chain(slaves: Sequence[Slave], variables: Sequence[VariableKey]) -> str:
     """Signals on their way."""
     return " -> ".join(_full_name(slaves, each) for each in variables)
 
 
-def _refusal(slaves: Sequence[Slave], ring: Sequence[Variable]) -> AlgebraicLoopError:
+def _refusal(slaves: Sequence[Slave], ring: Sequence[VariableKey]) -> AlgebraicLoopError:
     """The error that names the loop in the direction of the signals."""
     remedy = (
         "put a slave with a state or a sample time into it, declare what has no direct feedthrough, "

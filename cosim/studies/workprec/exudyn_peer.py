@@ -38,7 +38,7 @@ from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.studies.workprec.trial import RunError
 from flexfmu.model.finite_elements.element import BeamSection, beam_section
 from flexfmu.model.finite_elements.mesh import rigid_links, straight
-from flexfmu.model.scene.effects import StiffnessDamping
+from flexfmu.model.scene.effects import StiffnessDampingSection
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 
@@ -70,7 +70,7 @@ def exudyn_mechanism(scene: Scene, elements: int, start: RealArray, offsets: Seq
     # links as chains of beam elements
     ends, roots = {}, {}
     damping = scene.effects.damping
-    damping_time = damping.time if isinstance(damping, StiffnessDamping) else 0.0
+    damping_time = damping.time if isinstance(damping, StiffnessDampingSection) else 0.0
     for group, link, root, tip in rigid_links(scene.mechanism, start):
         points = straight(root, tip, elements)
         direction = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])

@@ -29,7 +29,7 @@ from flexfmu.cosim.studies.workprec.trial import (
     sweep,
 )
 from flexfmu.fmu_build.choices import INITIAL
-from flexfmu.model.scene.effects import ModalDamping
+from flexfmu.model.scene.effects import ModalDampingSection
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 
@@ -175,7 +175,7 @@ def exudyn_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> I
 
 def comparable(scene: Scene) -> Scene:
     """With damping that Exudyn has, proportional to stiffness, where the scene's belongs to modes."""
-    if not isinstance(scene.effects.damping, ModalDamping):
+    if not isinstance(scene.effects.damping, ModalDampingSection):
         return scene
     return scene.replace({"effects.damping": {"kind": "stiffness", "time": DAMPING_TIME}})
 

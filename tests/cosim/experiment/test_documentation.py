@@ -12,7 +12,7 @@ import pytest
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.scene.controllers import ControllerSection
-from flexfmu.model.scene.cosimulation import Anderson, FixedPoint, StepControl
+from flexfmu.model.scene.cosimulation import AndersonSection, FixedPointSection, StepControl
 from flexfmu.model.scene.imperfections import ImperfectionSection
 from flexfmu.model.scene.loop import FmuSection, PythonSection
 from flexfmu.model.scene.schema import Scene
@@ -27,7 +27,9 @@ KINDS = [
 ]
 
 OWN = (FmuSection, PythonSection)
-SECTIONS = [each for each in dict.fromkeys([*KINDS, StepControl, Anderson, FixedPoint]) if each not in OWN]
+SECTIONS = [
+    each for each in dict.fromkeys([*KINDS, StepControl, AndersonSection, FixedPointSection]) if each not in OWN
+]
 
 
 @pytest.mark.parametrize("block", BLOCKS)

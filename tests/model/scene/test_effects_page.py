@@ -11,7 +11,7 @@ from typing import Any, get_args
 import pytest
 from pydantic import BaseModel
 
-from flexfmu.model.scene.choice import Choice
+from flexfmu.model.scene.choice import ChoiceSection
 from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.effects import Effects
 from flexfmu.model.scene.file import load_scene
@@ -27,7 +27,7 @@ def words(annotation: Any) -> Iterator[str]:
     """Keys of sections and words that are values, those of sections inside included; not what flexfmu writes itself."""
     if isinstance(annotation, str):
         yield annotation
-    elif isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation is not Choice:
+    elif isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation is not ChoiceSection:
         for name, field in annotation.model_fields.items():
             yield name
             yield from words(field.annotation)

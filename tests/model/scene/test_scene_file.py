@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexfmu.model.scene.effects import ModalDamping, NoDamping
+from flexfmu.model.scene.effects import ModalDampingSection, NoDampingSection
 from flexfmu.model.scene.errors import SceneError, SceneWarning
 from flexfmu.model.scene.file import load_scene, shipped_scenes
 
@@ -148,7 +148,7 @@ def test_the_papers_scenes_are_shipped() -> None:
     scene = load_scene("barnard2012-6kg")
     assert scene.mechanism.proximal.length == 0.24
     assert scene.payload.mass == 6.0
-    assert scene.effects.damping == ModalDamping(kind="modal", ratio=0.1357)
+    assert scene.effects.damping == ModalDampingSection(kind="modal", ratio=0.1357)
 
 
 @pytest.mark.parametrize(("changes", "message"), WRONG_VALUES.values(), ids=WRONG_VALUES.keys())
@@ -165,9 +165,9 @@ def test_damping_may_be_left_out_or_none(tmp_path: Path) -> None:
     text = shipped_text().replace('damping = { kind = "modal", ratio = 0.1357 }', "")
     path = tmp_path / "scene.toml"
     path.write_text(text)
-    assert load_scene(path).effects.damping == NoDamping()
+    assert load_scene(path).effects.damping == NoDampingSection()
     path.write_text(text.replace("proximal_bending = 3", 'proximal_bending = 3\ndamping = { kind = "none" }'))
-    assert load_scene(path).effects.damping == NoDamping()
+    assert load_scene(path).effects.damping == NoDampingSection()
 
 
 def test_a_word_stands_for_a_table_of_its_kind_alone() -> None:

@@ -25,7 +25,7 @@ from flexfmu.model.scene.effects import LOADS
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.motion_grid import motion_grid
-from flexfmu.model.selection.response import LinearSystem
+from flexfmu.model.selection.response import LinearTimeVaryingSystem
 
 OF: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
 HEAVY = load_scene("barnard2012-6kg")
@@ -54,7 +54,7 @@ def oscillators(steps: int) -> tuple[float, float]:
     """Error at 0.1 s of two coupled, damped oscillators under a suddenly applied load, and of their accelerations."""
     M, C = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([[3.0, 1.0], [1.0, 2.0]])
     K, f = np.array([[9000.0, -400.0], [-400.0, 3000.0]]), np.array([5.0, -2.0])
-    system = LinearSystem(
+    system = LinearTimeVaryingSystem(
         *(np.tile(each, (steps + 1, 1, 1)) for each in (M, C, K)), ((0, steps + 1),), np.array([0.1 / steps])
     )
     motion = system.response(np.tile(f, (steps + 1, 1)), np.zeros(2))
@@ -77,7 +77,7 @@ def test_response_converges_with_the_square_of_the_step() -> None:
 def test_what_the_step_does_not_resolve_dies_out() -> None:
     """A stiff vibration, 100 radians a step, is gone after some steps: what is left is the static deflection."""
     one, steps = np.ones((201, 1, 1)), 200
-    system = LinearSystem(one, 0.0 * one, 1e10 * one, ((0, steps + 1),), np.array([1e-3]))
+    system = LinearTimeVaryingSystem(one, 0.0 * one, 1e10 * one, ((0, steps + 1),), np.array([1e-3]))
     motion = system.response(np.full((steps + 1, 1), 1e4), np.zeros(1))
     assert motion.position[-1, 0] == pytest.approx(1e-6, rel=1e-6)
 

@@ -23,7 +23,7 @@ from flexfmu.fmu_build.block_build import build_block_fmu, generate_block_source
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.trajectory_build import build_trajectory_fmu
-from flexfmu.fmu_build.validation.fmu import FmuUnderTest, Kind
+from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.steps import interpolates_inputs
 from flexfmu.fmu_build.validation.validate import validate_fmu
 from flexfmu.model.symbolic import SymbolicBlock, Variable
@@ -46,7 +46,7 @@ def test_ignored_input_derivatives_are_found(tmp_path: Path, monkeypatch: pytest
     """A block that claims to follow a ramp between communication points is tried with several samples between them."""
     path = build_block_fmu(fir(), stop_time=0.05).path
     fmpy.extract(str(path), tmp_path)
-    fmu = FmuUnderTest(fmpy.read_model_description(str(path)), tmp_path, Kind.COSIMULATION)
+    fmu = FmuUnderTest(fmpy.read_model_description(str(path)), tmp_path, InterfaceType.COSIMULATION)
     assert list(interpolates_inputs(fmu)) == []
     monkeypatch.setattr(fmpy.fmi2.FMU2Slave, "setRealInputDerivatives", lambda *_: None)
     (finding,) = interpolates_inputs(fmu)
