@@ -10,8 +10,9 @@ from matplotlib.patches import Circle, Polygon
 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.reports.figure_style import FIRST, INK, PAGE_GREY, PAGE_INK, PALE, SECOND
-from flexfmu.model.scene.assembly import Point, bases, elbows
+from flexfmu.model.scene.assembly import bases, elbows
 from flexfmu.model.scene.mechanism import Mechanism
+from flexfmu.trajectories.curves import Point
 
 MILLI = 1e3
 """Drawings to scale are in mm."""
