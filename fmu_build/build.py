@@ -94,6 +94,7 @@ def build_fmu(
     """
     experiment = DefaultExperiment(stop_time, step, tolerance)
 
+    # called only where the cache has no equal FMU
     def make_sources() -> Sources:
         return _generate(model, experiment, naming, enumerations, progress)
 

@@ -54,6 +54,7 @@ def documentation_files(
         picture: drawn at the top of the page.
         values: what else the template shows.
     """
+    # the page about this FMU
     page = render(
         template,
         about=description,
@@ -69,6 +70,7 @@ def documentation_files(
         license=LICENSE,
         **values,
     )
+    # licences of all that the FMU contains
     licences = {"license": render("license.txt"), "fmi-headers": _header_licence(), "casadi-generated": _CASADI}
     return {
         "documentation/index.html": page,

@@ -297,6 +297,7 @@ def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariabl
 def _integrator_variables(first_index: int, value_reference: int) -> tuple[FmiVariable, ...]:
     """The choice of the method, and of a fixed step as the last of the real variables; initialisation needs neither."""
     method = choice_variable(INTEGRATOR, "automatic", first_index, INTEGRATOR_REFERENCE)
+    # zero keeps the variable step
     step = FmiVariable(
         index=first_index + 1,
         value_reference=value_reference,

@@ -105,6 +105,7 @@ def _clamped(beta: float, scaled: float, sigma: float, divisor: float) -> tuple[
     (1 - sigma) exp(beta).
     """
 
+    # without the cancellation of cosh and sinh at large arguments
     def hyperbolic(x: RealArray) -> RealArray:
         """cosh - sigma sinh."""
         growing = 0.5 * scaled * (np.exp(x - beta) - np.exp(-x - beta))
@@ -115,6 +116,7 @@ def _clamped(beta: float, scaled: float, sigma: float, divisor: float) -> tuple[
         growing = 0.5 * scaled * (np.exp(x - beta) + np.exp(-x - beta))
         return np.asarray(growing - np.exp(-x))
 
+    # the shape and its derivatives with respect to ξ
     def value(xi: RealArray) -> RealArray:
         x = beta * xi
         return np.asarray((hyperbolic(x) - np.cos(x) + sigma * np.sin(x)) / divisor)

@@ -77,12 +77,14 @@ class ProportionalDamping(StructuralDamping):
 
     def __init__(self, registry: ParameterRegistry, rate: float, time: float) -> None:
         """A factor of zero leaves its term out."""
+        # only the terms that the scene has
         self._registry, self._has_rate, self._has_time = registry, bool(rate), bool(time)
         if rate:
             self._rate = registry.parameter(_factor("damping.rate", "1/s", "Mass-proportional damping rate", rate, 1e6))
         if time:
             text = "Stiffness-proportional damping time"
             self._time = registry.parameter(_factor("damping.time", "s", text, time, 1e3))
+        # the note names these terms
         terms = [(kind, symbol) for kind, symbol, there in (("mass", "αM", rate), ("stiffness", "βK", time)) if there]
         self.note = EffectNote(
             title=" and ".join(kind for kind, _ in terms) + " proportional damping",

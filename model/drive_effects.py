@@ -111,6 +111,7 @@ class StickingFriction(Effect):
     def __init__(
         self, registry: ParameterRegistry, coulomb: float, breakaway: float, stribeck_velocity: float | None
     ) -> None:
+        # sliding friction, and the torque that holds, which is never below it
         self._coulomb = registry.quantity(
             "joint_friction.coulomb", "N.m", "Coulomb friction of each motor that turns", coulomb
         )
@@ -118,6 +119,7 @@ class StickingFriction(Effect):
             "joint_friction.breakaway", "N.m", "Largest torque that holds a motor at rest", breakaway
         )
         self._breakaway = registry.derived("joint_friction_holding", casadi.fmax(largest, self._coulomb))
+        # between them friction falls with the rate
         self._velocity = stribeck_velocity and registry.quantity(
             "joint_friction.stribeck_velocity",
             "rad/s",
@@ -125,6 +127,7 @@ class StickingFriction(Effect):
             stribeck_velocity,
             1e-9,
         )
+        # events switch the direction in which a motor slips
         self._directions = [registry.switch(f"joint{leg}_slip_direction") for leg in (1, 2)]
         falling = "" if self._velocity is None else " + (b - c) ∫ exp(-(v/w)²) dv"
         self.note = EffectNote(

@@ -69,12 +69,14 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
     except ImportError:
         raise ImportError("linearize needs python-control; run: pip install flexfmu[control]") from None
 
+    # the plant, its operating point and the chosen outputs
     plant, point = torque_driven_plant(scene), operating_point(scene, position)
     names = [variable.name for variable in plant.outputs]
     for name in outputs or ():
         if name not in names:
             raise ValueError(f"the plant has no output `{name}`; its outputs: {', '.join(names)}")
     rows = list(range(len(names))) if outputs is None else [names.index(name) for name in outputs]
+    # states are the unknowns and their rates
     a, b, c, d = _matrices(plant, point)
     rates = [f"der({name})" for name in plant.unknowns]
     return control.ss(

@@ -59,6 +59,7 @@ class _LinkIntegrals:
     """Mass integrals of one link group as derived symbols: m, m l/2, m l²/3 and those with the mode shapes."""
 
     def __init__(self, registry: ParameterRegistry, link: Link, properties: LinkProperties) -> None:
+        # derived symbols are computed once for each set of parameters, not at every step
         m, length, group = properties.mass, properties.length, link.group
         integrals = link.shape_integrals()
         count = len(integrals.mean)
@@ -66,9 +67,11 @@ class _LinkIntegrals:
         def derived(name: str, expression: casadi.SX) -> casadi.SX:
             return registry.derived(f"{group}_{name}", expression)
 
+        # the rigid link
         self.mass = m
         self.half = derived("m_l_2", m * length / 2)
         self.inertia = derived("m_l2_3", m * length**2 / 3)
+        # its elastic coordinates, and how they couple with the rigid motion
         self.mean = column([derived(f"mean_{k}", m * integrals.mean[k]) for k in range(count)])
         self.first = column([derived(f"first_{k}", m * length * integrals.first_moment[k]) for k in range(count)])
         self.gram = symmetric(count, lambda i, j: derived(f"gram_{i}_{j}", m * integrals.gram[i, j]), integrals.gram)

@@ -99,16 +99,20 @@ def motion_driven_accelerations(
         motor_acceleration: q_a'' (2,) [rad/s²].
         baumgarte: stabilisation rate [1/s]; 0 lets the constraints drift.
     """
+    # equations of motion and constraints at this state
     size, psi = 10 + model.n, model.jacobian(q).full()
     mass, bias = model.mass_matrix(q).full(), model.bias(q, v).full().ravel()
+    # Baumgarte's stabilisation pulls the constraints back to zero
     drift = (
         model.curvature(q, v).full().ravel()
         + 2 * baumgarte * (psi @ v)
         + baumgarte**2 * model.constraints(q).full().ravel()
     )
+    # the motors move as prescribed: two more constraints
     prescribed = np.zeros((2, size))
     prescribed[:, :2] = np.eye(2)
     rows = np.vstack([psi, prescribed])
+    # accelerations and multipliers in one linear system
     kkt = np.block([[mass, rows.T], [rows, np.zeros((PASSIVE + 2, PASSIVE + 2))]])
     solution = np.linalg.solve(kkt, np.concatenate([-bias, -drift, motor_acceleration]))
     return ConstrainedMotion(solution[:size], solution[size : size + PASSIVE], -solution[size + PASSIVE :])

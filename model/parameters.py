@@ -103,11 +103,13 @@ class ParameterRegistry:
 
 def mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> dict[str, casadi.SX]:
     """The parameters that every scene has: lengths, diameters and material."""
+    # lengths of the mechanism
     variables = [
         _positive(
             "base_half_distance", "m", "Half of the distance between the bases", mechanism.base_half_distance, 1e3
         )
     ]
+    # rods and tubes
     for group, link in (("proximal", mechanism.proximal), ("distal", mechanism.distal)):
         variables += [
             _positive(f"{group}.length", "m", f"Length of the {group} links", link.length, 1e3),
@@ -122,12 +124,14 @@ def mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> d
                 maximum=1e2,
             ),
         ]
+    # material
     variables += [
         _positive("material.density", "kg/m3", "Density of the links", mechanism.material.density, 1e6),
         _positive(
             "material.youngs_modulus", "Pa", "Young's modulus of the links", mechanism.material.youngs_modulus, 1e15
         ),
     ]
+    # as symbols, by name
     return {variable.name: registry.parameter(variable) for variable in variables}
 
 

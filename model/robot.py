@@ -200,7 +200,9 @@ def make_robot(
 
 
 def _make_link(name: str, group: LinkGroup, leg: int, base: casadi.SX, families: Sequence[Family]) -> Link:
+    # proximal links turn about a fixed point
     moves = group == "distal"
+    # symbols of the families that bend or stretch it
     elastic = tuple(
         ElasticSymbols(
             family, casadi.SX.sym(f"q_{name}", len(family.shapes)), casadi.SX.sym(f"v_{name}", len(family.shapes))

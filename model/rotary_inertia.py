@@ -33,6 +33,7 @@ class ThickBeam:
 
 def thick_beams(context: EffectContext) -> dict[LinkGroup, ThickBeam]:
     """Shear and rotary inertia of both link groups, which registers Poisson's ratio; empty for slender beams."""
+    # slender beams have neither
     if context.scene.effects.beam != "timoshenko":
         return {}
     nu = context.registry.parameter(
@@ -46,6 +47,7 @@ def thick_beams(context: EffectContext) -> dict[LinkGroup, ThickBeam]:
             maximum=0.5,
         )
     )
+    # the same for both links of a group
     beams: dict[LinkGroup, ThickBeam] = {}
     for group, part in context.links.items():
         shear_modulus = part.youngs_modulus / (2.0 * (1.0 + nu))

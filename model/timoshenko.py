@@ -56,6 +56,7 @@ def timoshenko_shapes(basis: Basis, group: LinkGroup, modes: int, slenderness: S
 
 def tip_force_timoshenko(slenderness: Slenderness) -> Shape:
     """Static shape of a cantilever under a force at its tip: bending and shear, (3 xi² - xi³)/2 + 3 s xi, scaled to 1."""
+    # share of the tip deflection that bending has; shear has the rest
     share = 1.0 / (1.0 + 3.0 * slenderness.shear)
     linear = 3.0 * slenderness.shear
 
@@ -75,9 +76,11 @@ def tip_force_timoshenko(slenderness: Slenderness) -> Shape:
 
 def pinned_pinned_timoshenko(mode: int, slenderness: Slenderness) -> Shape:
     """Pinned-pinned shape k: sin(k pi xi), whose sections turn by B cos(k pi xi)."""
+    # the lower root of the frequency equation
     k, r, s = mode * np.pi, slenderness.rotary, slenderness.shear
     b = 1.0 + k**2 * (r + s)
     square = 2.0 * k**4 / (b + np.sqrt(b**2 - 4.0 * r * s * k**4))
+    # the section turns less than the axis by the shear angle
     turning = k - square * s / k
     return Shape(
         value=lambda xi: np.sin(k * xi),

@@ -114,15 +114,18 @@ def _remedies(run: Run) -> str:
     """Remedies, in one sentence."""
 
     def remedies() -> Iterator[str]:
+        # what always helps, and delays above a step
         scene, latest = run.scene, max(run.delays, key=lambda delay: delay.average, default=None)
         yield "lower the gains, sample faster"
         if latest is not None and latest.average > _step(run)[0]:
             yield f"shorten the delays ({latest.average:.3g} s of {latest.connection})"
+        # what this scene lacks
         if not scene.effects.motor_inertia:
             yield (
                 "give the motors their inertia (`effects.motor_inertia`), without which velocity feedback acts on next to "
                 "massless joints"
             )
+        # torques that stayed at their largest value were limited
         for joint in (1, 2):
             torque = run.recording.columns.get(f"joint{joint}.torque")
             limit = 0.0 if torque is None else float(abs(torque.values).max())

@@ -161,9 +161,11 @@ def constants(plant: Slave, values: Mapping[str, float], count: int) -> dict[str
 
 def _description(slave: Slave) -> str:
     """What a slave is."""
+    # blocks describe themselves
     block = getattr(slave, "block", None)
     if block is not None:
         return str(block.description)
+    # other slaves by their class, FMUs with the name of their model
     names = {
         "FmuSlave": "FMU",
         "SampledFmu": "FMU, sampled",

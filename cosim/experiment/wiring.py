@@ -159,6 +159,7 @@ class _Bus:
 
     def connect_controllers(self, controllers: Sequence[Slave]) -> None:
         """Feed the controllers and make their outputs available."""
+        # each signal has one owner
         owners: dict[str, str] = {}
         for controller in controllers:
             for name in _names(controller, "output"):
@@ -171,6 +172,7 @@ class _Bus:
         for controller in controllers:
             for name in _names(controller, "input"):
                 self._feed(controller, name, owners)
+        # now the robot may take them
         self.sources |= {name: f"{owner}.{name}" for name, owner in owners.items()}
 
     def _feed(self, controller: Slave, name: str, owners: Mapping[str, str]) -> None:

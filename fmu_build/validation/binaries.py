@@ -162,11 +162,13 @@ def check_binaries(description: Any, files: Mapping[str, bytes]) -> Iterator[Fin
         description: model description as fmpy reads it.
         files: content of the FMU, path inside → bytes.
     """
+    # one folder for each platform
     folders = sorted(
         {PurePosixPath(name).parts[1] for name in files if name.count("/") > 1 and name.startswith("binaries/")}
     )
     for folder in folders:
         yield from _check_folder(folder, description, files)
+    # a library for this machine
     if fmpy.platform not in folders:
         has = ", ".join(folders) or "no platform at all"
         yield Finding(

@@ -62,6 +62,7 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
     """The same in Initialization Mode, for parameters, inputs and exact starts."""
+    # all unknowns against all Real variables that may be set before the start
     unknowns = fmu.description.initialUnknowns or ()
     knowns = [variable for variable in fmu.settable("parameter", "input", "output", "local") if variable.type == "Real"]
     with fmu.instance("initial_dependencies") as instance:
@@ -70,6 +71,7 @@ def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
         def set_known(known: Any, value: RealArray) -> None:
             instance.set([known], value)
 
+        # the same findings, with words of this mode
         for finding in _violations(unknowns, knowns, instance, set_known, set()):
             yield Finding(
                 finding.check,

@@ -165,11 +165,14 @@ def _compare(
 
     Where differences of two sizes disagree they prove nothing: at kinks, and where an inner iteration leaves its tolerance.
     """
+    # everything in units of the known, relative to the largest entry of its row
     sizes = np.array([size_of(known) for known in knowns])
     apart, unsure = np.abs(matrix - differences) * sizes, np.abs(coarse - differences) * sizes
     floor = NEGLIGIBLE * np.array([[size_of(unknown)] for unknown in unknowns])
     scale = np.maximum((np.abs(differences) * sizes).max(axis=1, keepdims=True), floor)
+    # what the differences leave uncertain is forgiven
     apart = np.where(np.isfinite(apart), np.maximum(apart - 2.0 * unsure, 0.0) / scale, np.inf)
+    # the worst entry
     row, column = map(int, np.unravel_index(int(np.argmax(apart)), apart.shape))
     if apart[row, column] > DIRECTIONAL_TOLERANCE:
         yield Finding(
@@ -331,16 +334,20 @@ def _discrepancy(given: RealArray, differences: RealArray, clear: NDArray[np.boo
         clear: points to look at, the same shape.
         slack: what they may be off beside `OUTPUT_TOLERANCE`, shape (orders, columns) or a number.
     """
+    # points that are clear enough to judge
     count = clear.sum(axis=0)
     enough = (count >= LEAST_POINTS) & (clear.mean(axis=0) >= 0.5)
     given, differences = (np.where(clear, each, 0.0) for each in (given, differences))
+    # least squares: the factor between them, with three standard errors for chance
     power = (differences**2).sum(axis=0).clip(1e-300)
     largest = np.abs(differences).max(axis=0).clip(1e-150)
     factor = (given * differences).sum(axis=0) / power
     chance = 3.0 / np.sqrt(count.clip(1))
     rest = np.sqrt(((given - factor * differences) ** 2).sum(axis=0) / power)
+    # the mean error, likewise
     mean = (given - differences).sum(axis=0) / count.clip(1) / largest
     spread = np.sqrt(((given - differences) ** 2).sum(axis=0) / count.clip(1)) / largest
+    # only what is beyond tolerance and chance
     wrong = np.where(np.abs(factor - 1.0) > OUTPUT_TOLERANCE + slack + chance * rest, np.abs(factor - 1.0), 0.0)
     shifted = np.where(np.abs(mean) > 2.0 * OUTPUT_TOLERANCE + slack + chance * spread, np.abs(mean), 0.0)
     return np.where(enough, np.maximum(wrong, shifted), 0.0)

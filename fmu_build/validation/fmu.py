@@ -93,6 +93,7 @@ class FmuUnderTest:
     _functions: Any = None
 
     def __post_init__(self) -> None:
+        # a time span and a step, by the default experiment as far as it says
         experiment = self.description.defaultExperiment
         self.start = _time(experiment, "startTime") or 0.0
         stop = _time(experiment, "stopTime") or 0.0
@@ -102,8 +103,10 @@ class FmuUnderTest:
         self.step = step if step > 0.0 else (stop - self.start) / _DEFAULT_STEPS
         self.all_steps = max(1, round((stop - self.start) / self.step))
         self.stop = max(stop, self.start + self.all_steps * self.step)
+        # errors below this one are the solver's
         self.tolerance = _time(experiment, "tolerance")
         self.accuracy = max(self.tolerance or 0.0, SOLVER_TOLERANCE)
+        # what is watched and moved; some FMUs have nothing but local variables
         self.outputs = self._variables("output", types=_NUMBERS) or self._variables("local")[:_MOST_LOCALS]
         self.inputs = self._variables("input", variability="continuous")
 

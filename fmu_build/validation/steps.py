@@ -116,10 +116,12 @@ def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 def interpolates_inputs(fmu: FmuUnderTest) -> Iterator[Finding]:
     """A ramp given by its derivative does what the same ramp does in small stairs."""
+    # only what is claimed, where outputs show a difference
     claims = fmu.has_variable_step and fmu.element.canInterpolateInputs
     outputs = fmu.smooth_outputs or [variable for variable in fmu.outputs if variable.type == "Real"]
     if not claims or not outputs or (not fmu.smooth_outputs and fmu.steps < STAIRS):
         return
+    # the first input that is wrong is enough
     for variable in fmu.inputs[:MOST_INPUTS]:
         found = _wrong_ramp(fmu, variable, outputs)
         if found is not None:

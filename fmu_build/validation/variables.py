@@ -61,6 +61,7 @@ def moved(variable: Any, share: float) -> float:
 def other_value(variable: Any, share: float = 0.0213) -> Any | None:
     """Another value than the start, of the variable's type, a Real by a share of its size; None where there may be none."""
     start = start_value(variable)
+    # types with values that are easily found
     if variable.type == "Real":
         value = moved(variable, share)
         return value if value != start else None
@@ -68,8 +69,10 @@ def other_value(variable: Any, share: float = 0.0213) -> Any | None:
         return not start
     if variable.type == "String":
         return f"{start}x"
+    # an enumeration has only the values that it lists
     if variable.type == "Enumeration":
         items = [int(item.value) for item in (variable.declaredType.items if variable.declaredType else None) or ()]
         return next((item for item in items if item != start), None)
+    # an Integer within its limits
     value = int(within(variable, int(start or 0) + 1))
     return value if value != start else None

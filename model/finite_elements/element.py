@@ -56,10 +56,12 @@ class BeamSection:
 
 def beam_section(scene: Scene, group: LinkGroup) -> BeamSection:
     """The links of a group, with shear and rotary inertia where ``effects.beam`` is Timoshenko's."""
+    # area and second moment of the tube
     link: LinkSection = getattr(scene.mechanism, group)
     outer, inner, material = link.diameter, link.inner_diameter, scene.mechanism.material
     area = math.pi / 4.0 * (outer**2 - inner**2)
     second = math.pi / 64.0 * (outer**4 - inner**4)
+    # Timoshenko's beam also shears and has rotary inertia
     young, nu, density = material.youngs_modulus, material.poissons_ratio, material.density
     thick = scene.effects.beam == "timoshenko"
     shear = shear_coefficient(outer, inner, nu) * young / (2.0 * (1.0 + nu)) * area

@@ -39,6 +39,7 @@ def equilibrium(robot: FiniteElementRobot, joints: RealArray) -> RestState:
     Raises:
         EquilibriumError: Newton's iteration doesn't converge.
     """
+    # Newton's iteration on the free coordinates; the motors stay locked
     x = robot.undeformed(joints)
     rest = np.zeros(x.size)
     for _ in range(MAXIMUM_ITERATIONS):
@@ -46,6 +47,7 @@ def equilibrium(robot: FiniteElementRobot, joints: RealArray) -> RestState:
         step = np.linalg.solve(stiffness, -robot.forces(*_columns(x, rest, rest))[HELD:, 0])
         x[HELD:] += step
         if np.abs(step).max() < ROUNDING:
+            # the motors carry what remains
             torque = robot.forces(*_columns(x, rest, rest))[list(MOTORS), 0]
             return RestState(x, x[list(robot.mesh.end)], torque)
     raise EquilibriumError(

@@ -94,6 +94,7 @@ def contradictions(
         basis: of the shapes.
         switched_on: keys of effects that the scene itself chooses.
     """
+    # keys of the choice without a choice, and the other way round
     for key, value in given.items():
         if select is None and value is not None:
             yield f'`{key}` belongs to `select = "auto"`: add that, or remove `{key}`'
@@ -101,6 +102,7 @@ def contradictions(
             yield f'`{key}` is missing: `select = "auto"` needs `tolerance = 0.01` and `of = ["peak_position_error"]`'
     if select is None:
         return
+    # what an automatic choice leaves no room for
     if switched_on:
         keys = ", ".join(f"`{key}`" for key in switched_on)
         yield f'`select = "auto"` chooses {keys}: remove {"it" if len(switched_on) == 1 else "them"}, or remove `select`'

@@ -49,6 +49,7 @@ def block(
         InputError: the sample time, the offset, a start value, a name or a size is wrong.
     """
     check_sampling(sample_time, offset, name)
+    # the equations as functions of CasADi
     arguments = [
         symbol.sym(letter, len(each)) for letter, each in zip("xup", (states, inputs, parameters), strict=True)
     ]
@@ -66,6 +67,7 @@ def block(
         update=casadi.Function("update", arguments, [update], ["x", "u", "p"], ["next_x"]),
         latency=latency or {},
     )
+    # feedthrough follows from the functions
     check_variables(result)
     return _with_feedthrough(result)
 

@@ -37,16 +37,19 @@ class BlockSlave:
     def __init__(self, block: SymbolicBlock, name: str = "", *, compiled: bool | None = None) -> None:
         check_block(block)
         check_variables(block)
+        # what the master asks of a slave
         self.name = name or block.name
         self.block = block
         self.sample_time, self.offset = block.sample_time, block.offset
         self.feedthrough, self.latency = dict(block.feedthrough), dict(block.latency)
         known = (*block.inputs, *block.parameters)
         self.variables = tuple(slave_variable(each) for each in (*known, *block.outputs))
+        # one array for all values, which the function reads and writes in place: variables, states, next states
         self._inputs, self._known = len(block.inputs), len(known)
         self._memory = np.zeros(len(self.variables) + 2 * len(block.states))
         self._memory[: self._known] = [each.start or 0.0 for each in known]
         self._states, self._next = self._memory[len(self.variables) :].reshape(2, -1)
+        # the function with its buffers bound: a whole sample, and each half of it alone
         self._buffers: list[object] = []
         function = block_function(block, compiled)
         self._sample = self._bound(function, output=True, update=True)

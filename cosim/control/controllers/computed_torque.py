@@ -106,6 +106,7 @@ def inverse_dynamics_feedforward(
     """
     _check(inverse_dynamics, joints, name)
 
+    # the torques follow from the references alone, without a state
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         return inverse_dynamics.call(split(u, len(joints)))[0], x
 

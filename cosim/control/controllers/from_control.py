@@ -101,10 +101,12 @@ def from_control(
         InputError: python-control is missing, the system is of another kind or not proper, it has no time base,
             it is continuous without method or sample time, sample times contradict each other, or a name is unknown.
     """
+    # matrices and names as python-control has them
     matrices = _matrices(system)
     names_in = _names(inputs, system.input_labels, "inputs")
     names_out = _names(outputs, system.output_labels, "outputs")
     _check_units(units or {}, [*names_in, *names_out])
+    # in discrete time, with a sample time that nothing contradicts
     if system.isctime(strict=True):
         method, sample_time = _explicit(method, sample_time)
         matrices = _discretise(matrices, method, sample_time, prewarp)
@@ -113,6 +115,7 @@ def from_control(
             raise InputError("the system is discrete and is taken as it is; leave out method and prewarp")
         sample_time = _own_sample_time(system.dt, sample_time)
 
+    # names without a unit fit every unit
     def signals(names: Sequence[str]) -> tuple[Signal, ...]:
         return tuple(Signal(name, (units or {}).get(name, "1")) for name in names)
 
@@ -192,6 +195,7 @@ def _own_sample_time(dt: Any, sample_time: float | None) -> float:
 
 def _discretise(matrices: Any, method: Method, sample_time: float, prewarp: float | None) -> Matrices:
     """The discrete equivalent of a continuous system."""
+    # Tustin's rule with the step for which it is exact at the prewarped frequency
     step = sample_time
     if prewarp is not None:
         if method != "tustin":
@@ -201,6 +205,7 @@ def _discretise(matrices: Any, method: Method, sample_time: float, prewarp: floa
                 f"prewarp must be above 0 and below the Nyquist frequency {pi / sample_time:.6g} rad/s, got {prewarp} rad/s"
             )
         step = 2.0 * tan(prewarp * sample_time / 2.0) / prewarp
+    # a static gain needs no discretisation
     if np.size(matrices[0]) == 0:
         return matrices[0], matrices[1], matrices[2], matrices[3]
     A, B, C, D, _ = cont2discrete(matrices, step, _SCIPY_NAMES[method])

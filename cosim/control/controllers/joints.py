@@ -80,6 +80,7 @@ def per_joint(
     Raises:
         InputError: the number of values is wrong, or a value isn't finite or is too small.
     """
+    # one number for all joints, or one for each
     try:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
@@ -89,6 +90,7 @@ def per_joint(
             f"{name} must be one number or {len(joints)} (one for each of {', '.join(joints)}), got shape {array.shape}"
         )
     result = tuple(float(value) for value in np.broadcast_to(array, (len(joints),)))
+    # refuse what no joint can take
     for joint, value in zip(joints, result, strict=True):
         if not isfinite(value):
             raise InputError(f"{name} of {joint} must be finite, got {value} {unit}")

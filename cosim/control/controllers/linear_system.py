@@ -48,6 +48,7 @@ class LinearSystem:
 
     def __post_init__(self) -> None:
         check_sampling(self.sample_time, 0.0, "linear system")
+        # the shapes follow from the number of states and signals
         states = np.shape(self.A)[0] if np.ndim(self.A) else 0
         shapes = {
             "A": (states, states),
@@ -57,6 +58,7 @@ class LinearSystem:
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, matrix(getattr(self, name), shape, name))
+        # signals are connected by name
         names = [signal.name for signal in (*self.inputs, *self.outputs)]
         for name in names:
             if names.count(name) > 1:
@@ -142,10 +144,12 @@ def state_space(
     Raises:
         InputError: the number of start states doesn't fit, or one isn't finite.
     """
+    # a start of the right length
     states = [0.0] * system.order if start is None else [float(value) for value in start]
     if len(states) != system.order:
         raise InputError(f"{name}: start must have {system.order} values, one for each state, got {len(states)}")
 
+    # output and update of the four matrices
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         return times(system.C, x) + times(system.D, u), times(system.A, x) + times(system.B, u)
 

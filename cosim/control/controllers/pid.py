@@ -16,6 +16,7 @@ sections 3.3 to 3.5.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import isfinite
 
 import casadi
@@ -41,6 +42,46 @@ from flexfmu.model.scene import controllers as scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 CLAMPING = Clamping()
+
+
+@dataclass(frozen=True)
+class PidLaw:
+    """The formulas on top of this module, for all joints at once.
+
+    Attributes:
+        joints: number of joints n.
+        sample_time: h [s].
+        setpoint_weight, derivative_weight: b and c.
+        anti_windup: what the integral does at the torque limits; None for no limits.
+    """
+
+    joints: int
+    sample_time: float
+    setpoint_weight: float
+    derivative_weight: float
+    anti_windup: AntiWindup | None
+
+    def equations(self, x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """Torques (n, 1) and next states; states are whether there was a sample, and I, D, e and d of the last one."""
+        n, h = self.joints, self.sample_time
+        started, carried, slope, last_e, last_d = split(x, 1, n)
+        q_r, q, feedforward = split(u, n)
+        k_p, k_i, k_d, t_f, *bounds = split(p, n)
+        e, d = q_r - q, self.derivative_weight * q_r - q
+        # integral and filtered derivative, neither of which moves at the first sample
+        running = casadi.repmat(started, n, 1)
+        increment = casadi.if_else(running, k_i * (h / 2.0) * (e + last_e), 0.0)
+        fading = casadi.exp(-h / t_f)
+        slope = casadi.if_else(running, fading * slope + k_d * ((1.0 - fading) / h) * (d - last_d), slope)
+        rest = k_p * (self.setpoint_weight * q_r - q) + slope + feedforward
+        # the integral takes part as far as the limits let it
+        if self.anti_windup is None:
+            torque, carried = rest + carried + increment, carried + increment
+        else:
+            lower, upper = bounds
+            now, carried = self.anti_windup.integrate(carried, increment, rest, lower, upper, h)
+            torque = saturate(rest + now, lower, upper)
+        return torque, casadi.vertcat(1.0, carried, slope, e, d)
 
 
 def pid(
@@ -85,33 +126,12 @@ def pid(
     for what, weight in (("setpoint", setpoint_weight), ("derivative", derivative_weight)):
         if not isfinite(weight):
             raise InputError(f"{name}: the {what} weight must be finite, usually 0 to 1, got {weight}")
-    n, h = len(joints), sample_time
-
-    def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        # states: whether there was a sample, I, D, e and d of the last one
-        started, carried, slope, last_e, last_d = split(x, 1, n)
-        q_r, q, feedforward = split(u, n)
-        k_p, k_i, k_d, t_f, *bounds = split(p, n)
-        e, d = q_r - q, derivative_weight * q_r - q
-        # integral and filtered derivative, neither of which moves at the first sample
-        running = casadi.repmat(started, n, 1)
-        increment = casadi.if_else(running, k_i * (h / 2.0) * (e + last_e), 0.0)
-        fading = casadi.exp(-h / t_f)
-        slope = casadi.if_else(running, fading * slope + k_d * ((1.0 - fading) / h) * (d - last_d), slope)
-        rest = k_p * (setpoint_weight * q_r - q) + slope + feedforward
-        # the integral takes part as far as the limits let it
-        if limits is None:
-            torque, carried = rest + carried + increment, carried + increment
-        else:
-            lower, upper = bounds
-            now, carried = anti_windup.integrate(carried, increment, rest, lower, upper, h)
-            torque = saturate(rest + now, lower, upper)
-        return torque, casadi.vertcat(1.0, carried, slope, e, d)
-
+    n = len(joints)
+    law = PidLaw(n, sample_time, setpoint_weight, derivative_weight, anti_windup if limits else None)
     return block(
         name,
         "PID control of the joints",
-        equations,
+        law.equations,
         sample_time=sample_time,
         offset=offset,
         inputs=[*references(joints, "position"), *measurements(joints, "position"), *feedforwards(joints)],
@@ -129,6 +149,7 @@ def pid(
 
 @builds(scene.PidSection)
 def _from_section(section: scene.PidSection, context: LoopContext) -> SymbolicBlock:
+    # the rule that the section names
     anti_windup: AntiWindup
     match section.anti_windup:
         case scene.BackCalculationSection(tracking_time=time):

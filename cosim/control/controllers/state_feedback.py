@@ -119,6 +119,7 @@ def state_feedback(
     Raises:
         InputError: a gain has the wrong shape or isn't finite, or a number of values doesn't fit.
     """
+    # check every matrix and vector against the plant
     n, m, outputs = plant.order, len(plant.inputs), len(plant.outputs)
     r = _checked(reference, plant, name)
     law = StateFeedbackLaw(
@@ -130,6 +131,7 @@ def state_feedback(
         _values(equilibrium.outputs if equilibrium else None, outputs, f"{name}: equilibrium.outputs"),
         _bounds(limits, m, name),
     )
+    # the references come in beside the measurements; the estimate is the state
     return block(
         name,
         f"State feedback from an observer of order {n}",

@@ -51,6 +51,7 @@ def quantisation(
     """
     ports = inputs(channels)
 
+    # a resolution of zero passes the signal as it is
     def equations(x: Vector, u: Vector, q: Vector) -> tuple[Vector, Vector]:
         return casadi.if_else(q > 0.0, q * nearest(u / q), u), x
 

@@ -36,6 +36,7 @@ def saturation(
     Raises:
         InputError: a limit isn't finite, the lower one is above the upper one, or the sample time isn't positive.
     """
+    # limits of every channel, in order
     ports = inputs(channels)
     minima = parameters(channels, "minimum", lower, units(channels), "the lower limit")
     maxima = parameters(channels, "maximum", upper, units(channels), "the upper limit")
@@ -46,6 +47,7 @@ def saturation(
                 f"{high.start} {high.unit}; swap them"
             )
 
+    # the output follows from the input alone
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         return saturate(u, *split(p, len(channels))), x
 

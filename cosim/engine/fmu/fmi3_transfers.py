@@ -38,10 +38,12 @@ class Fmi3Transfers:
 
     def get(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
         """A call that fills ``values`` (n,)."""
+        # one FMI call for each type
         groups = [_Group(each, columns) for each, columns in _groups(handles, by_event=False)]
         fmi, component = self._instance.fmi, self._instance.component
         reads = [(fmi[f"fmi3Get{group.type}"], group) for group in groups]
 
+        # the worst status counts; values are taken where the call gave some
         def call() -> int:
             worst = OK
             for read, group in reads:

@@ -117,6 +117,7 @@ def _component(node: XmlElement, archive: SspArchive) -> Component:
     Raises:
         SspError: it is anything else.
     """
+    # the file lies in the archive or beside it
     _check_kind(node)
     source = archive.resolve(node.required("source"), node.where)
     name = node.required("name")

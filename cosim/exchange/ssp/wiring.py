@@ -131,6 +131,7 @@ class Network:
         Raises:
             SspError: it has a table that is no line for a Real, or one of items that the signal doesn't have.
         """
+        # a line for numbers, a table for the rest
         table = connection.transformation
         if not isinstance(table, ValueMap):
             return table
@@ -140,6 +141,7 @@ class Network:
             raise SspError(
                 f"{connection.where} has a table that is no line, in which a Real can't be looked up; map it inside an FMU"
             )
+        # items as the integers that stand for them
         pairs = {
             self._number(source, origin, connection): self._number(target, end, connection)
             for source, target in table.pairs

@@ -34,8 +34,10 @@ def parameter_cases() -> Iterator[HardCase]:
     """Payload, rods, material."""
     rods = "mechanism.proximal.diameter", "mechanism.distal.diameter"
     modulus = "mechanism.material.youngs_modulus"
+    # from nothing to ten times the payload
     yield _case("no payload", "0 kg at the end effector: it has no mass of its own", {"payload.mass": 0.0})
     yield _case("payload of 60 kg", "19 times the mass of the links", {"payload.mass": 60.0}, bent=True)
+    # rods from wires to beams
     yield _case(
         "rods of 5 mm",
         "bending stiffness 2400 times lower, 6 kg on 0.066 kg of links",
@@ -43,6 +45,7 @@ def parameter_cases() -> Iterator[HardCase]:
         bent=True,
     )
     yield _case("rods of 80 mm", "bending stiffness 27 times higher", dict.fromkeys(rods, 0.08))
+    # links from rubber to what no material reaches
     yield _case("Young's modulus x 1e-3", "70 MPa: links like rubber", {modulus: 70e6}, bent=True)
     yield _case(
         "Young's modulus x 1e3", "70 TPa: modes at 32 times the frequency, deflections of 0.2 µm", {modulus: 70e12}
