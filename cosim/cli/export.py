@@ -1,42 +1,46 @@
-"""`flexfmu export`: a scene as one SSP file, and `flexfmu run` of such a file."""
+"""`flexfmu export`: a scene as one SSP file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from fractions import Fraction
 from math import gcd, lcm
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated
 
-from rich.console import RenderableType
-from rich.table import Column, Table
-from rich.text import Text
+import typer
 
-from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_error, show_note
-from flexfmu.cosim.engine.files import RESULTS, OutputFolder
-from flexfmu.cosim.engine.master.master import Simulation
-from flexfmu.cosim.engine.master.system import System
-from flexfmu.cosim.engine.slave import Sampled, Slave, feedthrough, offset
-from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
-from flexfmu.cosim.exchange.ssp.export import export_ssp
-from flexfmu.cosim.exchange.ssp.loading import SspSystem, load_ssp
-from flexfmu.cosim.experiment.recording import slave_facts
-from flexfmu.cosim.reports.text import titled_table, to_json
+from flexfmu.cosim.cli.console import load_resolved, print_text, progress, show_note
+from flexfmu.cosim.cli.options import JsonOption, PlatformOption, SceneArgument
+from flexfmu.cosim.reports.text import to_json
 
-TEXT_WIDTH = 40
-"""Characters of a text in the table of results."""
+if TYPE_CHECKING:
+    from flexfmu.cosim.engine.master.system import System
 
 
-def export_command(source: str, output: Path | None, platforms: list[str], as_json: bool) -> int:
-    """Write the scene as an SSP file and print where it is; the exit status."""
-    scene = load_resolved(source)
-    target = output or Path(f"{scene.name}.ssp")
+def export(
+    scene: SceneArgument,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.ssp", help="Default: the scene's name, here.")
+    ] = None,
+    platform: PlatformOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Write a whole scene as one SSP 1.0 file: its FMUs, their connections and parameters.
+
+    Other tools simulate the file as it is; here: flexfmu run FILE.ssp.
+    """
+    from flexfmu.cosim.exchange.ssp.export import export_ssp
+    from flexfmu.cosim.exchange.ssp.loading import load_ssp
+
+    robot = load_resolved(scene)
+    target = output or Path(f"{robot.name}.ssp")
     with progress() as show:
-        export_ssp(scene, target, platforms=platforms or None, progress=show)
-    if scene.cosimulation.drive == "torque":
+        export_ssp(robot, target, platforms=platform or None, progress=show)
+    if robot.cosimulation.drive == "torque":
         _note_late_samples(load_ssp(target).system)
+    # standard output
     size = target.stat().st_size
-    if as_json:
+    if json:
         print_text(to_json({"path": str(target), "bytes": size}))
     else:
         print_text(f"{target}: {size / 1000:.0f} kB, SSP 1.0; run it with: flexfmu run {target}\n")
@@ -46,12 +50,20 @@ def export_command(source: str, output: Path | None, platforms: list[str], as_js
 def _note_late_samples(system: System) -> None:
     """Say which samples other masters pass on a sample late: outputs that follow inputs at once, to slaves that sample
     at the same instants. What they are is in docs/ssp.md."""
-    clocks = [_clock(slave) for slave in system.slaves]
+    from flexfmu.cosim.engine.slave import Sampled, feedthrough, offset
+
+    # sample time and offset [s], as the decimals that they are written as
+    clocks = {
+        index: (Fraction(repr(float(slave.sample_time))), Fraction(repr(float(offset(slave)))))
+        for index, slave in enumerate(system.slaves)
+        if isinstance(slave, Sampled)
+    }
+    # connections with direct feedthrough between slaves whose clocks meet
     late: dict[str, None] = {}
     for each in system.connections:
-        source, ours, theirs = system.slaves[each.source], clocks[each.source], clocks[each.target]
+        source = system.slaves[each.source]
         follows = feedthrough(source)[source.variables[each.output].name]
-        if follows and ours is not None and theirs is not None and _meet(ours, theirs):
+        if follows and {each.source, each.target} <= clocks.keys() and _meet(clocks[each.source], clocks[each.target]):
             late[f"{source.name} -> {system.slaves[each.target].name}"] = None
     if late:
         show_note(
@@ -61,99 +73,8 @@ def _note_late_samples(system: System) -> None:
         )
 
 
-def _clock(slave: Slave) -> tuple[Fraction, Fraction] | None:
-    """Sample time and offset [s], as the decimals that they are written as; None for a slave that isn't sampled."""
-    if not isinstance(slave, Sampled):
-        return None
-    return Fraction(repr(float(slave.sample_time))), Fraction(repr(float(offset(slave))))
-
-
 def _meet(first: tuple[Fraction, Fraction], second: tuple[Fraction, Fraction]) -> bool:
     """Whether two clocks ever sample at the same instant: their offsets differ by common parts of their sample times."""
     (time, begin), (other_time, other_begin) = first, second
     part = Fraction(gcd(time.numerator, other_time.numerator), lcm(time.denominator, other_time.denominator))
     return (begin - other_begin) % part == 0
-
-
-def run_ssp_command(
-    source: Path,
-    out: Path | None,
-    step: float | None,
-    stop_time: float | None,
-    as_json: bool,
-    isolate: bool | None = None,
-    ssd: str | None = None,
-    output_order: int | None = None,
-) -> int:
-    """Simulate an SSP file, or the variant ``ssd`` in it, with step and stop time [s] instead of its own; write results.csv and summary.json, print how it went; the exit status.
-
-    What was recorded before a failure is written too.
-    """
-    loaded = load_ssp(source, stop=stop_time, step=step, ssd=ssd or DESCRIPTION, output_order=output_order)
-    folder = OutputFolder(out or RESULTS / source.stem)
-    folder.prepare()
-    with progress() as show:
-        simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction), isolate=isolate)
-        show("writing the results", None)
-        simulation.recording.write_csv(folder.path / "results.csv")
-        summary = _summary(loaded, simulation)
-        folder.write("summary.json", to_json(summary))
-    if as_json:
-        print_text(to_json(summary))
-    else:
-        _print(summary, simulation, folder.path)
-    if simulation.outcome.is_failure:
-        show_error(f"{simulation.message}; what was recorded is in {folder.path}")
-        return FAILURE
-    return 0
-
-
-def _summary(loaded: SspSystem, simulation: Simulation) -> Mapping[str, Any]:
-    """What was run and how it ended."""
-    time = simulation.recording.time
-    return {
-        "system": loaded.structure.name,
-        "outcome": simulation.outcome.name.lower(),
-        "message": simulation.message,
-        "start_time": loaded.start,
-        "stop_time": loaded.stop,
-        "end_time": float(time[-1]) if time.size else None,
-        "communication_step": loaded.step,
-        "steps": simulation.steps,
-        "slaves": [
-            {"name": each.name, "sample_time": each.sample_time, "offset": each.offset}
-            for each in slave_facts(loaded.system.slaves)
-        ],
-        "connections": [loaded.system.describe(each) for each in loaded.system.connections],
-        "ignored_parameters": list(loaded.ignored),
-        "remarks": list(loaded.remarks),
-    }
-
-
-def _print(summary: Mapping[str, Any], simulation: Simulation, folder: Path) -> None:
-    """The outputs' ranges, how the run ended, and where the files are."""
-    parts: list[RenderableType] = [_ranges(summary["system"], simulation)]
-    parts.append(
-        Text(f"{simulation.message}: {summary['end_time'] or 0.0:g} s in steps of {summary['communication_step']:g} s")
-    )
-    if summary["ignored_parameters"]:
-        names = ", ".join(summary["ignored_parameters"])
-        parts.append(Text(f"warning: parameters that fit no variable were ignored: {names}", style="yellow"))
-    parts += [Text(f"warning: {remark}", style="yellow") for remark in summary["remarks"]]
-    parts.append(Text(f"results.csv and summary.json are in {folder}"))
-    print_rich(*parts)
-
-
-def _ranges(title: str, simulation: Simulation) -> Table:
-    """Smallest, largest and last value of every output; of a text the last alone."""
-    figures = (Column(heading, justify="right") for heading in ("Smallest", "Largest", "Last"))
-    table = titled_table(title, "Output", *figures)
-    for name, column in simulation.recording.columns.items():
-        if column.values.size and column.texts is not None:
-            # texts have no order; long ones and line breaks stay in results.csv
-            last = " ".join(column.text_at(-1).split())
-            table.add_row(Text(name), "", "", Text(f'"{last[:TEXT_WIDTH]}{"..." if len(last) > TEXT_WIDTH else ""}"'))
-        elif column.values.size:
-            values = column.values.min(), column.values.max(), column.values[-1]
-            table.add_row(Text(f"{name} [{column.unit or '-'}]"), *(f"{value:.6g}" for value in values))
-    return table

@@ -3,35 +3,52 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from flexfmu.cosim.cli.console import load_resolved, print_rich, print_text, progress
-from flexfmu.cosim.cli.fmu import naming_convention
+from flexfmu.cosim.cli.options import JsonOption, NamingOption, PlatformOption, SceneArgument, naming_convention
 from flexfmu.cosim.engine.files import RESULTS
-from flexfmu.cosim.exchange.slave_export import ExportedSystem, export_slaves
 from flexfmu.cosim.reports.text import to_json
 
+if TYPE_CHECKING:
+    from flexfmu.cosim.exchange.slave_export import ExportedSystem
 
-def fmus_command(
-    source: str, out: Path | None, names: list[str], platforms: list[str], naming: str, as_json: bool
+
+def fmus(
+    scene: SceneArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the FMUs. Default: results/<name of the scene>/fmus.")
+    ] = None,
+    slave: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Name of a slave in the scene; may be repeated. Default: all of them."),
+    ] = None,
+    platform: PlatformOption = None,
+    naming: NamingOption = "structured",
+    json: JsonOption = False,
 ) -> int:
-    """Export the slaves and print where they are; the exit status.
+    """Export a scene's slaves as FMUs: robot, trajectory, controllers, shapers and imperfections.
 
-    Raises:
-        InputError: there is no such naming convention.
+    With --json it also lists the connections between them.
     """
+    from flexfmu.cosim.exchange.slave_export import export_slaves
+
+    # choose effects where the scene leaves them open, then export
     convention = naming_convention(naming)
-    scene = load_resolved(source)
-    folder = out or RESULTS / scene.name / "fmus"
+    robot = load_resolved(scene)
+    folder = out or RESULTS / robot.name / "fmus"
     with progress() as show:
         show("building the FMU of the robot", None)
         system = export_slaves(
-            scene, folder, names=names or None, platforms=platforms or None, naming=convention, progress=show
+            robot, folder, names=slave or None, platforms=platform or None, naming=convention, progress=show
         )
-    if as_json:
+    # standard output
+    if json:
         print_text(to_json(_facts(system)))
     else:
         connected = f"connections between them: {len(system.connections)}, listed by --json"

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.text import Text
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress
+from flexfmu.cosim.cli.options import JsonOption, OptionalScene
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.reports.text import to_json
@@ -16,7 +19,42 @@ HARD_CASES = "hard-cases"
 """Name of the suite's folder and files."""
 
 
-def workprec_command(source: str | None, out: Path | None, families: Sequence[str], as_json: bool) -> int:
+def workprec(
+    scene: OptionalScene = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the results. Default: results/<name of the scene>/workprec or results/hard-cases.",
+        ),
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FAMILY",
+            help="integrators, communication, algorithms, effects, formulations or tools; with --hard a part of a case's "
+            "name; may be repeated. Default: all.",
+        ),
+    ] = None,
+    hard: Annotated[
+        bool,
+        typer.Option(
+            "--hard", help="Run the hard cases instead, without SCENE: what makes each hard, and what happened."
+        ),
+    ] = False,
+    json: JsonOption = False,
+) -> int:
+    """Measure what accuracy costs in time: by integrator, communication step, coupling, effects, formulation and tool.
+
+    Writes workprec.json, workprec.md, workprec.html and pictures. Takes some minutes.
+
+    With --hard, run cases that simulations of this robot are most likely to get wrong; exit status 1 if one fails. Writes
+    hard-cases.json and hard-cases.md.
+    """
+    return (_hard_cases if hard else _study)(scene, out, only or [], json)
+
+
+def _study(source: str | None, out: Path | None, families: Sequence[str], as_json: bool) -> int:
     """Measure, write the results, and print them; the exit status."""
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
     from flexfmu.cosim.studies.workprec.study import FAMILIES, data, markdown, notes, run_study, terminal_table
@@ -47,7 +85,7 @@ def workprec_command(source: str | None, out: Path | None, families: Sequence[st
     return 0
 
 
-def hard_command(source: str | None, out: Path | None, names: Sequence[str], as_json: bool) -> int:
+def _hard_cases(source: str | None, out: Path | None, names: Sequence[str], as_json: bool) -> int:
     """Run the hard cases, write what happened, and print it; the exit status."""
     from flexfmu.cosim.studies.hard.suite import conclusion, data, hard_cases, markdown, run_cases, terminal_table
 

@@ -1,4 +1,4 @@
-"""Natural frequencies along a scene's path."""
+"""Natural frequencies along a scene's path, as data and as a table."""
 
 from __future__ import annotations
 
@@ -7,10 +7,17 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from rich.console import RenderableType
+from rich.table import Column
+from rich.text import Text
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
+from flexfmu.cosim.reports.text import titled_table
+
+SHOWN_FREQUENCIES = 6
+"""Columns of frequencies in the table; all of them are in the JSON."""
 
 
 @dataclass(frozen=True)
@@ -73,3 +80,25 @@ def _rigid_poses(plan: MotionPlan, fractions: RealArray) -> tuple[RealArray, Rea
     x, y = path.jets(fractions * path.length, order=0)
     joints = np.stack([joint.value for joint in plan.kinematics.joints(x, y)], axis=-1)
     return np.stack([x.value, y.value], axis=-1), np.unwrap(joints, axis=0)
+
+
+def modes_table(name: str, poses: list[ModalPose]) -> list[RenderableType]:
+    """The frequencies of a scene's poses as a table for the terminal, with a note where it doesn't show all of them."""
+    total = len(poses[0].frequencies)
+    shown = min(total, SHOWN_FREQUENCIES)
+    headings = "s", "x [m]", "y [m]", "q11 [rad]", "q21 [rad]", *(f"f{k}" for k in range(1, shown + 1))
+    table = titled_table(
+        f"{name}: natural frequencies [Hz], motors locked, about the static equilibrium",
+        *(Column(heading, justify="right", no_wrap=True) for heading in headings),
+    )
+    for pose in poses:
+        # four decimals without a negative zero
+        place = (f"{round(value, 4) + 0.0:.4f}" for value in (pose.x, pose.y, pose.q11, pose.q21))
+        table.add_row(f"{pose.s:.3f}", *place, *(f"{f:.2f}" for f in pose.frequencies[:shown]))
+    # what the table leaves out
+    notes = []
+    if total == 0:
+        notes = ["All links are rigid: there are no natural frequencies."]
+    elif total > shown:
+        notes = [f"The lowest {shown} of {total}; --json prints all of them."]
+    return [table, *(Text(note, style="italic") for note in notes)]

@@ -16,11 +16,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexfmu.cosim.cli.main import build, modes, run
-    from flexfmu.cosim.experiment.planning import plan
+    from flexfmu.api import build, linearize, modes, plan, run
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
-    from flexfmu.model.linear import linearize
     from flexfmu.model.scene.file import load_scene
     from flexfmu.model.scene.schema import Scene
 

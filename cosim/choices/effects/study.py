@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
+from rich.console import RenderableType
 from rich.table import Column, Table
+from rich.text import Text
 
 from flexfmu.cosim.choices.effects.choice import (
     EXACT,
@@ -21,14 +23,21 @@ from flexfmu.cosim.choices.effects.choice import (
     wanted,
 )
 from flexfmu.cosim.choices.effects.estimator import Estimator, scales
-from flexfmu.cosim.choices.effects.search import estimated_errors, given_effects, neighbours, richer
+from flexfmu.cosim.choices.effects.search import absent_effects, estimated_errors, given_effects, neighbours, richer
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
+from flexfmu.cosim.reports.summary import choice_summary
 from flexfmu.cosim.reports.text import titled_table
-from flexfmu.model.choice_text import percent
-from flexfmu.model.scene.choice import ChoiceSection, EstimatedEffect, MeasureName, integrator_tolerance
+from flexfmu.model.choice_text import percent, set_text
+from flexfmu.model.scene.choice import (
+    INTEGRATOR_SHARE,
+    ChoiceSection,
+    EstimatedEffect,
+    MeasureName,
+    integrator_tolerance,
+)
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.cost import Cost, costs
 
@@ -273,3 +282,57 @@ def _table(title: str, texts: Iterable[str], numbers: Iterable[str]) -> Table:
         *(Column(each, min_width=LONGEST_WORD) if each == "Change" else Column(each, no_wrap=True) for each in texts),
         *(Column(each, justify="right") for each in numbers),
     )
+
+
+def study_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[str, Any]:
+    """Everything as plain data in SI units; errors and contributions are relative to `scales`."""
+    choice = study.choice
+    data: dict[str, Any] = {
+        "scene": study.scene.name,
+        **choice_summary(study.scene),
+        "limit": (1.0 - INTEGRATOR_SHARE) * choice.tolerance,
+        "scales": dict(study.estimator.scales),
+        "cost": vars(study.cost),
+        "poses": [pose.to_dict() for pose in study.poses],
+        "absent": absent_effects(study.scene),
+        "effects": [
+            {
+                "effect": row.estimate.effect,
+                "change": row.estimate.change,
+                "place": row.place,
+                "contribution": dict(zip(choice.of, row.estimate.contribution, strict=True)),
+                "cost": vars(row.cost),
+                "poses": [pose.to_dict() for pose in row.poses],
+            }
+            for row in study.rows
+        ],
+    }
+    # runs beside richer sets, where there were any
+    found = [
+        {
+            "effect": each.effect,
+            "change": each.change,
+            "estimated": dict(each.estimated),
+            "observed": dict(each.observed),
+            "effectivity": each.effectivity,
+            "slower": each.slower,
+        }
+        for each in comparisons
+    ]
+    return data | ({"check": found} if found else {})
+
+
+def report(study: EffectStudy) -> list[RenderableType]:
+    """The tables of all effects, and the choice in words."""
+    choice, absent = study.choice, ", ".join(absent_effects(study.scene))
+    worst = ", ".join(
+        f"{METRICS[name].label.lower()} {percent(value)}" for name, value in zip(choice.of, choice.error, strict=True)
+    )
+    limit = (1.0 - INTEGRATOR_SHARE) * choice.tolerance
+    lines = [
+        *([f"the scene has no {absent}: it alone could say how large they are"] if absent else []),
+        f"chosen for {percent(choice.tolerance)}: {set_text(study.scene)}",
+        f"estimated error of this set: {worst}; it may be {percent(limit)}",
+        f"tolerance of the FMU: {study.scene.cosimulation.tolerance:g}",
+    ]
+    return [contribution_table(study), frequency_table(study), *map(Text, lines)]

@@ -314,7 +314,7 @@ def test_tables_have_every_trial(motion: MotionPlan) -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command with two shapers only."""
-    import flexfmu.cosim.cli.shaper as command
+    import flexfmu.cosim.choices.shapers.examination as command
 
     def few(modes: object) -> list[Alternative]:
         return [each for each in alternatives(modes) if each.name in ("zv", "ei")]  # type: ignore[arg-type]

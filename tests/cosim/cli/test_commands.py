@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from flexfmu.cosim.cli import run as run_module
+from flexfmu.cosim.cli import run_scene as run_module
 from flexfmu.cosim.cli.main import app
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.master.master import Outcome

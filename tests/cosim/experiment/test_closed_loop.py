@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.cli import run as command
+from flexfmu.cosim.cli import run_scene as command
 from flexfmu.cosim.control.controllers.pd import pd
 from flexfmu.cosim.control.imperfections.payload_error import PayloadError
 from flexfmu.cosim.engine.errors import WiringError

@@ -1,0 +1,68 @@
+"""`flexfmu build`: the FMU of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flexfmu.cosim.cli.console import print_text, progress
+from flexfmu.cosim.cli.options import JsonOption, NamingOption, PlatformOption, SceneArgument, naming_convention
+from flexfmu.cosim.reports.text import to_json
+
+
+def build(
+    scene: SceneArgument,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.fmu", help="Default: the scene's name, here.")
+    ] = None,
+    platform: PlatformOption = None,
+    naming: NamingOption = "structured",
+    enumerations: Annotated[
+        bool,
+        typer.Option(
+            "--enumerations",
+            help="Make initial and integrator FMI enumerations. Default: Integers, since Maestro refuses them.",
+        ),
+    ] = False,
+    json: JsonOption = False,
+) -> int:
+    """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange."""
+    from flexfmu.cosim.experiment.scene_build import build_scene
+    from flexfmu.cosim.reports.summary import choice_summary
+    from flexfmu.model.choice_text import choice_sentence
+    from flexfmu.model.scene.file import load_scene
+
+    # choose effects where the scene leaves them open, then build
+    convention = naming_convention(naming)
+    robot = load_scene(scene)
+    target = output or Path(f"{robot.name}.fmu")
+    with progress() as show:
+        if robot.effects.select is not None:
+            from flexfmu.cosim.choices.effects.choice import resolved
+
+            robot = resolved(robot, show)
+        built = build_scene(
+            robot,
+            output=target,
+            platforms=platform or None,
+            naming=convention,
+            enumerations=enumerations,
+            progress=lambda text: show(text, None),
+        )
+    # standard output
+    if json:
+        choice = choice_summary(robot)
+        chosen = {"effect_choice": choice} if choice else {}
+        print_text(to_json(asdict(built) | {"path": str(built.path)} | chosen))
+        return 0
+    if robot.effects.choice is not None:
+        print_text(f"{choice_sentence(robot)}\n")
+    origin = "taken from the cache" if built.cached else "built"
+    print_text(
+        f"{built.path}: {origin} in {built.seconds:.2f} s, {built.fmu_bytes / 1000:.0f} kB "
+        f"({built.code_bytes / 1000:.0f} kB of generated C), GUID {built.guid}\n"
+    )
+    return 0

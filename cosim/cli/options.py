@@ -1,0 +1,48 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flexfmu.cosim.engine.errors import InputError
+
+if TYPE_CHECKING:
+    from flexfmu.fmu_build.naming import Naming
+
+_SCENE = typer.Argument(
+    metavar="SCENE",
+    help="A scene file (TOML), or the name of a shipped scene: barnard2012-6kg, barnard2012-0.1kg.",
+    show_default=False,
+)
+SceneArgument = Annotated[str, _SCENE]
+OptionalScene = Annotated[str | None, _SCENE]
+NamingOption = Annotated[
+    str,
+    typer.Option(
+        metavar="CONVENTION",
+        help="structured (link11.bending[1]) or flat (link11_bending_1), for tools that need it.",
+    ),
+]
+PlatformOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="linux64, win64, darwin64, aarch64-linux or aarch64-darwin; may be repeated. Default: this machine's.",
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
+
+
+def naming_convention(name: str) -> Naming:
+    """What `NamingOption` stands for.
+
+    Raises:
+        InputError: there is no such naming convention.
+    """
+    from flexfmu.fmu_build.naming import NAMINGS
+
+    if name not in NAMINGS:
+        raise InputError(f"unknown naming convention {name!r}; choose from {', '.join(NAMINGS)}")
+    return NAMINGS[name]
