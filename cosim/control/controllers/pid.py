@@ -123,11 +123,13 @@ def pid(
     Raises:
         InputError: a gain or time is negative or not finite, their number doesn't fit, or the sample time isn't positive.
     """
+    # weights are no parameters: what is wrong is seen here alone
     for what, weight in (("setpoint", setpoint_weight), ("derivative", derivative_weight)):
         if not isfinite(weight):
             raise InputError(f"{name}: the {what} weight must be finite, usually 0 to 1, got {weight}")
     n = len(joints)
     law = PidLaw(n, sample_time, setpoint_weight, derivative_weight, anti_windup if limits else None)
+    # no sample yet, the integral at its start
     return block(
         name,
         "PID control of the joints",
