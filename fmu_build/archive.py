@@ -1,4 +1,4 @@
-"""Reproducible archives: the same content gives the same bytes, and a file is either old or complete."""
+"""Reproducible archives: the same content gives the same bytes, and a file is replaced as a whole or not at all."""
 
 from __future__ import annotations
 

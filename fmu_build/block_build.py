@@ -1,4 +1,4 @@
-"""From a discrete-time block to an FMU file, and what the FMU says of itself: variables, structure, sampling."""
+"""From a discrete-time block to an FMU file, with its model description: variables, structure, sampling."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def build_block_fmu(
     """Build an FMU 2.0 for co-simulation of a controller, shaper or imperfection, unless an equal one is in the cache.
 
     It samples at start time + offset + k * sample time, whatever the communication step: a step may hold many sample
-    instants or none. At an instant within a step it reads its inputs as their polynomials have them there (held, unless
+    instants or none. At an instant within a step it evaluates the polynomials of its inputs (constant unless
     derivatives were set). After a step the outputs are those of the last instant up to its end. Where the end is an
     instant itself, outputs with direct feedthrough hold the sample before until an input is set there, and follow the
     inputs from then on; the sample is completed with the last of them when the next step begins. So importers that set
@@ -75,7 +75,7 @@ def generate_block_sources(
     progress: BuildProgress = lambda message: None,
     naming: Naming = "structured",
 ) -> Sources:
-    """Everything of the FMU that is text.
+    """All text files of the FMU.
 
     Raises:
         ModelError: the block contradicts its contract.

@@ -28,7 +28,8 @@ SAMPLE_FILE = function_file("sample")
 _TEMPLATE = "block_description.c.j2"
 
 LARGE = 5000
-"""Lines of C from which GCC's optimiser isn't asked: its time grows with the square of their number, half a minute for
+"""Lines of C from which GCC's optimiser is switched off: its time grows with the square of their number, half a minute
+for
 10 000, and straight-line code gains little."""
 
 _QUICK = """#if defined(__GNUC__) && !defined(__clang__)

@@ -27,7 +27,7 @@ _PACKAGES = ("flexfmu.fmu_build", "flexfmu.model")
 _SOURCE_SUFFIXES = {".py", ".c", ".h", ".j2", ".txt"}
 
 _stand_ins: dict[Path, TemporaryDirectory[str]] = {}
-"""Temporary folders, until the process ends, in place of those that turned out not to be writable."""
+"""Folders that can't be written → temporary ones that replace them until the process ends."""
 _stand_ins_lock = Lock()
 
 
@@ -87,7 +87,7 @@ def digest(content: bytes) -> bytes:
 
 
 def read_intact(path: Path) -> bytes | None:
-    """Content of a cached FMU; None where it is missing or not what was stored, so that it gets built again."""
+    """Content of a cached FMU; None where it is missing or damaged, so that it is built again."""
     try:
         content, stored = path.read_bytes(), path.with_name(digest_name(path.name)).read_bytes()
     except OSError:

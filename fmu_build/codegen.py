@@ -147,7 +147,8 @@ def with_elementary_functions(code: str) -> str:
 
 
 def with_all_arguments(code: str) -> str:
-    """Generated C that takes every argument and result to be there; CasADi asks before each access, which costs up to a tenth."""
+    """Generated C without CasADi's checks at each access whether an argument or result is there, which cost up to a
+    tenth."""
     code = re.sub(r"arg\[(\d+)\]\? (arg\[\1\]\[\d+\]) : 0", r"\2", code)
     return re.sub(r"if \(res\[(\d+)\]!=0\) (?=res\[\1\])", "", code)
 

@@ -37,7 +37,7 @@ LOG_CATEGORIES = {
 
 @dataclass(frozen=True)
 class Description:
-    """What a model description says, whatever the FMU contains.
+    """The content of a model description, for any kind of FMU.
 
     Attributes:
         name: model name.
@@ -78,7 +78,8 @@ class Description:
                 raise ModelError(f"variable '{variable.name}' has the name of a type; give it another one")
 
     def named(self, naming: Naming) -> Description:
-        """The same with variables named so; flat ones come with the structured names as an annotation.
+        """The description with its variables named by a convention; flat names come with the structured ones as an
+        annotation.
 
         Raises:
             ModelError: a variable has no flat name, or two have the same.

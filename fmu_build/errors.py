@@ -32,4 +32,4 @@ class ArchiveError(BuildError):
 
 
 class CacheWarning(UserWarning):
-    """What is built can't be kept; said once for a folder."""
+    """What is built can't be cached; issued once for each folder."""

@@ -53,7 +53,7 @@ PLATFORMS = {
 }
 """Every platform that can be built for, by its name in FMI 2.0.4 and later: x86 as ever, ARM by FMI 3.0's platform tuple.
 
-Importers on ARM that are older, or that don't care for the processor (fmpy), look into the folder of the x86 name instead.
+Importers on ARM that are older, or that ignore the processor (fmpy), look into the folder of the x86 name instead.
 """
 
 _SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}

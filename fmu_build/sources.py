@@ -30,10 +30,10 @@ OPTIONS = ("-O2", *COMMON_FLAGS)
 """Options of a compiler of GCC's or Clang's kind for the same numbers as the binaries give; others need C99 alone."""
 
 _COMMON = ("backend.", "clock.", "elementary", "fmi2", "memory.", "model.", "old_glibc.", "private.", "refusal.")
-"""How the names of the runtime's files begin that every kind needs."""
+"""Prefixes of the runtime's files that every kind needs."""
 
 _OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",)}
-"""How the names of further files begin that these kinds need; the plant needs all but the files named after the others."""
+"""Prefixes of further files that these kinds need; the plant needs all but the files named after the others."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Sources:
 def generate_sources(
     model: SymbolicModel, experiment: DefaultExperiment, naming: Naming = "structured", enumerations: bool = False
 ) -> Sources:
-    """Everything of the FMU that is text. The GUID is the hash of all of it, taken with a blank GUID.
+    """All text files of the FMU. The GUID is the hash of all of it, taken with a blank GUID.
 
     Raises:
         ModelError: the model contradicts its contract.

@@ -148,6 +148,6 @@ def _run(command: tuple[str, ...], folder: Path, what: str) -> None:
 
 
 def _first_error(output: str) -> str:
-    """The first line that speaks of an error, else the first line at all."""
+    """The first line with an error, else the first line."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     return next((line for line in lines if "error" in line.lower()), lines[0] if lines else "no message")

@@ -1,4 +1,4 @@
-"""From a trajectory to an FMU file, and what the FMU says of itself: references, breakpoints, accuracy."""
+"""From a trajectory to an FMU file, with its model description: references, breakpoints, accuracy."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def generate_trajectory_sources(
     naming: Naming = "structured",
     progress: BuildProgress = lambda message: None,
 ) -> Sources:
-    """Everything of the FMU that is text.
+    """All text files of the FMU.
 
     Raises:
         ModelError: no table reproduces the trajectory, or the axes don't suit it.

@@ -50,10 +50,10 @@ _DISPLAY_UNITS: Mapping[str, tuple[DisplayUnit, ...]] = {
     "s": (DisplayUnit("ms", 1e3),),
     "Pa": (DisplayUnit("GPa", 1e-9), DisplayUnit("MPa", 1e-6)),
 }
-"""Display units; the first is what the variables propose, but for those in `_READ_AS_THEY_ARE`."""
+"""Display units; the first is the default of the variables, but for those in `_READ_AS_THEY_ARE`."""
 
 _READ_AS_THEY_ARE = {"m/s", "s"}
-"""Units whose display units are an offer, not the proposal."""
+"""Units whose display units are offered, but aren't the default."""
 
 _FACTOR = re.compile(r"(?P<sign>^|[./])(?P<symbol>1|[A-Za-z]+)(?P<power>\d*)")
 

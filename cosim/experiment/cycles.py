@@ -16,7 +16,7 @@ from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
 
 ROUNDING = 4.0
-"""Units in the last place of the longest time by which the same instant may differ after some operations."""
+"""Rounding error of a time after some operations, in units in the last place of the longest time."""
 
 
 @dataclass(frozen=True)

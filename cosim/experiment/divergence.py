@@ -1,4 +1,4 @@
-"""Tells an unstable control loop from its recorded motion, whatever ended the run.
+"""Detects an unstable control loop in its recorded motion, however the run ended.
 
 The joints' velocities are compared with the planned ones. A stable loop follows its references, or at least comes to rest with them.
 The error of an unstable linear loop grows exponentially; its factor per sample is the largest magnitude of the loop's eigenvalues.
@@ -19,31 +19,32 @@ if TYPE_CHECKING:
     from flexfmu.cosim.experiment.scene_run import Run
 
 BEYOND, BEYOND_BEFORE_FAILURE = 3.0, 1.0
-"""Error of a joint's velocity in what the motion needs, or a fall reaches, from which a run has diverged: one that came to its end, and
-one that failed."""
+"""Velocity error from which a run has diverged, relative to the largest velocity that the motion needs or a fall
+reaches: for a completed run, and for a failed one."""
 
 AT_REST, ON_THE_MOVE = 0.05, 0.5
-"""The same for what grows while the references rest (below, it may be stick-slip or the beats of undamped links), and for what doesn't die
-down either."""
+"""The same during the standstill: for an error that grows (smaller ones may be stick-slip or beats of undamped links),
+and for one that doesn't decay."""
 
 GROWTH_AT_REST, LASTING = 1.3, 0.8
-"""Least ratio of the errors in the last and the first third of the standstill, for what grows and what doesn't die down."""
+"""Least ratio of the errors in the last and the first third of the standstill: of one that grows, and of one that
+doesn't decay."""
 
 ONSET, FULL = 0.01, 0.5
 """Shares of the error from which and to which its growth is measured."""
 
 ROUNDING = 1e-12
-"""By which the same instant may differ, relatively."""
+"""Relative difference within which two times are the same instant."""
 
 SATURATED = 0.05
-"""Share of the instants that a torque spends at its largest value, from which that is a limit."""
+"""Share of instants at its largest value from which a torque counts as limited."""
 
 INSTANTS = 500
-"""Instants at which the largest velocity of the planned motion is sought."""
+"""Number of instants searched for the largest velocity of the planned motion."""
 
 
 def divergence(run: Run) -> str | None:
-    """What grew, how fast, and what to do about it; None for a stable loop, and for runs without one.
+    """A sentence that says what grew, how fast, and what to do; None for a stable loop, and for runs without one.
 
     Without the joints' recorded velocities nothing can be said.
     """

@@ -77,7 +77,7 @@ def make_loop(
 
 
 def close_loop(
-    course: ShapedMotion,
+    shaped: ShapedMotion,
     controllers: Iterable[Any],
     imperfections: Iterable[Any],
     connect: Mapping[str, str],
@@ -86,18 +86,18 @@ def close_loop(
     """A loop about a motion whose shapers have acted; otherwise as `make_loop`.
 
     Args:
-        course: the motion with its shapers.
+        shaped: the motion with its shapers.
         controllers, imperfections, connect: as for `make_loop`.
         names: names given so far.
     """
     acting = tuple(as_slave(each, names) for each in controllers)
-    inline_blocks, parameters = list(course.inline_blocks), dict[str, float]()
+    inline_blocks, parameters = list(shaped.inline_blocks), dict[str, float]()
     for each in imperfections:
         if isinstance(each, PayloadError):
-            parameters["payload.mass"] = with_payload_error(course.motion.scene, each.relative).payload.mass
+            parameters["payload.mass"] = with_payload_error(shaped.motion.scene, each.relative).payload.mass
         else:
             inline_blocks.append(inline_block(as_slave(each, names)))
-    return Loop(course.motion, course.driving, acting, tuple(inline_blocks), dict(connect), parameters)
+    return Loop(shaped.motion, shaped.driving, acting, tuple(inline_blocks), dict(connect), parameters)
 
 
 def shape(

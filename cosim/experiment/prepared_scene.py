@@ -35,11 +35,11 @@ COMPANION_TOLERANCE = 1e-2
 """A companion's tolerance over the run's. A tenth isn't enough: errors scatter about their tolerance by as much."""
 
 COMPANION_COUPLING = 0.1
-"""The same for the tolerance of step control, whose steps grow shorter faster."""
+"""The same for the tolerance of step control, which shortens the steps faster."""
 
 COMPANION_STEPS = 2000
-"""Least number of communication steps of a companion over the motion, or long steps would hide what both runs miss
-between them."""
+"""Least number of communication steps of a companion over the motion; with fewer, both runs could miss the same
+between their communication points."""
 
 
 class Options(TypedDict, total=False):
@@ -89,8 +89,9 @@ def run_scene(
         loop: what stands between motion and robot, instead of the scene's own sections; see
             `run_loop`.
         isolate: whether to simulate in a child process, so that a slave which crashes, exits or hangs ends the run alone (Linux
-            only); the scene's own when None. If that is open too: where FMUs of other tools or the scene's Python slaves take
-            part, but not where Python slaves come as objects, since what they change in themselves stays in the child.
+            only); the scene's own when None. Where the scene leaves it open too, runs with FMUs of other tools or with
+            the scene's Python slaves are isolated, but not runs with Python slaves passed as objects: what these
+            change in themselves would stay in the child.
         call_limit: how long a slave may stay in one call of an isolated run [s]; the scene's own when None.
 
     Returns:
@@ -293,7 +294,8 @@ class PreparedScene:
         return Companion(step, tolerance, partial(_run_companion, finer, self._stop_time, dict(parameters)))
 
     def isolate_python_slaves(self) -> None:
-        """Isolate the caller's own Python slaves too, unless isolation isn't wanted, so that they stay as they are."""
+        """Isolate the caller's own Python slaves too, unless isolation is switched off: the run must not change
+        them."""
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=False)
 
 

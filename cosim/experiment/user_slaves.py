@@ -21,7 +21,7 @@ from flexfmu.model.symbolic import SymbolicBlock
 
 
 class SlaveNames:
-    """Names for slaves that can be renamed, each given once."""
+    """Unique names for slaves that can be renamed."""
 
     def __init__(self) -> None:
         self._given = set(RESERVED)
@@ -140,7 +140,7 @@ def _described(error: Exception | SystemExit) -> str:
 
 @cache
 def _loaded(file: Path) -> ModuleType:
-    """The module of a file, under a name that no other has; executed once."""
+    """The module of a file, under a unique name; executed once."""
     spec = spec_from_file_location(f"{file.stem} of {file.parent}", file)
     if spec is None or spec.loader is None:
         raise ImportError(f"{file} is no Python file")

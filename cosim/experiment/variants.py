@@ -21,7 +21,7 @@ Changes = Mapping[str, Any]
 the FMU, such as ``payload.mass``."""
 
 MOTION = "trajectory."
-"""Keys that begin so change the motion."""
+"""Prefix of keys that change the motion."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,7 @@ def _result(variant: Changes, ready: PreparedScene | Exception, measure: Callabl
 
 
 def _attempt(action: Callable[..., T], *arguments: Any) -> T | Exception:
-    """The result of an action, or why it failed: in a thousand variants one may be infeasible, or lack what is measured, and the
-    others still count."""
+    """The result of an action, or its error: one variant that fails must not end a sweep."""
     try:
         return action(*arguments)
     except Exception as error:

@@ -10,16 +10,16 @@ from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.slave import Causality, Slave
 
 OPTIONAL = ".feedforward"
-"""End of the names of inputs that may stay unconnected, at their start values."""
+"""Suffix of inputs that may stay unconnected, at their start values."""
 
 
 INPUT, SHAPED = ".input", "shaped."
-"""What a signal's name has behind it as the input of an imperfection, and before it as the output of a shaper."""
+"""Suffix of a signal's name as the input of an imperfection, and prefix as the output of a shaper."""
 
 
 @dataclass(frozen=True)
 class InlineBlock:
-    """A slave that signals pass: its outputs go on in the signals' place.
+    """A slave that signals pass through: its outputs replace them.
 
     Attributes:
         slave: the slave.
@@ -237,7 +237,7 @@ class _Bus:
 
 
 def _check_takers(inline_blocks: Sequence[InlineBlock], wiring: Wiring) -> None:
-    """Something takes what passes an inline block.
+    """Check that the outputs of every inline block are used.
 
     Raises:
         WiringError: nothing does.
@@ -279,7 +279,7 @@ def _nothing_to_pass(inline: InlineBlock, bus: _Bus, controllers: Sequence[Slave
 
 
 def _check_variable(slaves: Mapping[str, Slave], full_name: str, causality: Causality) -> None:
-    """``slave.variable`` exists.
+    """Check that ``slave.variable`` exists.
 
     Raises:
         WiringError: it doesn't.

@@ -17,7 +17,8 @@ NO_VARIABLE = 0x7FFFFFF1
 
 
 def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Unknown value references and calls in the wrong state give an error; empty ones and their arrays' ends are left alone."""
+    """Calls with unknown value references or in the wrong state give an error; calls without variables succeed, and
+    none writes beyond its array."""
     with fmu.instance("calls") as instance:
         instance.initialize()
         yield from _empty_call(instance)

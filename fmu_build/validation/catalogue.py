@@ -77,7 +77,8 @@ CHECKS: dict[str, Check] = {
     "interfaces": interfaces_agree,
     "calls": refuses_illegal_calls,
 }
-"""Name of the finding → check; one that the FMU cannot take part in finds nothing. Without the first, none makes sense."""
+"""Name of the finding → check; one that doesn't apply to the FMU finds nothing. Where the first fails, the others make
+no sense."""
 
 SEVERAL = {
     "repeatability",
@@ -94,4 +95,4 @@ SEVERAL = {
     "output derivatives",
     "interfaces",
 }
-"""Checks that compare instances, and have nothing to say of an FMU that a process may have once."""
+"""Checks that compare instances; they don't apply to an FMU that a process may instantiate only once."""

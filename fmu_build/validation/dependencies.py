@@ -20,7 +20,8 @@ SHARE = 0.01
 """How far knowns are moved, relative to their size."""
 
 INFLUENCE = 1e-6
-"""Change of an unknown, relative to its size, that is no rounding and no tolerance of an inner iteration."""
+"""Least change of an unknown, relative to its size, that neither rounding nor an inner iteration's tolerance
+explains."""
 
 MOST_KNOWNS = 100
 
@@ -29,7 +30,7 @@ _LINEAR = {"constant", "fixed", "tunable", "discrete"}
 
 
 def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Nothing depends on what it is not declared to depend on, and a constant factor is one."""
+    """Unknowns depend on nothing that they don't declare, and factors that are declared constant are constant."""
     structure = fmu.description
     unknowns = [*(structure.outputs or ())]
     if fmu.kind is InterfaceType.EXCHANGE:

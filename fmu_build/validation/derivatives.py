@@ -28,10 +28,11 @@ DIFFERENCES = (1e-5, 1e-4)
 """Steps of the difference quotients relative to a variable's size: rounding and truncation are about equal."""
 
 DIRECTIONAL_TOLERANCE = 1e-4
-"""What directional derivatives may be off, relative to the largest; difference quotients are good to 1e-6 or so."""
+"""Tolerance of directional derivatives, relative to the largest; difference quotients are good to 1e-6 or so."""
 
 SEED_TOLERANCE = 1e-3
-"""What derivatives along several knowns may be off, relative to the sum of all contributions: some FMUs take differences."""
+"""Tolerance of derivatives along several knowns, relative to the sum of all contributions: some FMUs take
+differences."""
 
 NEGLIGIBLE = 1e-5
 """Influence on an unknown, relative to its size, below which difference quotients are rounding errors."""
@@ -47,19 +48,19 @@ RESOLVED = 0.1
 derivatives by it."""
 
 OUTPUT_TOLERANCE = 0.02
-"""Factor by which derivatives may be off."""
+"""Tolerance of output derivatives, relative to the differences."""
 
 SMALL = 1e-9
 """Uncertainty of values relative to the variable's size: what a solver's absolute tolerance may leave."""
 
 BEGIN = 10
-"""Communication steps that are made before."""
+"""Communication steps before the comparison."""
 
 LEAST_POINTS = 8
-"""Points that have to be resolved to say anything."""
+"""Least number of resolved points for a judgement."""
 
 STAYS = 0.5
-"""Part of a contradiction that is left with smaller steps where it is no matter of the solver's steps."""
+"""Share of a contradiction that remains with smaller steps if the solver's steps don't cause it."""
 
 
 def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:

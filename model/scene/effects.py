@@ -243,7 +243,8 @@ class Load:
     sentence: Callable[[Any], str]
 
     def is_in(self, value: Any) -> bool:
-        """Whether this value of the key adds the effect to the model; a section with several keys knows itself."""
+        """Whether this value of the key adds the effect to the model; a section with several keys says so by
+        `is_there`."""
         return bool(getattr(value, "is_there", value != self.absent))
 
 

@@ -16,7 +16,7 @@ RESERVED = {"plant": "the robot's", "trajectory": "the planned motion's"}
 
 
 def _not_reserved(name: str) -> str:
-    """A name that no slave has already."""
+    """Refuse a name that a slave of every scene has."""
     if name in RESERVED:
         raise ValueError(f"{name!r} is {RESERVED[name]} own name, choose another")
     return name
@@ -30,7 +30,8 @@ FOLDER = "folder"
 
 
 def _from_scene_file(path: str, info: ValidationInfo) -> str:
-    """A path that counts from the scene file's folder, in full; as it is where the scene doesn't come from a file."""
+    """The absolute path of one relative to the scene file's folder; unchanged where the scene doesn't come from a
+    file."""
     folder: Path | None = (info.context or {}).get(FOLDER)
     return path if folder is None else str(folder / path)
 
@@ -69,7 +70,7 @@ class SampledSection(LoopSection):
 class PythonSection(LoopSection):
     """A slave, block or python-control system that a Python function or class returns.
 
-    `source` is `module:name`; the module is looked for in `folder`, which counts from the scene file's folder and is that
+    `source` is `module:name`; the module is looked for in `folder`, relative to the scene file's folder and that
     folder by default, then among installed modules and in the working directory.
     """
 
@@ -80,7 +81,7 @@ class PythonSection(LoopSection):
 
 
 class FmuSection(LoopSection):
-    """Any FMI 2.0 co-simulation FMU; `path` counts from the scene file's folder.
+    """Any FMI 2.0 co-simulation FMU; `path` is relative to the scene file's folder.
 
     With a `sample_time` it is stepped at its own instants only, its inputs sampled and its outputs held; without one an
     exported block has its own, an FMU that can't vary its communication step takes the step size of its default

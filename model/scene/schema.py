@@ -164,7 +164,7 @@ def parse_scene(data: dict[str, Any], source: str, folder: Path | None = None) -
     Args:
         data: sections and keys.
         source: names the origin in messages.
-        folder: what paths in the scene count from; None leaves them as they are.
+        folder: that relative paths in the scene start from; None leaves them as they are.
 
     Raises:
         SceneError: names each wrong key with its value, unit and remedy.

@@ -19,11 +19,12 @@ from flexfmu.model.symbolic import SymbolicBlock
 COMPILED_FROM = 200
 """Blocks of at least this many operations are compiled unless told otherwise.
 
-The virtual machine takes 2.5 ns for an operation, compiled C a tenth of it, and calling either takes 0.4 us: below,
-calling costs more than calculating. The rigid inverse dynamics of a five-bar have 240 operations and more."""
+The virtual machine takes 2.5 ns for an operation, compiled C a tenth of it, and calling either takes 0.4 us: below
+that size, the call costs more than the evaluation. The rigid inverse dynamics of a five-bar have 240 operations and
+more."""
 
 EXPORTED_FLAGS = (*GENERATED_FLAGS, "-DGCC_HASCLASSVISIBILITY")
-"""The flags of an FMU's generated code, for the same roundings; the macro makes CasADi mark what others may call."""
+"""The flags of an FMU's generated code, for the same roundings; the macro makes CasADi export its functions."""
 
 
 def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi.Function:
@@ -44,11 +45,11 @@ def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi
 
 
 def compile_function(function: casadi.Function, *companions: casadi.Function) -> casadi.Function:
-    """The same function, evaluated in compiled C; compiled once for each text of the code.
+    """The same function in compiled C; each generated source is compiled once.
 
     Args:
         function: the function.
-        companions: what CasADi shall find beside it, like its Jacobian ``jac_<name>``.
+        companions: functions that CasADi looks up by name beside it, such as the Jacobian ``jac_<name>``.
 
     Raises:
         MissingCompilerError: there is no C compiler.

@@ -73,8 +73,8 @@ def block(
 
 
 def split(vector: Vector, *sizes: int) -> list[Vector]:
-    """Cut a vector into pieces of these sizes, and whatever remains into pieces of the last size; nothing remains after a
-    last piece of size zero."""
+    """Split a vector into pieces of these sizes, and the rest into pieces of the last size; a last size of zero means
+    no rest."""
     edges = list(accumulate(sizes, initial=0))
     if sizes[-1]:
         edges += range(edges[-1] + sizes[-1], vector.numel() + 1, sizes[-1])

@@ -188,6 +188,6 @@ def check_parameter(variable: Variable, value: float | None, where: str) -> None
 
 
 def slave_variable(variable: Variable) -> SlaveVariable:
-    """As the master sees it; no unit fits every unit, as in an FMU."""
+    """The variable as the master sees it; one without a unit connects to any unit, as in an FMU."""
     unit = "" if variable.unit == "1" else variable.unit
     return SlaveVariable(variable.name, variable.causality, unit, variable.start)

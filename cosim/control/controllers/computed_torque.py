@@ -28,7 +28,7 @@ from flexfmu.model.scene.controllers import ComputedTorqueSection, FeedforwardSe
 from flexfmu.model.symbolic import SymbolicBlock
 
 MOTION: tuple[JointQuantity, ...] = ("position", "velocity", "acceleration")
-"""What inverse dynamics take."""
+"""Arguments of the inverse dynamics."""
 
 
 def computed_torque(
@@ -122,7 +122,7 @@ def inverse_dynamics_feedforward(
 
 
 def _check(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) -> None:
-    """The inverse dynamics take three vectors and give one, of one number for each joint."""
+    """Check that the inverse dynamics take three vectors and return one, with one number for each joint."""
     found = [inverse_dynamics.numel_in(i) for i in range(inverse_dynamics.n_in())]
     results = [inverse_dynamics.numel_out(i) for i in range(inverse_dynamics.n_out())]
     n = len(joints)

@@ -86,8 +86,7 @@ def from_control(
     """The discrete-time system of a `control.StateSpace` or `control.TransferFunction`, any number of inputs and outputs.
 
     A discrete system is taken as it is, with its own sample time. A continuous one needs a method and a sample time.
-    Labels become names; python-control allows no dots in them, so those of the robot's variables get theirs back, see
-    `dotted`.
+    Labels become names. python-control allows no dots in labels; `dotted` restores those of the robot's variables.
 
     Args:
         system: the system.
@@ -144,7 +143,7 @@ def _matrices(system: Any) -> Matrices:
 
 
 def _names(given: Sequence[str] | None, labels: Sequence[str], what: str) -> list[str]:
-    """Names given, or those of the labels."""
+    """The given names, or the labels with their dots."""
     if given is None:
         return [dotted(label) for label in labels]
     if isinstance(given, str) or len(given) != len(labels):
@@ -155,7 +154,7 @@ def _names(given: Sequence[str] | None, labels: Sequence[str], what: str) -> lis
 
 
 def _check_units(units: Mapping[str, str], names: Sequence[str]) -> None:
-    """Units belong to signals that exist."""
+    """Check that every unit belongs to a signal of the system."""
     for name in units:
         if name not in names:
             hint = get_close_matches(name, names, n=1, cutoff=0.0)
@@ -165,7 +164,7 @@ def _check_units(units: Mapping[str, str], names: Sequence[str]) -> None:
 
 
 def _explicit(method: Method | None, sample_time: float | None) -> tuple[Method, float]:
-    """Method and sample time of a discretisation, neither of which is guessed."""
+    """Require the method and the sample time of a discretisation; neither has a default."""
     if method is None or sample_time is None:
         raise InputError(
             f"the system is continuous: say how to discretise it, method= one of {', '.join(get_args(Method))}, "

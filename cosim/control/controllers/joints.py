@@ -1,4 +1,4 @@
-"""What controllers of the joints share: variables, gains for one joint or all, torque limits, and equations with both."""
+"""What joint controllers share: variables, gains, torque limits, and equations that use them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def feedforwards(joints: Sequence[str]) -> list[Variable]:
 
 
 def feedforward_outputs(joints: Sequence[str], what: str) -> list[Variable]:
-    """Outputs ``joint1.feedforward`` of a slave that makes such torques."""
+    """Outputs ``joint1.feedforward`` of a slave that calculates feedforward torques."""
     return [Variable(f"{joint}.feedforward", "N.m", f"{what} of {joint}", "output") for joint in joints]
 
 

@@ -32,8 +32,8 @@ class Channel:
     Attributes:
         name: the signal's name, for example ``joint1.position``.
         unit: its unit, for example ``rad``; ``1`` for none.
-        initial: the signal before the first sample, in ``unit``; a parameter ``name.initial`` of the block. None where
-            the first sample's own value will do: blocks that pass it on at once start with it, without a bump.
+        initial: the signal before the first sample, in ``unit``; a parameter ``name.initial`` of the block. None for
+            blocks that pass the first sample on at once: they start with its value.
     """
 
     name: str
@@ -101,14 +101,14 @@ def section_channels(
 
 
 class Sampling(TypedDict):
-    """When a block samples [s]."""
+    """Sample time and offset [s] of a block."""
 
     sample_time: float
     offset: float
 
 
 def sampling(section: SignalSection | EncoderSection, context: LoopContext) -> Sampling:
-    """When the block of a section samples."""
+    """Sample time and offset [s] of a section's block."""
     return Sampling(sample_time=section.sample_time or context.sample_time, offset=section.offset)
 
 

@@ -15,10 +15,10 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import check_sampling
 
 WHOLE = 1e-12
-"""A delay this close to a whole number of samples, relative to it, is that number: time / sample time is rounded."""
+"""Relative distance within which a delay counts as a whole number of samples: time / sample time is rounded."""
 
 HIGHEST_ORDER = 10
-"""Beyond, there is nothing to gain for signals of a machine."""
+"""Highest order; above it nothing is gained for the signals of a machine."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class DelayFilter:
 
 
 class Interpolation(Protocol):
-    """A way to get at a signal between its samples."""
+    """A rule for the values of a signal between its samples."""
 
     def design(self, samples: float) -> DelayFilter:
         """The filter of a delay.
@@ -132,7 +132,7 @@ class Thiran:
 
 
 def delay_in_samples(time: float, sample_time: float, where: str) -> float:
-    """A delay in samples, whole where it is meant to be.
+    """A delay in samples, a whole number where only rounding separates it from one.
 
     Args:
         time, sample_time: [s].

@@ -35,7 +35,7 @@ from flexfmu.model.scene.imperfections import LagSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 SAMPLES = 10
-"""Samples in a time constant of a continuous lag that leaves as a sampled block."""
+"""Samples per time constant where a continuous lag is exported as a sampled block."""
 
 
 class Lag:
@@ -205,7 +205,8 @@ def lag(
 
     (zero-order-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed.
     1998, section 4.3). The output is a staircase, half a sample late on average; a sample time of T / 10 makes it a good
-    current loop, `Lag` is one without samples. It doesn't depend on the input of the same instant, so it breaks algebraic loops. T = 0 is a delay of
+    current loop, `Lag` is one in continuous time. It doesn't depend on the input of the same instant, so it breaks
+    algebraic loops. T = 0 is a delay of
     one sample. The time constant is a tunable parameter ``<channel>.time_constant``.
 
     Args:

@@ -1,4 +1,4 @@
-"""Quantisation: converters and encoders know a signal in steps only."""
+"""Quantisation: converters and encoders resolve a signal in steps only."""
 
 from __future__ import annotations
 
