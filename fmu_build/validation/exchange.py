@@ -1,7 +1,7 @@
 """What holds for model exchange alone, and between the two interfaces of one FMU.
 
 Both interfaces contain one model: integrated by CVODE to a tight tolerance, model exchange is the reference for co-simulation.
-What gets less with smaller communication steps or a tighter tolerance is left to the solvers.
+Differences that shrink with the communication steps or the tolerance are the solvers' and give no finding.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from flexfmu.fmu_build.validation.instance import RealArray
 from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
 AGREEMENT = 0.01
-"""What co-simulation and model exchange may differ, relative to how far an output moves: most solvers do better."""
+"""Allowed difference of co-simulation and model exchange, relative to how far an output moves; most solvers do
+better."""
 
 WRONG = 0.05
-"""The same, above which no solver is to blame unless smaller steps help."""
+"""The same, above which the solver isn't the cause unless smaller steps help."""
 
 POOR = 0.03
 """The same for a solver that gets better with smaller steps."""
@@ -49,7 +50,7 @@ EXPLAINED = 0.2
 """Part of the difference that may be left where Euler's method explains it."""
 
 STAYS = 0.7
-"""Part of the difference that is left with smaller communication steps where it is no matter of the solver's steps."""
+"""Share of the difference that remains with smaller communication steps if the solver's steps don't cause it."""
 
 STEPS = 6
 """Steps after which states and event indicators are looked at."""
@@ -180,9 +181,8 @@ def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Set in motion by other starts and inputs, co-simulation goes where CVODE takes model exchange.
-
-    What differs as it does with Euler's method is left to the FMU's choice of a solver.
+    """Set in motion by other starts and inputs, co-simulation follows model exchange under CVODE. A difference that
+    Euler's method explains is the FMU's choice of a solver.
     """
     if fmu.kind is not InterfaceType.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
         return

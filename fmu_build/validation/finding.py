@@ -14,7 +14,7 @@ class Severity(StrEnum):
     ERROR = "error"
     """The FMU breaks the standard, or does not do what it claims."""
     WARNING = "warning"
-    """Some tools or machines will stumble over it."""
+    """Some tools or machines will fail because of it."""
     NOTE = "note"
     """Something that could not be checked here."""
 
@@ -60,7 +60,7 @@ SECTIONS = {
     "sources": "2.3",
     "dependencies": "2.3",
 }
-"""Name of the check → section of FMI 2.0.4 that it is about; what spoils more comes first."""
+"""Name of the check → section of FMI 2.0.4 that it is about; the most harmful first."""
 
 NAMES_SHOWN = 4
 """Names of further variables or files in a line that stands for many findings."""
@@ -102,7 +102,7 @@ class Finding:
 
 
 def ranked(findings: Iterable[Finding]) -> list[Finding]:
-    """One finding for all that say the same of different variables or files; errors first, then by what they spoil."""
+    """One finding for all that say the same of different variables or files; errors first, then the most harmful."""
     # findings that differ by subject and values alone become one
     groups: dict[object, list[Finding]] = {}
     for finding in dict.fromkeys(findings):

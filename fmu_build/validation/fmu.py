@@ -35,13 +35,13 @@ MOST_STEPS = 300
 """Communication steps that a run has, but for the one over the whole default experiment."""
 
 SECONDS_A_RUN = 1.0
-"""What a run of so many steps may take; of a slow FMU fewer are made [s]."""
+"""Longest time for a run of so many steps [s]; a slow FMU makes fewer."""
 
 EXCITATION = 1e-3
 """Amplitude of what is added to the inputs' start values, relative to their size: small enough for any model."""
 
 SOLVER_TOLERANCE = 1e-6
-"""Relative tolerance that a solver is thought to have, unless the default experiment has a larger one."""
+"""Assumed relative tolerance of a solver, unless the default experiment has a larger one."""
 
 _MOST_LOCALS = 100
 
@@ -59,7 +59,7 @@ class InterfaceType(Enum):
 
 
 class OnlyOnceError(Exception):
-    """A second instance in a process, of an FMU that allows one."""
+    """A second instance is asked for in a process, of an FMU that allows only one."""
 
 
 class NoMoreInstancesError(RuntimeError):

@@ -86,14 +86,14 @@ class InstanceUnderTest(ABC):
     def advance(
         self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None
     ) -> RealArray:
-        """Go through the steps ``first`` to ``last`` with small changes of the inputs; what comes out, one row a step.
+        """Go through the steps ``first`` to ``last`` with small changes of the inputs; the results, one row a step.
 
         It ends earlier where the FMU ends the simulation. ``size`` multiplies the changes; ``between`` is called in each step
         after the inputs are set.
         """
 
     def run(self) -> RealArray:
-        """Some steps of the default experiment; what comes out, one row a step."""
+        """Some steps of the default experiment; the results, one row a step."""
         self.initialize()
         rows = self.advance(0, self.fmu.steps)
         self.library.terminate()
@@ -196,7 +196,7 @@ class InstanceUnderTest(ABC):
 
 
 class CosimulationInstance(InstanceUnderTest):
-    """Makes communication steps; what comes out are the outputs."""
+    """Makes communication steps; the results are the outputs."""
 
     def initialize(self, values: Mapping[Any, Any] | None = None) -> None:
         self.enter_initialization(values)
@@ -264,7 +264,7 @@ class CosimulationInstance(InstanceUnderTest):
 
 
 class ExchangeInstance(InstanceUnderTest):
-    """Moves the states to and fro without integrating; what comes out are states' derivatives and outputs."""
+    """Moves the states back and forth without integrating; the results are the states' derivatives and outputs."""
 
     def initialize(self, values: Mapping[Any, Any] | None = None) -> None:
         self.enter_initialization(values)

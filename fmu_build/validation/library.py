@@ -23,7 +23,7 @@ _WARNING = 1
 """fmi2Warning."""
 
 TRY = "flexfmu tries:"
-"""Beginning of a line on standard error that says what is tried, should the FMU crash."""
+"""Prefix of the lines on standard error that say what is tried, in case the FMU crashes."""
 
 
 def announce(what: str) -> None:

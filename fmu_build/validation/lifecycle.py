@@ -25,7 +25,7 @@ WHOLE_RUN = 5.0
 """Longest time for the run over the whole default experiment [s]."""
 
 LAG = 0.2
-"""Part of the default experiment that the independent variable may be behind."""
+"""Share of the default experiment by which the independent variable may lag behind."""
 
 MORE_SAVINGS = 4
 """How often a state is saved again in the memory of the one before."""
@@ -38,7 +38,7 @@ _OUTSIDE = 1e-6
 
 
 def instantiates(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """An instance can be made, and the binary speaks FMI 2.0; nothing else makes sense without."""
+    """An instance can be made, and the binary speaks FMI 2.0; all other checks need this."""
     with fmu.instance("version") as instance:
         version, types = instance.version()
     if (version, types) != ("2.0", "default"):

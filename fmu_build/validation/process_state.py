@@ -64,7 +64,7 @@ def _environment(libc: Any) -> dict[bytes, bytes]:
 
 
 def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Finding]:
-    """Findings about what an FMU has changed in its process; what is told is taken out of ``before``."""
+    """Findings about what an FMU has changed in its process; what is reported is removed from ``before``."""
     for what, old in list(before.items()):
         new = after[what]
         # each disturbance is reported once

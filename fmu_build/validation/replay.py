@@ -36,7 +36,7 @@ READS = 10
 """Further readings of all outputs in each step."""
 
 NEGLIGIBLE = 1e-9
-"""Differences, relative to an output's largest value, that are but a warning."""
+"""Differences, relative to an output's largest value, that give only a warning."""
 
 
 def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
@@ -207,7 +207,7 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def reads_leave_the_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """A run in which variables are read again and again goes as one in which they are read once a step."""
+    """A run in which variables are read repeatedly equals one in which they are read once a step."""
     with fmu.instance("read_once") as instance:
         once = instance.run()
     with fmu.instance("read_often") as instance:

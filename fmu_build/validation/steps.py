@@ -29,7 +29,7 @@ It reveals an FMU that advances by a step size of its own, or loses time at each
 """
 
 CONVERGING = 0.7
-"""What the second halving may be of the first where the step size matters less and less."""
+"""Largest ratio of the second halving's change to the first's where the influence of the step vanishes."""
 
 STAIRS = 16
 """Steps that a ramp takes: communication steps, or samples of one step where outputs change at sample instants alone."""

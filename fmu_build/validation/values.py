@@ -17,10 +17,10 @@ MOST_TOGETHER = 200
 """Variables that are set and read in one call."""
 
 PRECISION = 1e-9
-"""What is left of a number in double precision that is converted to and fro; single precision leaves 6e-8."""
+"""Relative rounding error of a double that is converted back and forth; single precision leaves 6e-8."""
 
 CLOSE = 1e-6
-"""Difference of two numbers relative to their size that is but the rounding of a printed number."""
+"""Relative difference of two numbers that printing one of them explains."""
 
 
 def starts_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
