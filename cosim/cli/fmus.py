@@ -58,6 +58,7 @@ def fmus(
 
 def _facts(system: ExportedSystem) -> dict[str, object]:
     """What `--json` prints."""
+    # by name, as in the connections
     slaves = [
         {
             "name": each.name,

@@ -97,11 +97,13 @@ def _print_summary(summary: Mapping[str, Any], choice: str, folder: Path) -> Non
     parts: list[RenderableType] = [Text(choice)] if choice else []
     if health["outcome"] == "completed":
         parts += [_metrics_table(name, metrics, summary["errors"]), Text(health["errors_from"])]
+    # how the run went
     parts.append(Text(_health_line(health, summary["timing"])))
     parts += _learning_line(summary.get("learning"))
     late = [delay for delay in summary["delays"] if delay["seconds"] > 0.0 or delay["average"] > 0.0]
     if late:
         parts.append(Text("late: " + "; ".join(delay["description"] for delay in late)))
+    # what spoils the results
     if health["warnings"]:
         parts.append(Text(_warning_line(health), style="yellow"))
     sentences = [*health["large_deflections"], *filter(None, [health["unstable_loop"]])]

@@ -39,12 +39,14 @@ def run_ssp_command(
     loaded = load_ssp(source, stop=stop_time, step=step, ssd=ssd or DESCRIPTION, output_order=output_order)
     folder = OutputFolder(out or RESULTS / source.stem)
     folder.prepare()
+    # simulate, and write what was recorded even if it failed
     with progress() as show:
         simulation = loaded.simulate(progress=lambda fraction: show("simulating", fraction), isolate=isolate)
         show("writing the results", None)
         simulation.recording.write_csv(folder.path / "results.csv")
         summary = _summary(loaded, simulation)
         folder.write("summary.json", to_json(summary))
+    # standard output
     if as_json:
         print_text(to_json(summary))
     else:

@@ -91,6 +91,7 @@ def _hard_cases(source: str | None, out: Path | None, names: Sequence[str], as_j
 
     if source is not None:
         raise InputError(f"the hard cases have robots of their own: leave out {source}")
+    # run them all, and write what happened
     cases = hard_cases(names)
     folder = OutputFolder(out or RESULTS / HARD_CASES)
     folder.prepare()
@@ -99,6 +100,7 @@ def _hard_cases(source: str | None, out: Path | None, names: Sequence[str], as_j
     text = to_json(data(results))
     folder.write(f"{HARD_CASES}.json", text)
     folder.write(f"{HARD_CASES}.md", markdown(results))
+    # standard output
     if as_json:
         print_text(text)
     else:

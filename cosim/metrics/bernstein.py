@@ -46,10 +46,12 @@ def maximum_norm(control: RealArray) -> float:
         return 0.0
     best = 0.0
     for _ in range(MAXIMUM_BISECTIONS):
+        # the ends of a segment are values, its other control points are bounds
         norms = np.linalg.norm(control, axis=2)
         if np.any(np.isnan(norms)):
             return math.nan
         best = max(best, float(norms[0].max()), float(norms[-1].max()))
+        # only segments that may reach further are halved
         open_segments = norms.max(axis=0) > best * (1.0 + PEAK_TOLERANCE)
         if not np.any(open_segments):
             break

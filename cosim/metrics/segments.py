@@ -91,10 +91,12 @@ class HermiteSegments:
         far more, the segment is interpolated without it and all that follow, as an asymptotic series is cut off; its
         error is then taken for what the last order added.
         """
+        # what each order of derivatives adds to the interpolant
         theta = np.linspace(0.0, 1.0, 9)
         values = [self._up_to(count).evaluate(theta) for count in range(1, len(self.left) + 1)]
         added = [np.linalg.norm(one - other, axis=2).max(axis=0) for one, other in pairwise(values)]
         left, right, doubt = self.left.copy(), self.right.copy(), np.zeros((2, *self.left.shape))
+        # from the highest order down: derivatives at the ends of cut segments are those of the lower polynomial
         for count in range(len(added), 1, -1):
             cut = added[count - 1] > DIVERGING * added[count - 2]
             if not np.any(cut):

@@ -133,12 +133,14 @@ def to_svg(drawing: Figure, key: str, title: str) -> str:
     """The drawing as an SVG element for a page, its identifiers prefixed by ``key``, with a title for screen readers."""
     buffer = io.StringIO()
     drawing.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    # the element alone; identifiers are unique in the page, and colours follow its theme
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\b(id="|href="#|url\(#)', rf"\g<1>{key}-", text)
     for placeholder, variable in THEME.items():
         text = text.replace(placeholder, variable)
+    # as wide as the page gives it, and readable aloud
     opening = re.match(r"<svg[^>]*>", text)
     size = re.search(r'viewBox="[^"]*"', text)
     if opening is None or size is None:

@@ -63,6 +63,7 @@ def modes_along_path(
         raise InputError(
             f"the number of poses must be odd and at least 3, so that the middle of the path is one; got {count}"
         )
+    # rigid poses along the path, and the robot's frequencies at each
     poses = []
     fractions = np.linspace(0.0, 1.0, count)
     for index, (s, (x, y), (q11, q21)) in enumerate(

@@ -172,6 +172,7 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
     choice = scene.effects.choice
     if choice is None:
         return {}
+    # the choice as a whole, then effect by effect
     return {
         "tolerance": choice.tolerance,
         "of": list(choice.of),

@@ -141,6 +141,7 @@ def choose_verified(
     """
     show("choosing the effects", None)
     estimator = Estimator(scene, motion, of, asked, rich_enough(scene, motion, tolerance, of, asked))
+    # runs judge the estimates, which become more careful where they were wrong
     runs, safety = _Runs(estimator, of, show, fmu_of), dict.fromkeys(of, SAFETY)
     for _ in range(ROUNDS):
         chosen = choose_effects(scene, motion, tolerance, of, estimator, safety)

@@ -141,6 +141,7 @@ def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: fl
         quick, sharp: estimates of the error of a scene's set; the second one decides.
         limit: largest error.
     """
+    # nothing is cheaper than rigid links
     if quick(rigid) <= HOPELESS * limit and sharp(rigid) <= limit:
         return rigid
 
@@ -154,6 +155,7 @@ def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: fl
         pairs = [second.scene for first in poorer(scene) for second in poorer(first.scene)]
         return {each.effects.model_dump_json(): each for each in pairs}.values()
 
+    # leave out one effect after another, or two at once, until nothing more can go
     scene: Scene | None = richest
     while scene is not None:
         found = scene

@@ -227,6 +227,7 @@ def contribution_table(study: EffectStudy) -> Table:
         (" ", "Effect", "Change"),
         (*metrics, "states", "operations", "time"),
     )
+    # the set itself, then what each single change of it costs beside it
     cost = study.cost
     own = f"{cost.states}", f"{cost.operations}", f"{1e6 * cost.time:.3g} µs"
     table.add_row("", "the set itself", "", *("" for _ in metrics), *own)

@@ -148,6 +148,7 @@ def _simulated(
             marker="o",
             markersize=0.5 + width,
         )
+    # what counts as settled
     axes.axhline(1e6 * band, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)), label="settling band")
     axes.set(
         yscale="log",
@@ -162,6 +163,7 @@ def _before_and_after(axes: Axes, vibrations: Vibrations, recommended: Candidate
     """Vibration after the motion's end, without and with the recommended shaper."""
     for label, (time, distance) in vibrations.items():
         is_before = label == UNSHAPED_NAME
+        # a logarithmic axis has no zero
         shown = 1e6 * np.maximum(distance, 1e-10)
         axes.plot(1e3 * time, shown, color=GREY if is_before else INK, linewidth=1.2, label=label)
     axes.axhline(1e6 * band, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)))

@@ -160,12 +160,14 @@ def write_shaped(source: str, section: Mapping[str, Any], target: Path) -> None:
         ResultsError: the file can't be written.
     """
     text, _, folder = read_scene_text(source)
+    # the scene without its shapers, its paths as seen from the new folder
     document = tomlkit.parse(text)
     document.pop("shaper", None)
     for table in (*document.get("controller", ()), *document.get("imperfection", ())):
         key = {"fmu": "path", "python": "folder"}.get(table["kind"])
         if key is not None and folder is not None:
             table[key] = os.path.relpath(folder / table.get(key, "."), target.resolve().parent)
+    # the new shaper at the end
     if section:
         document.append("shaper", _tables(section))
     try:

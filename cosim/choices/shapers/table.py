@@ -77,6 +77,7 @@ def drive_of(results: Sequence[CandidateResult]) -> str:
 def markdown(title: str, results: Sequence[CandidateResult]) -> str:
     """A table for each quantity: shapers in rows, payload errors in columns."""
     errors = [trial.payload_error for trial in results[0].trials]
+    # each table with shaper, cost, and the quantity over the payload errors
     parts = [f"# {title}\n"]
     for name, text in QUANTITIES:
         head = ["Shaper", "Shapes", "Added time [ms]", "Path deviation [mm]", *(f"{error:+.0%}" for error in errors)]
@@ -101,6 +102,7 @@ def to_csv(results: Sequence[CandidateResult]) -> str:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
+    # the order of the cells is that of `CSV_COLUMNS`
     for result in results:
         for trial in result.trials:
             settling = "" if trial.settling_time is None else trial.settling_time
