@@ -206,14 +206,11 @@ def measure(recording: Recording, settings: Settings) -> Metrics[Measurement]:
     """
     solution = RecordedSolution(recording, settings)
     names = ALL_METRICS if solution.tracks_joints else METRICS
-    return Metrics({name: _finite(name, ALL_METRICS[name].computation(solution)) for name in names})
-
-
-def _finite(name: str, measurement: Measurement) -> Measurement:
-    """The measurement, unless it isn't a number: then the recording holds one that isn't."""
-    if measurement.value is not None and not math.isfinite(measurement.value):
-        raise ResultsError(f"metric `{name}` is {measurement.value}: the recorded signals are not finite")
-    return measurement
+    found = Metrics({name: ALL_METRICS[name].computation(solution) for name in names})
+    for name, measurement in found.items():
+        if measurement.value is not None and not math.isfinite(measurement.value):
+            raise ResultsError(f"metric `{name}` is {measurement.value}: the recorded signals are not finite")
+    return found
 
 
 @dataclass(frozen=True)

@@ -160,24 +160,36 @@ class HermiteSegments:
             theta: (k,) normalised times in each segment.
             order: order of the derivative, at most that of the highest one that is interpolated.
         """
+        # the mean of what is known at both ends
         ends = self._highest_derivatives
         known = ~np.isnan(ends)
         mean = np.where(known, ends, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         deviation: RealArray = self._error_shape(theta, order)[:, :, np.newaxis] * mean
         alone = ~known.any(axis=(0, 2))
         if np.any(alone):
-            deviation[:, alone] = self.select(np.asarray(alone))._unsigned_deviation(theta, order)
+            # segments without neighbours, as if all of their error were in the direction of the derivative
+            lone = self.select(np.asarray(alone))
+            values = lone.evaluate(theta, order)
+            norm = np.linalg.norm(values, axis=2, keepdims=True)
+            direction = values / np.where(norm > 0.0, norm, 1.0)
+            deviation[:, alone] = direction * lone._lower_degree_change(order)[:, np.newaxis]
         return deviation if self.doubt is None else deviation + self.doubt.evaluate(theta, order)
 
     @cached_property
     def _highest_derivatives(self) -> RealArray:
         """(2, n, c) derivative of order 2 m next to the start and to the end of each segment; NaN where unknown."""
         m = len(self.left)
-        jump = self._uninterpolated(at_end=False)[1:] - self._uninterpolated(at_end=True)[:-1]
+        # jumps of the interpolant's derivative of order m at the nodes
+        control = self._derivative_control(m)
+        jump = control[0][1:] - control[-1][:-1]
         first, second = self.duration[:-1], self.duration[1:]
         scale = math.factorial(2 * m) / math.factorial(m) / (first**m + second**m)
+        # nodes between segments of comparable length, where all interpolated derivatives agree to the accuracy of an integrator
         comparable = np.minimum(first, second) > COMPARABLE_STEPS * np.maximum(first, second)
-        useful = comparable & _continuous(self.right[:, :-1], self.left[:, 1:])
+        before, after = self.right[:, :-1], self.left[:, 1:]
+        size = np.maximum(np.linalg.norm(before, axis=2), np.linalg.norm(after, axis=2))
+        allowed = CONTINUITY * np.maximum(size, size.max(axis=1, keepdims=True, initial=0.0))
+        useful = comparable & np.all(np.linalg.norm(after - before, axis=2) <= allowed, axis=0)
         inner = np.where(useful[:, np.newaxis], jump * scale[:, np.newaxis], np.nan)
         unknown = np.full((1, jump.shape[1]), np.nan)
         return np.stack([np.concatenate([unknown, inner]), np.concatenate([inner, unknown])])
@@ -188,16 +200,6 @@ class HermiteSegments:
         node_polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
         shape = node_polynomial.deriv(order) if order else node_polynomial
         return np.outer(shape(theta), self.duration ** (2 * m - order)) / math.factorial(2 * m)
-
-    def _unsigned_deviation(self, theta: RealArray, order: int) -> RealArray:
-        """(k, n, c) the error of a segment without neighbours, as if it were all in the direction of the derivative."""
-        values = self.evaluate(theta, order)
-        norm = np.linalg.norm(values, axis=2, keepdims=True)
-        return np.asarray(values / np.where(norm > 0.0, norm, 1.0) * self._lower_degree_change(order)[:, np.newaxis])
-
-    def _uninterpolated(self, *, at_end: bool) -> RealArray:
-        """(n, c) the interpolant's derivative of order m at the start or end of each segment."""
-        return np.asarray(self._derivative_control(len(self.left))[-1 if at_end else 0])
 
     def _derivative_control(self, order: int) -> RealArray:
         """(2 m - order, n, c) control points of the interpolant's time derivative."""
@@ -211,12 +213,3 @@ class HermiteSegments:
         theta = np.linspace(0.0, 1.0, 9)
         change = self.evaluate(theta, order) - lower.evaluate(theta, order)
         return np.asarray(np.linalg.norm(change, axis=2).max(axis=0))
-
-
-def _continuous(before: RealArray, after: RealArray) -> NDArray[np.bool_]:
-    """(n,) whether all the derivatives (m, n, c) agree, to the accuracy of an integrator, across each node."""
-    jump = np.linalg.norm(after - before, axis=2)
-    size = np.maximum(np.linalg.norm(before, axis=2), np.linalg.norm(after, axis=2))
-    return np.asarray(
-        np.all(jump <= CONTINUITY * np.maximum(size, size.max(axis=1, keepdims=True, initial=0.0)), axis=0)
-    )

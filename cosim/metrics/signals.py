@@ -1,19 +1,21 @@
-"""Signals of a recording as Hermite segments: what the metrics and plots interpolate."""
+"""Signals of a recording: as Hermite segments, which metrics and plots interpolate, and the tracking error cycle by cycle."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.engine.slave import COINCIDENT, RealArray
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.trajectories.trajectory import limits
 
 if TYPE_CHECKING:
+    from flexfmu.cosim.experiment.planning import MotionPlan
     from flexfmu.trajectories.trajectory import Trajectory
 
 POSITION = ("end_effector.position.x", "end_effector.position.y")
@@ -115,15 +117,57 @@ def sample(signal: HermiteSegments, per_segment: int, order: int = 0) -> tuple[R
 
 def _derivatives(recording: Recording, names: Sequence[str]) -> RealArray:
     """(3, N, c) the signals and their first and second time derivatives."""
-    return np.stack([_complete(recording, name) for name in names], axis=-1)
+    found = []
+    for name in names:
+        try:
+            column = recording[name]
+        except KeyError as error:
+            raise ResultsError(f"metrics need the signal `{name}`: {error.args[0]}") from None
+        if column.first is None or column.second is None:
+            raise ResultsError(
+                f"metrics need the time derivatives of `{name}`, which were not recorded: simulate it anew"
+            )
+        found.append(np.stack([column.values, column.first, column.second]))
+    return np.stack(found, axis=-1)
 
 
-def _complete(recording: Recording, name: str) -> RealArray:
-    """(3, N) one signal with its derivatives."""
-    try:
-        column = recording[name]
-    except KeyError as error:
-        raise ResultsError(f"metrics need the signal `{name}`: {error.args[0]}") from None
-    if column.first is None or column.second is None:
-        raise ResultsError(f"metrics need the time derivatives of `{name}`, which were not recorded: simulate it anew")
-    return np.stack([column.values, column.first, column.second])
+@dataclass(frozen=True)
+class CycleError:
+    """Tracking error of both joints in one cycle: reference - angle [rad].
+
+    Attributes:
+        rms: root mean square over the cycle.
+        largest: largest magnitude.
+    """
+
+    rms: tuple[float, ...]
+    largest: tuple[float, ...]
+
+
+def cycle_errors(motion: MotionPlan, recording: Recording) -> Sequence[CycleError]:
+    """The tracking error of a repeated motion, cycle by cycle, by which learning is judged.
+
+    Of the cycles that were recorded to their end, between the recorded instants by the trapezoidal rule. Nothing for a motion
+    that isn't repeated, or a robot whose joint angles aren't recorded. The last standstill ends the last cycle.
+    """
+    from scipy.integrate import trapezoid
+
+    if motion.repetition is None or any(name not in recording.columns for name in JOINT_POSITIONS):
+        return ()
+    # reference - angle (2, N) [rad]
+    references = (name.replace("position", "reference.position") for name in JOINT_POSITIONS)
+    pairs = zip(references, JOINT_POSITIONS, strict=True)
+    error = np.stack([recording[reference].values - recording[angle].values for reference, angle in pairs])
+    # cycles that the run reached the end of
+    period, time = motion.repetition.period, recording.time
+    begins = period * np.arange(motion.repetition.cycles)
+    ends = np.minimum(begins + period, motion.stop_time)
+    reached = ends <= (time[-1] + COINCIDENT * period if time.size else -np.inf)
+    found = []
+    for begin, end in zip(begins[reached].tolist(), ends[reached].tolist(), strict=True):
+        near = COINCIDENT * (end - begin)
+        inside = (time >= begin - near) & (time <= end + near)
+        squares = trapezoid(error[:, inside] ** 2, time[inside], axis=1)
+        rms, largest = np.sqrt(squares / (end - begin)), abs(error[:, inside]).max(axis=1)
+        found.append(CycleError(tuple(rms.tolist()), tuple(largest.tolist())))
+    return found

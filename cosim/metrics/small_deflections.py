@@ -38,7 +38,13 @@ HOPELESS = 0.5
 
 def exceeded(run: Run) -> list[str]:
     """A sentence for bending that spoils the path by more than the scene's tolerance (`DEFAULT_TOLERANCE`), and for overstretched links."""
-    return [*_bent(run), *_stretched(run)]
+    stretched = [
+        f"{name} reaches {100.0 * relative:.3g} % of the link's length: no structural metal stretches by more than "
+        f"{100.0 * LARGEST_ELONGATION:g} % without yielding; stiffen or relieve the links"
+        for name, relative in _relative(run, "elongation")
+        if not relative <= LARGEST_ELONGATION
+    ]
+    return [*_bent(run), *stretched]
 
 
 def path_errors(run: Run) -> tuple[float, float]:
@@ -55,7 +61,9 @@ def path_errors(run: Run) -> tuple[float, float]:
     recording, scene = run.recording, run.robot
     count = int(np.clip((recording.time[-1] - recording.time[0]) / STEP, LEAST, MOST))
     time = np.linspace(recording.time[0], recording.time[-1], count)
-    joints = _motors(recording, time)
+    measured = "" if "joint1.position" in recording.columns else ".reference"
+    kinds = ("position", "velocity", "acceleration")
+    joints = _columns(recording, time, [f"joint{leg}{measured}.{kind}" for kind in kinds for leg in (1, 2)])
     rests = np.concatenate([joints[[0, -1], :2], np.zeros((2, 4))], axis=1)
     grid = MotionGrid(time, joints, rests, ((0, time.size),), float(time[-1]))
     # the robot's equations along that motion, without and with foreshortening
@@ -116,16 +124,6 @@ def _bent(run: Run) -> Iterator[str]:
     )
 
 
-def _stretched(run: Run) -> Iterator[str]:
-    """A sentence for each link that stretches beyond `LARGEST_ELONGATION`."""
-    for name, relative in _relative(run, "elongation"):
-        if not relative <= LARGEST_ELONGATION:
-            yield (
-                f"{name} reaches {100.0 * relative:.3g} % of the link's length: no structural metal stretches by more than "
-                f"{100.0 * LARGEST_ELONGATION:g} % without yielding; stiffen or relieve the links"
-            )
-
-
 def largest_deflection(run: Run) -> float:
     """Largest deflection of any link relative to its length."""
     tips = [relative for _, relative in _relative(run, "tip_deflection")]
@@ -141,13 +139,6 @@ def _relative(run: Run, signal: str) -> Iterator[tuple[str, float]]:
         if kind == signal and column.values.size:
             length = (mechanism.proximal if link.endswith("1") else mechanism.distal).length
             yield name, float(np.abs(column.values).max()) / length
-
-
-def _motors(recording: Recording, time: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles, rates and accelerations of the motors (N, 6) at instants: measured, or else their references."""
-    own = "" if "joint1.position" in recording.columns else ".reference"
-    kinds = ("position", "velocity", "acceleration")
-    return _columns(recording, time, [f"joint{leg}{own}.{kind}" for kind in kinds for leg in (1, 2)])
 
 
 def _columns(recording: Recording, time: NDArray[np.float64], names: Sequence[str]) -> NDArray[np.float64]:

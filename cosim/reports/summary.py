@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.experiment.divergence import divergence
 from flexfmu.cosim.experiment.planning import deviation
-from flexfmu.cosim.metrics.cycle_errors import cycle_errors
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import Metrics
+from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.cosim.metrics.small_deflections import exceeded
 from flexfmu.model.scene.effects import CHOOSABLE, LOADS
 from flexfmu.model.scene.schema import Scene

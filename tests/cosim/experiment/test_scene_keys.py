@@ -18,7 +18,7 @@ from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import coupling_of, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.metrics.cycle_errors import cycle_errors
+from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.fmu_build.block_build import build_block_fmu
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene

@@ -8,7 +8,7 @@ import pytest
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
-from flexfmu.cosim.metrics.cycle_errors import cycle_errors
+from flexfmu.cosim.metrics.signals import cycle_errors
 from flexfmu.model.scene.file import load_scene
 
 ERRORS = (1e-3, 2e-4)
