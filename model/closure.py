@@ -102,7 +102,7 @@ class Closure:
         return casadi.vertcat(r1 * e2[1] - r2 * e1[1], r2 * e1[0] - r1 * e2[0]) / self.sine
 
     def _solve_transposed(self, force: casadi.SX) -> list[casadi.SX]:
-        """Numbers m_i with sum of m_i e_p[i] = force: the axial forces in the distal links."""
+        """Coefficients m_i for which the sum of m_i e_p[i] equals the force: the axial forces in the distal links."""
         e1, e2 = self.e_p
         return [
             (force[0] * e2[1] - force[1] * e2[0]) / self.sine,

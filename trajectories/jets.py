@@ -99,7 +99,7 @@ class Jet:
         return Jet(np.concatenate([first[None], rest]))
 
     def rescale(self, factor: float) -> Jet:
-        """The series in a variable ``factor`` times as large: f(factor · x) as a function of x."""
+        """The series of f(factor · x) as a function of x: the old variable is ``factor`` times the new one."""
         return Jet(self.coefficients * _column(factor ** np.arange(self.order + 1.0), self.coefficients))
 
     def __neg__(self) -> Jet:

@@ -1,1 +1,1 @@
-"""Controllers, filters, shapers and imperfections as slaves that sample; knows no scene file."""
+"""Controllers, filters, shapers and imperfections as sampled slaves, each built from its section of a scene."""

@@ -142,7 +142,7 @@ class _Bus:
         return waiting
 
     def missing(self, inline: InlineBlock) -> str | None:
-        """A signal that an inline block takes or replaces and that isn't there, unless it is connected explicitly."""
+        """The first signal that an inline block needs or replaces but that has no source; None if all have one or are connected explicitly."""
         name = inline.slave.name
         taken = zip(inline.takes, _names(inline.slave, "input"), strict=True)
         needed = [signal for signal, target in taken if f"{name}.{target}" not in self.explicit]

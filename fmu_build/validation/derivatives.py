@@ -231,7 +231,7 @@ def _no_number_at_start(fmu: FmuUnderTest, references: list[int], most: int) -> 
 
 
 def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """In co-simulation a variable goes as the one that is declared as its derivative says, all through the step."""
+    """In co-simulation a variable changes throughout the step at the rate that its declared derivative gives."""
     pairs = [(v.derivative, v) for v in fmu.description.modelVariables if v.derivative is not None and v.type == "Real"]
     if fmu.kind is not InterfaceType.COSIMULATION or not pairs:
         return

@@ -1,7 +1,7 @@
 """A link's cross section, and a co-rotational beam element between two nodes (x, y, theta) in the fixed frame.
 
-What the element deforms is counted from the straight line between its nodes: its elongation, with the shortening that
-bending brings, and the turning of its two ends. Within the element the deflection is that of Timoshenko's beam under forces
+Deformation is measured from the straight line between the nodes: the elongation, with the shortening due to bending, and
+the rotations of both ends. Within the element the deflection is that of Timoshenko's beam under forces
 at its ends, which for infinite shear stiffness is Hermite's cubic; elongation is linear. Forces follow from the energies
 by Lagrange's equations, with all terms that rotation brings.
 

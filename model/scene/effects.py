@@ -83,7 +83,7 @@ DampingSection = Annotated[
 
 
 class SmoothFrictionSection(Section):
-    """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor that turns with w."""
+    """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor, w being its angular velocity."""
 
     kind: Literal["smooth"] = "smooth"
     viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0

@@ -109,7 +109,7 @@ class LinearizedMotion:
         return Response(*(self._spread(values, states) for values in (part.position, part.velocity, part.acceleration)))
 
     def deflections(self, motion: Response, statics: Indices) -> RealArray:
-        """Static deflections of some coordinates under what a motion of the others puts on them (N, n)."""
+        """Quasi-static deflections (N, n) of some coordinates under the forces that the motion of the others exerts on them."""
         force = self.forces(motion)[:, statics]
         stiffness = self.linear.stiffness[np.ix_(np.arange(len(force)), statics, statics)]
         return self._spread(

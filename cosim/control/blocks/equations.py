@@ -34,7 +34,7 @@ def block(
     symbol: Any = casadi.SX,
     latency: Mapping[str, float] | None = None,
 ) -> SymbolicBlock:
-    """The block of some equations; direct feedthrough is whatever an output depends on structurally.
+    """A block made from equations; an output has direct feedthrough from every input that it depends on structurally.
 
     Args:
         name, description: what it is.

@@ -185,7 +185,7 @@ def _monitored_by_default(system: System, ports: Sequence[OutputPort], couplings
 
 
 def _errs(source: Slave) -> bool:
-    """Whether what the slave gives has an error at communication points too: it has been stepped."""
+    """Whether the slave's outputs carry an error at communication points too, as those of a slave that is stepped do."""
     return not isinstance(source, PredictsOutputs | Sampled)
 
 
