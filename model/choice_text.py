@@ -25,6 +25,7 @@ def percent(value: float) -> str:
 def set_text(scene: Scene) -> str:
     """A scene's elastic effects, separated by commas."""
     effects = scene.effects
+    # numbers of modes, then what refines them
     found = [
         f"{word} {getattr(effects, key)}{' static' if key in effects.quasi_static else ''}"
         for key, word in _FAMILIES.items()

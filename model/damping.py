@@ -99,6 +99,7 @@ class ProportionalDamping(StructuralDamping):
             damping += self._rate * family.mass
         if self._has_time:
             damping += self._time * family.stiffness
+        # the matrix as derived parameters, with the pattern of its zeros
         prefix = f"{family.group}_{family.direction}_c"
         derived = symmetric(
             v.numel(),

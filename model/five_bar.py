@@ -172,6 +172,7 @@ def _robot_with(
 ) -> Robot:
     """The robot whose coordinates are those that effects add."""
     families = [family for effect in effects for family in effect.families()]
+    # families that shorten their link by bending
     shortening = {
         family.group: matrix
         for effect in effects

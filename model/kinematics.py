@@ -94,8 +94,10 @@ class RigidKinematics:
         elbows = []
         for base, sign in zip(bases(self.mechanism), WORKING_MODES[self.mechanism.working_mode], strict=True):
             arm = position - base
+            # angle between arm and proximal link, by the law of cosines
             square = np.sum(arm**2, axis=1)
             cosine = square + (proximal**2 - distal**2)
+            # out of reach the root has no real value
             with np.errstate(invalid="ignore"):
                 sine = np.sqrt(4.0 * proximal**2 * square - cosine**2)
             angle = np.arctan2(arm[:, 1], arm[:, 0]) + sign * np.arctan2(sine, cosine)

@@ -124,11 +124,13 @@ def torque_driven_accelerations(
     """Accelerations and reactions where the motor torques (2,) [N m] are given; arguments as above."""
     size, psi = 10 + model.n, model.jacobian(q).full()
     mass, bias = model.mass_matrix(q).full(), model.bias(q, v).full().ravel()
+    # Baumgarte's stabilisation pulls the constraints back to zero
     drift = (
         model.curvature(q, v).full().ravel()
         + 2 * baumgarte * (psi @ v)
         + baumgarte**2 * model.constraints(q).full().ravel()
     )
+    # accelerations and multipliers in one linear system
     applied = np.concatenate([torque, np.zeros(size - 2)])
     kkt = np.block([[mass, psi.T], [psi, np.zeros((PASSIVE, PASSIVE))]])
     solution = np.linalg.solve(kkt, np.concatenate([applied - bias, -drift]))
@@ -190,11 +192,13 @@ def _assembled(five_bar: FiveBar, d: casadi.DM) -> casadi.Function:
     """All coordinates and rates from the independent ones, by the closed-form assembly."""
     m, closure = five_bar.motion, five_bar.closure
     passive, rates = [], []
+    # elbows and directions of the distal links
     for leg in range(2):
         e = closure.e_p[leg]
         passive += [closure.elbows[leg], casadi.atan2(e[1], e[0])]
         rates += [closure.elbow_velocity[leg], closure.w_p[leg]]
     q = casadi.vertcat(m.q_a, m.q_e, *passive, closure.position)
     v = casadi.vertcat(m.v_a, m.v_e, *rates, closure.velocity)
+    # derived parameters become numbers
     filled = [casadi.substitute(expression, five_bar.registry.d, d) for expression in (q, v)]
     return casadi.Function("assembled", [m.q_a, m.q_e, m.v_a, m.v_e], filled)

@@ -105,6 +105,7 @@ def _weights(sequence: ImpulseSequence, sample_time: float, name: str) -> list[f
             f"{name}: a sample time of {sample_time:g} s makes a line of {sequence.duration / sample_time:.3g} samples for "
             f"impulses within {sequence.duration:g} s; at most {LONGEST_LINE} are allowed: choose a larger sample time"
         )
+    # impulses between two samples are split between them
     split = sequence.split(sample_time)
     samples = [round(time / sample_time) for time in split.times]
     weights = np.zeros(samples[-1] + 1)

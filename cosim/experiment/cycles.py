@@ -64,6 +64,7 @@ class ThereAndBack:
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Coordinates and their time derivatives; see `flexfmu.trajectories.trajectory.Trajectory.evaluate`."""
+        # the leg of each instant; at its limits the side decides
         instants = np.atleast_1d(np.asarray(time, dtype=float))
         near = max(SAME_TIME * self.motion.duration, ROUNDING * float(np.spacing(self.duration)))
         count = (
@@ -71,6 +72,7 @@ class ThereAndBack:
         )
         leg = np.clip(count, 0, 2 * self.cycles - 1)
         within = self._at_breakpoints(instants - leg * self._leg, leg % 2 == 1, near)
+        # on the way back time runs backwards: odd derivatives change their sign, sides are exchanged
         there = self.motion.evaluate(within, order, side)
         opposite: Side = "left" if side == "right" else "right"
         back = self.motion.evaluate(self.motion.duration - within, order, opposite)

@@ -93,14 +93,17 @@ def _runaway(time: RealArray, error: RealArray, step: float, bound: float) -> Gr
 
 def _unrest(time: RealArray, error: RealArray, step: float, begin: float, scale: float) -> Growth | None:
     """Growth of an error (N,) through all of the standstill from ``begin`` [s] on, or of one that doesn't decay there."""
+    # largest error in each third of the standstill
     parts = [(time >= early) & (time <= late) for early, late in pairwise(np.linspace(begin, time[-1], 4))]
     if begin >= time[-1] or not all(part.any() for part in parts):
         return None
     first, middle, last = (float(error[part].max()) for part in parts)
+    # it grows from third to third, or stays large
     grows = last > AT_REST * scale and last >= GROWTH_AT_REST * first and last >= middle >= first
     lasts = last > ON_THE_MOVE * scale and last >= LASTING * first
     if not (grows or lasts):
         return None
+    # growth per step between the largest errors of the first and the last third
     early, late = (float(time[part][error[part].argmax()]) for part in (parts[0], parts[-1]))
     return (last / max(first, ROUNDING * last)) ** (step / (late - early)), early
 

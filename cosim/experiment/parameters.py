@@ -115,6 +115,7 @@ def scene_with_parameters(scene: Scene, parameters: Mapping[str, float]) -> Scen
         if name not in known or name.startswith("start."):
             continue
         key = known[name].key
+        # components change their whole vector
         if name.endswith((".x", ".y")):
             vector = changes.setdefault(key, [known[f"{name[:-1]}{axis}"].value for axis in "xy"])
             vector["xy".index(name[-1])] = value

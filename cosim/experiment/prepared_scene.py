@@ -318,6 +318,7 @@ def _run_companion(
     """Prepare a companion anew, with a finer fixed step or step control where the scene has these, and run it."""
     scene = arguments["scene"]
     section, changes = scene.cosimulation, dict[str, Any]()
+    # whatever else limits the accuracy gets finer too
     if section.integrator_step > 0.0:
         changes["cosimulation.integrator_step"] = 0.5 * section.integrator_step
     if section.step_control is not None:

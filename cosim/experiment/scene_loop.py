@@ -56,6 +56,7 @@ def _repeated(scene: Scene, motion: MotionPlan) -> MotionPlan:
     if not learning or motion.repetition is not None:
         return motion
     first = learning[0]
+    # controllers that learn together need the same cycles and samples
     for key in ("cycles", "sample_time"):
         values = [getattr(each, key) for each in learning]
         if len(set(values)) > 1:

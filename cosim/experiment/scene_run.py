@@ -150,6 +150,7 @@ def _rest_by_fmu(path: Path, robot: Scene, pose: Mapping[str, float]) -> RealArr
     parameters: dict[str, Value] = {**parameters_for(robot, parameter_names(open_fmu(path).description)), **pose}
     slave = FmuSlave(path, "plant", {**parameters, INITIAL.name: "static"}, output_order=0)
     names, position = [variable.name for variable in slave.variables], np.empty(2)
+    # the equilibrium is found in initialisation, no step is needed
     slave.initialize(0.0, 1.0, None)
     try:
         slave.get(np.array([names.index(name) for name in END_EFFECTOR]), position)

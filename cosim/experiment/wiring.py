@@ -266,13 +266,16 @@ def _nothing_to_pass(inline: InlineBlock, bus: _Bus, controllers: Sequence[Slave
     """Which signal an inline block misses, and what would supply it."""
     missing = bus.missing(inline) or ""
     outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
+    # controllers with outputs of other names
     if missing in _names(plant, "input") and outputs:
         return (
             f"{inline.slave.name} acts on {missing}, but the controllers output {', '.join(outputs)}: call the output "
             f'{missing}, or connect it, connect = {{ "{plant.name}.{missing}" = "{outputs[0]}" }} for example'
         )
+    # no controller
     if missing.endswith(".torque"):
         return f"{inline.slave.name} acts on {missing}, which nothing outputs: the robot needs a controller"
+    # probably a wrong name
     near = get_close_matches(missing, bus.sources, n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(bus.sources)}"
     return f"{inline.slave.name} acts on {missing}, which doesn't exist; {hint}"

@@ -33,12 +33,14 @@ def motor_angle(base: Point, position: Point, proximal: float, distal: float, si
     """
     dx, dy = position[0] - base[0], position[1] - base[1]
     distance = math.hypot(dx, dy)
+    # beyond these the two circles do not meet
     nearest, farthest = abs(proximal - distal), proximal + distal
     if not nearest < distance < farthest:
         raise ValueError(
             f"the position ({position[0]}, {position[1]}) m is {distance:.6g} m from the base at ({base[0]}, {base[1]}) m, "
             f"but a leg reaches {nearest:.6g} to {farthest:.6g} m: move the path or change the link lengths"
         )
+    # law of cosines at the base
     cosine = (proximal**2 + distance**2 - distal**2) / (2.0 * proximal * distance)
     return math.atan2(dy, dx) + sign * math.acos(cosine)
 

@@ -38,6 +38,7 @@ def load_scene(source: str | Path) -> Scene:
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"not a TOML file: {error} ({label})") from error
     scene = parse_scene(data, label, folder)
+    # what can be meant, but seldom is
     for hint in scene.unit_hints:
         warnings.warn(f"{hint} ({label})", SceneWarning, stacklevel=2)
     return scene

@@ -181,10 +181,12 @@ def _own_sample_time(dt: Any, sample_time: float | None) -> float:
     """Sample time of a discrete system: its own, or the one given where it leaves it open."""
     if dt is None:
         raise InputError("the system has no time base (dt is None); set dt = 0 for continuous, or its sample time in s")
+    # True says discrete, but not how fast
     if dt is True:
         if sample_time is None:
             raise InputError("the system is discrete without a sample time (dt is True); say sample_time= in s")
         return sample_time
+    # two sample times must agree
     if sample_time is not None and not isclose(dt, sample_time, rel_tol=SAME_SAMPLE_TIME):
         raise InputError(
             f"the system has the sample time {dt} s, not {sample_time} s; leave out sample_time, or design it anew"

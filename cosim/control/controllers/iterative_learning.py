@@ -127,6 +127,7 @@ def samples_in_a_cycle(period: float | None, sample_time: float) -> int:
         raise InputError(
             "learning needs a motion that is repeated: flexfmu.cosim.experiment.cycles.repeated(plan, cycles)"
         )
+    # the memory has one torque for each sample of a cycle
     samples = round(period / sample_time)
     if abs(samples * sample_time - period) > SAME_TIME * period:
         raise InputError(

@@ -123,8 +123,10 @@ def _gains(robot: LinearSystem, weights: LqgWeights) -> tuple[RealArray, RealArr
         import control
     except ImportError:
         raise InputError("state feedback needs python-control; run: pip install flexfmu[control]") from None
+    # the regulator, by Bryson's rule: each deviation relative to its unit of cost
     cost = robot.C.T @ np.diag(1.0 / np.square([*weights.position_error, *weights.velocity_error])) @ robot.C
     K, _, _ = control.dlqr(robot.A, robot.B, cost, np.diag(1.0 / np.square(weights.torque_deviation)))
+    # the filter, from measured angles alone
     noise = weights.torque_noise**2 * np.eye(2), weights.measurement_noise**2 * np.eye(2)
     L, _, _ = control.dlqe(robot.A, robot.B, robot.C[: len(POSITIONS)], *noise)
     return K, L

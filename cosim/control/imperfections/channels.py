@@ -71,10 +71,12 @@ def joint_channels(
     """
     if kind not in JOINT_UNITS:
         raise InputError(f"joints have {', '.join(JOINT_UNITS)}; got {kind!r}")
+    # a list or an array with one number for each joint; empty for none
     starts = list(initial) if isinstance(initial, Sequence | np.ndarray) and np.ndim(np.asarray(initial)) == 1 else [""]
     numbers = all(each is None or isinstance(each, Real) for each in starts)
     if not numbers or len(starts) not in (0, len(joints)):
         raise InputError(f"initial must be one number for each of {', '.join(joints)}, got {initial!r}")
+    # no initial values leave the channels without any
     values = [None if each is None else float(each) for each in starts] or [None] * len(joints)
     unit = JOINT_UNITS[kind]
     return tuple(Channel(f"{joint}.{kind}", unit, value) for joint, value in zip(joints, values, strict=True))

@@ -117,9 +117,11 @@ class Lag:
         n = len(self._channels)
         if (indices >= 2 * n).any():
             raise InputError(f"{self.name}: only inputs and time constants can be set")
+        # a value without derivatives is held
         fed = indices < n
         self._u[0, indices[fed]] = values[fed]
         self._u[1 : self._order + 1, indices[fed]] = 0.0
+        # the others are time constants
         if not fed.all():
             times = self._times.copy()
             times[indices[~fed] - n] = values[~fed]
@@ -144,12 +146,15 @@ class Lag:
     def step(self, time: float, step: float) -> None:
         """Advance exactly, and the input's polynomial to the end of the step."""
         z, order = step / self._times, self._order
+        # held inputs
         if not order:
             self._y = self._u[0] + (self._y - self._u[0]) * np.exp(-z)
             return
+        # inputs that are polynomials: the class's formula
         powers = step ** np.arange(order + 1.0)
         weights = np.array([_phi(-each, order + 1) for each in z.tolist()]).T
         self._y = weights[0] * self._y + z * ((powers[:, None] * self._u[: order + 1]) * weights[1:]).sum(axis=0)
+        # Taylor shift of the polynomials to the end of the step
         for k in range(order):
             terms = [powers[j] / factorial(j) for j in range(order + 1 - k)]
             self._u[k] = terms @ self._u[k : order + 1]
@@ -177,11 +182,13 @@ class Lag:
 def _phi(x: float, highest: int) -> list[float]:
     """phi_0 .. phi_highest at x <= 0; phi_k = 1 / k! + x phi_k+1, upwards where that divides by a large number, downwards
     from a series where it multiplies by a small one."""
+    # upwards from phi_0
     if x < -1.0:
         found = [exp(x)]
         for k in range(highest):
             found.append((found[k] - 1.0 / factorial(k)) / x)
         return found
+    # downwards from a series that converges fast at small x
     last = sum(x**j / factorial(j + highest) for j in range(20))
     found = [last]
     for k in reversed(range(highest)):

@@ -99,6 +99,7 @@ def _jump(seed: Vector, multiplier: int, modulus: int) -> Vector:
     """multiplier^(JUMP seed) modulo the modulus, by the seed's binary digits."""
     result: Any = 1.0
     rest = casadi.floor(seed)
+    # square-and-multiply: the powers are constants, the digits select among them
     for bit in range(SEED_BITS):
         factor = pow(multiplier, JUMP << bit, modulus)
         half = casadi.floor(rest / 2.0)
