@@ -23,14 +23,12 @@ from rich.console import Console, RenderableType
 from flexfmu.cosim.engine.errors import ResultsError
 
 if TYPE_CHECKING:
+    from flexfmu.cosim.choices.effects.choice import ShowProgress
     from flexfmu.model.scene.schema import Scene
 
 
 PIPED_WIDTH = 120
 """Columns of a table that goes into a file or another program."""
-
-Step = Callable[[str, float | None], None]
-"""Called with what is being done and the finished fraction, 0..1; None where it isn't known."""
 
 
 def print_text(text: str) -> None:
@@ -73,7 +71,7 @@ def rich_output() -> Iterator[Console]:
 
 
 @contextmanager
-def progress() -> Iterator[Step]:
+def progress() -> Iterator[ShowProgress]:
     """A progress bar on standard error; nothing when that is piped."""
     stderr: TextIO | None = sys.stderr
     if stderr is None or not stderr.isatty():

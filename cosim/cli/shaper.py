@@ -59,13 +59,13 @@ def shaper(
     """
     from flexfmu.cosim.choices.shapers.examination import COARSE, FINE, examine, report, study_data
     from flexfmu.cosim.choices.shapers.figure import save_sensitivity
-    from flexfmu.cosim.choices.shapers.recommendation import Limits, write_shaped
+    from flexfmu.cosim.choices.shapers.recommendation import ShaperLimits, write_shaped
     from flexfmu.cosim.choices.shapers.table import markdown, to_csv
 
     # usage
     if not 0.0 <= payload_band < 1.0:
         raise InputError(f"--payload-band must be at least 0 and below 1 (0.3 is 30 %), got {payload_band:g}")
-    limits = Limits(max_deviation, max_added_time, max_jerk, max_torque)
+    limits = ShaperLimits(max_deviation, max_added_time, max_jerk, max_torque)
     for name, limit in vars(limits).items():
         if limit is not None and not 0.0 <= limit < float("inf"):
             raise InputError(f"--max-{name.replace('_', '-')} must be a number from 0 on, got {limit:g}")

@@ -41,7 +41,7 @@ class Measurement:
     reason: str = ""
 
 
-class Signal(Protocol):
+class TimeSignal(Protocol):
     """A quantity over a span of time, with one or more channels and its time derivatives."""
 
     def peak(self) -> Measurement:
@@ -63,28 +63,28 @@ class Solution:
     Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
     """
 
-    def torque(self, joint: int) -> Signal | None:
+    def torque(self, joint: int) -> TimeSignal | None:
         """Torque of motor 1 or 2 over the motion [N.m]."""
 
-    def modal_deflection(self) -> Signal | None:
+    def modal_deflection(self) -> TimeSignal | None:
         """First bending coordinate of proximal link 1 over the motion [m]; zero for a rigid link."""
 
-    def tip_deflection(self, leg: int) -> Signal | None:
+    def tip_deflection(self, leg: int) -> TimeSignal | None:
         """Transverse displacement of the tip of proximal link 1 or 2 over the motion [m]; zero for a rigid link."""
 
-    def path_error(self) -> Signal | None:
+    def path_error(self) -> TimeSignal | None:
         """Deviation of the end effector from the rigid robot's over motion and dwell [m]."""
 
-    def path_error_in_motion(self) -> Signal | None:
+    def path_error_in_motion(self) -> TimeSignal | None:
         """The same over the motion alone [m]."""
 
-    def residual_vibration(self) -> Signal | None:
+    def residual_vibration(self) -> TimeSignal | None:
         """Deviation of the end effector from the equilibrium at the end pose during the dwell [m]."""
 
-    def tracking_error(self, joint: int) -> Signal | None:
+    def tracking_error(self, joint: int) -> TimeSignal | None:
         """Angle of motor 1 or 2 minus its planned angle, over motion and dwell [rad]."""
 
-    def tracking_error_in_motion(self, joint: int) -> Signal | None:
+    def tracking_error_in_motion(self, joint: int) -> TimeSignal | None:
         """The same over the motion alone [rad]."""
 
     def settling_time(self) -> Measurement:
@@ -141,17 +141,17 @@ _DISPLAY: Mapping[str, tuple[str, float, float]] = {
 """SI unit → unit for people, factor to it, and negligible error in the SI unit."""
 
 
-def _peak(signal: Callable[[Solution], Signal | None]) -> Computation:
+def _peak(signal: Callable[[Solution], TimeSignal | None]) -> Computation:
     """Largest norm of a signal; no value where there is no such signal."""
     return lambda solution: found.peak() if (found := signal(solution)) else Measurement(None)
 
 
-def _root_mean_square(signal: Callable[[Solution], Signal | None], order: int = 0) -> Computation:
+def _root_mean_square(signal: Callable[[Solution], TimeSignal | None], order: int = 0) -> Computation:
     """Root mean square of a time derivative of a signal."""
     return lambda solution: found.root_mean_square(order) if (found := signal(solution)) else Measurement(None)
 
 
-def _final(signal: Callable[[Solution], Signal | None], order: int) -> Computation:
+def _final(signal: Callable[[Solution], TimeSignal | None], order: int) -> Computation:
     """Norm of a time derivative of a signal at its end."""
     return lambda solution: found.final(order) if (found := signal(solution)) else Measurement(None)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from flexfmu.cosim.choices.effects.estimator import Estimator, scales
+from flexfmu.cosim.choices.effects.estimator import Estimator, MetricValues, scales
 from flexfmu.cosim.choices.effects.search import SAFETY, choose_effects, rich_enough
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.experiment.planning import plan
@@ -32,7 +32,7 @@ from flexfmu.model.selection.motion_grid import JointMotion
 MEASURED: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
 """Metrics that are looked at where neither scene nor command names any; the last one needs a dwell."""
 
-Step = Callable[[str, float | None], None]
+ShowProgress = Callable[[str, float | None], None]
 """Called with what is being done and the finished fraction, 0..1; None where it isn't known."""
 
 
@@ -71,9 +71,6 @@ def _measure(name: str, dwells: bool) -> MeasureName:
     raise SceneError(f"effects can't be chosen by {name!r}: choose from {', '.join(MEASURES)}")
 
 
-Values = Mapping[MeasureName, float]
-"""Metrics in SI units, or their errors relative to the metrics' scales."""
-
 FmuOf = Callable[[Scene], Path]
 """Scene → an FMU with its effects."""
 
@@ -95,7 +92,7 @@ class Observed:
     run: Callable[[], object]
 
 
-def resolved(scene: Scene, show: Step = quiet) -> Scene:
+def resolved(scene: Scene, show: ShowProgress = quiet) -> Scene:
     """The scene with its effects chosen, if it says ``select = "auto"``; otherwise the scene as it is.
 
     The choice is made along the scene's own motion, before any shaping, with motors that follow it exactly.
@@ -117,7 +114,7 @@ def choose_verified(
     tolerance: float,
     of: tuple[MeasureName, ...],
     asked: Collection[MeasureName] = (),
-    show: Step = quiet,
+    show: ShowProgress = quiet,
     fmu_of: FmuOf | None = None,
 ) -> tuple[Scene, Estimator]:
     """The scene with the cheapest set of effects whose error is within the tolerance, and the estimator.
@@ -170,7 +167,9 @@ def _tightened(scene: Scene, tolerance: float, runs: _Runs) -> Scene:
 class _Runs:
     """Runs of sets of effects beside estimates, and beside the richest set's, which is run when first needed."""
 
-    def __init__(self, estimator: Estimator, of: tuple[MeasureName, ...], show: Step, fmu_of: FmuOf | None) -> None:
+    def __init__(
+        self, estimator: Estimator, of: tuple[MeasureName, ...], show: ShowProgress, fmu_of: FmuOf | None
+    ) -> None:
         self._estimator, self._of, self._show, self._fmu_of = estimator, of, show, fmu_of
 
     def agree(self, scene: Scene, limit: float) -> bool:
@@ -185,22 +184,22 @@ class _Runs:
             return True
         return max(_errors(own, self._richest, self._scales).values()) <= limit
 
-    def errors(self, scene: Scene, tolerance: float | None = None) -> Values:
+    def errors(self, scene: Scene, tolerance: float | None = None) -> MetricValues:
         """Values of a set, beside the richest one, with the FMU's tolerance or the scene's own."""
         own = observe(scene, self._of, self._fmu_of, tolerance).metrics
         return _errors(own, self._richest, self._scales)
 
     @cached_property
-    def _richest(self) -> Values:
+    def _richest(self) -> MetricValues:
         self._show("running the richest set", None)
         return observe(self._estimator.richest, (*self._of, "peak_position_error"), self._fmu_of, EXACT).metrics
 
     @property
-    def _scales(self) -> Values:
+    def _scales(self) -> MetricValues:
         return scales(self._richest, self._estimator.asked)
 
 
-def _errors(metrics: Values, other: Values, units: Values) -> Values:
+def _errors(metrics: MetricValues, other: MetricValues, units: MetricValues) -> MetricValues:
     """Differences of metrics relative to their scales."""
     return {name: abs(value - other[name]) / units[name] for name, value in metrics.items()}
 

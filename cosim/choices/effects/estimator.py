@@ -27,7 +27,7 @@ from flexfmu.model.selection.motion_grid import JointMotion, MotionGrid, motion_
 from flexfmu.model.selection.response import Response
 from flexfmu.trajectories.jets import RealArray
 
-Metrics = Mapping[MeasureName, float]
+MetricValues = Mapping[MeasureName, float]
 """Values in SI units, or errors relative to the metrics' scales."""
 
 
@@ -65,7 +65,7 @@ holds where the user asked for the metric: what is smaller, no run resolves."""
 
 @dataclass(frozen=True, eq=False)
 class SampledSignal:
-    """A signal at the instants of a motion; see `flexfmu.cosim.metrics.metric_table.Signal`.
+    """A signal at the instants of a motion; see `flexfmu.cosim.metrics.metric_table.TimeSignal`.
 
     Attributes:
         time: (N,) instants [s]; the time of a jump appears twice.
@@ -183,30 +183,30 @@ class Estimator:
         self._grid: MotionGrid = motion_grid(motion, scene.trajectory.dwell)
         self._static_start = scene.cosimulation.initial == "static"
         self._robots: dict[tuple[str, bool], LinearizedMotion] = {}
-        self._known: dict[tuple[str, bool], Metrics] = {}
+        self._known: dict[tuple[str, bool], MetricValues] = {}
         # what the robot would do if it were rigid
         robot = self._robot(self.richest.effects)
         rest = np.zeros(robot.load.shape)
         self._rigid = robot.outputs(Response(rest, rest, rest))
 
     @cached_property
-    def reference(self) -> Metrics:
+    def reference(self) -> MetricValues:
         """Metrics with the richest set."""
         return {name: self._full[name] for name in self._of}
 
     @cached_property
-    def scales(self) -> Metrics:
+    def scales(self) -> MetricValues:
         """What errors are relative to, see `scales`."""
         units = scales(self._full, self.asked)
         return {name: units[name] for name in self._of}
 
     @cached_property
-    def _full(self) -> Metrics:
+    def _full(self) -> MetricValues:
         """What the reference and its scales need."""
         needed = tuple(dict.fromkeys(("peak_position_error", *self._of)))
         return self._solution(self.richest.effects, sharp=True).metrics(needed)
 
-    def metrics(self, effects: Effects, *, sharp: bool = True) -> Metrics:
+    def metrics(self, effects: Effects, *, sharp: bool = True) -> MetricValues:
         """The metrics with a set of effects, in SI units."""
         key = effects.model_dump_json(), sharp
         if key not in self._known:
@@ -218,12 +218,12 @@ class Estimator:
         most = self.richest.effects
         return all(getattr(effects, family) <= getattr(most, family) for family in get_args(FamilyName))
 
-    def changes(self, effects: Effects, other: Effects, *, sharp: bool = True) -> Metrics:
+    def changes(self, effects: Effects, other: Effects, *, sharp: bool = True) -> MetricValues:
         """By how much the metrics differ between two sets, relative to their scales."""
         first, second = self.metrics(effects, sharp=sharp), self.metrics(other, sharp=sharp)
         return {name: abs(first[name] - second[name]) / self.scales[name] for name in self._of}
 
-    def errors(self, effects: Effects, *, sharp: bool = True) -> Metrics:
+    def errors(self, effects: Effects, *, sharp: bool = True) -> MetricValues:
         """By how much the metrics differ from those of the richest set, relative to their scales."""
         return self.changes(effects, self.richest.effects, sharp=sharp)
 

@@ -15,7 +15,7 @@ from flexfmu.cosim.choices.effects.choice import (
     EXACT,
     FmuOf,
     Observed,
-    Step,
+    ShowProgress,
     asked,
     choose_verified,
     observe,
@@ -92,7 +92,7 @@ class EffectStudy:
 
 
 def study_effects(
-    scene: Scene, tolerance: float | None = None, of: tuple[str, ...] = (), show: Step = quiet
+    scene: Scene, tolerance: float | None = None, of: tuple[str, ...] = (), show: ShowProgress = quiet
 ) -> EffectStudy:
     """Choose a scene's effects and look at each of them.
 
@@ -173,12 +173,12 @@ EVERYTHING = "everything"
 """Effect of the comparison with the richest set, whose estimate is that of the choice, safety included."""
 
 
-def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = quiet) -> tuple[Comparison, ...]:
+def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgress = quiet) -> tuple[Comparison, ...]:
     """Run the chosen set, the richest one and each next richer one; all of `comparisons`."""
     return tuple(comparisons(study, fmu_of, show))
 
 
-def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: Step = quiet) -> Iterator[Comparison]:
+def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgress = quiet) -> Iterator[Comparison]:
     """The chosen set beside the richest one, then beside each next richer one, run when asked for.
 
     Args:

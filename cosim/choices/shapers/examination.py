@@ -10,12 +10,12 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from flexfmu.cosim.choices.effects.choice import Step
+from flexfmu.cosim.choices.effects.choice import ShowProgress
 from flexfmu.cosim.choices.shapers.design import DesignModes, alternatives, design_modes
 from flexfmu.cosim.choices.shapers.figure import Vibrations
 from flexfmu.cosim.choices.shapers.recommendation import (
-    Limits,
     Recommendation,
+    ShaperLimits,
     compare_slower,
     recommend,
     shaper_toml,
@@ -69,7 +69,12 @@ class ShaperStudy:
 
 
 def examine(
-    scene: Scene, band: float, count: int, show: Step, drive: Drive | None = None, limits: Limits | None = None
+    scene: Scene,
+    band: float,
+    count: int,
+    show: ShowProgress,
+    drive: Drive | None = None,
+    limits: ShaperLimits | None = None,
 ) -> ShaperStudy:
     """Design shapers for a scene and co-simulate them.
 

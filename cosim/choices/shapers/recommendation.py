@@ -20,7 +20,7 @@ RESOLUTION = 1e-4
 
 
 @dataclass(frozen=True)
-class Limits:
+class ShaperLimits:
     """What a recommended motion must not exceed; None for no limit.
 
     Attributes:
@@ -73,7 +73,9 @@ class Recommendation:
     keeps_limits: bool = True
 
 
-def recommend(results: Sequence[CandidateResult], settling_band: float, limits: Limits | None = None) -> Recommendation:
+def recommend(
+    results: Sequence[CandidateResult], settling_band: float, limits: ShaperLimits | None = None
+) -> Recommendation:
     """The result with the shortest time to rest over the payload band; of equal ones that with the smallest deviation.
 
     Where none comes to rest within the dwell for all payloads, the one with the smallest worst residual vibration. Only
@@ -85,7 +87,7 @@ def recommend(results: Sequence[CandidateResult], settling_band: float, limits: 
         limits: what the motion must not exceed; None for no limits.
     """
     unshaped = next(result for result in results if result.candidate.name == UNSHAPED_NAME)
-    limits = limits or Limits()
+    limits = limits or ShaperLimits()
     allowed = [result for result in results if not limits.exceeded(result)]
     if not allowed:
         nearest = min(results, key=lambda result: len(limits.exceeded(result)))

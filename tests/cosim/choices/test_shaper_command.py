@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from flexfmu.cosim.choices.shapers import design as shaping_design
 from flexfmu.cosim.choices.shapers.design import Alternative, alternatives, design_modes
-from flexfmu.cosim.choices.shapers.recommendation import Limits, compare_slower, recommend, write_shaped
+from flexfmu.cosim.choices.shapers.recommendation import ShaperLimits, compare_slower, recommend, write_shaped
 from flexfmu.cosim.choices.shapers.study import (
     Candidate,
     CandidateResult,
@@ -211,13 +211,13 @@ def test_a_controlled_scene_is_studied_with_its_controller_unless_the_drive_is_p
 @pytest.mark.parametrize(
     ("limits", "name"),
     [
-        (Limits(), "zv"),
-        (Limits(deviation=1e-3), "mzv"),
-        (Limits(deviation=1e-3, added_time=9e-3), "unshaped"),
-        (Limits(torque=60.0), "zv"),
+        (ShaperLimits(), "zv"),
+        (ShaperLimits(deviation=1e-3), "mzv"),
+        (ShaperLimits(deviation=1e-3, added_time=9e-3), "unshaped"),
+        (ShaperLimits(torque=60.0), "zv"),
     ],
 )
-def test_only_what_keeps_the_limits_is_recommended(motion: MotionPlan, limits: Limits, name: str) -> None:
+def test_only_what_keeps_the_limits_is_recommended(motion: MotionPlan, limits: ShaperLimits, name: str) -> None:
     """A shaper that strays, takes or asks for more than allowed isn't recommended however soon it rests."""
     found = [
         result(motion, "unshaped", 0.0, 0.05),
@@ -230,7 +230,7 @@ def test_only_what_keeps_the_limits_is_recommended(motion: MotionPlan, limits: L
 
 def test_limits_that_nothing_keeps_are_told_with_the_nearest(motion: MotionPlan) -> None:
     """Nothing is recommended; the sentence says by how much the nearest misses."""
-    chosen = recommend([result(motion, "unshaped", 0.0, 0.05)], 1e-5, Limits(torque=10.0, jerk=1e4))
+    chosen = recommend([result(motion, "unshaped", 0.0, 0.05)], 1e-5, ShaperLimits(torque=10.0, jerk=1e4))
     assert not chosen.keeps_limits
     assert (
         "nearest is unshaped: joint jerk inf rad/s³ above 1e+04 rad/s³, peak torque 50 N·m above 10 N·m"
