@@ -1,5 +1,5 @@
-"""What the commands say and read: results on standard output, progress on a terminal's standard error, every error as one line with an
-exit status, and scenes with their effects chosen where they leave that open.
+"""Input and output of the commands: results on standard output, progress on standard error where that is a terminal, every error as
+one line with an exit status; and scenes whose effects are chosen where they are left open.
 
 Exit status 0: done. 1: it ran and failed. 2: wrong usage or input, nothing was done.
 """
@@ -32,7 +32,7 @@ PIPED_WIDTH = 120
 
 
 def print_text(text: str) -> None:
-    """Write to standard output at once. A reader that has gone away ends the command without a word.
+    """Write to standard output at once. The command ends without a message if the reader has closed the pipe.
 
     Raises:
         ResultsError: standard output is closed or can't be written, a full disk for example.
@@ -58,7 +58,7 @@ def print_rich(*parts: RenderableType) -> None:
 
 @contextmanager
 def rich_output() -> Iterator[Console]:
-    """A console whose text goes to standard output in the end: as wide as the terminal, and in colours where there is one.
+    """A console whose text goes to standard output when the context ends: as wide as the terminal, and in colours where there is one.
 
     Raises:
         ResultsError: standard output is closed or can't be written.
@@ -114,7 +114,7 @@ def keep_stdout() -> None:
 
 
 def abandon_stdout() -> None:
-    """Point standard output to nowhere, or Python complains once more when it flushes at exit."""
+    """Redirect standard output to the null device, since Python would report the same error again when it flushes at exit."""
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (OSError, ValueError):
@@ -178,23 +178,18 @@ def one_line_errors() -> Iterator[None]:
     except typer.Exit:
         raise
     except KeyboardInterrupt:
-        show_error("interrupted")
+        show_note("interrupted")
         raise typer.Exit(FAILURE) from None
     except Exception as error:
         status = _exit_status(error)
         if status is None:
             raise
-        show_error(_sentence(error))
+        show_note(_sentence(error))
         raise typer.Exit(status) from error
 
 
-def show_error(message: str) -> None:
-    """One line on standard error, if there is one."""
-    show_note(message)
-
-
 def show_note(message: str) -> None:
-    """One line on standard error for something that isn't a result, if there is a standard error."""
+    """Write an error, a warning or a note as one line to standard error, if there is one."""
     stderr: TextIO | None = sys.stderr
     if stderr is not None:
         print(f"flexfmu: {' '.join(message.split())}", file=stderr)
@@ -233,7 +228,7 @@ def _exit_status(error: Exception) -> int | None:
 
 
 def _sentence(error: Exception) -> str:
-    """The error's own words, the system's where it comes from there."""
+    """The error's message; for an error of the operating system its reason and the file."""
     if isinstance(error, OSError):
         where = f" ({error.filename})" if error.filename else ""
         return f"{error.strerror or error}{where}"
@@ -241,7 +236,7 @@ def _sentence(error: Exception) -> str:
 
 
 def load_resolved(source: str) -> Scene:
-    """A scene from its file or by its name; what was chosen is said on standard error.
+    """A scene from its file or by its name, with its effects chosen where it leaves them open; a note on standard error names them.
 
     Raises:
         SceneError: as for `flexfmu.model.scene.file.load_scene`.

@@ -58,7 +58,7 @@ def fmus(
 
 def _facts(system: ExportedSystem) -> dict[str, object]:
     """What `--json` prints."""
-    # by name, as in the connections
+    # slaves by the names that the connections refer to
     slaves = [
         {
             "name": each.name,

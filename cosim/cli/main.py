@@ -21,7 +21,7 @@ from flexfmu.cosim.cli.console import (
     one_line_errors,
     orderly_termination,
     print_text,
-    show_error,
+    show_note,
 )
 from flexfmu.cosim.cli.effects import effects
 from flexfmu.cosim.cli.export import export
@@ -53,7 +53,7 @@ def main() -> None:
             app()
     except OSError as error:  # a help text that can't be written; the commands catch their own
         abandon_stdout()
-        show_error(f"can't write to standard output: {error.strerror or error}")
+        show_note(f"can't write to standard output: {error.strerror or error}")
         sys.exit(FAILURE)
 
 

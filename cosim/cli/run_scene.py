@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
-from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_error
+from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_note
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.master.simulation_loop import Progress
@@ -65,7 +65,7 @@ def run_command(
     else:
         _print_summary(summary, choice_sentence(scene), folder.path)
     if problem is not None:
-        show_error(f"{problem}; what was recorded is in {folder.path}")
+        show_note(f"{problem}; what was recorded is in {folder.path}")
         return FAILURE
     return 0
 

@@ -10,7 +10,7 @@ from rich.console import RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
-from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_error
+from flexfmu.cosim.cli.console import FAILURE, print_rich, print_text, progress, show_note
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.master.master import Simulation
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
@@ -32,9 +32,10 @@ def run_ssp_command(
     ssd: str | None = None,
     output_order: int | None = None,
 ) -> int:
-    """Simulate an SSP file, or the variant ``ssd`` in it, with step and stop time [s] instead of its own; write results.csv and summary.json, print how it went; the exit status.
+    """Simulate an SSP file, write results.csv and summary.json, and print how the run ended; the exit status.
 
-    What was recorded before a failure is written too.
+    What was recorded before a failure is written too. ``step`` and ``stop_time`` [s] replace the file's own, ``ssd`` names one of
+    several systems in it, ``output_order`` is the highest output derivative of its FMUs that is read.
     """
     loaded = load_ssp(source, stop=stop_time, step=step, ssd=ssd or DESCRIPTION, output_order=output_order)
     folder = OutputFolder(out or RESULTS / source.stem)
@@ -52,7 +53,7 @@ def run_ssp_command(
     else:
         _print(summary, simulation, folder.path)
     if simulation.outcome.is_failure:
-        show_error(f"{simulation.message}; what was recorded is in {folder.path}")
+        show_note(f"{simulation.message}; what was recorded is in {folder.path}")
         return FAILURE
     return 0
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_error
+from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
 from flexfmu.cosim.cli.options import JsonOption, SceneArgument
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
@@ -92,6 +92,6 @@ def shaper(
         print_rich(*report(study, folder.path, output))
     # nothing keeps the limits
     if not study.recommendation.keeps_limits:
-        show_error(study.recommendation.reason + (f"; {output} is not written" if output is not None else ""))
+        show_note(study.recommendation.reason + (f"; {output} is not written" if output is not None else ""))
         return FAILURE
     return 0

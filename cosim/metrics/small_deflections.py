@@ -1,4 +1,4 @@
-"""Says where a run has left the theory that its model rests on: links that deflect little against their lengths.
+"""Checks a run against the assumption of its model: deflections are small against the links' lengths.
 
 The error of the path is estimated from the forces that the next order of the theory adds along the recorded motion: those of
 foreshortening where the scene leaves it out, and those of bending beyond it. The linear response to them is one step of
@@ -33,7 +33,7 @@ STEP, LEAST, MOST = 5e-4, 2000, 10_000
 """Distance of the instants at which a run is looked at [s], and limits of their number."""
 
 HOPELESS = 0.5
-"""Estimated error from which the estimate itself holds no longer."""
+"""Estimated error from which the estimate itself is not valid."""
 
 
 def exceeded(run: Run) -> list[str]:

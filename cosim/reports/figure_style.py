@@ -140,7 +140,7 @@ def to_svg(drawing: Figure, key: str, title: str) -> str:
     text = re.sub(r'\b(id="|href="#|url\(#)', rf"\g<1>{key}-", text)
     for placeholder, variable in THEME.items():
         text = text.replace(placeholder, variable)
-    # as wide as the page gives it, and readable aloud
+    # the page sets the size; screen readers read the title
     opening = re.match(r"<svg[^>]*>", text)
     size = re.search(r'viewBox="[^"]*"', text)
     if opening is None or size is None:

@@ -1,4 +1,4 @@
-"""A choice of effects that runs have confirmed: what is asked for, and the chosen set's FMU beside the estimates, and beside the
+"""A choice of effects that runs have confirmed: what is required, and the chosen set's FMU beside the estimates, and beside the
 richest FMU in doubt."""
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ def quiet(text: str, fraction: float | None) -> None:
     """No progress."""
 
 
-def wanted(
+def requirements(
     scene: Scene, tolerance: float | None = None, of: tuple[str, ...] = ()
 ) -> tuple[float, tuple[MeasureName, ...]]:
-    """Tolerance and metrics of a choice: those given, or the scene's, or the usual ones.
+    """Tolerance and metrics of a choice: the arguments, or the scene's, or the defaults.
 
     Raises:
         SceneError: a metric can't be estimated, needs a dwell, or the tolerance is out of range.
@@ -57,9 +57,9 @@ def wanted(
     return value, tuple(dict.fromkeys(names))
 
 
-def asked(scene: Scene, of: tuple[str, ...] = ()) -> tuple[MeasureName, ...]:
-    """The metrics that the user has named: those given, or the scene's; none where they are the usual ones."""
-    return wanted(scene, of=of)[1] if of or scene.effects.of else ()
+def named_metrics(scene: Scene, of: tuple[str, ...] = ()) -> tuple[MeasureName, ...]:
+    """The metrics that the user has named: the arguments, or the scene's; none where the defaults hold."""
+    return requirements(scene, of=of)[1] if of or scene.effects.of else ()
 
 
 def _measure(name: str, dwells: bool) -> MeasureName:
@@ -104,8 +104,8 @@ def resolved(scene: Scene, show: ShowProgress = quiet) -> Scene:
     """
     if scene.effects.select is None:
         return scene
-    tolerance, of = wanted(scene)
-    return choose_verified(scene, plan(scene).joints, tolerance, of, asked(scene), show)[0]
+    tolerance, of = requirements(scene)
+    return choose_verified(scene, plan(scene).joints, tolerance, of, named_metrics(scene), show)[0]
 
 
 def choose_verified(
@@ -113,7 +113,7 @@ def choose_verified(
     motion: JointMotion,
     tolerance: float,
     of: tuple[MeasureName, ...],
-    asked: Collection[MeasureName] = (),
+    named: Collection[MeasureName] = (),
     show: ShowProgress = quiet,
     fmu_of: FmuOf | None = None,
 ) -> tuple[Scene, Estimator]:
@@ -128,7 +128,7 @@ def choose_verified(
         motion: the planned motion of its motors.
         tolerance: largest relative error of the metrics.
         of: the metrics.
-        asked: those of them that the user named, which are judged relative to themselves.
+        named: those of them that the user named, which are judged relative to themselves.
         show: called with what is being done and the finished fraction.
         fmu_of: where the FMUs come from; built, or taken from the cache, when None.
 
@@ -137,7 +137,7 @@ def choose_verified(
         ResultsError: a run failed.
     """
     show("choosing the effects", None)
-    estimator = Estimator(scene, motion, of, asked, rich_enough(scene, motion, tolerance, of, asked))
+    estimator = Estimator(scene, motion, of, named, rich_enough(scene, motion, tolerance, of, named))
     # runs judge the estimates, which become more careful where they were wrong
     runs, safety = _Runs(estimator, of, show, fmu_of), dict.fromkeys(of, SAFETY)
     for _ in range(ROUNDS):
@@ -196,7 +196,7 @@ class _Runs:
 
     @property
     def _scales(self) -> MetricValues:
-        return scales(self._richest, self._estimator.asked)
+        return scales(self._richest, self._estimator.named)
 
 
 def _errors(metrics: MetricValues, other: MetricValues, units: MetricValues) -> MetricValues:

@@ -47,7 +47,7 @@ _REQUEST: Mapping[str, Any] = {"select": None, "tolerance": None, "of": None, "c
 
 
 def with_set(scene: Scene, chosen: Mapping[str, Any]) -> Scene:
-    """The scene with values of the keys that are a matter of choice, and without the wish to have them chosen."""
+    """The scene with values of the keys that are a matter of choice, without the request to choose them."""
     values = {key: type(scene.effects).model_fields[key].default for key in CHOOSABLE} | dict(chosen)
     changes = {**values, "basis": "craig-bampton", **_REQUEST}
     return scene.replace({f"effects.{key}": value for key, value in changes.items()})
@@ -58,9 +58,9 @@ def richest(scene: Scene) -> Scene:
     return with_set(scene, RICHEST)
 
 
-FLOOR, ASKED_FLOOR = 0.1, 1e-4
+FLOOR, NAMED_FLOOR = 0.1, 1e-4
 """Where a metric is near zero, errors are relative to this fraction of the largest deviation that elasticity causes; the second one
-holds where the user asked for the metric: what is smaller, no run resolves."""
+holds where the user named the metric: what is smaller, no run resolves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ class EstimatedSolution(Solution):
         return found
 
 
-def scales(reference: Mapping[MeasureName, float], asked: Collection[MeasureName] = ()) -> dict[MeasureName, float]:
+def scales(reference: Mapping[MeasureName, float], named: Collection[MeasureName] = ()) -> dict[MeasureName, float]:
     """What errors of each metric are relative to, in the metric's unit.
 
     This is the metric itself, but for positions at least `FLOOR` times the peak position error, which must be among the
@@ -148,11 +148,11 @@ def scales(reference: Mapping[MeasureName, float], asked: Collection[MeasureName
 
     Args:
         reference: metrics of the richest set.
-        asked: metrics that the user named, which are judged relative to themselves (down to `ASKED_FLOOR`).
+        named: metrics that the user named, which are judged relative to themselves (down to `NAMED_FLOOR`).
     """
     # positions share a floor, other metrics are their own scale
     peak = reference["peak_position_error"]
-    floors = {name: peak * (ASKED_FLOOR if name in asked else FLOOR) for name in reference if METRICS[name].unit == "m"}
+    floors = {name: peak * (NAMED_FLOOR if name in named else FLOOR) for name in reference if METRICS[name].unit == "m"}
     return {name: max(abs(value), floors.get(name, 0.0)) for name, value in reference.items()}
 
 
@@ -163,12 +163,12 @@ class Estimator:
         scene: robot and loads; its choice of elastic effects doesn't matter.
         motion: the planned motion of its motors.
         of: the metrics.
-        asked: those of them that the user named, see `scales`.
+        named: those of them that the user named, see `scales`.
         most: the scene with the richest set, `richest(scene)` when None.
 
     Attributes:
         richest: the scene with the richest set.
-        asked: metrics that the user named.
+        named: metrics that the user named.
     """
 
     def __init__(
@@ -176,10 +176,10 @@ class Estimator:
         scene: Scene,
         motion: JointMotion,
         of: tuple[MeasureName, ...],
-        asked: Collection[MeasureName] = (),
+        named: Collection[MeasureName] = (),
         most: Scene | None = None,
     ) -> None:
-        self.richest, self._of, self.asked = richest(scene) if most is None else most, of, asked
+        self.richest, self._of, self.named = richest(scene) if most is None else most, of, named
         self._grid: MotionGrid = motion_grid(motion, scene.trajectory.dwell)
         self._static_start = scene.cosimulation.initial == "static"
         self._robots: dict[tuple[str, bool], LinearizedMotion] = {}
@@ -197,7 +197,7 @@ class Estimator:
     @cached_property
     def scales(self) -> MetricValues:
         """What errors are relative to, see `scales`."""
-        units = scales(self._full, self.asked)
+        units = scales(self._full, self.named)
         return {name: units[name] for name in self._of}
 
     @cached_property

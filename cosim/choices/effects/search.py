@@ -31,21 +31,21 @@ def rich_enough(
     motion: JointMotion,
     tolerance: float,
     of: tuple[MeasureName, ...],
-    asked: Collection[MeasureName] = (),
+    named: Collection[MeasureName] = (),
 ) -> Scene:
     """The scene with a richest set that one mode more in every family changes by less than `CONVERGED` of the tolerance.
 
     It starts as `RICHEST` and grows by the modes that are worth most. Foreshortening hardly depends on the number of modes and is left
     out while they are counted.
 
-    Args and errors: as for `choose_effects`; `asked` as for `Estimator`.
+    Args and errors: as for `choose_effects`; `named` as for `Estimator`.
     """
     most = richest(scene)
     while True:
         # compare with one mode more of every family
         grown_most = one_more(most, get_args(FamilyName))
         plain, grown = (each.replace({"effects.foreshortening": False}) for each in (most, grown_most))
-        estimator = Estimator(scene, motion, of, asked, grown)
+        estimator = Estimator(scene, motion, of, named, grown)
         # add the mode that is worth most until the rest is negligible
         while max(estimator.errors(plain.effects).values()) > CONVERGED * tolerance:
             steps = [one_more(plain, [family]) for family in get_args(FamilyName)]
@@ -173,7 +173,7 @@ def richer(scene: Scene) -> Iterator[Neighbour]:
     return (neighbour for neighbour in enrichments(scene) if neighbour.effect in CHOOSABLE)
 
 
-def given_effects(
+def effects_of_loads(
     estimator: Estimator, chosen: Scene, motion: JointMotion
 ) -> Iterator[tuple[Neighbour, EstimatedEffect]]:
     """Each load of the robot, as the scene without it and what that would change in the metrics.

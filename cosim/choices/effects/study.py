@@ -16,14 +16,14 @@ from flexfmu.cosim.choices.effects.choice import (
     FmuOf,
     Observed,
     ShowProgress,
-    asked,
     choose_verified,
+    named_metrics,
     observe,
     quiet,
-    wanted,
+    requirements,
 )
 from flexfmu.cosim.choices.effects.estimator import Estimator, scales
-from flexfmu.cosim.choices.effects.search import absent_effects, estimated_errors, given_effects, neighbours, richer
+from flexfmu.cosim.choices.effects.search import absent_effects, effects_of_loads, estimated_errors, neighbours, richer
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.metrics.metric_table import METRICS
@@ -106,13 +106,13 @@ def study_effects(
         SceneError: the tolerance or a metric is impossible.
         TrajectoryError: the motion isn't feasible.
     """
-    limit, names = wanted(scene, tolerance, of)
+    limit, names = requirements(scene, tolerance, of)
     stated = scene.effects.tolerance
     if stated is None or scene.cosimulation.tolerance == integrator_tolerance(stated):
         # the integrator's tolerance belongs to other effects, or to none
         scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
     motion = plan(scene)
-    chosen, estimator = choose_verified(scene, motion.joints, limit, names, asked(scene, of), show)
+    chosen, estimator = choose_verified(scene, motion.joints, limit, names, named_metrics(scene, of), show)
     show("looking at what the robot gives", None)
     found = _changes(estimator, chosen, motion)
     show("timing the equations", None)
@@ -130,10 +130,10 @@ def _changes(
     """All single changes of a chosen set, and of what the robot gives."""
     assert chosen.effects.choice is not None  # that is what `choose_effects` gives
     elastic = zip(neighbours(estimator, chosen), chosen.effects.choice.effects, strict=True)
-    given = given_effects(estimator, chosen, motion.joints)
+    loads = effects_of_loads(estimator, chosen, motion.joints)
     return (
         *(("in" if estimate.chosen else "out", each.scene, estimate) for (each, _), estimate in elastic),
-        *(("given", each.scene, estimate) for each, estimate in given),
+        *(("given", each.scene, estimate) for each, estimate in loads),
     )
 
 
@@ -179,7 +179,7 @@ def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProg
 
 
 def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgress = quiet) -> Iterator[Comparison]:
-    """The chosen set beside the richest one, then beside each next richer one, run when asked for.
+    """The chosen set beside the richest one, then beside each next richer one, each run when the iterator reaches it.
 
     Args:
         study: the choice.
@@ -197,7 +197,7 @@ def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgr
     base = observe(chosen, names, fmu_of, EXACT)
     show("running the richest set", None)
     full = observe(estimator.richest, (*names, "peak_position_error"), fmu_of, EXACT)
-    units = scales(full.metrics, estimator.asked)
+    units = scales(full.metrics, estimator.named)
 
     def compare(effect: str, change: str, estimated: Mapping[MeasureName, float], other: Observed) -> Comparison:
         observed = {name: abs(other.metrics[name] - base.metrics[name]) / units[name] for name in names}

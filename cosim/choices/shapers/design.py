@@ -29,7 +29,7 @@ MOST_MODES = 3
 """Modes that are shaped for at most; each costs half a period of its own at least."""
 
 WIDEST = 2.2
-"""Largest ratio of the highest to the lowest frequency that one specified-insensitivity shaper is asked to cover."""
+"""Largest ratio of the highest to the lowest frequency that one specified-insensitivity shaper has to cover."""
 
 CONVOLVED = ("um-zv", "zv", "zvd")
 """Shapers that are convolved for several modes; the longer ones would cost more than they bring."""

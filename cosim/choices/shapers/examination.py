@@ -47,7 +47,7 @@ of start, corners and end meet in another phase: its ends and middle alone would
 
 @dataclass(frozen=True)
 class ShaperStudy:
-    """Everything that was found out about a scene.
+    """A scene's shaper study.
 
     Attributes:
         scene: what was simulated.
@@ -130,7 +130,7 @@ def report(found: ShaperStudy, folder: Path, output: Path | None) -> list[Render
     Args:
         found: the study.
         folder: of the results.
-        output: the shaped scene's file, if one was asked for.
+        output: the shaped scene's file, if there is one.
     """
     design, recommended = found.design, found.recommendation.result
     # what the shapers were designed for, and all of them

@@ -131,7 +131,7 @@ class CandidateResult:
 
 
 def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -> Scene:
-    """The scene as the study needs it: with a dwell, without shapers of its own, and with the drive asked for.
+    """The scene as the study needs it: with a dwell, without shapers of its own, and with the drive of the study.
 
     Args:
         scene: the scene.

@@ -13,8 +13,8 @@ from flexfmu.cosim.choices.effects.search import (
     absent_effects,
     cheapest,
     choose_effects,
+    effects_of_loads,
     estimated_errors,
-    given_effects,
     poorer,
     rich_enough,
 )
@@ -185,7 +185,8 @@ def test_what_the_robot_gives_is_told_too_and_what_it_lacks(heavy: Estimator) ->
     """Without gravity the torque at rest is gone; without damping a vibration stays; motors and joints have nothing to leave out."""
     motion, chosen = plan(HEAVY).joints, richest(HEAVY)
     shares = {
-        each.effect: dict(zip(OF, each.contribution, strict=True)) for _, each in given_effects(heavy, chosen, motion)
+        each.effect: dict(zip(OF, each.contribution, strict=True))
+        for _, each in effects_of_loads(heavy, chosen, motion)
     }
     assert set(shares) == {"gravity", "damping"}
     assert shares["gravity"]["peak_torque_1"] > 0.1
