@@ -99,10 +99,12 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
 def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     """Shape of every argument and result by its name in `FUNCTION_SIGNATURES`."""
     n, m = model.degrees_of_freedom, len(model.inputs)
+    # coordinates and directions of differentiation, inputs, outputs
     vectors = dict.fromkeys(("y", "v", "a", "j", "r", "dy", "dv"), n)
     vectors |= dict.fromkeys(("u", "u1", "u2", "du"), m)
     vectors |= {"o": len(model.outputs), "rates2": n + len(model.outputs)}
     vectors["changes"] = n + len(model.outputs) + len(model.acceleration_terms)
+    # parameters, and what is derived from them
     vectors |= dict.fromkeys(("p", "dp"), len(model.parameters))
     vectors |= dict.fromkeys(("d", "dd"), n_derived := _function(model, "derive").numel_out(0))
     vectors["start_rates"] = n_derived + n

@@ -88,10 +88,12 @@ def generate_sources(
     functions, facts = generate_functions(model)
     named = named_model(model, naming)
 
+    # the tables contain the GUID, the functions do not
     def code(guid: str) -> dict[str, str]:
         description = generate_description(named, facts, guid, experiment.tolerance, has_lanes=LANES_FILE in functions)
         return functions | {DESCRIPTION_FILE: description}
 
+    # model description, documentation and icon
     description = replace(plant_description(model).named(naming), enumerations=enumerations)
     pages = documentation(named, description, experiment)
     return assemble_sources("plant", description, experiment, code, pages, png(plant_picture(model)))

@@ -50,6 +50,7 @@ def choice_notes(scene: Scene) -> tuple[EffectNote, ...]:
     choice = scene.effects.choice
     if choice is None:
         return ()
+    # each with the largest of its estimated contributions
     left_out = ", ".join(
         f"{each.effect} ({each.change}) {percent(max(each.contribution))}" for each in choice.effects if not each.chosen
     )

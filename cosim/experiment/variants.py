@@ -102,6 +102,7 @@ def _part(variant: Changes, *, motion: bool) -> dict[str, Any]:
 
 def _result(variant: Changes, ready: PreparedScene | Exception, measure: Callable[[Run], T]) -> VariantResult[T]:
     """Simulate and measure one variant."""
+    # the motion itself could not be planned
     if isinstance(ready, Exception):
         return VariantResult(variant, None, ready)
 
@@ -111,6 +112,7 @@ def _result(variant: Changes, ready: PreparedScene | Exception, measure: Callabl
             raise VariantError(run.message)
         return measure(run)
 
+    # an error is the result of this variant alone
     outcome = _attempt(measured)
     return VariantResult(variant, None, outcome) if isinstance(outcome, Exception) else VariantResult(variant, outcome)
 

@@ -178,6 +178,7 @@ class InstanceUnderTest(ABC):
         """
         state, size = self.save(), c_size_t()
         self.library.fmi2SerializedFMUstateSize(self.library.component, state[0], byref(size))
+        # a guard behind the buffer shows whether the FMU keeps to the size
         buffer = create_string_buffer(bytes(size.value) + GUARD, size.value + len(GUARD))
         self.library.fmi2SerializeFMUstate(self.library.component, state[0], buffer, size.value)
         self.discard(state)
@@ -186,6 +187,7 @@ class InstanceUnderTest(ABC):
                 f"fmi2SerializeFMUstate writes beyond its buffer of {size.value} bytes",
                 "write as many as fmi2SerializedFMUstateSize returns",
             )
+        # the next event is known to the importing tool alone
         return struct.pack("d", self.next_event) + buffer.raw[: size.value]
 
     def restore_serialized(self, data: bytes) -> None:

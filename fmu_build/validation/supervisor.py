@@ -136,12 +136,14 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
 def _problem(check: str, status: int | None, last: str, hang: str | None, timeout: float, call_limit: float) -> Finding:
     """What is wrong with the way in which the process ended."""
     severity = Severity.WARNING if check == "calls" else Severity.ERROR
+    # still running: within a call, or over all
     if hang is not None:
         message = f"{hang} did not return within {call_limit:.3g} s"
         return Finding(check, message, "every FMI call has to return; --time-limit gives more time", severity)
     if status is None:
         message = f"not finished when the time limit was over, {timeout:.3g} s after its process had begun"
         return Finding(check, message, "--time-limit gives more", Severity.NOTE)
+    # ended: quietly, or with a crash
     if status == 0:
         return Finding(check, "the FMU ended the process that ran it", "an FMU must not call exit", severity)
     how = f"signal {-status}" if status < 0 else f"exit status {status}"
@@ -180,6 +182,7 @@ def _wait(process: subprocess.Popen[bytes], timeout: float) -> int | None:
         with suppress(subprocess.TimeoutExpired):
             return process.wait(timeout)
         return None
+    # look without reaping the process, which would free its number
     end = monotonic() + timeout
     while (ended := os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is None:
         if monotonic() > end:

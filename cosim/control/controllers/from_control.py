@@ -135,6 +135,7 @@ def _matrices(system: Any) -> Matrices:
         raise InputError("python-control is missing; run: pip install flexfmu[control]") from None
     if isinstance(system, control.StateSpace):
         return system.A, system.B, system.C, system.D
+    # transfer functions get states of their own
     if isinstance(system, control.TransferFunction):
         return realise(system.num_array, system.den_array)
     raise InputError(

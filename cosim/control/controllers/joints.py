@@ -112,11 +112,13 @@ class Limits:
         Raises:
             InputError: a limit isn't finite, or the lower one isn't below the upper one.
         """
+        # limits in the right order for every joint
         lower = per_joint(joints, "the lower torque limit", self.lower, "N.m")
         upper = per_joint(joints, "the upper torque limit", self.upper, "N.m")
         for joint, low, high in zip(joints, lower, upper, strict=True):
             if not low < high:
                 raise InputError(f"{joint}: the lower torque limit {low} N.m must be below the upper one, {high} N.m")
+        # all minima, then all maxima: the order in which equations split them
         return [
             Variable(f"{joint}.torque.{end}", "N.m", f"The {end} torque of {joint}", "parameter", value, tunable=True)
             for end, values in (("minimum", lower), ("maximum", upper))

@@ -141,6 +141,7 @@ def _delay_line(
 
 @builds(scene.DelaySection)
 def _from_section(section: scene.DelaySection, context: LoopContext) -> SymbolicBlock:
+    # the interpolation that the section names
     interpolation: Interpolation
     match section.interpolation:
         case scene.LagrangeSection(order=order):

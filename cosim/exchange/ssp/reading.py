@@ -188,6 +188,7 @@ def _connector(node: XmlElement) -> Connector:
         raise node.error(f"has the kind {kind!r}, which must be one of {', '.join(get_args(ConnectorKind))}")
     if node.child("Dimension") is not None:
         raise node.error("is an array of SSP 2.0, which this program doesn't read; connect its elements one by one")
+    # types of SSP 1.0 and numbers of 2.0; a connector may have none
     kinds = (*get_args(Type), *NUMBERS, "Binary")
     typed = next((each for each in node.children("*") if each.tag in kinds), None)
     connector_type = None if typed is None else NUMBERS.get(typed.tag, cast(Type, typed.tag))

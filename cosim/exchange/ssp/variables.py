@@ -56,6 +56,7 @@ def check_connectors(owner: ComponentFmu, connected: Collection[str], units: Seq
         SspError: a connected one has no variable, or contradicts it.
     """
     known, problems = {unit.name: unit for unit in units}, {}
+    # what is not connected does no harm
     for connector in owner.component.connectors:
         try:
             _check(connector, owner, known)
@@ -65,6 +66,7 @@ def check_connectors(owner: ComponentFmu, connected: Collection[str], units: Seq
             problems[connector.name] = str(error)
     if not problems:
         return []
+    # one remark on all of them
     first, others = next(iter(problems.values())), [*problems][1:]
     return [f"unconnected, ignored: {first}" + (f"; so are {', '.join(others)}" if others else "")]
 

@@ -118,6 +118,7 @@ def _transformation(node: Any, transformation: SspTransformation) -> None:
             factor, offset = repr(transformation.factor), repr(transformation.offset)
             _add(node, "ssc:LinearTransformation", factor=factor, offset=offset)
         return
+    # a table of the type of its values
     values = [each for pair in transformation.pairs for each in pair]
     kind = {bool: "Boolean", int: "Integer"}.get(type(values[0]) if values else str, "Enumeration")
     table = _add(node, f"ssc:{kind}MappingTransformation")
