@@ -228,6 +228,7 @@ class TipMap:
     def __init__(self, robot: Robot) -> None:
         self._gains: dict[tuple[str, Direction], casadi.DM] = {}
         self._shortening: dict[str, tuple[int, casadi.SX]] = {}
+        # each family has its piece of the elastic coordinates
         n = robot.q_e.numel()
         start = 0
         for link, part in robot.elastic:
@@ -235,6 +236,7 @@ class TipMap:
             gain = casadi.DM.zeros(n, 1)
             gain[start:stop] = part.family.tips
             self._gains[link.name, part.family.direction] = casadi.sparsify(gain)
+            # bending also shortens the link where the scene has foreshortening
             if part.family.direction == "bending" and link.group in robot.shortening:
                 self._shortening[link.name] = start, robot.shortening[link.group]
             start = stop
