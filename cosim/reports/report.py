@@ -46,26 +46,39 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
         motion=_motion_sentence(summary["scene"]),
         completed=health["outcome"] == "completed",
         health=health,
-        coarse=[_coarse_row(warning) for warning in health["warnings"]],
+        coarse=[
+            {
+                "label": ALL_METRICS[warning["metric"]].label,
+                "error": f"± {display(warning['metric'], warning['estimated_error'], digits=1)}",
+            }
+            for warning in health["warnings"]
+        ],
         tiles=[
             {"label": ALL_METRICS[name].label, "value": display(name, metrics[name], 4, errors[name])} for name in TILES
         ],
         metrics=[_metric_row(name, metrics[name], errors[name]) for name in metrics],
         plots=list(plots),
         parameters=_scene_rows(summary["scene"]),
-        tables=_filled(
-            {
-                "Shaping": _shaping_rows(summary.get("shaping")),
-                "Learning": _learning_rows(summary.get("learning")),
-                "Health": _health_rows(health),
-                "Slaves": _slave_rows(summary["slaves"]),
-                "Signals": _delay_rows(summary["delays"]),
-                "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
-                "Versions": {name: value or "–" for name, value in summary["versions"].items()},
-            }
-        ),
+        tables=_tables(summary),
         versions=summary["versions"],
     )
+
+
+def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """Title → rows of the tables below the plots; those without rows are left out."""
+    tables = {
+        "Shaping": _shaping_rows(summary.get("shaping")),
+        "Learning": _learning_rows(summary.get("learning")),
+        "Health": _health_rows(summary["health"]),
+        "Slaves": _slave_rows(summary["slaves"]),
+        "Signals": {
+            delay["connection"]: delay["description"].removeprefix(f"{delay['connection']}: ")
+            for delay in summary["delays"]
+        },
+        "Timing": {name: f"{seconds:.3f} s" for name, seconds in summary["timing"].items()},
+        "Versions": {name: value or "–" for name, value in summary["versions"].items()},
+    }
+    return {title: rows for title, rows in tables.items() if rows}
 
 
 def _motion_sentence(scene: Mapping[str, Any]) -> str:
@@ -81,11 +94,6 @@ def _motion_sentence(scene: Mapping[str, Any]) -> str:
 def _metric_row(name: str, value: float | None, error: float | None) -> dict[str, str]:
     info = ALL_METRICS[name]
     return {"label": info.label, "value": display(name, value, error=error), "description": info.description}
-
-
-def _coarse_row(warning: Mapping[str, Any]) -> dict[str, str]:
-    name = warning["metric"]
-    return {"label": ALL_METRICS[name].label, "error": f"± {display(name, warning['estimated_error'], digits=1)}"}
 
 
 def _scene_rows(section: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
@@ -108,20 +116,15 @@ def _scene_value(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _filled(tables: Mapping[str, Mapping[str, str]]) -> dict[str, Mapping[str, str]]:
-    """The tables that have rows."""
-    return {title: rows for title, rows in tables.items() if rows}
-
-
 def _slave_rows(slaves: Iterable[Mapping[str, Any]]) -> dict[str, str]:
     """Name of each slave → what it is and when it is sampled."""
-    return {slave["name"]: slave["description"] + _sampling(slave) for slave in slaves}
-
-
-def _sampling(slave: Mapping[str, Any]) -> str:
-    if slave["sample_time"] is None:
-        return ""
-    return f", every {slave['sample_time']:g} s" + (f" from {slave['offset']:g} s on" if slave["offset"] else "")
+    rows = {}
+    for slave in slaves:
+        sampling = "" if slave["sample_time"] is None else f", every {slave['sample_time']:g} s"
+        if slave["sample_time"] is not None and slave["offset"]:
+            sampling += f" from {slave['offset']:g} s on"
+        rows[slave["name"]] = slave["description"] + sampling
+    return rows
 
 
 def _shaping_rows(shaping: Mapping[str, float] | None) -> dict[str, str]:
@@ -146,14 +149,6 @@ def _learning_rows(learning: Mapping[str, Any] | None) -> dict[str, str]:
 
 def _milliradians(values: Iterable[float]) -> str:
     return " / ".join(f"{1e3 * value:.4g}" for value in values)
-
-
-def _delay_rows(delays: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-    """Connection → how late it is."""
-    rows = {}
-    for delay in delays:
-        rows[delay["connection"]] = delay["description"].removeprefix(f"{delay['connection']}: ")
-    return rows
 
 
 def _health_rows(health: Mapping[str, Any]) -> dict[str, str]:
