@@ -112,6 +112,7 @@ def test_the_tables_have_all_functions() -> None:
     assert (len(stepping), len(exchange), len(stepping & exchange)) == (30, 31, 21)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind", "state"), CASES)
 def test_calls_are_served_and_refused_as_the_standard_says(name: str, kind: str, state: str, tmp_path: Path) -> None:
     """Importers rely on the calls that the standard allows, and on being told of the others."""

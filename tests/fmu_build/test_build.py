@@ -109,6 +109,7 @@ def test_cached_build_without_key_compares_content(make_oscillators: MakeModel) 
     assert not build_fmu(make_oscillators(mass=3.0)).cached
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [{"tolerance": 1e-9}, {"stop_time": 2.0}, {"step": 1e-3}, {"cache": False}])
 def test_other_settings_are_another_build(make_oscillators: MakeModel, change: dict[str, float]) -> None:
     """The default experiment belongs to the content; `cache=False` builds anew."""

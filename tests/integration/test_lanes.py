@@ -27,6 +27,7 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HAS_LANES or COMPILER is None, reason="the reference is linux64: lanes need its registers")
 @pytest.mark.parametrize("changes", SCENES.values(), ids=SCENES)
 def test_lanes_give_the_same_bits(changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,6 +44,7 @@ def test_lanes_give_the_same_bits(changes: dict[str, Any], monkeypatch: pytest.M
         np.testing.assert_array_equal(plain.recording[name].values, with_lanes.recording[name].values, err_msg=name)
 
 
+@pytest.mark.slow
 def test_equations_that_branch_have_no_lanes() -> None:
     """Friction chooses between formulas: a processor that follows one lane would give the others wrong numbers."""
     scene = flexfmu.load_scene("barnard2012-6kg").replace(

@@ -35,6 +35,7 @@ def test_each_step_can_be_taken_back(scene: Scene) -> None:
         assert scene.effects in [back.scene.effects for back in reductions(neighbour.scene)], neighbour.change
 
 
+@pytest.mark.slow
 def test_neighbours_differ_from_the_scene_and_from_each_other(scene: Scene) -> None:
     """No neighbour is listed twice, none is the scene itself, and each one's model can be built."""
     neighbours = (*enrichments(scene), *reductions(scene))

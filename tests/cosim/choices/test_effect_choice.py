@@ -124,6 +124,7 @@ class Pretended:
         )
 
 
+@pytest.mark.slow
 def test_choices_that_runs_contradict_are_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rigid links are estimated to do for 10 % of the torque. Runs confirm it; with four times the error they make the choice more
     careful; and an integrator that is to blame gets a tighter tolerance, unless the scene gives it one."""

@@ -76,6 +76,7 @@ def test_results_go_to_a_folder_named_after_the_scene(
     assert (tmp_path / "results" / SCENE / "report.html").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outcome", [Outcome.STEP_FAILED, Outcome.NOT_FINITE, Outcome.INTERRUPTED])
 def test_what_was_recorded_before_a_failure_is_written(
     simulated: Callable[..., None], tmp_path: Path, outcome: Outcome
@@ -92,6 +93,7 @@ def test_what_was_recorded_before_a_failure_is_written(
     assert json.loads(result.stdout) == summary
 
 
+@pytest.mark.slow
 def test_metrics_that_cannot_be_computed_do_not_lose_the_recording(
     simulated: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,6 +144,7 @@ def test_unwritable_folder_is_found_before_the_simulation(simulated: Callable[..
     assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_full_disk_leaves_no_half_file(
     simulated: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

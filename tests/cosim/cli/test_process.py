@@ -54,6 +54,7 @@ def test_wrong_input_is_one_line_without_traceback(arguments: str) -> None:
     assert "Traceback" not in outcome.stderr
 
 
+@pytest.mark.slow
 def test_missing_compiler(tmp_path: Path) -> None:
     """Without a compiler a build that isn't in the cache ends with status 1 and says what to do."""
     outcome = flexfmu(
@@ -63,6 +64,7 @@ def test_missing_compiler(tmp_path: Path) -> None:
     assert "no-such-cc" in outcome.stderr
 
 
+@pytest.mark.slow
 def test_useless_cache(tmp_path: Path) -> None:
     """A file in place of the cache's folder: one line says so, and the command does its work."""
     (tmp_path / "file").write_text("")
@@ -100,6 +102,7 @@ def test_full_device_as_standard_output(arguments: str) -> None:
     assert "can't write to standard output: No space left on device" in outcome.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="the shell closes streams as POSIX does")
 def test_closed_streams() -> None:
     """Started without standard output, the command says so in one line; without standard error it is silent there."""
@@ -109,6 +112,7 @@ def test_closed_streams() -> None:
     assert (outcome.stdout, outcome.stderr) == ("1\n2\n", "flexfmu: can't write to standard output: it is closed\n")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="this system has no /proc")
 def test_folder_that_cannot_be_made() -> None:
     """Not even root can make a folder in /proc: status 1 before anything is simulated."""

@@ -51,6 +51,7 @@ def agree(found: Run, twin: Run) -> None:
         np.testing.assert_allclose(found.recording[name].values, exact, rtol=0.0, atol=1e-12 * abs(exact).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "keys", [{}, {"offset": 4e-4}, {"parameters": {"direct": True}}], ids=["task", "offset", "direct"]
 )

@@ -73,6 +73,7 @@ def test_a_shaper_along_the_path_keeps_it(motion_driven: Scene) -> None:
     assert loop.motion.duration > 0.35
 
 
+@pytest.mark.slow
 def test_sampled_references_are_shaped_by_the_split_sequence(motion_driven: Scene) -> None:
     """The sampled shaper's positions at its instants are those of the trajectory shaped by the split impulses, exactly:
     that is the plan that the metrics compare with."""

@@ -108,6 +108,7 @@ def test_the_python_way_gives_the_same_numbers(robot: Scene) -> None:
         np.testing.assert_array_equal(column.values, by_python.recording[name].values)
 
 
+@pytest.mark.slow
 def test_a_payload_error_is_known_to_the_robot_alone(controlled: Scene, run: Run) -> None:
     """The heavier robot lags behind, its controller reckons with the scene's payload, and its equilibrium is its own."""
     heavy = run_scene(controlled.replace({"imperfection": [{"kind": "payload-error", "relative": 0.3}]}))
@@ -125,6 +126,7 @@ def heavy_controllers(scene: Scene) -> list[object]:
     return list(loop_of(scene).controllers)
 
 
+@pytest.mark.slow
 def test_the_summary_lists_slaves_and_delays(run: Run) -> None:
     """Which signal is late by how much is part of the result."""
     summary = summarise(run, measure_run(run))

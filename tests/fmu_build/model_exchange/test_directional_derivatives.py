@@ -41,6 +41,7 @@ def agree(plant: Any, exact: Array, approximate: Array, tolerance: float = 1e-6)
     np.testing.assert_allclose(exact / size, approximate / size, rtol=0.0, atol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_agrees_with_differences_in_motion(instantiate: Any, name: str) -> None:
     """States and inputs of a drawn motion: exact derivatives, and none where the model structure names no dependency."""

@@ -70,6 +70,7 @@ def errors(result: Array, reference: Array) -> Array:
     return np.asarray(np.abs(result - reference).max(axis=1) / np.ptp(reference, axis=1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [FEW_MODES, FEW_MODES | TORQUE], ids=["motion", "torque"])
 def test_cvode_converges_to_the_co_simulation(instantiate: Any, plant_path: Any, changes: dict[str, object]) -> None:
     """Two integrators that share nothing but the equations agree the better the smaller the tolerance is."""

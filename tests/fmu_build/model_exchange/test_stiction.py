@@ -68,6 +68,7 @@ def integrate(path: Any, torques: Array, tolerance: float) -> Array:
     return np.array([result[name] for name in POSITIONS + RATES]).T[1:]
 
 
+@pytest.mark.slow
 def test_importers_find_the_same_events(instantiate: Any, plant_path: Any) -> None:
     """CVODE, which looks for roots of the event indicators, converges to the co-simulation and sticks when it does."""
     torques, reference = step_through(instantiate(RIGID, "stepping"), 1e-10)
@@ -139,6 +140,7 @@ def test_rolls_back_to_the_last_bit(instantiate: Any) -> None:
         assert np.array_equal(*ends)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rates", [(0.0, 0.0), (0.3, 0.0), (0.3, -0.2)], ids=["both stick", "one slips", "both slip"])
 def test_derivatives_belong_to_the_mode(instantiate: Any, rates: tuple[float, float]) -> None:
     """Directional derivatives are the slopes of accelerations and friction within a mode."""

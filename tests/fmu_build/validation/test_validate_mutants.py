@@ -177,6 +177,7 @@ def test_an_fmu_that_counts_its_instances_is_checked_to_the_end(found: Found, li
     )
 
 
+@pytest.mark.slow
 def test_endless_call_is_told_within_the_time_limit(found: Found) -> None:
     """A call that never returns is named, the rest isn't waited for, and the message says how long was waited."""
     begin = time.monotonic()

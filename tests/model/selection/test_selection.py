@@ -122,6 +122,7 @@ def test_heavy_and_slow_does_not(heavy: Estimator) -> None:
     assert choose(HEAVY, 0.05, heavy).effects.distal_bending == 0
 
 
+@pytest.mark.slow
 def test_a_tolerance_so_loose_that_elasticity_does_not_matter_leaves_no_elastic_state() -> None:
     """A peak torque within 40 % needs no elastic link, and the model has none."""
     names: tuple[MeasureName, ...] = ("peak_torque_1",)

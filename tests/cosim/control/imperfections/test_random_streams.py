@@ -64,6 +64,7 @@ def sample() -> np.ndarray:
     return numbers(["noise/joint1.position", "noise/joint2.position", "jitter"], 1, 200_000)
 
 
+@pytest.mark.slow
 @settings(derandomize=True, deadline=None, max_examples=60)
 @given(seed=SEEDS, name=st.text(max_size=20))
 def test_seeding_is_exact(seed: int, name: str) -> None:

@@ -61,6 +61,7 @@ def compile_all(folder: Path, sources: Sources, flags: tuple[str, ...]) -> list[
         return list(pool.map(compile_one, c_files(texts)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SOURCES)
 def test_sanitizers_find_nothing_in_a_whole_life(kind: str, tmp_path: Path) -> None:
     """A read beyond an array gives right results on one machine and a crash on another."""

@@ -53,6 +53,7 @@ def test_ignored_input_derivatives_are_found(tmp_path: Path, monkeypatch: pytest
     assert "with a derivative of in1 out1 is 0.00775 off" in finding.message
 
 
+@pytest.mark.slow
 def test_trajectory_is_valid(tmp_path: Path) -> None:
     """The same for trajectories."""
     built = build_trajectory_fmu(lame(BangBang()), tmp_path / "trajectory.fmu")
@@ -184,6 +185,7 @@ def iterations(code: str) -> int:
     return sum(map(int, re.findall(r"for \([^;]*; i<(\d+);", code)))
 
 
+@pytest.mark.slow
 def test_thousands_of_states(export: Export) -> None:
     """A table of 5000 states works, in C of as many loops as one of 1000 needs, each run as often as there are states."""
     table = learning_table(5000)
@@ -234,6 +236,7 @@ def test_runs_are_copied_between_computed_states(export: Export) -> None:
     np.testing.assert_array_equal(run(export(mixed)(), inputs, SAMPLE_TIME), expected(mixed, inputs))
 
 
+@pytest.mark.slow
 def test_thousands_of_statements(export: Export) -> None:
     """Where nothing can be copied the code is long, and GCC's optimiser must not take minutes over it."""
     many = block(

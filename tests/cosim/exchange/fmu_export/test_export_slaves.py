@@ -88,6 +88,7 @@ def test_the_fmus_move_as_the_scene(scene: Scene, exported: ExportedSystem) -> N
         np.testing.assert_allclose(found, expected.recording[f"joint{joint}.position"].values, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_flat_fmus_move_as_the_scene(tmp_path: Path) -> None:
     """Connections and start values are told by the names that the FMUs have; our own master runs them by those of the scene."""
     scene = load_scene("barnard2012-6kg").replace(

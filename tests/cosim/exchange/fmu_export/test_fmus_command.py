@@ -39,6 +39,7 @@ def fmus(*arguments: object) -> Result:
     return CliRunner().invoke(app, ["fmus", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_all_slaves_of_a_scene(scene_file: Path, tmp_path: Path) -> None:
     """Valid FMUs by the slaves' names; the JSON says where they are and how they are connected."""
     result = fmus(scene_file, "--out", tmp_path / "out", "--json")

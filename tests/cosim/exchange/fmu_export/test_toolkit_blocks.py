@@ -64,6 +64,7 @@ def test_exported_block_is_its_functions(name: str, export: Callable[..., Any]) 
     assert_rounding(in_fmpy(block, inputs), seen_late(block, inputs), name)
 
 
+@pytest.mark.slow
 def test_fast_shaper(export: Callable[..., Any]) -> None:
     """A long line of samples."""
     block = shaper_block(SEQUENCE, SAMPLE_TIME / 200.0)

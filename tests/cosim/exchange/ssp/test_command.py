@@ -163,6 +163,7 @@ def spent(process: str) -> float:
     return int(fields[11]) / os.sysconf("SC_CLK_TCK")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at processes as Linux shows them")
 @pytest.mark.parametrize("isolated", [True, False])
 def test_sigterm_leaves_nothing_behind(isolated: bool, make_ssp: MakeSsp, tmp_path: Path) -> None:

@@ -68,6 +68,7 @@ def derivatives(column: Column) -> list[np.ndarray]:
     return [each for each in (column.values, column.first, column.second) if each is not None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["motion", "controlled"])
 def test_fmpy_finds_nothing_to_complain_about(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     """SSD and SSV are valid against the standard's schemas, the FMUs within are valid too."""
@@ -129,6 +130,7 @@ def test_a_torque_driven_robot_without_controller_is_held(controlled_scene: Scen
     assert np.ptp(x) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_continuous_lag_leaves_as_a_sampled_one(tmp_path: Path) -> None:
     """The end effector is off by what half a sample of a tenth of the time constant makes, as the page says."""
     lag, pd = {"kind": "lag", "time_constant": 2e-4}, {"kind": "pd", "proportional": 5e3, "derivative": 50.0}

@@ -11,6 +11,8 @@ from flexfmu.cosim.studies.hard.suite import figures
 CYCLES = 200
 
 SLOW = (
+    "200 cycles",
+    "motion at 26 g",
     "stiffness",
     "20 bending",
     "elbows 100",

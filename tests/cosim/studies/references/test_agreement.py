@@ -60,6 +60,7 @@ def test_frequencies_and_sag_agree_with_elements(name: str, beam: Beam, foreshor
     assert agreement.torque < 1e-6
 
 
+@pytest.mark.slow
 def test_frequencies_converge_with_a_payload_that_turns() -> None:
     """Its moment on the tip of link 12 has no static shape among pinned-pinned modes: errors fall like 1 / modes, to zero."""
     scene = full_scene(load_scene(SCENES[0]), "euler-bernoulli", True).replace({"payload.inertia": 2e-3})
