@@ -1,4 +1,4 @@
-"""A flexible five-bar robot from its scene file to FMUs, co-simulation and metrics.
+"""Scene files of a flexible five-bar robot, turned into FMUs, co-simulations and metrics.
 
     import flexfmu
 
@@ -6,9 +6,9 @@
     run = flexfmu.run(scene)
     print(flexfmu.measure_run(run)["peak_torque_1"].value, "N.m")
 
-Everything is imported when it is first used, so that ``import flexfmu`` takes milliseconds. Where a function takes a scene, it
-takes a `Scene`, the path of a scene file, or the name of a shipped scene. What is not here is in `flexfmu.trajectories`,
-`flexfmu.model`, `flexfmu.fmu_build` and `flexfmu.cosim`. The command line: ``python -m flexfmu --help``.
+Every argument ``scene`` is a `Scene`, the path of a scene file, or the name of a shipped scene. Further functions and classes
+are in `flexfmu.trajectories`, `flexfmu.model`, `flexfmu.fmu_build` and `flexfmu.cosim`. Names are imported at their first use,
+so that ``import flexfmu`` takes milliseconds. Command line: ``python -m flexfmu --help``.
 """
 
 import os
@@ -37,20 +37,20 @@ _HOMES = {
     "plan": "flexfmu.api",
     "run": "flexfmu.api",
 }
-"""The module that each public name is imported from when it is first used."""
+"""Public name → module that it is imported from at its first use."""
 
-# a wheel holds the packages in this folder; in a clone, which editable installs import from, they are folders at its top
+# in a wheel the packages are in this folder; in a clone (editable installs) they are in the clone's top folder
 if not os.path.isdir(os.path.join(__path__[0], "model")):
     __path__.append(os.path.dirname(os.path.dirname(__path__[0])))
 
-# hidden from type checkers, which would take any misspelt name for an attribute
+# hidden from type checkers, which would otherwise accept every misspelt name
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
-        """A public name, imported now (PEP 562).
+        """Import a public name at its first use and return its value (PEP 562).
 
         Raises:
-            AttributeError: it isn't one.
+            AttributeError: there is no such public name.
         """
         if name == "__version__":
             value = import_module("importlib.metadata").version("flexfmu")
@@ -62,5 +62,5 @@ if not TYPE_CHECKING:
         return value
 
     def __dir__() -> list[str]:
-        """For completion: the public names too that haven't been used yet."""
+        """Names for completion, including public names that have not been imported yet."""
         return sorted({*globals(), *__all__})

@@ -1,4 +1,4 @@
-"""The functions of `import flexfmu`. Each is a short way to the function that does the work, and names it."""
+"""The functions of `import flexfmu`; each docstring names the function with more options that it calls."""
 
 from __future__ import annotations
 
@@ -34,31 +34,39 @@ def run(
     fmu: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Run:
-    """Plan a scene's motion, build its FMU or take it from the cache, and co-simulate motion and dwell.
+    """Co-simulate a scene over its motion and the dwell that follows.
 
-    The scene's controllers, shapers and imperfections take part. Where it says ``effects = { select = "auto" }``, they are
-    chosen first. More is possible with `flexfmu.cosim.experiment.prepared_scene.run_scene`, and with controllers as objects with
+    Plans the motion, builds the robot's FMU or takes it from the cache, and connects it with the scene's controllers, shapers
+    and imperfections. With ``effects = { select = "auto" }`` the effects are chosen first.
+
+        run = flexfmu.run("barnard2012-6kg", parameters={"payload.mass": 3.0})
+        run.recording.time, run.recording["joint1.torque"].values  # (N,) [s], (N,) [N.m]
+
+    More options: `flexfmu.cosim.experiment.prepared_scene.run_scene`. Controllers as Python objects:
     `flexfmu.cosim.experiment.prepared_scene.run_loop`.
 
     Args:
-        scene: a scene, the path of its file, or the name of a shipped one.
-        communication_step: [s]; the scene's own when None.
-        tolerance: relative tolerance for the FMU; the scene's own when None.
-        parameters: FMU parameters that differ from the scene's, in SI units, for example ``{"payload.mass": 0.1}``.
-        fmu: path of an FMU of a scene with the same effects, instead of building one; its parameters are set from this scene.
-        progress: called now and then with the simulated fraction, 0..1.
+        scene: a scene, the path of a scene file, or the name of a shipped scene.
+        communication_step: communication step [s]; None for the scene's ``cosimulation.step``.
+        tolerance: relative tolerance of the FMU's integrator; None for the scene's ``cosimulation.tolerance``.
+        parameters: values of FMU parameters that replace the scene's, by name, in SI units: ``{"payload.mass": 0.1}``.
+        fmu: path of an existing FMU to simulate instead of building one. It must have the same effects as the scene; its
+            parameters are set from the scene.
+        progress: function that is called during the run with the simulated fraction, 0 to 1.
 
     Returns:
-        The run: ``run.recording`` holds the signals, with units; ``run.outcome`` and ``run.message`` say how it ended. When a
-        slave fails on the way, the recording holds what there was until then. `measure_run` gives its metrics.
+        The run. ``run.recording`` has the signals with their units, ``run.outcome`` and ``run.message`` tell how it ended,
+        ``run.completed`` whether it reached the stop time. If a slave fails during the run, nothing is raised: the recording
+        ends there, and the outcome gives the reason. For metrics call `measure_run`.
 
     Raises:
-        SceneError: no such scene, or a key or value that can't be right.
+        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
         TrajectoryError: the motion is not feasible, or can't be shaped.
         InputError: the FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the slaves
-            can't be wired.
-        BuildError: the FMU can't be built (no compiler, for example).
-        ResultsError: effects are to be chosen, and a run that verifies the choice failed.
+            can't be connected.
+        BuildError: the FMU can't be built, for example without a compiler.
+        ResultsError: with ``select = "auto"``, a run that verifies the choice of effects failed.
+        TypeError: ``scene`` is of another type.
     """
     return run_scene(
         resolved(_scene(scene)),
@@ -78,25 +86,27 @@ def build(
     naming: Naming = "structured",
     enumerations: bool = False,
 ) -> Path:
-    """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange, or take it from the cache.
+    """Build the FMI 2.0 FMU of a scene's robot, for co-simulation and model exchange, or take it from the cache.
 
-    As `flexfmu.cosim.experiment.scene_build.build_scene`, which also returns GUID, size and time.
+    `flexfmu.cosim.experiment.scene_build.build_scene` does the same and also returns GUID, size and build time.
 
     Args:
-        scene: a scene, the path of its file, or the name of a shipped one.
+        scene: a scene, the path of a scene file, or the name of a shipped scene.
         output: file to write; None leaves the FMU in the cache.
-        platforms: of linux64, win64, darwin64, aarch64-linux, aarch64-darwin; None for this machine's.
-        naming: of the variables, ``structured`` (``link11.bending[1]``) or ``flat`` (``link11_bending_1``).
-        enumerations: whether the choices ``initial`` and ``integrator`` are FMI enumerations instead of Integers.
+        platforms: FMI platforms whose binaries the FMU gets: linux64, win64, darwin64, aarch64-linux, aarch64-darwin; None
+            for this machine's.
+        naming: names of the FMU's variables, ``structured`` (``link11.bending[1]``) or ``flat`` (``link11_bending_1``).
+        enumerations: whether the parameters ``initial`` and ``integrator`` are FMI Enumerations instead of Integers.
 
     Returns:
         The path of the FMU.
 
     Raises:
-        SceneError: no such scene, or a key or value that can't be right.
-        BuildError: an unknown platform, no compiler, a compiler's error, or a file that can't be written.
-        TrajectoryError, ResultsError: effects are to be chosen (``select = "auto"``), and the motion is not feasible, or a run
-            that verifies the choice failed.
+        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
+        BuildError: a platform is unknown, there is no compiler, the compiler fails, or the file can't be written.
+        TrajectoryError, ResultsError: with ``select = "auto"``, the motion is not feasible, or a run that verifies the choice
+            of effects failed.
+        TypeError: ``scene`` is of another type.
     """
     target = None if output is None else Path(output)
     chosen = resolved(_scene(scene))
@@ -104,43 +114,48 @@ def build(
 
 
 def plan(scene: SceneSource) -> MotionPlan:
-    """Plan a scene's motion and check it along the whole path; its shapers are left out, in a run they act on it.
+    """Plan a scene's motion without its shapers, and check it along the whole path.
 
-    As `flexfmu.cosim.experiment.planning.plan`.
+    Calls `flexfmu.cosim.experiment.planning.plan`.
 
     Args:
-        scene: a scene, the path of its file, or the name of a shipped one.
+        scene: a scene, the path of a scene file, or the name of a shipped scene.
 
     Returns:
-        The plan: ``plan.task`` is the end effector's trajectory in x, y [m], ``plan.joints`` that of the motors in q11, q21
-        [rad], each with derivatives of any order: ``plan.joints.evaluate(time, order=2)``.
+        The plan: ``plan.task`` is the trajectory of the rigid end effector, x and y [m], ``plan.joints`` that of the motors,
+        q11 and q21 [rad]. ``plan.joints.evaluate(time, order=2)`` returns values, rates and accelerations at ``time`` (N,) [s]
+        as an array of shape (3, N, 2); any order is possible.
 
     Raises:
-        SceneError: no such scene, or a key or value that can't be right.
+        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
         TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
+        TypeError: ``scene`` is of another type.
     """
     return plan_motion(_scene(scene))
 
 
 def modes(scene: SceneSource, poses: int = 11) -> list[ModalPose]:
-    """Natural frequencies along a scene's path, motors locked, undamped, about the static equilibrium.
+    """Natural frequencies of the robot at poses along its path: undamped, motors locked, about the static equilibrium.
 
-    As `flexfmu.cosim.reports.modes_table.modes_along_path`.
+    Calls `flexfmu.cosim.reports.modes_table.modes_along_path`.
 
     Args:
-        scene: a scene, the path of its file, or the name of a shipped one.
-        poses: how many, equally spaced along the path, its start, middle and end among them: odd, at least 3.
+        scene: a scene, the path of a scene file, or the name of a shipped scene.
+        poses: number of poses, equally spaced by arc length from start to end; odd, so that the middle is one, and at least 3.
 
     Returns:
-        For each pose its place ``s`` along the path (0..1), the end effector's ``x``, ``y`` [m] and the motors' ``q11``,
-        ``q21`` [rad] of the rigid robot, and ``frequencies`` [Hz], ascending; none for a rigid robot.
+        The poses, each with the fraction ``s`` of the path's length (0 to 1), the position ``x``, ``y`` of the rigid end
+        effector [m], the motor angles ``q11``, ``q21`` [rad], and ``frequencies`` [Hz] in ascending order, empty for a rigid
+        robot.
 
     Raises:
-        SceneError: no such scene, or a key or value that can't be right.
+        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
         TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
-        InputError: ``poses`` is even or too small.
+        InputError: ``poses`` is even or below 3.
         EquilibriumError: the robot has no stable static equilibrium at a pose.
-        BuildError, ResultsError: effects are to be chosen (``select = "auto"``), and a run that verifies the choice failed.
+        BuildError, ResultsError: with ``select = "auto"``, the FMU of a run that verifies the choice of effects can't be built,
+            or the run failed.
+        TypeError: ``scene`` is of another type.
     """
     return modes_along_path(plan_motion(resolved(_scene(scene))), poses)
 
@@ -148,24 +163,29 @@ def modes(scene: SceneSource, poses: int = 11) -> list[ModalPose]:
 def linearize(
     scene: SceneSource, position: tuple[float, float], outputs: Sequence[str] | None = None
 ) -> control.StateSpace:
-    """The robot driven by torques, linearised about its static equilibrium at a pose, for python-control.
+    """Linearise the torque-driven robot about its static equilibrium at a pose, for python-control.
 
-    As `flexfmu.model.linear.linearize`: in deviations from the equilibrium. States are the coordinates [q_a, q_e] and their
-    rates, inputs ``joint1_torque``, ``joint2_torque`` [N.m], ``force_x``, ``force_y`` [N]. Labels and units are those of the
-    FMU's variables, with underscores for dots.
+    Calls `flexfmu.model.linear.linearize`.
 
     Args:
-        scene: a scene, the path of its file, or the name of a shipped one; its drive doesn't matter.
-        position: x, y of the rigid end effector [m].
-        outputs: names of the outputs, for example ``["joint1.position"]``; all of the FMU's when None.
+        scene: a scene, the path of a scene file, or the name of a shipped scene; torques drive the robot whatever its
+            ``cosimulation.drive``.
+        position: x, y of the rigid end effector at the pose [m].
+        outputs: names of FMU variables, for example ``["joint1.position"]``; None for all outputs of the FMU.
+
+    Returns:
+        The state space dx/dt = A x + B u, y = C x + D u in deviations from the equilibrium. The states are the coordinates
+        [q_a, q_e] (motor angles, elastic coordinates) and their rates, the inputs ``joint1_torque``, ``joint2_torque`` [N.m],
+        ``force_x`` and ``force_y`` [N]. Signals have the names and units of the FMU's variables, with underscores for dots.
 
     Raises:
-        SceneError: no such scene, or a key or value that can't be right.
+        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
         ImportError: python-control isn't installed (``pip install flexfmu[control]``).
         ValueError: an output is unknown, or the position is out of reach.
-        EquilibriumError: there is no equilibrium.
-        TrajectoryError, BuildError, ResultsError: effects are to be chosen (``select = "auto"``), and the motion is not feasible,
-            or a run that verifies the choice failed.
+        EquilibriumError: the robot has no static equilibrium at the pose.
+        TrajectoryError, BuildError, ResultsError: with ``select = "auto"``, the motion is not feasible, or a run that verifies
+            the choice of effects can't be built or failed.
+        TypeError: ``scene`` is of another type.
     """
     from flexfmu.model.linear import linearize as linearize_scene  # needs CasADi, which `run` does without
 
@@ -173,7 +193,12 @@ def linearize(
 
 
 def _scene(source: SceneSource) -> Scene:
-    """The scene itself, or what its file says."""
+    """Return the scene, loaded from its file unless it is a `Scene` already.
+
+    Raises:
+        SceneError: the scene doesn't exist, or one of its keys or values is invalid.
+        TypeError: the source is of another type.
+    """
     if isinstance(source, Scene):
         return source
     if isinstance(source, str | Path):
