@@ -1,1 +1,1 @@
-"""Slaves, FMUs as slaves, the master in Python and in C, and results; knows no scene and no robot."""
+"""Slaves, FMUs as slaves, the master in Python and in C, and results; independent of scenes and robots."""

@@ -1,4 +1,4 @@
-"""Transfers between fixed variables and fixed buffers, bound where the slave can bind them."""
+"""Calls that transfer values between fixed variables and fixed buffers; bound once if the slave is a `BindsBuffers`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from flexfmu.cosim.engine.slave import (
 
 
 def bind_set(slave: Slave, indices: Indices, signals: RealArray) -> Call:
-    """A call that sets inputs from ``signals`` (orders + 1, n): values in row 0, derivatives below."""
+    """Return a call that sets inputs from ``signals`` (orders + 1, n); row k has the k-th derivatives."""
     values, derivatives = signals[0], signals[1:]
     if isinstance(slave, BindsBuffers):
         set_values = slave.bind_set(indices, values)
@@ -30,7 +30,7 @@ def bind_set(slave: Slave, indices: Indices, signals: RealArray) -> Call:
 
 
 def bind_get(slave: Slave, indices: Indices, signals: RealArray) -> Call:
-    """A call that reads outputs into ``signals`` (orders + 1, n): values in row 0, derivatives below."""
+    """Return a call that reads outputs into ``signals`` (orders + 1, n); row k has the k-th derivatives."""
     values, derivatives = signals[0], signals[1:]
     if isinstance(slave, BindsBuffers):
         get_values = slave.bind_get(indices, values)
@@ -42,7 +42,7 @@ def bind_get(slave: Slave, indices: Indices, signals: RealArray) -> Call:
 
 
 class Both:
-    """One call after the other."""
+    """Two calls in sequence as one call."""
 
     __slots__ = ("first", "second")
 
@@ -55,12 +55,12 @@ class Both:
 
 
 class Copy:
-    """A call that copies ``source`` (n,) to the places ``indices`` of ``target``.
+    """A call that copies ``source`` (n,) to the elements ``indices`` of ``target``.
 
     Attributes:
         source, target: the buffers.
-        place: where it goes, a slice where the indices follow one another.
-        is_contiguous: whether both ends are blocks without gaps.
+        place: elements of the target; a slice if the indices are consecutive.
+        is_contiguous: whether source and destination are contiguous blocks of memory.
     """
 
     __slots__ = ("is_contiguous", "place", "source", "target")
@@ -75,9 +75,9 @@ class Copy:
 
 
 def is_range(indices: Indices) -> bool:
-    """Whether indices follow one another without gap."""
+    """Return whether the indices are consecutive; False if there are none."""
     return bool(indices.size and (np.diff(indices) == 1).all())
 
 
 def nothing() -> None:
-    """A call that has nothing to transfer."""
+    """Do nothing: the call of a transfer without variables."""

@@ -1,6 +1,6 @@
-"""Calls a function in a forked child process, so that code which crashes, exits or hangs can't take the program with it.
+"""Calls a function in a forked child process, so that code that crashes, exits or hangs can't end the program.
 
-The child has all objects as they are, and nothing has to be loaded again. What it changes in them stays in the child.
+The child starts with a copy of all objects of the parent; nothing is loaded again. Its changes don't reach the parent.
 """
 
 from __future__ import annotations
@@ -21,47 +21,47 @@ from typing import Any, Never
 from flexfmu.cosim.engine.errors import CosimError
 
 AVAILABLE = sys.platform == "linux"
-"""Elsewhere a process can't be forked safely once numerical libraries are loaded, or not at all."""
+"""Other systems can't fork, or not safely once numerical libraries are loaded."""
 
 CALL_LIMIT = 60.0
-"""How long a slave may stay in one call by default [s]."""
+"""Default limit for the duration of one call of a slave [s]."""
 
 GRACE = 2.0
-"""How long a child may take to end when the user interrupts [s]."""
+"""Time that a child may take to end after the user interrupts [s]."""
 
 LOOK = 0.05
-"""How often the parent looks [s]."""
+"""Interval at which the parent checks the child [s]."""
 
 _PR_SET_PDEATHSIG = 1
 
 _END = b"complete"
-"""Behind what a child sends."""
+"""Mark at the end of the data that a child sends."""
 
 
 class ChildLostError(CosimError):
-    """A child process has ended, or was ended, without a result; the message says how.
+    """A child process ended, or was ended, without a result; the message says how.
 
-    The message is a predicate: its subject is the slave that was called.
+    In the message, "it" is the slave that the child called.
     """
 
 
 def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float) -> Any:
-    """What an action returns in a child process.
+    """Run an action in a child process and return its result.
 
-    When the user interrupts, the action meets a `KeyboardInterrupt` like here.
+    If the user interrupts, the action gets a `KeyboardInterrupt`, as it would in this process.
 
     Args:
-        action: what to do; it returns something that can be pickled.
-        look: called now and then while the child works; its result changes when the child goes on.
-        limit: how long that may stay the same [s].
+        action: function to call; its result must be picklable.
+        look: called every `LOOK` seconds while the child works; a changed result shows that the child makes progress.
+        limit: longest time without progress [s].
 
     Raises:
-        ChildLostError: the child ended without a result, or didn't get on.
-        KeyboardInterrupt: the user interrupted, and the child didn't end by itself.
-        BaseException: what the action raised.
+        ChildLostError: the child ended without a result, or made no progress for longer than the limit.
+        KeyboardInterrupt: the user interrupted, and the child sent no result within `GRACE`.
+        BaseException: the exception that the action raised.
     """
     reading, writing = os.pipe()
-    # interruptions wait until the child is ready for them
+    # block interrupts until the child has set up its signal handlers
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         parent, child = os.getpid(), _fork()
@@ -69,7 +69,7 @@ def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float
             _be_child(action, writing, parent)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    # collect what it sends; it is gone when the result is there
+    # receive the result, and end the child in any case
     os.close(writing)
     supervisor = _Supervisor(child, reading, look, limit)
     try:
@@ -82,19 +82,19 @@ def in_child(action: Callable[[], Any], look: Callable[[], object], limit: float
 
 
 class _Supervisor:
-    """Watches a child until it has sent its result, and sees that it is gone afterwards."""
+    """Receives the result of a child, and ends the child if it makes no progress."""
 
     def __init__(self, child: int, reading: int, look: Callable[[], object], limit: float) -> None:
         self._child, self._reading, self._look, self._limit = child, reading, look, limit
         self._status: int | None = None
 
     def received(self) -> bytes:
-        """All that the child sends."""
+        """Return the data that the child sends, with the mark at its end."""
         data = bytearray()
         try:
             self._wait(data)
         except KeyboardInterrupt:
-            # the child gets as far as it can; a second interruption doesn't wait
+            # the child may still send its result; a second interrupt ends the wait
             os.kill(self._child, signal.SIGTERM)
             self._limit, self._look = GRACE, lambda: None
             try:
@@ -106,20 +106,20 @@ class _Supervisor:
         return bytes(data)
 
     def _wait(self, data: bytearray) -> None:
-        """Collect what the child sends until it has sent all or is gone."""
+        """Append what the child sends to ``data``, until it closes the pipe or has ended."""
         poll = select.poll()
         poll.register(self._reading, select.POLLIN)
         seen, idle, last = self._look(), 0.0, monotonic()
         while True:
-            # what it sends, as long as it sends
+            # read while there is data
             if poll.poll(1e3 * LOOK):
                 if not (chunk := os.read(self._reading, 1 << 16)):
                     return
                 data += chunk
                 continue
             if self._gone():
-                return  # another process holds the other end of the pipe open
-            # time in which this process sleeps as well doesn't count
+                return  # another process keeps the other end of the pipe open
+            # time during which this process was suspended, too, doesn't count
             now, at = monotonic(), self._look()
             idle = 0.0 if at != seen else idle + min(now - last, 2.0 * LOOK)
             seen, last = at, now
@@ -129,15 +129,15 @@ class _Supervisor:
                 )
 
     def _gone(self) -> bool:
-        """Whether the child has ended."""
+        """Return whether the child has ended."""
         if self._status is None:
             process, status = os.waitpid(self._child, os.WNOHANG)
             self._status = status if process else None
         return self._status is not None
 
     def _how(self) -> str:
-        """How the child, which sends nothing any more, has ended without a result."""
-        # it may need a moment to end
+        """Return how the child, which has closed the pipe, ended without a result."""
+        # after closing the pipe the child may need a moment to end
         end = monotonic() + GRACE
         while not self._gone() and monotonic() < end:
             sleep(1e-3)
@@ -151,7 +151,7 @@ class _Supervisor:
         return f"it crashed with {number.name} ({signal.strsignal(number)}){hint}"
 
     def close(self) -> None:
-        """End the child if it is still there."""
+        """Close the pipe, and kill the child if it is still running."""
         os.close(self._reading)
         if not self._gone():
             os.kill(self._child, signal.SIGKILL)
@@ -159,41 +159,41 @@ class _Supervisor:
 
 
 def _flush() -> None:
-    """Write all that Python and C have buffered, so that it is written once."""
+    """Flush the output buffers of Python and C; otherwise the child would write their content again."""
     for stream in (sys.stdout, sys.stderr):
-        with suppress(AttributeError, OSError, ValueError):  # there is no stream, it is closed, or its reader is gone
+        with suppress(AttributeError, OSError, ValueError):  # no stream, a closed one, or a broken pipe
             stream.flush()
     ctypes.CDLL(None).fflush(None)
 
 
 def _fork() -> int:
-    """0 in the child, its process number in the parent."""
+    """Fork; return 0 in the child, and the child's process ID in the parent."""
     _flush()
     with warnings.catch_warnings():
-        # threads of numerical libraries and of the progress bar: the child needs neither
+        # Python warns of other threads (numerical libraries, progress bar); the child uses none of them
         warnings.simplefilter("ignore", DeprecationWarning)
         return os.fork()
 
 
 def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
-    """Do it, send what comes of it, and end without the parent's clean-up."""
+    """Run the action in the child, send its result or exception, and exit without the parent's clean-up."""
     code = 1
     try:
-        # never outlive the parent, which may be gone already
+        # end with the parent, which may have ended already
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:
             os._exit(code)
-        # leave the parent's objects where they are, or the collector copies them all
+        # keep the garbage collector off the parent's objects: it would copy their memory pages
         gc.freeze()
-        # what slaves print isn't a result
+        # slaves print to standard error: standard output is for results
         with suppress(OSError):
             os.dup2(2, 1)
         sys.stdout = sys.stderr
-        # a progress bar has a thread, which isn't here
+        # bypass the progress bar, whose thread doesn't exist in the child
         sys.stdout, sys.stderr = (getattr(each, "rich_proxied_file", each) for each in (sys.stdout, sys.stderr))
-        # handlers of the parent's signals have nothing to do with those of its child
+        # signals of the child must not reach the parent's event loop
         signal.set_wakeup_fd(-1)
-        # the parent hears of Ctrl-C, too, and passes it on
+        # the parent receives Ctrl-C as well and passes it on as SIGTERM
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
@@ -211,7 +211,7 @@ def _be_child(action: Callable[[], Any], writing: int, parent: int) -> Never:
 
 
 def portable(error: BaseException, instead: BaseException) -> BaseException:
-    """The error if it can go to another process, else the other one."""
+    """Return the error if it can be pickled, else ``instead``."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:

@@ -1,4 +1,4 @@
-"""What can go wrong in a co-simulation: one small family of errors, each a single line with its remedy."""
+"""Errors and warnings of a co-simulation; each message is one line with a remedy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class CosimError(Exception):
 
 
 class InputError(CosimError, ValueError):
-    """The user's input is wrong: a file, a name, a value; nothing has been simulated."""
+    """The user's input is wrong (a file, a name or a value); nothing has been simulated."""
 
 
 class FmuFileError(InputError):
@@ -20,23 +20,23 @@ class WiringError(InputError):
 
 
 class AlgebraicLoopError(WiringError):
-    """Outputs and inputs depend on each other without any state between them."""
+    """Outputs and inputs depend on each other at the same instant, through direct feedthrough."""
 
 
 class LoopError(CosimError):
-    """A loop of signals could not be solved by iteration."""
+    """The iteration of a loop of signals did not converge."""
 
 
 class StepSizeError(CosimError):
-    """Not even the smallest communication step keeps the error of the coupling that was asked for."""
+    """Even at the smallest communication step the coupling error exceeds the tolerance."""
 
 
 class WorkError(CosimError):
-    """A run takes far more work than its length allows."""
+    """Step control takes far more steps than steps of the first step's length would need."""
 
 
 class CostWarning(UserWarning):
-    """A run will take long, or much memory."""
+    """A run will take a long time or much memory."""
 
 
 class ResultsError(CosimError):
@@ -44,7 +44,7 @@ class ResultsError(CosimError):
 
 
 class SlaveWarning(UserWarning):
-    """A slave can be used, but does something else than it states or than was set."""
+    """A slave can be used, but deviates from its description or from the values set."""
 
 
 class SlaveError(CosimError):
@@ -52,8 +52,8 @@ class SlaveError(CosimError):
 
     Attributes:
         slave: the slave's name.
-        reason: what happened, in the slave's own words where it has any.
-        time: the last time that the slave reached [s]; None when it doesn't know.
+        reason: what happened; the slave's own message if it gave one.
+        time: last time that the slave reached [s]; None if unknown.
     """
 
     def __init__(self, slave: str, reason: str, time: float | None = None) -> None:
@@ -63,12 +63,12 @@ class SlaveError(CosimError):
         self.time = time
 
     def __reduce__(self) -> tuple[type[SlaveError], tuple[str, str, float | None]]:
-        """For the way from one process to another."""
+        """Pickle the error by its own arguments, to send it to another process."""
         return type(self), (self.slave, self.reason, self.time)
 
 
 class SlaveEnded(SlaveError):  # noqa: N818 - it isn't an error
-    """A slave asks to end the simulation, which is a normal end: fmi2Discard with fmi2Terminated, for example."""
+    """A slave requests the end of the simulation, a normal end: fmi2Discard with fmi2Terminated, for example."""
 
 
 class NotFiniteError(SlaveError):

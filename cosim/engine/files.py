@@ -1,4 +1,4 @@
-"""Files and folders of results: checked before the work starts, every file there whole or not at all."""
+"""Files and folders of results: the folder is checked before a simulation, and each file is written atomically."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from flexfmu.cosim.engine.errors import ResultsError
 
 RESULTS = Path("results")
-"""Where results go unless the user says otherwise, in a folder named after the scene."""
+"""Default folder of results; each scene has a folder of its own name in it."""
 
 
 @dataclass(frozen=True)
@@ -19,16 +19,16 @@ class OutputFolder:
     """A folder for results.
 
     Attributes:
-        path: where it is; made with its parents when it is not there.
+        path: path of the folder; created with its parents if it doesn't exist.
     """
 
     path: Path
 
     def prepare(self) -> None:
-        """Make the folder and try to write into it, so that a long simulation doesn't end at a closed door.
+        """Create the folder and write a trial file, so that a long simulation doesn't fail when it saves its results.
 
         Raises:
-            ResultsError: the folder can't be made or written, with the system's reason.
+            ResultsError: the folder can't be created or written to, with the system's reason.
         """
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -38,12 +38,12 @@ class OutputFolder:
             raise _cannot_write(self.path, error) from error
 
     def write(self, name: str, text: str) -> Path:
-        """Write a file of the folder; see `write_whole`."""
+        """Write a file in the folder and return its path; see `write_whole`."""
         return write_whole(self.path / name, text)
 
 
 def write_whole(path: Path, text: str) -> Path:
-    """Write a file beside its target, then rename it: a reader never sees half of it. Makes the folder if need be.
+    """Write a file atomically (temporary file, then rename) and return its path; creates its folder if needed.
 
     Raises:
         ResultsError: the file can't be written, with the system's reason.

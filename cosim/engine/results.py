@@ -1,4 +1,4 @@
-"""Results of a co-simulation: signals over time, in memory and as the CSV file that fmpy reads."""
+"""Results of a co-simulation: signals over time, in memory and as CSV files in fmpy's format."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Column:
     Attributes:
         unit: unit of the values, for example ``N.m``; empty when unknown.
         values: (N,) values at the recording's times.
-        first: (N,) first time derivatives [unit/s]; None when the slave doesn't give them.
-        second: (N,) second time derivatives [unit/s²]; None when the slave doesn't give them.
-        texts: what the values stand for as numbers of its items, in a signal of type String; None for numbers.
+        first: (N,) first time derivatives [unit/s]; None if not available.
+        second: (N,) second time derivatives [unit/s²]; None if not available.
+        texts: for a signal of type String, the texts that its values index; None for numbers.
     """
 
     unit: str
@@ -36,10 +36,10 @@ class Column:
     texts: Sequence[str] | None = None
 
     def text_at(self, index: int) -> str:
-        """The text that a value stands for; empty for a number that stands for none.
+        """Return the text at the instant ``index``; empty if the value is no index of a text.
 
         Raises:
-            ResultsError: the signal is no String.
+            ResultsError: the signal isn't of type String.
         """
         if self.texts is None:
             raise ResultsError("the signal has numbers, no texts; take its `values`")
@@ -47,7 +47,7 @@ class Column:
         return self.texts[code] if 0 <= code < len(self.texts) else ""
 
     def shown(self) -> list[str]:
-        """(N) the values as they are written: the shortest numbers that read back exactly, or texts in quotes (RFC 4180)."""
+        """Return the N values as CSV cells: shortest numbers that read back exactly, or quoted texts (RFC 4180)."""
         if self.texts is None:
             return [*map(repr, self.values.tolist())]
         known = ['"' + text.replace('"', '""') + '"' for text in self.texts]
@@ -56,11 +56,11 @@ class Column:
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals over time. An instant at which signals jump appears twice: left limit first, then right limit.
+    """Signals over time. An instant at which signals jump appears twice: left limits first, then right limits.
 
     Attributes:
         time: (N,) instants [s], not decreasing.
-        columns: name of each signal → its values; every array has the length of ``time``.
+        columns: name of a signal → its values; every array has the length of ``time``.
 
     Raises:
         ResultsError: a column's length differs from that of ``time``.
@@ -77,38 +77,38 @@ class Recording:
                     raise ResultsError(f"{name!r} has {values.size} values for {self.time.size} instants")
 
     def __getitem__(self, name: str) -> Column:
-        """The column of that name; KeyError names the closest ones."""
+        """Return the column of that name; the KeyError lists the recorded signals."""
         try:
             return self.columns[name]
         except KeyError:
             raise KeyError(f"no signal {name!r} was recorded; there are: {', '.join(self.columns)}") from None
 
     def smooth_pieces(self) -> Iterator[slice]:
-        """Index ranges between jumps: within each, time increases strictly and the signals are continuous.
+        """Yield the index ranges between jumps; within each, time increases strictly and the signals are continuous.
 
-        A piece has one instant only where two jumps meet (before the first motion, for example).
+        A range has a single instant if two jumps coincide (before the first motion, for example).
         """
         edges = np.flatnonzero(np.diff(self.time) == 0.0) + 1
         for begin, end in zip((0, *edges), (*edges, self.time.size), strict=True):
             yield slice(int(begin), int(end))
 
     def with_columns(self, columns: Mapping[str, Column]) -> Recording:
-        """The same recording with further columns."""
+        """Return the recording with further columns."""
         return Recording(self.time, {**self.columns, **columns})
 
     def only(self, keeps: Callable[[str], bool]) -> Recording:
-        """The same recording with those signals alone whose names are to be kept."""
+        """Return the recording with only those signals for whose names ``keeps`` is true."""
         return Recording(self.time, {name: column for name, column in self.columns.items() if keeps(name)})
 
     def write_csv(self, path: str | os.PathLike[str]) -> Path:
-        """Write time and values (not the derivatives) as `fmpy.util.read_csv` reads them.
+        """Write time and values (not the derivatives) in the format of `fmpy.util.read_csv`; return the path.
 
-        Names are quoted, ``time`` comes first, values are the shortest that read back exactly. fmpy splits the header
-        at every comma, so ``der(x,2)`` is written ``der(x;2)``. Texts are written as RFC 4180 has them, in quotes, with their
-        commas, quotes (doubled) and line breaks; fmpy reads numbers alone. The file appears whole or not at all.
+        Names are quoted, ``time`` comes first, and numbers are the shortest that read back exactly. fmpy splits the
+        header at every comma, so ``der(x,2)`` is written as ``der(x;2)``. Texts are quoted with doubled quotes inside
+        (RFC 4180); fmpy can't read columns of texts. The file is written atomically.
 
-        `fmpy.util.plot_result` plots the columns in its argument ``names``, at most 17: without names it takes the first
-        19, and plotly refuses that many rows at fmpy's spacing (fmpy 0.3.32).
+        `fmpy.util.plot_result` can plot at most 17 columns, given by ``names``: without names it takes the first 19,
+        and plotly refuses so many rows at fmpy's spacing (fmpy 0.3.32).
 
         Raises:
             ResultsError: the file can't be written, with the system's reason.
@@ -120,16 +120,16 @@ class Recording:
 
     @classmethod
     def read_csv(cls, path: str | os.PathLike[str]) -> Recording:
-        """Read a file that `write_csv` or fmpy wrote; such a file holds neither units nor derivatives.
+        """Read a file written by `write_csv` or fmpy; it has neither units nor derivatives.
 
         Raises:
-            ResultsError: there is no such file, or it holds no table of numbers.
+            ResultsError: the file can't be read, or isn't a table of signals.
         """
         try:
             with open(path, encoding="utf-8", newline="") as file:
                 names = [name.strip().strip('"').replace(";", ",") for name in file.readline().split(",")]
                 body = file.read()
-            # numbers alone are read many times as fast
+            # numpy reads tables of numbers alone many times faster
             table, texts, known = (
                 _with_texts(body) if '"' in body else (np.loadtxt(body.splitlines(), delimiter=",", ndmin=2), set(), [])
             )
@@ -144,9 +144,9 @@ class Recording:
 
 
 def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:
-    """The table (N, n) of lines with texts in quotes, numbered as they come; in which columns they are, and all of them."""
+    """Return the table (N, n) with texts replaced by their indices, the columns of texts, and the list of texts."""
     rows = [row for row in csv.reader(io.StringIO(body, newline=""), quoting=csv.QUOTE_NONNUMERIC) if row]
-    # columns are texts or numbers as in the first row
+    # the first row tells columns of texts from columns of numbers
     texts = {i for i, cell in enumerate(rows[0]) if isinstance(cell, str)}
     codes: dict[str, int] = {}
     table = [
@@ -157,7 +157,7 @@ def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:
 
 
 def _file_name(name: str) -> str:
-    """The name of a column in the file."""
+    """Return a signal's name as the CSV header has it: commas become semicolons."""
     if any(character in name for character in ';"\n'):
         raise ResultsError(f"the signal name {name!r} has a semicolon, quote or line break; rename it")
     return name.replace(",", ";")
@@ -165,15 +165,15 @@ def _file_name(name: str) -> str:
 
 @dataclass(frozen=True)
 class Selection:
-    """What is recorded.
+    """Signals to record, and the order of their derivatives.
 
     Attributes:
-        names: signals to keep, named as in the recording; None for all.
-        order: highest time derivative to keep, 0 (values alone) to 2; metrics need 2, since they are taken from the
-            continuous solution between the communication points.
+        names: names of the signals to keep, as in the recording; None for all.
+        order: highest time derivative to keep, 0 (values alone) to 2; metrics need 2, since they evaluate the
+            continuous solution between communication points.
 
     Raises:
-        InputError: the order is none of these.
+        InputError: the order isn't 0, 1 or 2, or ``names`` is a single text.
     """
 
     names: Collection[str] | None = None
@@ -186,18 +186,18 @@ class Selection:
             raise InputError(f"the signals to record must be a list of names, got the single text {self.names!r}")
 
     def keeps(self, name: str) -> bool:
-        """Whether a signal is kept."""
+        """Return whether a signal is kept."""
         return self.names is None or name in self.names
 
     def of(self, recording: Recording) -> Recording:
-        """What is kept of a recording."""
+        """Return the recording with only the signals that are kept."""
         return recording if self.names is None else recording.only(self.keeps)
 
     def check(self, known: Collection[str]) -> None:
-        """Look for all names among those that there are.
+        """Check that all names are among the known ones.
 
         Raises:
-            InputError: there is no such signal.
+            InputError: a signal doesn't exist.
         """
         for name in self.names or ():
             if name not in known:
