@@ -1,1 +1,1 @@
-"""What the robot is: effects, kinematics, equations of motion, statics and modes, as symbolic models."""
+"""The model of the robot: effects, kinematics, equations of motion, statics and modes, in symbols."""

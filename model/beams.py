@@ -1,9 +1,10 @@
-"""Mode shapes of uniform beams over the normalised length xi in [0, 1], and their integrals, the constants of the model.
+"""Mode shapes of uniform beams over the normalised length xi in [0, 1], and the integrals of them that the model needs.
 
-The assumed modes stand as in eqs. (1) and (2) of Barnard, Briot and Caro (ESDA 2012), not normalised; the static and
-fixed-interface shapes are those of Craig and Bampton (AIAA Journal 6, 1968), where a link's tip is the interface. Bending
-shapes are evaluated without the cancellation of cosh against sinh, so that a high mode is as accurate as the first (Blevins,
-Formulas for Natural Frequency and Mode Shape, 1979, table 8-1). Integrals are Gauss-Legendre quadratures.
+The assumed modes are those of eqs. (1) and (2) of Barnard, Briot and Caro (ESDA 2012), without normalisation. The
+static and fixed-interface shapes are those of Craig and Bampton (AIAA Journal 6, 1968); the interface is a link's tip.
+The evaluation of bending shapes avoids the cancellation of cosh and sinh, so that a high mode is as accurate as the
+first (Blevins, Formulas for Natural Frequency and Mode Shape, 1979, table 8-1). Integrals are Gauss-Legendre
+quadratures.
 """
 
 from __future__ import annotations
@@ -19,21 +20,21 @@ from flexfmu.trajectories.jets import RealArray
 
 Evaluate = Callable[[RealArray], RealArray]
 Basis = Literal["assumed-modes", "craig-bampton"]
-"""Which shapes the modes of elastic links have, see `flexfmu.model.elastic_family`."""
+"""Set of shape functions of the elastic links, see `flexfmu.model.elastic_family`."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A mode shape phi(xi), dimensionless, with the derivatives that energies need, all at xi (N,).
+    """A dimensionless mode shape phi(xi) with the derivatives that the energies need; all take xi (N,).
 
     Attributes:
         value: phi, the displacement.
-        slope: dphi/dxi, of the beam's axis.
-        rotation: turning of the cross sections times the length; the slope, unless shear takes part of it.
+        slope: dphi/dxi, slope of the beam's axis.
+        rotation: rotation of the cross sections times the length; equal to the slope without shear deformation.
         strain: drotation/dxi for bending, dphi/dxi for axial shapes.
         tip: phi(1).
         wave_number: dimensionless wave number, which sets the number of quadrature nodes.
-        text: which shape it is, for documentation.
+        text: description of the shape, for the documentation.
     """
 
     value: Evaluate
@@ -50,22 +51,22 @@ _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", 
 
 
 def ordinal(mode: int) -> str:
-    """``first``, ``second``, ...; numbers from 11 on."""
+    """The ordinal of a mode number: ``first`` to ``tenth``, then ``11th``, ``12th``, ..."""
     return _ORDINALS[mode - 1] if mode <= len(_ORDINALS) else f"{mode}th"
 
 
 def fixed_interface(mode: int) -> str:
-    """What a mode with the tip held is."""
+    """The description of a fixed-interface mode."""
     return f"Craig and Bampton's {ordinal(mode)} mode with the tip held"
 
 
 def pinned_pinned(mode: int) -> str:
-    """What a mode of a beam between two pins is."""
+    """The description of a pinned-pinned mode."""
     return f"{ordinal(mode)} mode of a beam pinned at both ends"
 
 
 def _root_near(centre: float, function: Callable[[float], float]) -> float:
-    """The root of a characteristic equation within 0.5 of a wave number."""
+    """The root of a characteristic equation within ±0.5 of an approximate wave number."""
     return float(brentq(function, centre - 0.5, centre + 0.5, xtol=1e-15, rtol=1e-15))
 
 
@@ -86,7 +87,7 @@ def clamped_free_bending(mode: int) -> Shape:
 
 
 def clamped_pinned_bending(mode: int) -> Shape:
-    """Clamped-pinned bending shape k: cosh - cos - sigma (sinh - sin) of beta_k xi; the tip turns, but doesn't move."""
+    """Clamped-pinned bending shape k: cosh - cos - sigma (sinh - sin) of beta_k xi; the tip only rotates."""
     # tan(beta) = tanh(beta)
     beta = _root_near((mode + 0.25) * np.pi, lambda b: float(np.sin(b) - np.cos(b) * np.tanh(b)))
     decay = np.exp(-beta)
@@ -105,7 +106,7 @@ def _clamped(beta: float, scaled: float, sigma: float, divisor: float) -> tuple[
     (1 - sigma) exp(beta).
     """
 
-    # without the cancellation of cosh and sinh at large arguments
+    # hyperbolic parts without cancellation at large arguments
     def hyperbolic(x: RealArray) -> RealArray:
         """cosh - sigma sinh."""
         growing = 0.5 * scaled * (np.exp(x - beta) - np.exp(-x - beta))
@@ -116,7 +117,7 @@ def _clamped(beta: float, scaled: float, sigma: float, divisor: float) -> tuple[
         growing = 0.5 * scaled * (np.exp(x - beta) + np.exp(-x - beta))
         return np.asarray(growing - np.exp(-x))
 
-    # the shape and its derivatives with respect to ξ
+    # the shape and its derivatives with respect to xi
     def value(xi: RealArray) -> RealArray:
         x = beta * xi
         return np.asarray((hyperbolic(x) - np.cos(x) + sigma * np.sin(x)) / divisor)
@@ -133,7 +134,7 @@ def _clamped(beta: float, scaled: float, sigma: float, divisor: float) -> tuple[
 
 
 def tip_force_bending() -> Shape:
-    """Static shape of a cantilever under a force at its tip, (3 xi² - xi³)/2; its coordinate is the tip's displacement."""
+    """Static shape of a cantilever under a tip force, (3 xi² - xi³)/2; its coordinate is the tip displacement."""
 
     def slope(xi: RealArray) -> RealArray:
         return np.asarray(3.0 * xi - 1.5 * xi**2)
@@ -174,12 +175,12 @@ def _sine_axial(k: float, tip: float, text: str) -> Shape:
 
 
 def _axial(value: Evaluate, strain: Evaluate, tip: float, wave_number: float, text: str) -> Shape:
-    """An axial shape, whose sections don't turn."""
+    """An axial shape; its cross sections don't rotate."""
     return Shape(value, strain, np.zeros_like, strain, tip, wave_number, text)
 
 
 INTEGRAL_ROUNDING = 1e-12
-"""Integrals below this fraction of their factors' norms are rounding of an exact zero (orthogonality)."""
+"""An integral below this fraction of the product of its factors' norms counts as exactly zero (orthogonality)."""
 
 
 @dataclass(frozen=True)
@@ -189,8 +190,8 @@ class ShapeIntegrals:
     Attributes:
         mean: ∫ phi_k, shape (K,).
         first_moment: ∫ xi phi_k, shape (K,).
-        gram: ∫ phi_j phi_k, shape (K, K), exact zeros where the shapes are orthogonal.
-        strain_gram: ∫ of the products of the strain derivatives, shape (K, K); meaningful within one family.
+        gram: ∫ phi_j phi_k, shape (K, K), exactly zero where the shapes are orthogonal.
+        strain_gram: ∫ of strain_j strain_k, shape (K, K); meaningful only within one family.
     """
 
     mean: RealArray
@@ -200,7 +201,7 @@ class ShapeIntegrals:
 
 
 def integrate_shapes(shapes: Sequence[Shape]) -> ShapeIntegrals:
-    """Integrals by Gauss-Legendre quadrature, fine enough for the highest mode to be exact to rounding."""
+    """Integrals of the shapes by Gauss-Legendre quadrature, exact to rounding for the highest mode too."""
     xi, weights = _quadrature(shapes)
     values = np.array([shape.value(xi) for shape in shapes]).reshape(len(shapes), len(xi))
     return ShapeIntegrals(
@@ -212,7 +213,7 @@ def integrate_shapes(shapes: Sequence[Shape]) -> ShapeIntegrals:
 
 
 def gram(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate], weight: Evaluate = np.ones_like) -> RealArray:
-    """∫ weight(xi) f_j f_k of a field f of the shapes, shape (K, K), exact zeros where they are orthogonal."""
+    """∫ weight(xi) f_j f_k of a field f of the shapes, shape (K, K), exactly zero where they are orthogonal."""
     xi, weights = _quadrature(shapes)
     values = np.array([field(shape)(xi) for shape in shapes]).reshape(len(shapes), len(xi))
     products = (values * weights * weight(xi)) @ values.T
@@ -221,7 +222,7 @@ def gram(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate], weight: Ev
 
 
 def mean(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate]) -> RealArray:
-    """∫ f_k of a field f of the shapes, shape (K,), exact zeros where it averages out."""
+    """∫ f_k of a field f of the shapes, shape (K,), exactly zero where the integral vanishes."""
     xi, weights = _quadrature(shapes)
     values = np.array([field(shape)(xi) for shape in shapes]).reshape(len(shapes), len(xi))
     means = values @ weights
@@ -229,7 +230,7 @@ def mean(shapes: Sequence[Shape], field: Callable[[Shape], Evaluate]) -> RealArr
 
 
 def _quadrature(shapes: Sequence[Shape]) -> tuple[RealArray, RealArray]:
-    """Gauss-Legendre nodes and weights on [0, 1]."""
+    """Gauss-Legendre nodes and weights on [0, 1], enough of them for the largest wave number."""
     count = 40 + int(max((shape.wave_number for shape in shapes), default=0.0))
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return 0.5 * (nodes + 1.0), 0.5 * weights

@@ -1,4 +1,4 @@
-"""Sentences about a choice of effects, for the command line and for the documentation of FMUs."""
+"""Sentences about an automatic choice of effects, for the command line and the documentation of FMUs."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _FAMILIES: Mapping[str, str] = {
 
 
 def percent(value: float) -> str:
-    """A relative error in percent with two digits."""
+    """A relative error in percent with two significant digits."""
     if value >= 0.1:
         return f"{100.0 * value:.0f} %"
     return "0" if value == 0.0 else f"{100.0 * value:.2g} %" if value >= 1e-6 else "< 0.0001 %"
 
 
 def set_text(scene: Scene) -> str:
-    """A scene's elastic effects, separated by commas."""
+    """The elastic effects of a scene, separated by commas."""
     effects = scene.effects
-    # numbers of modes, then what refines them
+    # number of modes of each family, then beam theory and foreshortening
     found = [
         f"{word} {getattr(effects, key)}{' static' if key in effects.quasi_static else ''}"
         for key, word in _FAMILIES.items()
@@ -37,7 +37,7 @@ def set_text(scene: Scene) -> str:
 
 
 def choice_sentence(scene: Scene) -> str:
-    """What was chosen, in one line; empty where the scene chose its effects itself."""
+    """The chosen effects in one line; empty where the scene names its effects itself."""
     choice = scene.effects.choice
     if choice is None:
         return ""
@@ -46,11 +46,11 @@ def choice_sentence(scene: Scene) -> str:
 
 
 def choice_notes(scene: Scene) -> tuple[EffectNote, ...]:
-    """The note on an automatic choice in a model's documentation; none where the scene chose its effects itself."""
+    """The documentation's note on an automatic choice; empty where the scene names its effects itself."""
     choice = scene.effects.choice
     if choice is None:
         return ()
-    # each with the largest of its estimated contributions
+    # effects left out, each with the largest of its estimated contributions
     left_out = ", ".join(
         f"{each.effect} ({each.change}) {percent(max(each.contribution))}" for each in choice.effects if not each.chosen
     )

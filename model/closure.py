@@ -1,9 +1,9 @@
-"""Closed-form assembly of the flexible five-bar and the index reduction that follows from it.
+"""Closed-form assembly of the flexible five-bar, which reduces its equations to the independent coordinates.
 
-The elbows follow from the motor angles and the proximal deflections; the end effector is an intersection of two circles
-about the elbows whose radii are the flexible lengths of the distal links, on the side of the assembly mode. Rates and
-accelerations follow from 2 x 2 systems, which are the paper's A, B, C (eq. 19) solved in closed form; the transposed
-map projects forces onto the independent coordinates and yields the joint reactions on the way.
+The elbows follow from the motor angles and the proximal deflections. The end effector is an intersection of two circles
+about the elbows; their radii are the deformed lengths of the distal links, and the assembly mode selects the side.
+Rates and accelerations follow from 2 x 2 systems: the paper's A, B, C (eq. 19), solved in closed form. The transposed
+velocity map projects forces onto the independent coordinates and gives the joint reactions.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ class IndependentMotion:
 
 @dataclass(frozen=True)
 class ProjectedForces:
-    """Forces that a motion needs, and those that pass through the joints on the way.
+    """Generalised forces that a motion needs, and the joint reactions.
 
     Attributes:
-        motors: on the motor angles (2, 1) [N m].
-        elastic: on the elastic coordinates (n, 1) [N, N m].
-        elbows: that the proximal on the distal link exerts at the elbow, of both legs, each (2, 1) [N].
-        pulls: that the leg exerts on the end effector, of both legs, each (2, 1) [N].
+        motors: forces on the motor angles (2, 1) [N m].
+        elastic: forces on the elastic coordinates (n, 1) [N, N m].
+        elbows: force of the proximal on the distal link at the elbow, of leg 1 and leg 2, each (2, 1) [N].
+        pulls: force of leg 1 and of leg 2 on the end effector, each (2, 1) [N].
     """
 
     motors: casadi.SX
@@ -50,10 +50,10 @@ def _normal(direction: casadi.SX) -> casadi.SX:
 
 
 class Closure:
-    """The assembled motion as expressions of the independent one.
+    """The motion of the assembled robot as expressions of the independent motion.
 
     Args:
-        robot: symbols; gives the bases and the tip maps.
+        robot: symbols of the robot, for the bases and the tip displacements.
         motion: independent motion.
         lengths: proximal and distal length [m] as symbols.
         side: +1 where the end effector lies left of elbow 1 → elbow 2, -1 where right.
@@ -72,7 +72,7 @@ class Closure:
         tip = self._tips.displacement
         self.reach = [proximal + tip(f"link{leg}1", "axial", motion.q_e) for leg in LEGS]
         self.sag = [tip(f"link{leg}1", "bending", motion.q_e) for leg in LEGS]
-        # distal links: flexible lengths, whose circles meet in the end effector
+        # distal links: circles with the deformed lengths as radii meet at the end effector
         self.length = [distal + tip(f"link{leg}2", "axial", motion.q_e) for leg in LEGS]
         self.elbows = [
             b + e * r + _normal(e) * s for b, e, r, s in zip(self._bases, self.e_a, self.reach, self.sag, strict=True)
@@ -88,7 +88,7 @@ class Closure:
         return self._tips.twist.T @ coordinates if coordinates.numel() else casadi.SX(2, 1)
 
     def _intersect(self) -> casadi.SX:
-        """End effector X from two circles about the elbows."""
+        """End effector X: intersection of two circles about the elbows."""
         (p1, p2), (l1, l2) = self.elbows, self.length
         line = p2 - p1
         square = casadi.dot(line, line)
@@ -110,9 +110,9 @@ class Closure:
         ]
 
     def _move(self) -> None:
-        """Velocities: turning rates, elbows, end effector."""
+        """Set the velocities: angular rates of the links, elbows, end effector."""
         m = self._motion
-        # turning rates of the proximal links, rates of the links' tips
+        # angular rates of the proximal links, rates of the tip displacements
         w_a = m.v_a + self._twist(m.v_e)
         self.w_a = [w_a[i] for i in range(2)]
         reach = [self._tips.rate(f"link{leg}1", "axial", m.q_e, m.v_e) for leg in LEGS]
@@ -122,20 +122,20 @@ class Closure:
         self._along = [reach[i] - self.w_a[i] * self.sag[i] for i in range(2)]
         self._across = [sag[i] + self.w_a[i] * self.reach[i] for i in range(2)]
         self.elbow_velocity = [self._along[i] * self.e_a[i] + self._across[i] * _normal(self.e_a[i]) for i in range(2)]
-        # along each distal link, the end effector moves as the elbow does, and as the link becomes longer
+        # along each distal link: end-effector velocity = elbow velocity + elongation rate
         self.velocity = self._solve(
             [casadi.dot(self.e_p[i], self.elbow_velocity[i]) + self.length_rate[i] for i in range(2)]
         )
-        # across it, the difference of both turns the link
+        # across it: the difference of both velocities gives the angular rate of the link
         self.w_p = [
             casadi.dot(_normal(self.e_p[i]), self.velocity - self.elbow_velocity[i]) / self.length[i] for i in range(2)
         ]
         self._reach_rate, self._sag_rate = reach, sag
 
     def _accelerate(self) -> None:
-        """Accelerations, term by term the time derivatives of `_move`."""
+        """Set the accelerations: the time derivatives of the terms in `_move`."""
         m, w, wp = self._motion, self.w_a, self.w_p
-        # angular accelerations of the proximal links, second derivatives of the tips
+        # angular accelerations of the proximal links, second derivatives of the tip displacements
         self.wd_a = m.a_a + self._twist(m.a_e)
         reach = [self._tips.acceleration(f"link{leg}1", "axial", m.q_e, m.v_e, m.a_e) for leg in LEGS]
         sag = [self._tips.acceleration(f"link{leg}1", "bending", m.q_e, m.v_e, m.a_e) for leg in LEGS]
@@ -146,7 +146,7 @@ class Closure:
             sag[i] + self.wd_a[i] * self.reach[i] + w[i] * (self._reach_rate[i] + self._along[i]) for i in range(2)
         ]
         self.elbow_acceleration = [along[i] * self.e_a[i] + across[i] * _normal(self.e_a[i]) for i in range(2)]
-        # end effector along the distal links, with the centripetal part; across them, their angular accelerations
+        # along the distal links: end effector, with the centripetal term; across them: their angular accelerations
         self.acceleration = self._solve(
             [
                 casadi.dot(self.e_p[i], self.elbow_acceleration[i]) + length[i] - self.length[i] * wp[i] ** 2
@@ -183,15 +183,15 @@ class Closure:
 
         This is the transposed velocity map; virtual power is preserved.
         """
-        # redundant forces by coordinate: turning of the links, elbows, end effector, elastic
+        # redundant forces by coordinate: link angles, elbows, end effector, elastic coordinates
         turning_a, turning_p = force[0:2], force[2:4]
         required, at_tip, elastic = [force[4:6], force[6:8]], force[8:10], force[10:]
-        # moments on the distal links act as pairs of forces at their ends; the rest at the end effector is axial
+        # a moment on a distal link is a couple of forces at its ends; the remaining force at the end effector is axial
         levers = [turning_p[i] * _normal(self.e_p[i]) / self.length[i] for i in range(2)]
         axial = self._solve_transposed(at_tip + levers[0] + levers[1])
         pulls = [axial[i] * self.e_p[i] - levers[i] for i in range(2)]
         elbows = [required[i] + pulls[i] for i in range(2)]
-        # elbow forces act on the proximal links, and all of them on the elastic coordinates through the tips
+        # elbow forces load the proximal links; tip forces load the elastic coordinates
         joints = []
         for i in range(2):
             along = casadi.dot(self.e_a[i], elbows[i])
@@ -200,7 +200,7 @@ class Closure:
             if elastic.numel():
                 for link, direction, component in ((1, "axial", along), (1, "bending", across), (2, "axial", axial[i])):
                     elastic += self._tips.gain(f"link{i + 1}{link}", direction, self._motion.q_e) * component  # type: ignore[arg-type]
-        # a twist of the transmission turns the link without the motor
+        # a twist of the transmission rotates the link relative to the motor
         motors = casadi.vertcat(*joints)
         if elastic.numel():
             elastic += self._tips.twist @ motors

@@ -16,14 +16,14 @@ from flexfmu.model.symbolic import EffectNote, Variable
 
 
 class StructuralDamping(Effect):
-    """Damping of every elastic family, after a law that a subclass gives."""
+    """Damping of every elastic family; a subclass gives the law."""
 
     def dissipation(self, robot: Robot) -> casadi.SX:
         return sum((self._power(part.family, part.v) for _, part in robot.elastic), casadi.SX(0))
 
     @abstractmethod
     def _power(self, family: Family, v: casadi.SX) -> casadi.SX:
-        """Rayleigh's function [W] of one family on one link, for modal rates v (K, 1)."""
+        """Rayleigh's dissipation function [W] of one family on one link, for modal rates v (K, 1)."""
 
 
 class ModalDamping(StructuralDamping):
@@ -76,8 +76,8 @@ class ProportionalDamping(StructuralDamping):
             yield cls(context.registry, rate, time)
 
     def __init__(self, registry: ParameterRegistry, rate: float, time: float) -> None:
-        """A factor of zero leaves its term out."""
-        # only the terms that the scene has
+        """A factor of zero removes its term; `rate` in 1/s, `time` in s."""
+        # parameters of the terms that the scene has
         self._registry, self._has_rate, self._has_time = registry, bool(rate), bool(time)
         if rate:
             self._rate = registry.parameter(_factor("damping.rate", "1/s", "Mass-proportional damping rate", rate, 1e6))
@@ -99,7 +99,7 @@ class ProportionalDamping(StructuralDamping):
             damping += self._rate * family.mass
         if self._has_time:
             damping += self._time * family.stiffness
-        # the matrix as derived parameters, with the pattern of its zeros
+        # the matrix as derived values, with its pattern of zeros
         prefix = f"{family.group}_{family.direction}_c"
         derived = symmetric(
             v.numel(),

@@ -68,7 +68,7 @@ class ViscousFriction(Effect):
 class CoulombFriction(Effect):
     """Dry friction at each motor, smoothed to the torque coulomb * w / sqrt(w² + velocity²).
 
-    Its dissipation function is coulomb * sqrt(w² + velocity²), which is analytic and never overflows.
+    w is the motor rate. The dissipation function coulomb * sqrt(w² + velocity²) is analytic and never overflows.
     """
 
     note = EffectNote(
@@ -95,11 +95,11 @@ class CoulombFriction(Effect):
 
 
 class StickingFriction(Effect):
-    """Dry friction that holds each motor up to its breakaway torque, and opposes its slip with less at higher rates.
+    """Dry friction: a motor sticks up to the breakaway torque; while it slips, friction falls with its rate.
 
-    The torque at the rate v is coulomb + (breakaway - coulomb) exp(-(v / stribeck_velocity)²) (Stribeck's curve; Armstrong-
-    Hélouvry, Dupont and Canudas de Wit, Automatica 30 (1994), eq. (5)), or coulomb alone without a Stribeck velocity. A
-    breakaway torque below the Coulomb friction counts as equal to it.
+    The friction torque at the rate v is coulomb + (breakaway - coulomb) exp(-(v / stribeck_velocity)²) (Stribeck's
+    curve; Armstrong- Hélouvry, Dupont and Canudas de Wit, Automatica 30 (1994), eq. (5)), or coulomb without a Stribeck
+    velocity. A breakaway torque below the Coulomb friction counts as equal to it.
     """
 
     @classmethod
@@ -111,7 +111,7 @@ class StickingFriction(Effect):
     def __init__(
         self, registry: ParameterRegistry, coulomb: float, breakaway: float, stribeck_velocity: float | None
     ) -> None:
-        # sliding friction, and the torque that holds, which is never below it
+        # sliding friction and breakaway torque, which is never below it
         self._coulomb = registry.quantity(
             "joint_friction.coulomb", "N.m", "Coulomb friction of each motor that turns", coulomb
         )
@@ -119,7 +119,7 @@ class StickingFriction(Effect):
             "joint_friction.breakaway", "N.m", "Largest torque that holds a motor at rest", breakaway
         )
         self._breakaway = registry.derived("joint_friction_holding", casadi.fmax(largest, self._coulomb))
-        # between them friction falls with the rate
+        # rate over which friction falls from the one to the other
         self._velocity = stribeck_velocity and registry.quantity(
             "joint_friction.stribeck_velocity",
             "rad/s",
@@ -127,7 +127,7 @@ class StickingFriction(Effect):
             stribeck_velocity,
             1e-9,
         )
-        # events switch the direction in which a motor slips
+        # slip directions, which events switch
         self._directions = [registry.switch(f"joint{leg}_slip_direction") for leg in (1, 2)]
         falling = "" if self._velocity is None else " + (b - c) ∫ exp(-(v/w)²) dv"
         self.note = EffectNote(
@@ -159,7 +159,7 @@ class StickingFriction(Effect):
 
 
 def _slip(direction: casadi.SX, rate: casadi.SX) -> casadi.SX:
-    """The direction of slip: as it was chosen, or the rate's own sign."""
+    """The direction of slip: the value of the switch, or the sign of the rate where the switch is 0."""
     return direction + (direction == 0.0) * casadi.sign(rate)
 
 

@@ -1,7 +1,7 @@
-"""From energies to equations of motion in redundant coordinates, by Lagrange's equations, eq. (17) without multipliers.
+"""Equations of motion in redundant coordinates from the energies: Lagrange's equations, eq. (17) without multipliers.
 
 The redundant coordinates are the link angles, the base points of the distal links, the end-effector position and the
-elastic coordinates; their constraints enter in `flexfmu.model.closure` (index reduction) or as multipliers
+elastic coordinates. Their constraints enter in `flexfmu.model.closure` (index reduction) or as multipliers
 (`flexfmu.model.multipliers`).
 """
 
@@ -17,18 +17,18 @@ from flexfmu.model.parameters import ParameterRegistry
 from flexfmu.model.robot import LINK_ORDER, Robot
 
 ANGLE_ORDER = ("link11", "link21", "link12", "link22")
-"""Links in the order of their turning rates: actuated first."""
+"""Links in the order of their angular rates: actuated links first."""
 
 
 @dataclass(frozen=True)
 class RedundantState:
-    """Symbols or expressions of a motion in redundant coordinates.
+    """A motion in redundant coordinates, as symbols or expressions.
 
     Attributes:
         directions: unit vectors e of link 11, 21, 12, 22, each (2, 1).
         points: base points P1, P2 of the distal links [m], each (2, 1).
         position: end effector X [m], (2, 1).
-        elastic: q_e (n, 1).
+        elastic: elastic coordinates q_e (n, 1).
         rates, accelerations: [w11, w21, w12, w22, P1', P2', X', q_e'] and their time derivatives, (10 + n, 1).
     """
 
@@ -40,7 +40,7 @@ class RedundantState:
     accelerations: casadi.SX
 
     def arguments(self) -> tuple[casadi.SX, ...]:
-        """Flat arguments of `RedundantDynamics.force`, without the derived parameters."""
+        """Arguments (x, rates, accelerations) of `RedundantDynamics.force`; the derived values d are missing."""
         configuration = casadi.vertcat(*self.directions, *self.points, self.position, self.elastic)
         return configuration, self.rates, self.accelerations
 
@@ -50,10 +50,10 @@ class RedundantDynamics:
     """Functions of the redundant configuration x = [e11, e21, e12, e22, P1, P2, X, q_e] (14 + n, 1).
 
     Attributes:
-        force: (x, rates, accelerations, d) → generalised forces that the motion needs (10 + n, 1): inertia, elasticity,
-            gravity and dissipation, with minus the applied forces.
-        energy: (x, rates, d) → [kinetic, potential] in J.
-        is_damped: whether anything takes energy out of the elastic deflections.
+        force: (x, rates, accelerations, d) → generalised forces that the motion needs (10 + n, 1): inertial, elastic,
+            gravitational and dissipative forces.
+        energy: (x, rates, d) → [kinetic, potential] energy [J].
+        is_damped: whether the elastic rates dissipate energy.
     """
 
     force: casadi.Function
@@ -62,7 +62,7 @@ class RedundantDynamics:
 
 
 def derive_dynamics(robot: Robot, effects: Sequence[Effect], registry: ParameterRegistry) -> RedundantDynamics:
-    """Lagrange's equations for the sum of all effects; the effects register the derived values that they need."""
+    """Lagrange's equations for the sum of all effects, which register their derived values."""
     # configuration, rates and accelerations in the order of `RedundantState`
     links = [robot.links[name] for name in ANGLE_ORDER]
     points = [robot.links[name].base for name, group, _ in LINK_ORDER if group == "distal"]
@@ -71,17 +71,17 @@ def derive_dynamics(robot: Robot, effects: Sequence[Effect], registry: Parameter
     v = casadi.vertcat(*(link.turning_rate for link in links), *point_rates, robot.velocity, robot.v_e)
     a = casadi.SX.sym("a", v.numel())
 
-    # the effects' energies; weight acts on the first moment of all masses
+    # sums over all effects; gravity acts on the first moment of all masses
     kinetic = sum((effect.kinetic_energy(robot) for effect in effects), casadi.SX(0))
     moment = sum((effect.first_moment(robot) for effect in effects), casadi.SX(2, 1))
     potential = sum((effect.potential_energy(robot, moment) for effect in effects), casadi.SX(0))
     dissipation = sum((effect.dissipation(robot) for effect in effects), casadi.SX(0))
 
-    # x' for rates v: unit vectors turn, the rest moves with its own rate
+    # x' for rates v: the unit vectors rotate, the rate of all else is part of v
     turning = [casadi.vertcat(-x[2 * i + 1] * v[i], x[2 * i] * v[i]) for i in range(4)]
     tangent = casadi.vertcat(*turning, v[4:])
 
-    # derivative of T - V by the coordinates that belong to v; for an angle along the turning of its unit vector
+    # derivative of T - V with respect to the coordinates; for an angle, along the rotation of its unit vector
     gradient = casadi.gradient(kinetic - potential, x)
     angles = [x[2 * i] * gradient[2 * i + 1] - x[2 * i + 1] * gradient[2 * i] for i in range(4)]
     by_coordinates = casadi.vertcat(*angles, gradient[8:])

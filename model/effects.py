@@ -1,8 +1,8 @@
-"""What an effect may contribute to the model: coordinates, energies, dissipation and outputs.
+"""The interface of effects: contributions to coordinates, energies, dissipation and outputs.
 
-The sum of all effects is the model. An effect that a scene leaves out isn't constructed, so it leaves no state, no term and no
-line in the generated C. A new effect is a subclass of `Effect` in a file of its own; its key and the line that registers it are in
-`flexfmu.model.scene.effects`.
+The sum of all effects is the model. An effect that a scene leaves out isn't constructed: the model has no state and no
+term of it, and the generated C no line. A new effect is a subclass of `Effect`; its key in the scene file and its
+registration are in `flexfmu.model.scene.effects`.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class Stiction:
     """Dry friction that can hold a motor.
 
     Attributes:
-        torque: the friction torque that opposes the slip at a motor rate [rad/s], in N m.
-        breakaway: derived value: the largest torque that holds the motor.
-        direction: switch: the direction of slip; 0 stands for the sign of the rate.
+        torque: motor rate [rad/s] → friction torque [N m], signed like the slip.
+        breakaway: largest torque [N m] that holds the motor; a derived value.
+        direction: direction of slip, a switch; 0 stands for the sign of the rate.
     """
 
     torque: Callable[[casadi.SX], casadi.SX]
@@ -38,12 +38,12 @@ class Stiction:
 
 @dataclass(frozen=True)
 class Output:
-    """A scalar that follows from the elastic coordinates linearly: gain' q.
+    """A scalar output that is linear in the elastic coordinates: gain' q.
 
     Attributes:
-        name, unit, description: as FMI shows it.
+        name, unit, description: of the FMI variable.
         coordinates: the elastic coordinates (K, 1) of one link.
-        gain: shape (K, 1), of numbers or derived values.
+        gain: numbers or derived values (K, 1).
     """
 
     name: str
@@ -55,12 +55,12 @@ class Output:
 
 @dataclass(frozen=True)
 class EffectContext:
-    """What effects are made from.
+    """Arguments of `Effect.from_scene`.
 
     Attributes:
         scene: the scene, whose keys choose the effects.
-        registry: where an effect registers its parameters and the values that follow from them.
-        links: mass, sizes and stiffness of the link groups, in symbols.
+        registry: takes the parameters and derived values of the effects.
+        links: properties of the link groups, in symbols.
     """
 
     scene: Scene
@@ -69,11 +69,11 @@ class EffectContext:
 
 
 class Effect(ABC):
-    """What an effect may contribute; each hook's default is nothing.
+    """One physical effect; by default a hook contributes nothing.
 
     Attributes:
-        note: title, sentence and formula for the documentation, and what the effect contributes: of the class, or of an
-            instance where they depend on the scene's values.
+        note: text for the documentation; an attribute of the instance where it depends on the scene's values, else of
+            the class.
     """
 
     note: EffectNote
@@ -81,7 +81,7 @@ class Effect(ABC):
     @classmethod
     @abstractmethod
     def from_scene(cls, context: EffectContext) -> Iterable[Effect]:
-        """The effects of this class that a scene chooses; none where it leaves them out."""
+        """The effects of this class that the scene contains; none where it leaves them out."""
 
     def families(self) -> tuple[Family, ...]:
         """Elastic families that the effect adds to the links."""
@@ -92,7 +92,7 @@ class Effect(ABC):
         return None
 
     def shortening(self, family: Family) -> casadi.SX | None:
-        """Matrix S (K, K) [1/m] if the family's links become shorter by q' S q / 2; None if they don't."""
+        """Matrix S (K, K) [1/m] if deflections q of the family shorten its links by q' S q / 2; None if they don't."""
         return None
 
     def end_effector_mass(self) -> casadi.SX:
@@ -100,37 +100,37 @@ class Effect(ABC):
         return casadi.SX(0)
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
-        """T [J]."""
+        """Kinetic energy T [J]."""
         return casadi.SX(0)
 
     def first_moment(self, robot: Robot) -> casadi.SX:
-        """Sum of mass times position (2, 1) [kg m], for gravity."""
+        """First moment of mass (2, 1) [kg m]: ∫ X dm, for gravity."""
         return casadi.SX(np.zeros((2, 1)))
 
     def potential_energy(self, robot: Robot, first_moment: casadi.SX) -> casadi.SX:
-        """V [J]; `first_moment` is the sum over all effects."""
+        """Potential energy V [J]; `first_moment` is the sum over all effects."""
         return casadi.SX(0)
 
     def dissipation(self, robot: Robot) -> casadi.SX:
-        """Rayleigh's function R [W], half the power that is lost."""
+        """Rayleigh's dissipation function R [W]; its gradient by the rates is the dissipative force."""
         return casadi.SX(0)
 
     def stiction(self) -> Sequence[Stiction]:
-        """Dry friction that can hold motor 1 and motor 2, whose torques are in `dissipation`; or nothing."""
+        """Dry friction that can hold motor 1 and motor 2, or none; `dissipation` contains its torques."""
         return ()
 
     def outputs(self, robot: Robot) -> Sequence[Output]:
-        """Outputs that follow from the effect's coordinates."""
+        """Outputs of the effect."""
         return ()
 
 
 def column(entries: Sequence[casadi.SX]) -> casadi.SX:
-    """A column vector (K, 1) that may be empty, where CasADi is particular about shapes."""
+    """A column vector (K, 1), of shape (0, 1) where there are no entries."""
     return casadi.vertcat(casadi.SX(0, 1), *entries)
 
 
 def symmetric(count: int, entry: Callable[[int, int], casadi.SX], pattern: RealArray) -> casadi.SX:
-    """A symmetric matrix with entries only where the pattern is not an exact zero; upper and lower share their symbols."""
+    """A symmetric matrix with entries only where the pattern isn't zero; both triangles share their symbols."""
     matrix = casadi.SX(count, count)
     for i in range(count):
         for j in range(i, count):

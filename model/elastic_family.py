@@ -1,10 +1,11 @@
 """Elasticity of the links: modes with their strain energy, and what can be measured of them.
 
 A scene chooses between two bases. Proximal links are clamped to the motors, distal links are pinned at both ends. With
-`assumed-modes` the shapes are the paper's. With `craig-bampton` the first shape of a family whose tip moves is the static one
-under a force at the tip, and the others are vibrations with the tip held: the static shape alone carries the whole compliance to
-the other links, so few coordinates are enough (Craig and Bampton, AIAA Journal 6, 1968). A hinge passes no moment, so that no
-static shape belongs to one; a pinned-pinned link's tip doesn't move across, so that both bases are the same there.
+`assumed-modes` the shapes are the paper's. With `craig-bampton` the first shape of a family whose tip moves is the
+static one under a force at the tip, and the others are vibrations with the tip held: the static shape alone carries the
+whole compliance to the other links, so few coordinates are enough (Craig and Bampton, AIAA Journal 6, 1968). A hinge
+passes no moment, so that no static shape belongs to one; a pinned-pinned link's tip doesn't move across, so that both
+bases are the same there.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The neighbours of a scene: one effect richer, or one effect poorer; for choosing effects by what each is worth.
 
 What the links may do is a choice (elastic families and the number of their modes, beam theory, foreshortening), so both
-directions have it. Loads and drives are given by the robot (payload, gravity, damping, friction, motors, transmissions): they
-can be left out, but a scene without them doesn't say how large they would be.
+directions have it. Loads and drives are given by the robot (payload, gravity, damping, friction, motors,
+transmissions): they can be left out, but a scene without them doesn't say how large they would be.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
 """The five-bar of a scene as a sum of effects, assembled once: what plants, statics and modes have in common.
 
-Elastic families that deflect statically have no states and no inertia of their own, but the deflection under the present loads.
-The loads on such a family are those that the motion of all others puts on it while it is undeformed; they hold the family's
-springs in equilibrium, q = -K^-1 f. The result moves the end effector (and what is measured of the links), not the other
-coordinates: this is the static correction of the mode acceleration method. What it leaves out falls with the square of the
-motion's frequency over the family's own.
+Elastic families that deflect statically have no states and no inertia of their own, but the deflection under the
+present loads. The loads on such a family are those that the motion of all others puts on it while it is undeformed;
+they hold the family's springs in equilibrium, q = -K^-1 f. The result moves the end effector (and what is measured of
+the links), not the other coordinates: this is the static correction of the mode acceleration method. What it leaves out
+falls with the square of the motion's frequency over the family's own.
 
-Sources: Craig and Kurdila, Fundamentals of Structural Dynamics (2006), section 11.4; Dickens, Nakagawa and Wittbrodt, A critique
-of mode acceleration and modal truncation augmentation methods for modal response analysis, Computers & Structures 62 (1997).
+Sources: Craig and Kurdila, Fundamentals of Structural Dynamics (2006), section 11.4; Dickens, Nakagawa and Wittbrodt, A
+critique of mode acceleration and modal truncation augmentation methods for modal response analysis, Computers &
+Structures 62 (1997).
 """
 
 from __future__ import annotations

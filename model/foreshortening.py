@@ -1,12 +1,13 @@
 """Foreshortening: a link that bends comes nearer to its base, which couples bending with forces along the link.
 
-The displacement along the axis gets its second-order part -1/(2 l) ∫ phi_j' phi_k' q_j q_k over 0..xi. In the kinetic energy it
-stands with all terms of second order in q: they stiffen a turning link (centrifugal stiffening) and soften or stiffen it under
-the accelerations of its base. At the tip it shortens the link in the assembly, so that payload, gravity and the other links
-stiffen or buckle it, and the end effector is where a bent link of constant length puts it.
+The displacement along the axis gets its second-order part -1/(2 l) ∫ phi_j' phi_k' q_j q_k over 0..xi. In the kinetic
+energy it stands with all terms of second order in q: they stiffen a turning link (centrifugal stiffening) and soften or
+stiffen it under the accelerations of its base. At the tip it shortens the link in the assembly, so that payload,
+gravity and the other links stiffen or buckle it, and the end effector is where a bent link of constant length puts it.
 
-Sources: Kane, Ryan and Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guidance 10 (1987); Wallrapp and
-Schwertassek, Representation of geometric stiffening in multibody system simulation, Int. J. Numer. Methods Eng. 32 (1991).
+Sources: Kane, Ryan and Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guidance 10 (1987);
+Wallrapp and Schwertassek, Representation of geometric stiffening in multibody system simulation, Int. J. Numer. Methods
+Eng. 32 (1991).
 """
 
 from __future__ import annotations
@@ -82,11 +83,11 @@ class Foreshortening(Effect):
 def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:
     """Strain energy of bending beyond the model's, of fourth order: 1/2 ∫ EI w''² w'² dx [J].
 
-    A line that keeps its length has the curvature w'' / sqrt(1 - w'²). What else is of this order (the shortening's own inertia
-    and w'⁴ / 8) is smaller by far, see ``tests/cosim/metrics/test_large_deflections.py``.
+    A line that keeps its length has the curvature w'' / sqrt(1 - w'²). What else is of this order (the shortening's own
+    inertia and w'⁴ / 8) is smaller by far, see ``tests/cosim/metrics/test_large_deflections.py``.
 
-    Source: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct. Mech. 6
-    (1978), eq. (14) in the plane.
+    Source: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct.
+    Mech. 6 (1978), eq. (14) in the plane.
     """
     # slopes and strains at the nodes of a quadrature, as functions of the link's coordinates
     xi, weights = np.polynomial.legendre.leggauss(40)

@@ -1,9 +1,10 @@
 """Rigid kinematics of the five-bar: inverse and forward for points and jets, and margins to singularities.
 
-A leg is a triangle of base, elbow and end effector, whose sides are known: the law of cosines gives the motor angle, with the sign of
-the working mode (type-1 singularities where a leg is stretched or folded). The end effector is an intersection of two circles about
-the elbows, chosen by the assembly mode (type-2 singularities where the distal links are parallel; Gosselin and Angeles, Singularity
-analysis of closed-loop kinematic chains, IEEE Trans. Robot. Autom. 6 (1990)).
+A leg is a triangle of base, elbow and end effector, whose sides are known: the law of cosines gives the motor angle,
+with the sign of the working mode (type-1 singularities where a leg is stretched or folded). The end effector is an
+intersection of two circles about the elbows, chosen by the assembly mode (type-2 singularities where the distal links
+are parallel; Gosselin and Angeles, Singularity analysis of closed-loop kinematic chains, IEEE Trans. Robot. Autom. 6
+(1990)).
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Small motions of the torque-driven plant about an equilibrium, as a state-space system for python-control.
 
-The plant's residual M a + b(y, v, u) = 0 is linearised with exact derivatives; accelerations are eliminated from states and outputs.
+The plant's residual M a + b(y, v, u) = 0 is linearised with exact derivatives; accelerations are eliminated from states
+and outputs.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ def operating_point(scene: Scene, position: tuple[float, float]) -> OperatingPoi
 def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str] | None = None) -> control.StateSpace:
     """The torque-driven plant about its equilibrium at `position` [m], in deviations from it.
 
-    States are the coordinates and their rates, inputs `joint1_torque`, `joint2_torque`, `force_x`, `force_y`; labels and
-    units are those of the FMU's variables, with underscores for dots.
+    States are the coordinates and their rates, inputs `joint1_torque`, `joint2_torque`, `force_x`, `force_y`; labels
+    and units are those of the FMU's variables, with underscores for dots.
 
     Args:
         scene: the robot; its drive doesn't matter.

@@ -45,8 +45,8 @@ class PointPayload(Effect):
 class PayloadInertia(Effect):
     """Rotary inertia of the payload, which turns with the last cross section of link 12.
 
-    The end effector is a point where two links meet; the payload is taken to be mounted on the distal link of leg 1, as a
-    gripper is. A payload that keeps its orientation, as a fourth leg or a parallelogram makes it, has no such effect.
+    The end effector is a point where two links meet; the payload is taken to be mounted on the distal link of leg 1, as
+    a gripper is. A payload that keeps its orientation, as a fourth leg or a parallelogram makes it, has no such effect.
     """
 
     note = EffectNote(

@@ -1,7 +1,7 @@
 """Natural frequencies and damping of the flexible robot with locked motors, about its static equilibrium.
 
-Small motions satisfy M x'' + C x' + K x = 0. Undamped frequencies are the generalised eigenvalues of (K, M), damped modes the
-eigenvalues of the first-order form in [x, x'].
+Small motions satisfy M x'' + C x' + K x = 0. Undamped frequencies are the generalised eigenvalues of (K, M), damped
+modes the eigenvalues of the first-order form in [x, x'].
 """
 
 from __future__ import annotations

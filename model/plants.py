@@ -1,8 +1,9 @@
 """The two plants of a scene, made from the same five-bar, with what their documentation shows.
 
-The motion-driven plant is the inverse elastodynamic model, the paper's "perfect controller": inputs are the joint references, the
-unknowns are the elastic coordinates q_e, and the motor torques follow. The torque-driven plant is the direct elastodynamic model,
-what controllers act on: inputs are the motor torques and a force at the end effector, the unknowns are [q_a, q_e].
+The motion-driven plant is the inverse elastodynamic model, the paper's "perfect controller": inputs are the joint
+references, the unknowns are the elastic coordinates q_e, and the motor torques follow. The torque-driven plant is the
+direct elastodynamic model, what controllers act on: inputs are the motor torques and a force at the end effector, the
+unknowns are [q_a, q_e].
 """
 
 from __future__ import annotations

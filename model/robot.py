@@ -1,8 +1,8 @@
 """The robot in redundant coordinates: symbols of every link's floating frame, its elastic coordinates and the end effector.
 
-A link j of leg i has the base point P (fixed for a proximal link), the direction e = (cos theta, sin theta) with the normal
-n = (-sin theta, cos theta), and the displacement u = (u_x along e, u_y along n) of eq. (5) of Barnard, Briot and Caro (2012).
-The direction stands as a unit vector, not as an angle: the closed-form assembly yields it without atan2.
+A link j of leg i has the base point P (fixed for a proximal link), the direction e = (cos theta, sin theta) with the
+normal n = (-sin theta, cos theta), and the displacement u = (u_x along e, u_y along n) of eq. (5) of Barnard, Briot and
+Caro (2012). The direction stands as a unit vector, not as an angle: the closed-form assembly yields it without atan2.
 """
 
 from __future__ import annotations

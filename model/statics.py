@@ -1,7 +1,7 @@
 """Static equilibrium of the flexible robot with locked motors, by Newton's method with step halving.
 
-The stiffness is exact, so that convergence is quadratic. Near the solution elastic forces of stiff families cancel to rounding; from
-there on a step needn't make the residual smaller.
+The stiffness is exact, so that convergence is quadratic. Near the solution elastic forces of stiff families cancel to
+rounding; from there on a step needn't make the residual smaller.
 """
 
 from __future__ import annotations

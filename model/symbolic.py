@@ -1,15 +1,15 @@
 """What the code generator takes: a plant or a block as equations (CasADi functions) with the variables that a user sees.
 
-A plant is of second order in ``n`` unknown coordinates ``y`` (motion-driven plant: the elastic coordinates; torque-driven plant:
-actuated and elastic coordinates)::
+A plant is of second order in ``n`` unknown coordinates ``y`` (motion-driven plant: the elastic coordinates;
+torque-driven plant: actuated and elastic coordinates)::
 
     r(y, y', y'', u, d) = M(y, u, d) y'' + b(y, y', u, d) = 0
 
 with the inputs ``u`` and the derived values ``d``, which follow from the FMI parameters ``p`` once.
 
-A block is a discrete-time system: a controller, shaper or imperfection, from which both its Python slave and its FMU are made,
-so that they give the same numbers. At its sample instants t_k = offset + k * sample_time it reads its inputs u, outputs y and
-updates its states x::
+A block is a discrete-time system: a controller, shaper or imperfection, from which both its Python slave and its FMU
+are made, so that they give the same numbers. At its sample instants t_k = offset + k * sample_time it reads its inputs
+u, outputs y and updates its states x::
 
     y_k = output(x_k, u_k, p)        x_{k+1} = update(x_k, u_k, p)
 
@@ -78,8 +78,8 @@ class Variable:
 class Friction:
     """Dry friction that can hold an unknown.
 
-    While it slips, its generalised force is a term of the residual's row of that unknown, with its direction d[direction];
-    while it sticks, the row is y'' = 0 instead.
+    While it slips, its generalised force is a term of the residual's row of that unknown, with its direction
+    d[direction]; while it sticks, the row is y'' = 0 instead.
 
     Attributes:
         unknown: index in ``y``.

@@ -1,11 +1,12 @@
 """Mode shapes of uniform Timoshenko beams: displacement and turning of the cross sections, with shear and rotary inertia.
 
-They depend on how slender the beam is. Where a parameter of the model is changed later, they stay admissible shapes (Ritz),
-only not the beam's own modes any more.
+They depend on how slender the beam is. Where a parameter of the model is changed later, they stay admissible shapes
+(Ritz), only not the beam's own modes any more.
 
-Sources: Huang, The effect of rotatory inertia and of shear deformation on the frequency and normal mode equations of uniform
-beams, J. Appl. Mech. 28 (1961); Han, Benaroya and Wei, Dynamics of transversely vibrating beams using four engineering
-theories, J. Sound Vib. 225 (1999); Cowper, The shear coefficient in Timoshenko's beam theory, J. Appl. Mech. 33 (1966).
+Sources: Huang, The effect of rotatory inertia and of shear deformation on the frequency and normal mode equations of
+uniform beams, J. Appl. Mech. 28 (1961); Han, Benaroya and Wei, Dynamics of transversely vibrating beams using four
+engineering theories, J. Sound Vib. 225 (1999); Cowper, The shear coefficient in Timoshenko's beam theory, J. Appl.
+Mech. 33 (1966).
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
 """A link's cross section, and a co-rotational beam element between two nodes (x, y, theta) in the fixed frame.
 
-Deformation is measured from the straight line between the nodes: the elongation, with the shortening due to bending, and
-the rotations of both ends. Within the element the deflection is that of Timoshenko's beam under forces
-at its ends, which for infinite shear stiffness is Hermite's cubic; elongation is linear. Forces follow from the energies
-by Lagrange's equations, with all terms that rotation brings.
+Deformation is measured from the straight line between the nodes: the elongation, with the shortening due to bending,
+and the rotations of both ends. Within the element the deflection is that of Timoshenko's beam under forces at its ends,
+which for infinite shear stiffness is Hermite's cubic; elongation is linear. Forces follow from the energies by
+Lagrange's equations, with all terms that rotation brings.
 
-Sources: Crisfield, Non-linear Finite Element Analysis of Solids and Structures 1 (1991), chapter 7 (co-rotational beams);
-Friedman and Kosmatka, An improved two-node Timoshenko beam finite element, Comput. Struct. 47 (1993) (deflection with shear);
-Le, Battini and Hjiaj, Efficient formulation for dynamics of corotational 2D beams, Comput. Mech. 48 (2011) (inertia).
+Sources: Crisfield, Non-linear Finite Element Analysis of Solids and Structures 1 (1991), chapter 7 (co-rotational
+beams); Friedman and Kosmatka, An improved two-node Timoshenko beam finite element, Comput. Struct. 47 (1993)
+(deflection with shear); Le, Battini and Hjiaj, Efficient formulation for dynamics of corotational 2D beams, Comput.
+Mech. 48 (2011) (inertia).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Motion of the finite elements under prescribed motor angles, by Radau's method with steps of equal length.
 
-The unknowns of a step are the accelerations at its three stages, after which rates and coordinates follow; forces of inertia,
-rotation and deformation balance at every stage. The method is of fifth order, damps what is much faster than a step, and its
-last stage is the step's end, so that accelerations and torques come with the accuracy of the method.
+The unknowns of a step are the accelerations at its three stages, after which rates and coordinates follow; forces of
+inertia, rotation and deformation balance at every stage. The method is of fifth order, damps what is much faster than a
+step, and its last stage is the step's end, so that accelerations and torques come with the accuracy of the method.
 
 Source: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), section IV.5, Radau IIA of order 5.
 """

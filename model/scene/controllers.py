@@ -96,8 +96,8 @@ class LearningSection(SampledSection):
     """P-type iterative learning: the motion is made there and back `cycles` times, and from cycle to cycle a torque is
     learned that another controller adds to its own: `gain` times the position error `lead` samples later.
 
-    `forgetting` is the share of the learned torque that each cycle loses. The standstill between two motions is the scene's
-    dwell, lengthened so that a cycle is a whole number of samples.
+    `forgetting` is the share of the learned torque that each cycle loses. The standstill between two motions is the
+    scene's dwell, lengthened so that a cycle is a whole number of samples.
     """
 
     kind: Literal["learning"]
@@ -110,8 +110,8 @@ class LearningSection(SampledSection):
 class StateFeedbackSection(SampledSection):
     """Linear-quadratic regulator with a Kalman filter, designed on the robot linearised at a pose.
 
-    The cost is the mean of (position error / position_error)² + (velocity error / velocity_error)² + (torque deviation /
-    torque_deviation)² over both joints; the filter expects torque noise and measurement noise of these standard
+    The cost is the mean of (position error / position_error)² + (velocity error / velocity_error)² + (torque deviation
+    / torque_deviation)² over both joints; the filter expects torque noise and measurement noise of these standard
     deviations.
     """
 

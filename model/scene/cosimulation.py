@@ -67,9 +67,9 @@ class Cosimulation(Section):
     """How the scene is run.
 
     `integrator` is the FMU's method, `integrator_step` its fixed step; 0 lets the tolerance choose the steps.
-    `algorithm` couples the slaves over a communication step. `loop_solver` solves algebraic loops, which are refused without
-    one, and the implicit coupling. `isolate` runs the slaves in a child process; by default only where code of other
-    tools or users takes part. `call_limit` is how long a slave may stay in one call there.
+    `algorithm` couples the slaves over a communication step. `loop_solver` solves algebraic loops, which are refused
+    without one, and the implicit coupling. `isolate` runs the slaves in a child process; by default only where code of
+    other tools or users takes part. `call_limit` is how long a slave may stay in one call there.
     """
 
     drive: Literal["motion", "torque"] = "motion"

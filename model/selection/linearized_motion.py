@@ -1,7 +1,7 @@
 """A robot along its planned motion: matrices of small elastic motions at every instant, and its exact nonlinear outputs.
 
-The matrices are Jacobians of the elastic forces about the undeformed robot that follows the planned joint motion; with them the
-response to the loads of that motion is linear, M(t) q'' + C(t) q' + K(t) q = f(t).
+The matrices are Jacobians of the elastic forces about the undeformed robot that follows the planned joint motion; with
+them the response to the loads of that motion is linear, M(t) q'' + C(t) q' + K(t) q = f(t).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The response of a linear system whose matrices vary in time, M x'' + C x' + K x = f, at the instants of a motion.
 
-Generalised-α method in the form that satisfies the equations at the instants themselves: second order, stable for any step, and
-damping what the step doesn't resolve. Source: Arnold and Brüls, Convergence of the generalized-α scheme for constrained mechanical
-systems, Multibody System Dynamics 18 (2007), eqs. (2) to (4).
+Generalised-α method in the form that satisfies the equations at the instants themselves: second order, stable for any
+step, and damping what the step doesn't resolve. Source: Arnold and Brüls, Convergence of the generalized-α scheme for
+constrained mechanical systems, Multibody System Dynamics 18 (2007), eqs. (2) to (4).
 """
 
 from __future__ import annotations
