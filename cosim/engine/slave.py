@@ -1,4 +1,4 @@
-"""What the master asks of a slave: a small protocol like FMI's, and further small ones for what only some can do.
+"""Interface between master and slaves: a small protocol close to FMI's, and one small protocol per optional capability.
 
 Variables are addressed by their index in `Slave.variables`; names are looked up once, before a run.
 """
@@ -25,13 +25,13 @@ TAKES: Mapping[Type, tuple[Type, ...]] = {
     "String": ("String",),
     "Enumeration": ("Enumeration", "Integer"),
 }
-"""Type of an input → types of the outputs that may feed it, as in SSP: nothing is rounded or guessed on the way."""
+"""Type of an input → types of outputs that may be connected to it, as in SSP: no conversion loses information."""
 
 COINCIDENT = 1e-6
-"""Instants nearer than this fraction of the communication step are one instant, that of the mark.
+"""Instants closer than this fraction of the communication step count as one, at the mark (a knot of a trajectory, say).
 
-A mark (a knot of the trajectory, say) and a tick differ by rounding, about 1e-12 of a step after 1e5 of them; a step
-of less than a millionth of the others would only cost time and digits."""
+Rounding separates a mark and a communication point by about 1e-12 of a step after 1e5 steps. A step of less than a
+millionth of the others would only cost time and precision."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class SlaveVariable:
     Attributes:
         name: name within the slave, for example ``joint1.torque``.
         causality: input, output or parameter.
-        unit: unit, for example ``N.m``; empty when unknown, which fits every unit.
-        start: start value in ``unit``; None when the slave calculates it.
-        discrete: whether it changes in jumps alone, as counters and switches do.
-        type: what its values are; a text is its code in `TEXTS`, all others are numbers.
+        unit: unit, for example ``N.m``; empty if unknown, which is compatible with every unit.
+        start: start value in ``unit``; None if the slave calculates it.
+        discrete: whether it is piecewise constant, like counters and switches.
+        type: type of the values; a String is passed as its code in `TEXTS`.
 
     Raises:
         InputError: there is no such type.
@@ -63,24 +63,24 @@ class SlaveVariable:
 
 
 class Texts:
-    """Texts with a number each, so that signals of type String travel like all others.
+    """Numbers (codes) for texts, so that signals of type String are transferred like all others.
 
-    A code means the same text as long as the process lives, and in its child processes.
+    A code keeps its text until the process ends, in its child processes too.
     """
 
     def __init__(self) -> None:
         self._codes: dict[str, int] = {}
 
     def code(self, text: str) -> float:
-        """The number that stands for a text, a new one where it is new."""
+        """Return the code of a text; a new text gets the next code."""
         return float(self._codes.setdefault(text, len(self._codes)))
 
     def known(self) -> list[str]:
-        """All texts, in the order of their codes."""
+        """Return all texts, in the order of their codes."""
         return [*self._codes]
 
     def learn(self, texts: Iterable[str]) -> None:
-        """Take over the texts of a child process."""
+        """Add the texts of a child process, in the order of their codes."""
         for text in texts:
             self.code(text)
 
@@ -90,7 +90,7 @@ TEXTS = Texts()
 
 
 class Slave(Protocol):
-    """Anything that can be initialised, fed, advanced and read."""
+    """A model that can be initialised, set, stepped and read."""
 
     @property
     def name(self) -> str:
@@ -98,10 +98,10 @@ class Slave(Protocol):
 
     @property
     def variables(self) -> Sequence[SlaveVariable]:
-        """All variables; a variable's index here is its address in `set` and `get`."""
+        """All variables; `set` and `get` address a variable by its index here."""
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Get ready for a run from ``start_time`` to ``stop_time`` [s]; inputs may have been set before."""
+        """Initialise a run from ``start_time`` to ``stop_time`` [s]; inputs may be set beforehand."""
 
     def set(self, indices: Indices, values: RealArray) -> None:
         """Set inputs (n,) at the current time."""
@@ -115,23 +115,23 @@ class Slave(Protocol):
 
 @runtime_checkable
 class TakesInputDerivatives(Protocol):
-    """Within a step its inputs are polynomials u(t + tau) = sum of u_k tau^k / k!."""
+    """Takes input derivatives: within a step an input is the polynomial u(t + tau) = sum of u_k tau^k / k!."""
 
     @property
     def max_input_order(self) -> int:
-        """Highest derivative that is taken into account; 0 for none."""
+        """Highest order of input derivatives that the slave uses; 0 for none."""
 
     def set_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
-        """Set time derivatives (orders, n) of inputs, row k - 1 for order k, after their values."""
+        """Set time derivatives (orders, n) of inputs, row k - 1 for order k; their values have been set before."""
 
 
 @runtime_checkable
 class GivesOutputDerivatives(Protocol):
-    """Knows time derivatives of its outputs at the current time."""
+    """Provides time derivatives of its outputs at the current time."""
 
     @property
     def max_output_order(self) -> int:
-        """Highest derivative that `get_derivatives` gives; 0 for none."""
+        """Highest order of output derivatives that `get_derivatives` provides; 0 for none."""
 
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
         """Write derivatives (orders, n) of outputs, row k - 1 for order k; at most ``max_output_order`` rows."""
@@ -139,16 +139,16 @@ class GivesOutputDerivatives(Protocol):
 
 @runtime_checkable
 class LacksDerivatives(GivesOutputDerivatives, Protocol):
-    """Gives fewer derivatives of some outputs than of others."""
+    """Provides fewer derivatives of some outputs than of others."""
 
     @property
     def lacking(self) -> Mapping[str, int]:
-        """Output → lowest order of its derivatives that isn't given; outputs with all orders are left out."""
+        """Output → lowest order of its derivatives that isn't available; outputs with all orders are left out."""
 
 
 @runtime_checkable
 class HasBreakpoints(Protocol):
-    """Something jumps at instants that are known beforehand; the master lands on them exactly."""
+    """Has jumps at instants known before the run; the master makes each of them a communication point."""
 
     @property
     def breakpoints(self) -> Sequence[float]:
@@ -157,36 +157,36 @@ class HasBreakpoints(Protocol):
 
 @runtime_checkable
 class PredictsOutputs(HasBreakpoints, Protocol):
-    """Independent of its inputs: before a step it announces its outputs over that step as a polynomial.
+    """Knows its outputs in advance, without inputs: announces them before a step as polynomials over that step.
 
     After `announce`, `get` and `get_derivatives` describe that polynomial at the beginning of the step (right limits);
-    after `step` they give the left limits at its end.
+    after `step` they return the left limits at its end.
     """
 
     @property
     def announced_order(self) -> int:
-        """Degree of the announced polynomial."""
+        """Degree of the announced polynomials."""
 
     @property
     def ends_exactly(self) -> bool:
-        """Whether the announced polynomial ends in the outputs' left limits at the end of the step."""
+        """Whether the announced polynomials reach the outputs' left limits at the end of the step."""
 
     def prepare(self, times: RealArray) -> None:
-        """Take note of the coming communication points (N,) [s] and go to the first of them, left limits.
+        """Store the coming communication points (N,) [s] and go to the left limits at the first of them.
 
-        Before a run these are all of its points, as far as they are known. A master that chooses its steps on the way
-        calls it again before every step; the first point may then be earlier than the current time.
+        Before a run these are all points known by then. A master with step control calls `prepare` again before every
+        step; the first point may then be earlier than the current time.
         """
 
     def announce(self, time: float) -> None:
-        """Change over to the step that begins at ``time``, one of the communication points."""
+        """Announce the step that begins at ``time``, one of the communication points."""
 
 
 @runtime_checkable
 class Sampled(Protocol):
     """Runs at its own instants start + offset + k * sample_time and holds its outputs in between; it is never stepped.
 
-    The offset is zero but for slaves that are `HasOffset`.
+    The offset is zero unless the slave is a `HasOffset`.
     """
 
     @property
@@ -194,54 +194,56 @@ class Sampled(Protocol):
         """Sample time [s]."""
 
     def sample(self, time: float) -> None:
-        """Calculate new outputs from the inputs just set, and move on to the next instant."""
+        """Calculate new outputs from the inputs just set, and the state for the next sample instant."""
 
 
 @runtime_checkable
 class HasOffset(Protocol):
-    """Samples for the first time some time after the start; until then its outputs are as it was initialised."""
+    """Has its first sample instant after the start; until then its outputs keep their initial values."""
 
     @property
     def offset(self) -> float:
-        """First sample instant after the start [s], zero or positive."""
+        """Time from the start to the first sample instant [s], zero or positive."""
 
 
 @runtime_checkable
 class SamplesInTwoPhases(Sampled, Protocol):
-    """Can calculate its outputs before all inputs are known, as a discrete system y = C x + D u with zeros in D can.
+    """Can calculate outputs before all inputs are known, such as a discrete system y = C x + D u with zeros in D.
 
     At a sample instant the master calls `output` once or more, then `update` once; `sample` does both.
     """
 
     def output(self, time: float) -> None:
-        """Calculate outputs from the state and the inputs set so far; the state stays."""
+        """Calculate outputs from the state and the inputs set so far; the state doesn't change."""
 
     def update(self, time: float) -> None:
-        """Calculate the next state from the inputs just set; the outputs stay."""
+        """Calculate the next state from the inputs just set; the outputs don't change."""
 
 
 @runtime_checkable
 class HasLatency(Protocol):
-    """Knows by how much its outputs lag behind its inputs, as delays do; the list of delays says so."""
+    """States by how much its outputs lag behind its inputs, for the list of delays."""
 
     @property
     def latency(self) -> Mapping[str, float]:
-        """Name of an output → its delay at low frequency [s], without the hold between samples; left out where there is none."""
+        """Output → its delay at low frequency [s], without the hold between samples; outputs without one are left out."""
 
 
 @runtime_checkable
 class LimitsStep(Protocol):
-    """Is stepped, no further at once than its signals are good polynomials."""
+    """Limits its communication step to lengths over which polynomials approximate its signals well."""
 
     @property
     def largest_step(self) -> float:
-        """Largest communication step [s]; longer ones are divided."""
+        """Largest communication step [s]; the master divides longer ones."""
 
 
 @runtime_checkable
 class RatesFollowInputs(Protocol):
-    """Its outputs are continuous where its inputs jump, their derivatives jump along: its exchange step comes when its
-    inputs are up to date, but where that alone would close a loop."""
+    """Has outputs that stay continuous when inputs jump, while their derivatives jump.
+
+    At an exchange the master updates it after its inputs, unless that order alone would close a loop.
+    """
 
     @property
     def rates_follow_inputs(self) -> bool: ...
@@ -249,36 +251,36 @@ class RatesFollowInputs(Protocol):
 
 @runtime_checkable
 class MayNeedRegularSteps(Protocol):
-    """Is stepped, but perhaps by one and the same step length alone: an FMU that can't vary its communication step."""
+    """May require equal communication steps: an FMU that can't handle a variable communication step size."""
 
     @property
     def needs_regular_steps(self) -> bool:
-        """Whether all of its steps must have the same length."""
+        """Whether all communication steps must have the same length."""
 
 
 @runtime_checkable
 class DeclaresFeedthrough(Protocol):
-    """Knows which outputs depend on which inputs at the same instant; others are taken to depend on all."""
+    """Declares its direct feedthrough; without this, every output depends on all inputs."""
 
     @property
     def feedthrough(self) -> Mapping[str, Sequence[str]]:
-        """Name of an output → names of the inputs it depends on algebraically; an output left out depends on all."""
+        """Output → inputs that it depends on at the same instant; an output left out depends on all."""
 
 
 @runtime_checkable
 class SavesState(Protocol):
-    """Can go back to an earlier state."""
+    """Can save its state and restore it (rollback)."""
 
     def save(self) -> object:
-        """The complete state at the current time, inputs included."""
+        """Return the complete state at the current time, inputs included."""
 
     def restore(self, state: object) -> None:
-        """Go back to a state that `save` gave; may be repeated."""
+        """Restore a state returned by `save`; may be repeated."""
 
 
 @runtime_checkable
 class MaySaveState(SavesState, Protocol):
-    """Has `save` and `restore`, but can't always: an FMU only if its model description says so."""
+    """Has `save` and `restore`, but may not support them: an FMU only if it states canGetAndSetFMUstate."""
 
     @property
     def can_save(self) -> bool:
@@ -287,19 +289,19 @@ class MaySaveState(SavesState, Protocol):
 
 @runtime_checkable
 class ReleasesStates(SavesState, Protocol):
-    """Has saved states that take memory of their own."""
+    """Has saved states whose memory must be freed."""
 
     def release(self, state: object) -> None:
-        """Free a saved state, or keep its memory for the next one; it won't be restored again."""
+        """Free a saved state that won't be restored again, or keep its memory for the next one."""
 
 
 @runtime_checkable
 class BindsBuffers(Protocol):
-    """Prepares repeated transfers between fixed variables and fixed buffers, which is faster than `get` and `set`.
+    """Binds calls that transfer values between fixed variables and fixed buffers, faster than `get` and `set`.
 
     Buffers are C-contiguous; shapes as in `Slave.set`, `Slave.get`, `TakesInputDerivatives.set_derivatives` and
-    `GivesOutputDerivatives.get_derivatives`. A call may be bound before the slave is initialised and serves all its runs;
-    it is made only between `Slave.initialize` and the end of a run.
+    `GivesOutputDerivatives.get_derivatives`. Calls may be bound before the slave is initialised and are valid for all
+    its runs; they may be made only between `Slave.initialize` and the end of a run.
     """
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call: ...
@@ -310,10 +312,10 @@ class BindsBuffers(Protocol):
 
 @runtime_checkable
 class Reports(Protocol):
-    """Has something to say about a run that is over, also about one in another process.
+    """Reports on the last run: `report` returns the facts, `take_report` takes those of a run in another process.
 
     Attributes:
-        remarks: what a user should know, a sentence each.
+        remarks: findings for the user, one sentence each.
     """
 
     @property
@@ -324,19 +326,19 @@ class Reports(Protocol):
 
 @runtime_checkable
 class Terminates(Protocol):
-    """Holds resources that a run needs."""
+    """Has resources that must be freed at the end of a run."""
 
     def terminate(self) -> None:
-        """End the run, also after a failure, and free what it needed; may be repeated."""
+        """End the run, also after a failure, and free its resources; may be repeated."""
 
 
 def input_order(slave: Slave) -> int:
-    """Highest input derivative that the slave takes."""
+    """Return the highest order of input derivatives that the slave takes; 0 for none."""
     return slave.max_input_order if isinstance(slave, TakesInputDerivatives) else 0
 
 
 def output_order(slave: Slave, outputs: Iterable[int] = ()) -> int:
-    """Highest output derivative that the slave gives; of all of these outputs, by their indices."""
+    """Return the highest order of derivatives that the slave provides for all outputs of these indices; 0 for none."""
     highest = slave.max_output_order if isinstance(slave, GivesOutputDerivatives) else 0
     if isinstance(slave, LacksDerivatives):
         names = [slave.variables[index].name for index in outputs]
@@ -345,17 +347,17 @@ def output_order(slave: Slave, outputs: Iterable[int] = ()) -> int:
 
 
 def offset(slave: Slave) -> float:
-    """First sample instant after the start [s]."""
+    """Return the time from the start to the first sample instant [s]."""
     return slave.offset if isinstance(slave, HasOffset) else 0.0
 
 
 def can_save(slave: Slave) -> bool:
-    """Whether the slave can go back to an earlier state."""
+    """Return whether the slave can save and restore its state."""
     return isinstance(slave, SavesState) and (not isinstance(slave, MaySaveState) or slave.can_save)
 
 
 def feedthrough(slave: Slave) -> dict[str, tuple[str, ...]]:
-    """Name of each output → the inputs that it depends on at the same instant."""
+    """Return the direct feedthrough: output → inputs that it depends on at the same instant."""
     inputs = tuple(variable.name for variable in slave.variables if variable.causality == "input")
     declared = slave.feedthrough if isinstance(slave, DeclaresFeedthrough) else {}
     outputs = (variable.name for variable in slave.variables if variable.causality == "output")

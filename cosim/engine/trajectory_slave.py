@@ -1,4 +1,4 @@
-"""A trajectory as a slave: position, velocity and acceleration references with their derivatives for the coming step."""
+"""A trajectory as a slave: announces position, velocity and acceleration references as polynomials over each step."""
 
 from __future__ import annotations
 
@@ -18,41 +18,43 @@ from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.trajectory import Trajectory, limits
 
 HERMITE_ORDER = 9
-"""Degree of the polynomial through value and four derivatives at both ends of a step."""
+"""Degree of the Hermite polynomial through value and four derivatives at both ends of a step."""
 
 ACCELERATION = len(KINDS) - 1
-"""Derivatives of this order and higher come from the polynomials of the acceleration."""
+"""Order of the acceleration; derivatives of this order and higher come from its polynomials."""
 
 TABLE_TOLERANCE = 3e-14
-"""Error of positions, velocities and accelerations relative to the largest; rounding allows a third of it."""
+"""Tolerance of tabulated positions, velocities and accelerations, relative to the largest; a third is rounding."""
 
 FEW = 8
-"""So few points are looked up in a table when they are asked for again and again."""
+"""Largest number of points that are looked up one by one, as step control needs them."""
 
 MANY = 64
-"""So many looked-up points are kept."""
+"""Number of looked-up points above which the kept ones are discarded."""
 
 REFERENCES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"))
-"""Which derivative of the trajectory each reference is, with what it appends to the unit."""
+"""(reference, suffix of its unit), in the order of the trajectory's derivatives."""
 
 
 class TrajectorySlave:
     """Streams ``<axis>.reference.position``, ``.velocity`` and ``.acceleration`` of a trajectory.
 
-    Over a communication step each reference is a polynomial: of degree 9 through value and four derivatives at both
-    ends (order 9), or the Taylor polynomial with as many derivatives as the order says (orders 0 to 8), as a tool sends
-    that knows fewer. Everything is calculated before the run, for all communication points at once and on both sides
-    of every breakpoint.
+    Over a communication step each reference is a polynomial: for order 9 the Hermite polynomial through value and four
+    derivatives at both ends, for orders 0 to 8 the Taylor polynomial of that order, as from a tool that sends fewer
+    derivatives. With fixed steps all polynomials are calculated before the run, with both limits at every breakpoint.
 
     Args:
-        trajectory: what to stream; its `evaluate` gives (order + 1, N, axes).
+        trajectory: trajectory to stream; its `evaluate` returns (order + 1, N, axes).
         axes: names of the trajectory's components.
         unit: unit of the positions.
         order: degree of the polynomials, 0 to 9.
         name: name of the slave.
 
     Attributes:
-        trajectory: what is streamed.
+        trajectory: the streamed trajectory.
+
+    Raises:
+        InputError: the order isn't 0 to 9.
     """
 
     def __init__(
@@ -73,7 +75,7 @@ class TrajectorySlave:
         self.max_output_order = max(order, END_ORDER)
         self.ends_exactly = order == HERMITE_ORDER
         self.trajectory = trajectory
-        # points of the run, and what holds at each of them
+        # communication points; at each of them the polynomials of the next step and the left limits; current values
         self._times = self._polynomials = self._ends = self._now = np.empty(0)
         self._next = 0
         self._seen: dict[float, tuple[RealArray, RealArray]] = {}
@@ -85,30 +87,30 @@ class TrajectorySlave:
 
     @property
     def feedthrough(self) -> dict[str, tuple[str, ...]]:
-        """No inputs, no feedthrough."""
+        """No output depends on an input: there are no inputs."""
         return {variable.name: () for variable in self.variables}
 
     @property
     def announced(self) -> RealArray:
-        """(N, orders, variables): the polynomial of the step that begins at each prepared point."""
+        """Derivatives (N, orders, variables), from order 0, of the polynomials that begin at the prepared points."""
         return self._polynomials
 
     @property
     def ended(self) -> RealArray:
-        """(N, orders, variables): the left limits at each prepared point."""
+        """Left limits (N, orders, variables), from order 0, at the prepared points."""
         return self._ends
 
     def prepare(self, times: RealArray) -> None:
-        """Calculate the polynomials of all steps, and begin with the left limits at the first point.
+        """Calculate the polynomials of all steps between the points (N,) [s]; go to the left limits at the first point.
 
-        Points that are those of the run before need no calculation.
+        If the points are the same as before, nothing is recalculated.
         """
         if not np.array_equal(times, self._times):
             self._calculate(times)
         self._begin()
 
     def _calculate(self, times: RealArray) -> None:
-        """The polynomials of all steps between these points."""
+        """Calculate the polynomials of all steps between these points, and the left limits."""
         near = COINCIDENT * float(np.diff(times).max())
         if times.size <= FEW and self._times.size:
             self._polynomials, self._ends = self._looked_up(times, near)
@@ -117,15 +119,17 @@ class TrajectorySlave:
         self._times = times
         if not self.ends_exactly:
             return
-        # polynomials (N, 10, variables) that meet the limits at both ends; after the last point the Taylor polynomial
+        # Hermite polynomials (N, 10, variables) through the limits at both ends; a Taylor polynomial at the last point
         begins, self._polynomials = self._polynomials, np.zeros((times.size, HERMITE_ORDER + 1, len(self.variables)))
         self._polynomials[-1, : END_ORDER + 1] = begins[-1]
         beginnings, endings = begins[:-1].swapaxes(0, 1), self._ends[1:].swapaxes(0, 1)
         self._polynomials[:-1] = hermite_derivatives(beginnings, endings, np.diff(times)[:, None]).swapaxes(0, 1)
 
     def _looked_up(self, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
-        """Limits at a few points, for a master that chooses its steps on the way and asks for the same ones again and
-        again; the trajectory's series would take as long for one of them as for a thousand."""
+        """Return right and left limits at a few points, kept for the next calls: step control repeats points.
+
+        Evaluating the trajectory itself takes as long for one point as for a thousand; hence the table.
+        """
         new = [time for time in times.tolist() if time not in self._seen]
         if new:
             if len(self._seen) > MANY:
@@ -133,15 +137,15 @@ class TrajectorySlave:
                 new = times.tolist()
             source = self._table if self.announced_order <= END_ORDER or self.ends_exactly else self.trajectory
             if times.size == 2:
-                # step control asks for the middle of a step next
+                # step control needs the middle of the step next
                 new.append(float(times[0] + 0.5 * (times[1] - times[0])))
             self._seen |= zip(new, zip(*self._limits(source, np.array(new), near), strict=True), strict=True)
         begins, ends = zip(*(self._seen[time] for time in times.tolist()), strict=True)
         return np.array(begins), np.array(ends)
 
     def _limits(self, source: Trajectory, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
-        """(N, orders, variables): right limits and left limits of all references with their derivatives."""
-        # where breakpoints share a communication point, left limits at the first and right limits at the last, exactly
+        """Return right limits and left limits, each (N, orders, variables), of all references and their derivatives."""
+        # breakpoints near a communication point replace it: left limits at the first of them, right limits at the last
         points = np.array(self.breakpoints)
         begin, end = points.searchsorted(times - near), points.searchsorted(times + near, "right")
         first, last, lands = times.copy(), times.copy(), begin < end
@@ -158,30 +162,34 @@ class TrajectorySlave:
         return begins, ends
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Begin with the left limits at the start."""
+        """Go to the left limits at the start."""
         self._begin()
 
     def announce(self, time: float) -> None:
-        """Change over to the polynomial of the step that begins at ``time``."""
+        """Announce the polynomials of the step that begins at ``time`` [s].
+
+        Raises:
+            InputError: the time isn't the next communication point.
+        """
         if self._times[self._next] != time:
             raise InputError(f"{self.name}: {time} s is not the communication point {self._times[self._next]} s")
         self._now = self._polynomials[self._next]
 
     def step(self, time: float, step: float) -> None:
-        """Go on to the left limits at the end of the step."""
+        """Go to the left limits at the end of the step."""
         self._next += 1
         self._now = self._ends[self._next]
 
     def set(self, indices: Indices, values: RealArray) -> None:
-        """There are no inputs."""
+        """Raise `InputError`: there are no inputs."""
         raise InputError(f"{self.name} has no inputs")
 
     def get(self, indices: Indices, values: RealArray) -> None:
-        """Current references."""
+        """Write current references into ``values`` (n,)."""
         self._now[0].take(indices, None, values, "clip")
 
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
-        """Derivatives of the current references."""
+        """Write derivatives of current references into ``derivatives`` (orders, n), row k - 1 for order k."""
         self._now[1 : derivatives.shape[0] + 1].take(indices, 1, derivatives, "clip")
 
     def _begin(self) -> None:
@@ -191,7 +199,7 @@ class TrajectorySlave:
 
     @cached_property
     def _table(self) -> Trajectory:
-        """The trajectory by look-up, where it can be tabulated."""
+        """The tabulated trajectory; the trajectory itself if no table reproduces it."""
         try:
             return TabulatedTrajectory(self.trajectory)
         except ModelError:
@@ -201,13 +209,13 @@ class TrajectorySlave:
 class TabulatedTrajectory:
     """Polynomials of degree 9 between knots, as in a trajectory's FMU, for position, velocity and acceleration.
 
-    Higher derivatives are those of the acceleration's polynomials, which over a step give the same values.
+    Higher derivatives are those of the acceleration's polynomials.
 
     Args:
-        trajectory: what to tabulate.
+        trajectory: trajectory to tabulate.
 
     Attributes:
-        breakpoints: those of the trajectory [s].
+        breakpoints: breakpoints of the trajectory [s].
         duration: duration of the motion [s].
 
     Raises:
@@ -217,11 +225,11 @@ class TabulatedTrajectory:
     highest_order = ACCELERATION + END_ORDER
 
     def __init__(self, trajectory: Trajectory) -> None:
-        # polynomials between knots, one for each of position, velocity and acceleration
+        # derivatives of position, velocity and acceleration at the knots
         table = tabulate(trajectory, TABLE_TOLERANCE)
         self.breakpoints = tuple(trajectory.breakpoints)
         self.duration = trajectory.duration
-        # pieces between knots; one that appears twice is a breakpoint
+        # intervals between knots, and their polynomials; a knot that appears twice is a breakpoint
         begins = np.flatnonzero(np.diff(table.times) > 0.0)
         self._begins, widths = table.times[begins], np.diff(table.times)[begins]
         jets = table.jets.swapaxes(0, 1)
@@ -234,19 +242,20 @@ class TabulatedTrajectory:
         self._rest = jets[0, [0, -1]]
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Value and time derivatives, shape (order + 1, N, axes); see `flexfmu.trajectories.Trajectory.evaluate`.
+        """Return value and time derivatives (order + 1, N, axes); see `flexfmu.trajectories.Trajectory.evaluate`.
 
         Raises:
-            InputError: the order is above 6.
+            InputError: the order isn't 0 to 6.
         """
         if not 0 <= order <= self.highest_order:
             raise InputError(f"a tabulated trajectory has derivatives of orders 0 to {self.highest_order}, got {order}")
+        # interval of each time, and the time since its beginning
         times = np.atleast_1d(np.asarray(time, dtype=np.float64))
         first, last = self.breakpoints[0], self.breakpoints[-1]
         early, late = (times < first, times >= last) if side == "right" else (times <= first, times > last)
         piece = np.maximum(np.searchsorted(self._begins, times, side) - 1, 0)
         elapsed = np.minimum(times, last) - self._begins[piece]
-        # the polynomials at these points, and the powers of the time that all derivatives share
+        # polynomials of these intervals, and the powers t^j / j! that all derivatives share
         here = [each[:, piece] for each in self._polynomials[: order + 1]]
         powers = np.array([elapsed**j / factorial(j) for j in range(len(here[0]))])
         jets = np.empty((order + 1, *here[0].shape[1:]))
@@ -254,6 +263,7 @@ class TabulatedTrajectory:
             kind = min(k, ACCELERATION)
             terms = here[kind][k - kind :]
             np.einsum("jn,jna->na", powers[: len(terms)], terms, out=jets[k])
+        # at rest before and after the motion
         for still, position in zip((early, late), self._rest, strict=True):
             jets[:, still] = 0.0
             jets[0, still] = position
