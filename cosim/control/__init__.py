@@ -1,1 +1,1 @@
-"""Controllers, filters, shapers and imperfections as sampled slaves, each built from its section of a scene."""
+"""Controllers, shapers and imperfections of the loop, each built from its section of the scene file."""

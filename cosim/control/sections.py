@@ -1,11 +1,11 @@
-"""From sections of the scene file to what stands in the loop: blocks of controllers and imperfections, slaves, shapers.
+"""Builds the slaves, shapers and payload errors of a loop from sections of the scene file.
 
 The file of a controller, a shaper or an imperfection registers the function that builds it from its section::
 
     @builds(PdSection)
     def _from_section(section: PdSection, context: LoopContext) -> SymbolicBlock: ...
 
-A new kind is such a file and a section in `flexfmu.model.scene`; every module of this room is asked.
+A new kind needs such a file and a section in `flexfmu.model.scene`; every module of this package is imported.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ S = TypeVar("S", bound=Section)
 
 @dataclass(frozen=True)
 class LoopContext:
-    """What a builder may need beside its section.
+    """Scene, motion and names that a builder may need beside its section.
 
     Attributes:
-        scene: the robot as its controllers know it; a payload error changes another one.
+        scene: the robot that the controllers assume, without payload error.
         along_path: the planned motion along the path, x, y [m].
         joints: the planned joint trajectory q11, q21 [rad], without shapers.
-        period: length of a cycle of a motion that is repeated [s]; None for a motion that is made once.
-        name: name of the slave; random numbers follow from it.
-        sample_time: [s] of a section that has none of its own.
-        before: kind of signal (``position``, ``torque`` ...) → values of both joints before the first sample; empty for
-            those of the first sample.
+        period: of a repeated motion [s]; None for a motion that isn't repeated.
+        name: name of the slave, which also selects its random numbers.
+        sample_time: for sections without one [s].
+        before: kind of signal (``position``, ``torque`` ...) → values of both joints before the first sample; empty
+            where the value of the first sample is taken.
     """
 
     scene: Scene
@@ -57,7 +57,7 @@ _BUILDERS: dict[type[Section], Callable[[Any, LoopContext], Any]] = {}
 def builds(
     kind: type[S],
 ) -> Callable[[Callable[[S, LoopContext], Any]], Callable[[S, LoopContext], Any]]:
-    """Register a function that builds what a section asks for.
+    """Register the function that builds sections of a kind.
 
     Args:
         kind: class of the section.
@@ -71,10 +71,10 @@ def builds(
 
 
 def build(section: Section, context: LoopContext) -> Any:
-    """What a section asks for: a slave, which runs the block if it is one, a `Shaper` or a `PayloadError`.
+    """Build a section: a slave (a block becomes a `BlockSlave`), a `Shaper` or a `PayloadError`.
 
     Raises:
-        InputError: it can't be built, or no module of this room builds such sections.
+        InputError: it can't be built, or no builder is registered for its class.
         TrajectoryError: a shaper doesn't exist for these modes.
     """
     from flexfmu.cosim.control.blocks.slave import BlockSlave
@@ -88,6 +88,6 @@ def build(section: Section, context: LoopContext) -> Any:
 
 @cache
 def _register_all() -> None:
-    """Import every module of this room, which registers its builders."""
+    """Import every module of this package, which registers its builders."""
     for module in walk_packages(control.__path__, f"{control.__name__}."):
         import_module(module.name)

@@ -1,4 +1,4 @@
-"""An input shaper for sampled signals: a delay line whose impulses are split over two samples, never rounded."""
+"""Input shaper for sampled signals: an FIR filter; an impulse between two samples is split over both, not rounded."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from flexfmu.model.symbolic import SymbolicBlock, Variable
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 LONGEST_LINE = 20_000
-"""Samples of a delay line beyond which the sample time is taken for a mistake in its unit."""
+"""Largest number of samples in the delay line; more are probably a mistake in the sample time's unit."""
 
 SHAPED = "shaped."
-"""What an output's name has before the name of its input."""
+"""Prefix of the outputs' names."""
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class ShapedSignal:
     """A signal to shape.
 
     Attributes:
-        name, unit: of the input; the output is called ``shaped.<name>``.
-        before: what the signal was before the first sample: ``held`` at the first sample's value, as the position of a
-            machine at rest, or ``zero``, as its velocity and acceleration.
+        name, unit: of the input; the output is named ``shaped.<name>``.
+        before: value before the first sample: ``held`` for that of the first sample, as for the position of a robot at
+            rest, or ``zero``, as for its velocity and acceleration.
     """
 
     name: str
@@ -42,7 +42,7 @@ JOINT_REFERENCES = tuple(
     for kind, unit in (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s2"))
     for joint in (1, 2)
 )
-"""Position, velocity and acceleration of both joints, as a trajectory outputs them."""
+"""Reference position, velocity and acceleration of both joints."""
 
 
 def shaper_block(
@@ -53,19 +53,19 @@ def shaper_block(
     offset: float = 0.0,
     name: str = "shaper",
 ) -> SymbolicBlock:
-    """The shaper y_k = Σ w_i u_{k-i}, the weights w being the impulses split over the samples.
+    """Build the block y_k = Σ w_i u_{k-i}; the weights w_i are the impulses, split over the samples.
 
-    Inputs are named like the signals, outputs ``shaped.<name>``. The line holds each signal's difference from what it
-    was before the first sample, so that it can start from zero whatever the start pose is.
+    Inputs are named like the signals, outputs ``shaped.<name>``. The delay line stores each signal's difference from
+    its value before the first sample, so it starts from zero at any start pose.
 
     Args:
         sequence: impulses.
         sample_time, offset: [s].
-        signals: what to shape, each by itself.
+        signals: signals to shape, each by itself.
         name: name of the block.
 
     Raises:
-        InputError: there is no signal, or the sample time is out of range.
+        InputError: there is no signal, the sample time or offset is out of range, or the delay line is too long.
     """
     check_sampling(sample_time, offset, name)
     if not signals:
@@ -74,14 +74,14 @@ def shaper_block(
     length, held = len(weights) - 1, [signal.before == "held" for signal in signals]
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        # differences to each signal's origin, its first value where it is held before the start
+        # difference of each signal from its value before the first sample
         lines, kept, started = casadi.vertsplit(x, [0, length * len(signals), x.numel() - 1, x.numel()])
         first = [value for value, keep in zip(casadi.vertsplit(u), held, strict=True) if keep]
         origins = casadi.if_else(started, kept, casadi.vertcat(casadi.SX(0, 1), *first))
         rows = iter(casadi.vertsplit(origins)) if any(held) else iter(())
         origin = casadi.vertcat(*(next(rows) if each else casadi.SX(0) for each in held))
         difference = u - origin
-        # the present and past differences, weighted by the impulses
+        # weighted sum of present and past differences
         window = casadi.vertcat(difference.T, casadi.reshape(lines, length, len(signals)))
         shaped = origin + casadi.mtimes(window.T, casadi.DM(weights))
         return shaped, casadi.vertcat(casadi.vec(window[:-1, :]), origins, 1)
@@ -99,13 +99,17 @@ def shaper_block(
 
 
 def _weights(sequence: ImpulseSequence, sample_time: float, name: str) -> list[float]:
-    """Weight of each sample of the line, the current one first."""
+    """Return the weight of each sample, the current one first.
+
+    Raises:
+        InputError: the delay line is longer than `LONGEST_LINE`.
+    """
     if sequence.duration > LONGEST_LINE * sample_time:
         raise InputError(
             f"{name}: a sample time of {sample_time:g} s makes a line of {sequence.duration / sample_time:.3g} samples for "
             f"impulses within {sequence.duration:g} s; at most {LONGEST_LINE} are allowed: choose a larger sample time"
         )
-    # impulses between two samples are split between them
+    # an impulse between two samples is split over both
     split = sequence.split(sample_time)
     samples = [round(time / sample_time) for time in split.times]
     weights = np.zeros(samples[-1] + 1)

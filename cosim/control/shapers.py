@@ -1,4 +1,4 @@
-"""Input shapers of a loop: impulse sequences from the scene file, and where they act."""
+"""Input shapers of a loop: the impulse sequences of the scene file, and the signals that they shape."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from flexfmu.trajectories.shapers.specified_insensitivity import specified_insen
 
 @dataclass(frozen=True)
 class Shaper:
-    """An impulse sequence and where it acts.
+    """An impulse sequence and the signals that it shapes.
 
     Attributes:
         sequence: the impulses.
-        apply: ``joints`` (the joint references), ``path`` (the motion along the path, which keeps the path), or
-            ``sampled`` (a slave that shapes the sampled joint references).
-        sample_time: [s] of a sampled shaper; None for the others.
-        offset: its first sample [s].
-        name: name of its slave.
+        apply: ``joints`` (the joint references), ``path`` (the motion along the path, which doesn't leave the path), or
+            ``sampled`` (a slave shapes the sampled joint references).
+        sample_time: of a sampled shaper [s]; None for the others.
+        offset: first sample instant of a sampled shaper [s].
+        name: name of the slave of a sampled shaper.
 
     Raises:
-        InputError: a sampled shaper has no sample time, or another one has.
+        InputError: ``apply`` is unknown, a sampled shaper has no sample time, or another one has one.
     """
 
     sequence: ImpulseSequence
@@ -45,13 +45,14 @@ class Shaper:
 
 @builds(ImpulseShaperSection)
 def _from_section(section: ImpulseShaperSection, context: LoopContext) -> Shaper:
-    """A shaper of the catalogue, for the modes of the section or the lowest ones at the end pose."""
+    """Build a shaper of the catalogue, for the modes of the section or the lowest modes at the end pose."""
+    # modes from the scene file
     if section.modes is not None:
         modes = [Oscillator(mode.frequency, mode.ratio) for mode in section.modes]
         return _applied(design(section.kind, modes), section)
     from flexfmu.model.modes import damped_modes
 
-    # residual vibration is that of the end pose
+    # modes at the end pose, where the residual vibration occurs
     found = damped_modes(context.scene, context.joints.evaluate(context.joints.duration, 0, "left")[0, 0])
     count = section.mode_count
     if len(found.frequencies) < count:
@@ -66,10 +67,10 @@ def _from_section(section: ImpulseShaperSection, context: LoopContext) -> Shaper
 
 @builds(SpecifiedInsensitivitySection)
 def _insensitive(section: SpecifiedInsensitivitySection, context: LoopContext) -> Shaper:
-    """The shortest shaper for a band of frequencies."""
+    """Build the specified-insensitivity shaper for a band of frequencies."""
     return _applied(specified_insensitivity(*section.band, section.tolerance, section.ratio), section)
 
 
 def _applied(sequence: ImpulseSequence, section: AppliedShaperSection) -> Shaper:
-    """The impulses with the place where the section applies them."""
+    """Return the shaper of an impulse sequence, applied as its section says."""
     return Shaper(sequence, section.apply, section.sample_time, section.offset, section.name or "shaper")

@@ -1,4 +1,4 @@
-"""A block's equations as one function that is fast to call: in CasADi's virtual machine, or compiled from C."""
+"""Output and update of a block as one CasADi function, evaluated in CasADi's virtual machine or in compiled C."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from flexfmu.fmu_build.toolchain import GENERATED_FLAGS, find_compiler
 from flexfmu.model.symbolic import SymbolicBlock
 
 COMPILED_FROM = 200
-"""Blocks of at least this many operations are compiled unless told otherwise.
+"""Blocks of at least this many operations are compiled by default.
 
-The virtual machine takes 2.5 ns for an operation, compiled C a tenth of it, and calling either takes 0.4 us: below
-that size, the call costs more than the evaluation. The rigid inverse dynamics of a five-bar have 240 operations and
-more."""
+The virtual machine takes 2.5 ns for an operation, compiled C a tenth of that, and a call of either takes 0.4 us. In
+smaller blocks the call costs more than the evaluation. The rigid inverse dynamics of a five-bar have 240 operations
+or more."""
 
 EXPORTED_FLAGS = (*GENERATED_FLAGS, "-DGCC_HASCLASSVISIBILITY")
-"""The flags of an FMU's generated code, for the same roundings; the macro makes CasADi export its functions."""
+"""Compiler flags of an FMU's generated code, so that both round alike; the macro makes CasADi export its functions."""
 
 
 def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi.Function:
-    """Output and update of a block in one function (x, u, p) → (y, next x), all dense.
+    """Return output and update of a block as one function (x, u, p) → (y, next x) with dense vectors.
 
     Args:
         block: the block.
-        compiled: True to compile it, False for the virtual machine; None compiles where it pays, see `COMPILED_FROM`.
+        compiled: True for compiled C, False for the virtual machine; None compiles from `COMPILED_FROM` operations on.
 
     Raises:
         ModelError: a function of the block has a wrong shape.
-        MissingCompilerError, CompileError: it is to be compiled and can't be.
+        MissingCompilerError, CompileError: it can't be compiled.
     """
     function = sample_function(block)
     if compiled is None:
@@ -45,15 +45,15 @@ def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi
 
 
 def compile_function(function: casadi.Function, *companions: casadi.Function) -> casadi.Function:
-    """The same function in compiled C; each generated source is compiled once.
+    """Return the same function in compiled C; each generated source is compiled once.
 
     Args:
         function: the function.
-        companions: functions that CasADi looks up by name beside it, such as the Jacobian ``jac_<name>``.
+        companions: functions that CasADi looks up by name in the same library, such as the Jacobian ``jac_<name>``.
 
     Raises:
         MissingCompilerError: there is no C compiler.
-        CompileError: the compiler refuses.
+        CompileError: the compiler fails.
         ArchiveError: neither the cache's folder nor a temporary one can be written.
     """
     generator = casadi.CodeGenerator(f"{function.name()}.c")
@@ -65,7 +65,7 @@ def compile_function(function: casadi.Function, *companions: casadi.Function) ->
 
 @lru_cache(maxsize=64)
 def _library(name: str, code: str) -> Path:
-    """The shared library of a generated C file, kept in the cache under the hash of its content."""
+    """Compile a generated C file to a shared library, which the cache keeps under the hash of its content."""
     sources = Sources(name, "", "", {f"{name}.c": code}, elementary_sources(), {})
     platform = native_platform()
     content = compile_library(sources, find_compiler(platform), generated_flags=EXPORTED_FLAGS)

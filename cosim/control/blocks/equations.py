@@ -1,4 +1,4 @@
-"""From equations to a block: symbols, dense functions, and the direct feedthrough read off the equations."""
+"""Builds a block from its equations: symbols, dense functions, and direct feedthrough from the Jacobian's sparsity."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ def block(
     symbol: Any = casadi.SX,
     latency: Mapping[str, float] | None = None,
 ) -> SymbolicBlock:
-    """A block made from equations; an output has direct feedthrough from every input that it depends on structurally.
+    """Build a block from equations; an output has direct feedthrough from every input that it depends on structurally.
 
     Args:
-        name, description: what it is.
-        equations: called once, with symbols.
-        sample_time, offset: [s].
+        name, description: of the block.
+        equations: (x, u, p) → (y, next x); called once, with symbols.
+        sample_time, offset: sample time and first sample instant [s].
         inputs, outputs, parameters: variables in the order of u, y and p.
         states: start values of x.
-        symbol: `casadi.SX` for scalar operations; `casadi.MX` keeps long vectors in one piece.
+        symbol: `casadi.SX` for scalar operations; `casadi.MX` for operations on whole vectors.
         latency: output → delay at low frequency [s].
 
     Raises:
-        InputError: the sample time, the offset, a start value, a name or a size is wrong.
+        InputError: the sample time or offset is out of range, two variables share a name, or a parameter is out of range.
     """
     check_sampling(sample_time, offset, name)
-    # the equations as functions of CasADi
+    # CasADi functions of the equations
     arguments = [
         symbol.sym(letter, len(each)) for letter, each in zip("xup", (states, inputs, parameters), strict=True)
     ]
@@ -67,14 +67,16 @@ def block(
         update=casadi.Function("update", arguments, [update], ["x", "u", "p"], ["next_x"]),
         latency=latency or {},
     )
-    # feedthrough follows from the functions
+    # direct feedthrough follows from the output function
     check_variables(result)
     return _with_feedthrough(result)
 
 
 def split(vector: Vector, *sizes: int) -> list[Vector]:
-    """Split a vector into pieces of these sizes, and the rest into pieces of the last size; a last size of zero means
-    no rest."""
+    """Split a vector into pieces of these sizes; what remains is split into pieces of the last size.
+
+    With a last size of zero nothing may remain.
+    """
     edges = list(accumulate(sizes, initial=0))
     if sizes[-1]:
         edges += range(edges[-1] + sizes[-1], vector.numel() + 1, sizes[-1])
@@ -83,7 +85,7 @@ def split(vector: Vector, *sizes: int) -> list[Vector]:
 
 
 def _with_feedthrough(block: SymbolicBlock) -> SymbolicBlock:
-    """The block with the inputs that each output depends on."""
+    """Return the block with its direct feedthrough: the inputs that each output depends on."""
     sparsity = block.output.jac_sparsity(0, 1)
     pairs = list(zip(sparsity.row(), sparsity.get_col(), strict=True))
     feedthrough = {

@@ -1,4 +1,4 @@
-"""A discrete-time block as a slave: controllers, shapers and imperfections run in the master through this one class."""
+"""Runs a discrete-time block as a slave: a controller, a shaper or an imperfection."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class BlockSlave:
     """Samples a block at its instants and holds the outputs in between.
 
     Variables are the block's inputs, parameters and outputs, in this order. Before the first sample instant the outputs
-    are those of the start states and of the inputs at initialisation. A sample calls one function on fixed buffers;
-    nothing is allocated.
+    are those of the start states and of the inputs at initialisation. A sample is one call of one
+    function on fixed buffers, without allocation.
 
     Args:
         block: the block.
@@ -31,25 +31,25 @@ class BlockSlave:
     Raises:
         ModelError: the block contradicts its contract: sample time, offset, start states or shapes.
         InputError: two variables share a name, or a parameter is out of range.
-        MissingCompilerError, CompileError: it is to be compiled and can't be.
+        MissingCompilerError, CompileError: it can't be compiled.
     """
 
     def __init__(self, block: SymbolicBlock, name: str = "", *, compiled: bool | None = None) -> None:
         check_block(block)
         check_variables(block)
-        # what the master asks of a slave
+        # the attributes that the master reads
         self.name = name or block.name
         self.block = block
         self.sample_time, self.offset = block.sample_time, block.offset
         self.feedthrough, self.latency = dict(block.feedthrough), dict(block.latency)
         known = (*block.inputs, *block.parameters)
         self.variables = tuple(slave_variable(each) for each in (*known, *block.outputs))
-        # one array for all values, which the function reads and writes in place: variables, states, next states
+        # one array, which the function reads and writes in place: variables, states, next states
         self._inputs, self._known = len(block.inputs), len(known)
         self._memory = np.zeros(len(self.variables) + 2 * len(block.states))
         self._memory[: self._known] = [each.start or 0.0 for each in known]
         self._states, self._next = self._memory[len(self.variables) :].reshape(2, -1)
-        # the function with its buffers bound: a whole sample, and each half of it alone
+        # calls of the function on these buffers: output and update together, and each alone
         self._buffers: list[object] = []
         function = block_function(block, compiled)
         self._sample = self._bound(function, output=True, update=True)
@@ -57,10 +57,10 @@ class BlockSlave:
         self._update = self._bound(function, output=False, update=True)
 
     def _bound(self, function: casadi.Function, output: bool, update: bool) -> Call:
-        """The function (x, u, p) → (y, next x) on the slave's memory, leaving out one of its results or none."""
+        """Bind the function (x, u, p) → (y, next x) to the slave's memory, with the results that the call shall write."""
         buffer: Any
         buffer, evaluate = function.buffer()
-        self._buffers.append(buffer)  # the call needs it
+        self._buffers.append(buffer)  # the call needs a living buffer
         inputs, parameters, outputs, _ = np.split(self._memory, [self._inputs, self._known, len(self.variables)])
         for i, values in enumerate((self._states, inputs, parameters)):
             buffer.set_arg(i, values.data)
@@ -72,7 +72,7 @@ class BlockSlave:
         return call
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Begin with the start states; inputs and parameters keep what has been set."""
+        """Set the start states and calculate the outputs; inputs and parameters keep their values."""
         self._states[:] = self.block.states
         self._output()
 
@@ -90,7 +90,7 @@ class BlockSlave:
         self._memory[indices] = values
 
     def get(self, indices: Indices, values: RealArray) -> None:
-        """Write current values into ``values`` (n,)."""
+        """Write the variables' values into ``values`` (n,)."""
         self._memory.take(indices, None, values, "clip")
 
     def sample(self, time: float) -> None:
@@ -108,18 +108,18 @@ class BlockSlave:
         self._states[:] = self._next
 
     def step(self, time: float, step: float) -> None:
-        """Nothing happens between the sample instants: the outputs are held."""
+        """Do nothing: the outputs are constant between the sample instants."""
 
     def terminate(self) -> None:
-        """End the run: inputs go back to their starts, so that the next run repeats this one to the last bit."""
+        """Reset the inputs to their start values, so that the next run repeats this one to the last bit."""
         self._memory[: self._inputs] = [each.start or 0.0 for each in self.block.inputs]
 
     def save(self) -> RealArray:
-        """Inputs, parameters, outputs and states."""
+        """Return a copy of inputs, parameters, outputs and states."""
         return self._memory.copy()
 
     def restore(self, state: object) -> None:
-        """Go back to what `save` gave.
+        """Set the state that `save` returned.
 
         Raises:
             InputError: the state belongs to another slave.
@@ -129,7 +129,7 @@ class BlockSlave:
         self._memory[:] = state
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
-        """A call that sets inputs from ``values`` (n,).
+        """Return a call that sets inputs from ``values`` (n,).
 
         Raises:
             InputError: a variable is no input.
@@ -139,7 +139,7 @@ class BlockSlave:
         return Copy(values, self._memory, indices)
 
     def bind_get(self, indices: Indices, values: RealArray) -> Call:
-        """A call that writes variables into ``values`` (n,)."""
+        """Return a call that writes variables into ``values`` (n,)."""
         memory = self._memory
         if is_range(indices):
             return Copy(memory[indices[0] : indices[-1] + 1], values, np.arange(indices.size))
@@ -150,11 +150,19 @@ class BlockSlave:
         return read
 
     def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """Inputs are sampled; their derivatives mean nothing here."""
+        """Refuse: sampled inputs have no derivatives.
+
+        Raises:
+            InputError: always.
+        """
         raise InputError(f"{self.name} is sampled and takes no input derivatives")
 
     def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """Outputs are held; their derivatives are not offered."""
+        """Refuse: outputs are constant between the samples and have no derivatives.
+
+        Raises:
+            InputError: always.
+        """
         raise InputError(f"{self.name} is sampled and gives no output derivatives")
 
 
@@ -188,6 +196,6 @@ def check_parameter(variable: Variable, value: float | None, where: str) -> None
 
 
 def slave_variable(variable: Variable) -> SlaveVariable:
-    """The variable as the master sees it; one without a unit connects to any unit, as in an FMU."""
+    """Return the variable as the master sees it; a variable without a unit connects to any unit, as in an FMU."""
     unit = "" if variable.unit == "1" else variable.unit
     return SlaveVariable(variable.name, variable.causality, unit, variable.start)

@@ -1,4 +1,4 @@
-"""What an integrator does while the output is saturated.
+"""Anti-windup: rules for the integral of a controller whose output is saturated.
 
 K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006, section 3.5.
 """
@@ -22,11 +22,11 @@ class AntiWindup(Protocol):
     def integrate(
         self, integral: Vector, increment: Vector, rest: Vector, lower: Vector, upper: Vector, sample_time: float
     ) -> tuple[Vector, Vector]:
-        """Integral for this sample's output, and integral to start the next sample from.
+        """Return the integral for this sample's output, and the integral that the next sample starts from [N.m].
 
         Args:
-            integral: value carried over from the last sample [N.m].
-            increment: what this sample adds [N.m].
+            integral: from the last sample [N.m].
+            increment: of this sample [N.m].
             rest: all other terms of the controller [N.m].
             lower, upper: torque limits [N.m].
             sample_time: h [s].
@@ -35,12 +35,12 @@ class AntiWindup(Protocol):
 
 @dataclass(frozen=True)
 class Clamping:
-    """Conditional integration: no increment that would drive a saturated output further into saturation."""
+    """Conditional integration: leaves out an increment that would drive the output further into saturation."""
 
     def integrate(
         self, integral: Vector, increment: Vector, rest: Vector, lower: Vector, upper: Vector, sample_time: float
     ) -> tuple[Vector, Vector]:
-        """The increment, or nothing where it would add to the saturation."""
+        """Add the increment, unless the sum of all terms is beyond a limit and the increment drives it further."""
         candidate = rest + integral + increment
         above = casadi.logic_and(candidate > upper, increment > 0.0)
         below = casadi.logic_and(candidate < lower, increment < 0.0)
@@ -50,13 +50,16 @@ class Clamping:
 
 @dataclass(frozen=True)
 class BackCalculation:
-    """The integral follows I' = K_i e + (sat(v) - v) / T_t, v being the sum of all terms.
+    """Back-calculation: I' = K_i e + (sat(v) - v) / T_t, where v is the sum of all terms.
 
-    Over one sample the second term is integrated exactly for held other terms: the excess v - sat(v) shrinks by the
-    factor exp(-h / T_t). Zero takes it away within one sample.
+    The second term is integrated exactly over a sample during which the other terms are constant: the excess
+    v - sat(v) shrinks by the factor exp(-h / T_t). With T_t = 0 it vanishes within one sample.
 
     Attributes:
-        tracking_time: T_t [s]; between derivative and integral time, sqrt(T_i T_d) is common.
+        tracking_time: T_t [s], zero or positive; between derivative and integral time, usually sqrt(T_i T_d).
+
+    Raises:
+        InputError: the tracking time is negative or not finite.
     """
 
     tracking_time: float
@@ -68,7 +71,7 @@ class BackCalculation:
     def integrate(
         self, integral: Vector, increment: Vector, rest: Vector, lower: Vector, upper: Vector, sample_time: float
     ) -> tuple[Vector, Vector]:
-        """The full increment now, the correction for the next sample."""
+        """Add the full increment; the next sample starts from the corrected integral."""
         share = 1.0 - exp(-sample_time / self.tracking_time) if self.tracking_time else 1.0
         now = integral + increment
         total = rest + now
@@ -77,10 +80,10 @@ class BackCalculation:
 
 @dataclass(frozen=True)
 class Unprotected:
-    """The integral goes on whatever the output does, and winds up."""
+    """No anti-windup: integrates whether or not the output is saturated."""
 
     def integrate(
         self, integral: Vector, increment: Vector, rest: Vector, lower: Vector, upper: Vector, sample_time: float
     ) -> tuple[Vector, Vector]:
-        """The full increment."""
+        """Add the full increment."""
         return integral + increment, integral + increment

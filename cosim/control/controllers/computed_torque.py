@@ -1,4 +1,4 @@
-"""Computed torque: rigid inverse dynamics that linearise and decouple the joints, and the same as a mere feedforward."""
+"""Computed-torque control, and the rigid inverse dynamics of the reference motion as a feedforward alone."""
 
 from __future__ import annotations
 
@@ -42,20 +42,21 @@ def computed_torque(
     joints: Sequence[str] = JOINTS,
     name: str = "computed_torque",
 ) -> SymbolicBlock:
-    """Torque = sat(ID(q, v, a_r + K_d (v_r - v) + K_p (q_r - q)) + feedforward).
+    """Build the block: torque = sat(ID(q, v, a_r + K_d (v_r - v) + K_p (q_r - q)) + feedforward).
 
-    On the rigid plant a = ID^-1(q, v, torque), so that the error obeys e'' + K_d e' + K_p e = 0 at the sample instants
-    whatever the pose: natural frequency sqrt(K_p), damping ratio K_d / (2 sqrt(K_p)). J. J. Craig, Introduction to
+    ID is the rigid inverse dynamics. Unless saturated, on a rigid robot without feedforward the error e = q_r - q obeys
+    e'' + K_d e' + K_p e = 0 at the sample instants at every pose: natural frequency sqrt(K_p), damping ratio
+    K_d / (2 sqrt(K_p)). J. J. Craig, Introduction to
     Robotics, 3rd ed. 2005, section 10.4; B. Siciliano et al., Robotics, 2009, section 8.5.2.
 
     Inputs: ``joint1.reference.position``, ``.velocity``, ``.acceleration``, ``joint1.position``, ``joint1.velocity``,
     ``joint1.feedforward`` (zero unless connected); output ``joint1.torque``. Gains and limits are tunable parameters
     ``joint1.proportional_gain``, ``joint1.derivative_gain``, ``joint1.torque.minimum``, ``joint1.torque.maximum``.
-    `BlockSlave` compiles it when the inverse dynamics are large, as those of a five-bar are.
+    `BlockSlave` compiles large inverse dynamics, such as those of a five-bar.
 
     Args:
-        inverse_dynamics: (q, v, a) → torque, as `flexfmu.model.numeric.inverse_dynamics` gives it
-            [rad, rad/s, rad/s2 → N.m].
+        inverse_dynamics: (q, v, a) → torque [rad, rad/s, rad/s2 → N.m], for example that of
+            `flexfmu.model.numeric.inverse_dynamics`.
         proportional: K_p [1/s2].
         derivative: K_d [1/s].
         sample_time, offset: [s].
@@ -99,14 +100,16 @@ def inverse_dynamics_feedforward(
     joints: Sequence[str] = JOINTS,
     name: str = "feedforward",
 ) -> SymbolicBlock:
-    """Feedforward = ID(q_r, v_r, a_r): the rigid torques of the reference motion, for a PD or PID to correct.
+    """Build the block: feedforward = ID(q_r, v_r, a_r), the rigid torques of the reference motion.
+
+    Connect it to the feedforward input of a PD or PID controller.
 
     Inputs: ``joint1.reference.position``, ``.velocity``, ``.acceleration``; output ``joint1.feedforward``. Arguments
     and errors as for `computed_torque`.
     """
     _check(inverse_dynamics, joints, name)
 
-    # the torques follow from the references alone, without a state
+    # a function of the references alone, without states
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         return inverse_dynamics.call(split(u, len(joints)))[0], x
 
@@ -122,7 +125,11 @@ def inverse_dynamics_feedforward(
 
 
 def _check(inverse_dynamics: casadi.Function, joints: Sequence[str], name: str) -> None:
-    """Check that the inverse dynamics take three vectors and return one, with one number for each joint."""
+    """Check that the inverse dynamics map three vectors to one, each with one element for each joint.
+
+    Raises:
+        InputError: they don't.
+    """
     found = [inverse_dynamics.numel_in(i) for i in range(inverse_dynamics.n_in())]
     results = [inverse_dynamics.numel_out(i) for i in range(inverse_dynamics.n_out())]
     n = len(joints)
@@ -152,5 +159,5 @@ def _feedforward_from_section(section: FeedforwardSection, context: LoopContext)
 
 
 def _assumed_dynamics(context: LoopContext, payload: float | None) -> casadi.Function:
-    """Rigid inverse dynamics with the payload that a controller assumes [kg], the scene's own for None."""
+    """Return the rigid inverse dynamics with the payload [kg] that a controller assumes; None for the scene's own."""
     return inverse_dynamics(context.scene if payload is None else context.scene.replace({"payload.mass": payload}))

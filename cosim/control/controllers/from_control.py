@@ -1,4 +1,4 @@
-"""python-control's systems as blocks: state spaces and transfer functions, discrete as they are, continuous discretised."""
+"""Blocks from python-control's state spaces and transfer functions; continuous ones are discretised."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.symbolic import SymbolicBlock
 
 Method = Literal["zoh", "foh", "tustin", "euler", "backward"]
-"""Discretisations: hold of order zero, exact for held inputs; hold of order one (triangle), exact for inputs linear between
-the samples; Tustin's rule; Euler's forward and backward rule. G. F. Franklin, J. D. Powell, M. L. Workman, Digital
+"""Discretisations: zero-order hold, exact for inputs that are constant between the samples; first-order (triangle) hold,
+exact for inputs that are linear between the samples; Tustin's rule; Euler's forward and backward rule. G. F. Franklin, J. D. Powell, M. L. Workman, Digital
 Control of Dynamic Systems, 3rd ed. 1998, chapter 6."""
 
 _SCIPY_NAMES: Mapping[Method, Any] = {
@@ -34,7 +34,7 @@ _OBJECT = re.compile(r"^(joint\d+|link\d+|end_effector|force)_")
 _QUANTITY = re.compile(r"\.(reference|position|velocity|acceleration)_(position|velocity|acceleration|x|y)$")
 
 SAME_SAMPLE_TIME = 1e-9
-"""Sample times that differ by less than this, relatively, are the same; they come from divisions such as 1 / 4000."""
+"""Relative difference below which two sample times are the same: divisions such as 1 / 4000 are rounded."""
 
 
 def control_block(
@@ -50,7 +50,7 @@ def control_block(
     units: Mapping[str, str] | None = None,
     name: str = "controller",
 ) -> SymbolicBlock:
-    """The block of a `control.StateSpace` or `control.TransferFunction`.
+    """Build the block of a `control.StateSpace` or `control.TransferFunction`.
 
     Args:
         system, method, sample_time, prewarp, inputs, outputs, units: as for `from_control`.
@@ -83,29 +83,30 @@ def from_control(
     outputs: Sequence[str] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> LinearSystem:
-    """The discrete-time system of a `control.StateSpace` or `control.TransferFunction`, any number of inputs and outputs.
+    """Return the discrete-time system of a `control.StateSpace` or `control.TransferFunction`.
 
-    A discrete system is taken as it is, with its own sample time. A continuous one needs a method and a sample time.
-    Labels become names. python-control allows no dots in labels; `dotted` restores those of the robot's variables.
+    It may have any number of inputs and outputs. A discrete system keeps its matrices and its sample time. A continuous
+    one needs a method and a sample time. Labels become names; python-control allows no dots in them, so `dotted`
+    restores the dots of the robot's variables.
 
     Args:
         system: the system.
         method: discretisation of a continuous system, see `Method`.
         sample_time: [s] of a continuous system, or of a discrete one whose ``dt`` is True.
-        prewarp: frequency [rad/s] at which Tustin's rule shall be exact; with that method alone.
-        inputs, outputs: names to take in place of the labels.
-        units: name → unit; those left out have none and fit every unit.
+        prewarp: frequency [rad/s] at which Tustin's rule is exact; for that method only.
+        inputs, outputs: names that replace the labels.
+        units: name → unit; a signal without a unit connects to any unit.
 
     Raises:
         InputError: python-control is missing, the system is of another kind or not proper, it has no time base,
             it is continuous without method or sample time, sample times contradict each other, or a name is unknown.
     """
-    # matrices and names as python-control has them
+    # matrices and names of the system
     matrices = _matrices(system)
     names_in = _names(inputs, system.input_labels, "inputs")
     names_out = _names(outputs, system.output_labels, "outputs")
     _check_units(units or {}, [*names_in, *names_out])
-    # in discrete time, with a sample time that nothing contradicts
+    # discretise a continuous system, check the sample time of a discrete one
     if system.isctime(strict=True):
         method, sample_time = _explicit(method, sample_time)
         matrices = _discretise(matrices, method, sample_time, prewarp)
@@ -114,7 +115,7 @@ def from_control(
             raise InputError("the system is discrete and is taken as it is; leave out method and prewarp")
         sample_time = _own_sample_time(system.dt, sample_time)
 
-    # names without a unit fit every unit
+    # a signal without a unit connects to any unit
     def signals(names: Sequence[str]) -> tuple[Signal, ...]:
         return tuple(Signal(name, (units or {}).get(name, "1")) for name in names)
 
@@ -122,20 +123,27 @@ def from_control(
 
 
 def dotted(label: str) -> str:
-    """A variable of the robot whose dots became underscores, as in `flexfmu.model.linear`, with its dots: ``joint1_torque``
-    → ``joint1.torque``, ``end_effector_position_x`` → ``end_effector.position.x``. Other labels stay."""
+    """Restore the dots in a variable's name that `flexfmu.model.linear` replaced by underscores.
+
+    ``joint1_torque`` → ``joint1.torque``, ``end_effector_position_x`` → ``end_effector.position.x``. Other labels stay
+    as they are.
+    """
     return _QUANTITY.sub(r".\1.\2", _OBJECT.sub(r"\1.", label))
 
 
 def _matrices(system: Any) -> Matrices:
-    """A, B, C, D of a system, in s or z."""
+    """Return A, B, C, D of a system in s or z.
+
+    Raises:
+        InputError: python-control is missing, the system is of another kind or not proper.
+    """
     try:
         import control
     except ImportError:
         raise InputError("python-control is missing; run: pip install flexfmu[control]") from None
     if isinstance(system, control.StateSpace):
         return system.A, system.B, system.C, system.D
-    # transfer functions get states of their own
+    # transfer functions need a realisation
     if isinstance(system, control.TransferFunction):
         return realise(system.num_array, system.den_array)
     raise InputError(
@@ -144,7 +152,7 @@ def _matrices(system: Any) -> Matrices:
 
 
 def _names(given: Sequence[str] | None, labels: Sequence[str], what: str) -> list[str]:
-    """The given names, or the labels with their dots."""
+    """Return the names that replace the labels, or the labels with their dots."""
     if given is None:
         return [dotted(label) for label in labels]
     if isinstance(given, str) or len(given) != len(labels):
@@ -165,12 +173,14 @@ def _check_units(units: Mapping[str, str], names: Sequence[str]) -> None:
 
 
 def _explicit(method: Method | None, sample_time: float | None) -> tuple[Method, float]:
-    """Require the method and the sample time of a discretisation; neither has a default."""
+    """Check the method and the sample time [s] of a discretisation; neither has a default."""
+    # both must be there
     if method is None or sample_time is None:
         raise InputError(
             f"the system is continuous: say how to discretise it, method= one of {', '.join(get_args(Method))}, "
             "and with which sample_time= in s; or discretise it with control.c2d"
         )
+    # and be admissible
     if method not in get_args(Method):
         raise InputError(f"unknown method {method!r}; choose from {', '.join(get_args(Method))}")
     if not (isfinite(sample_time) and sample_time > 0.0):
@@ -179,10 +189,10 @@ def _explicit(method: Method | None, sample_time: float | None) -> tuple[Method,
 
 
 def _own_sample_time(dt: Any, sample_time: float | None) -> float:
-    """Sample time of a discrete system: its own, or the one given where it leaves it open."""
+    """Return the sample time of a discrete system [s]: its own, or the argument where its ``dt`` is True."""
     if dt is None:
         raise InputError("the system has no time base (dt is None); set dt = 0 for continuous, or its sample time in s")
-    # True says discrete, but not how fast
+    # True: discrete, without a sample time
     if dt is True:
         if sample_time is None:
             raise InputError("the system is discrete without a sample time (dt is True); say sample_time= in s")
@@ -196,8 +206,8 @@ def _own_sample_time(dt: Any, sample_time: float | None) -> float:
 
 
 def _discretise(matrices: Any, method: Method, sample_time: float, prewarp: float | None) -> Matrices:
-    """The discrete equivalent of a continuous system."""
-    # Tustin's rule with the step for which it is exact at the prewarped frequency
+    """Return A, B, C, D of the discrete equivalent of a continuous system."""
+    # prewarping: Tustin's rule with another step
     step = sample_time
     if prewarp is not None:
         if method != "tustin":
@@ -215,24 +225,24 @@ def _discretise(matrices: Any, method: Method, sample_time: float, prewarp: floa
 
 
 Matrices = tuple[RealArray, RealArray, RealArray, RealArray]
-"""A, B, C, D."""
+"""A (n, n), B (n, inputs), C (outputs, n), D (outputs, inputs)."""
 
 
 def realise(numerators: Sequence[Sequence[RealArray]], denominators: Sequence[Sequence[RealArray]]) -> Matrices:
-    """State space of a matrix of transfer functions, in s or z alike.
+    """Return a state space of a matrix of transfer functions in s or z.
 
-    Every element gets the states of its own controllable canonical form (T. Kailath, Linear Systems, 1980, section
-    2.1.1), so that the realisation isn't minimal where elements share poles; the response is the same.
+    Every element is realised in its own controllable canonical form (T. Kailath, Linear Systems, 1980, section 2.1.1).
+    The realisation isn't minimal where elements share poles; the response is the same.
 
     Args:
         numerators, denominators: [output][input] → coefficients, highest power first.
 
     Raises:
-        InputError: an element isn't proper.
+        InputError: an element isn't proper, its denominator is zero, or a coefficient isn't finite.
     """
     height, width = len(numerators), len(numerators[0])
     D = np.zeros((height, width))
-    # every element has its states, one input column and one output row
+    # states, input column and output row of every element
     parts: list[RealArray] = []
     rows: list[RealArray] = []
     columns: list[RealArray] = []
@@ -248,7 +258,11 @@ def realise(numerators: Sequence[Sequence[RealArray]], denominators: Sequence[Se
 
 
 def _canonical(numerator: RealArray, denominator: RealArray, where: str) -> tuple[RealArray, RealArray, float]:
-    """A, C, D of one element; B is the first unit vector."""
+    """Return A, C, D of one element; B is the first unit vector.
+
+    Raises:
+        InputError: the element isn't proper, its denominator is zero, or a coefficient isn't finite.
+    """
     b, a = (
         np.trim_zeros(np.asarray(numerator, dtype=float), "f"),
         np.trim_zeros(np.asarray(denominator, dtype=float), "f"),

@@ -1,4 +1,4 @@
-"""P-type iterative learning: a torque that gets better from cycle to cycle of a repeated motion."""
+"""P-type iterative learning: a feedforward torque that improves from cycle to cycle of a repeated motion."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from flexfmu.model.symbolic import SymbolicBlock
 from flexfmu.trajectories.trajectory import SAME_TIME
 
 MAXIMUM_TABLE = 1_000_000
-"""Tables of more samples than this are taken for a mistake in the cycle's unit."""
+"""Largest number of samples in a cycle; more are probably a mistake in the cycle's unit."""
 
 GAIN_UNITS: Mapping[JointQuantity, str] = {"position": "N.m/rad", "velocity": "N.m.s/rad", "acceleration": "N.m.s2/rad"}
-"""Error that is learned from → unit of the learning gain."""
+"""Quantity whose error is learned from → unit of the learning gain."""
 
 
 def iterative_learning(
@@ -42,18 +42,17 @@ def iterative_learning(
     joints: Sequence[str] = JOINTS,
     name: str = "learning",
 ) -> SymbolicBlock:
-    """Feedforward of cycle j + 1 = what cycle j learned from its error: for each joint and sample k = 0 .. N - 1 ::
+    """Build the block whose output w is the learned feedforward: for each joint, cycle j and sample k = 0 .. N - 1 ::
 
         w_j+1(k) = (1 - forgetting) w_j(k) + gain * e_j(k + shift),      w_0 = 0,      e = reference - measurement
 
     P-type learning (S. Arimoto, S. Kawamura, F. Miyazaki, Bettering operation of robots by learning, J. Robotic Systems
     1 (1984) 123; forgetting: S. Arimoto, Int. J. Control 52 (1990)). On a sampled plant with first Markov parameter
     g = y(shift) of a unit pulse, the error of a sample changes from cycle to cycle by the factor 1 - forgetting - gain g,
-    which has to be less than 1 in magnitude. The last ``shift`` samples have no error within their cycle: they are
-    only forgotten.
+    whose magnitude must be below 1. The errors of the last ``shift`` samples lie beyond the cycle, so those samples learn
+    nothing.
 
-    Every cycle has to start from the same state of the plant, so repeat a motion that comes back, or whose plant is set
-    back. Inputs: ``joint1.reference.position`` and ``joint1.position`` (or ``velocity``); output ``joint1.feedforward``,
+    Every cycle must start from the same state of the plant: repeat a motion that returns to its start. Inputs: ``joint1.reference.position`` and ``joint1.position`` (or ``velocity``); output ``joint1.feedforward``,
     to be added to a controller's torque, without direct feedthrough. The gain is tunable: ``joint1.learning_gain``.
 
     Args:
@@ -61,8 +60,8 @@ def iterative_learning(
         cycle: N, samples in a cycle.
         sample_time, offset: [s].
         shift: samples from a torque to the error that it causes; 1 for a sampled plant without direct feedthrough.
-        forgetting: 0 keeps everything; some percent gives robustness at the price of a remaining error.
-        learn_from: which error: ``position``, ``velocity`` or ``acceleration``.
+        forgetting: share that is forgotten in each cycle, from 0 to below 1; a few percent add robustness and leave an error.
+        learn_from: quantity whose error is learned from: ``position``, ``velocity`` or ``acceleration``.
         joints: names of the joints.
         name: name of the block.
 
@@ -77,11 +76,11 @@ def iterative_learning(
         raise InputError(f"{name}: the forgetting must be at least 0 and below 1, got {forgetting}")
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        # states: the sample's number within the cycle, and for each joint the torques of a cycle ahead
+        # states: number of the sample within the cycle, and each joint's torques of the next N samples
         n, (k, *queues) = len(joints), split(x, 1, cycle)
         errors = casadi.if_else(k >= shift, u[:n] - u[n:], casadi.MX.zeros(n))
         moved = [_move_on(queues[i], p[i] * errors[i], shift, forgetting) for i in range(n)]
-        # the number begins again with every cycle
+        # the number starts from zero in every cycle
         following = casadi.if_else(k + 1.0 >= cycle, 0.0, k + 1.0)
         return casadi.vertcat(*(queue[0] for queue in queues)), casadi.vertcat(following, *moved)
 
@@ -100,10 +99,10 @@ def iterative_learning(
 
 
 def _move_on(queue: Vector, correction: Vector, shift: int, forgetting: float) -> Vector:
-    """The table of a joint, kept as a queue, one sample later.
+    """Return the queue (N,) of a joint's torques one sample later.
 
-    Its head is the present torque; the torque of ``shift`` samples ago stands ``shift`` places before its end and learns
-    from the present error, the present one goes to the end.
+    Its head is the present torque, which moves to the end. The torque of ``shift`` samples ago, which is ``shift`` places
+    before the end, learns from the present error.
     """
     cycle = queue.numel()
     learner = (cycle - shift) % cycle
@@ -114,10 +113,10 @@ def _move_on(queue: Vector, correction: Vector, shift: int, forgetting: float) -
 
 
 def samples_in_a_cycle(period: float | None, sample_time: float) -> int:
-    """Samples in a cycle of a repeated motion.
+    """Return the number of samples in a cycle of a repeated motion.
 
     Args:
-        period: length of the cycle [s]; None for a motion that is made once.
+        period: of the cycle [s]; None for a motion that isn't repeated.
         sample_time: [s].
 
     Raises:
@@ -127,7 +126,7 @@ def samples_in_a_cycle(period: float | None, sample_time: float) -> int:
         raise InputError(
             "learning needs a motion that is repeated: flexfmu.cosim.experiment.cycles.repeated(plan, cycles)"
         )
-    # the memory has one torque for each sample of a cycle
+    # the queue has one torque for each sample of a cycle
     samples = round(period / sample_time)
     if abs(samples * sample_time - period) > SAME_TIME * period:
         raise InputError(

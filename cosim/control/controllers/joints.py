@@ -1,4 +1,4 @@
-"""What joint controllers share: variables, gains, torque limits, and equations that use them."""
+"""Variables, gains, torque limits and equations that all joint controllers share."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PerJoint = float | Sequence[float]
 
 
 def references(joints: Sequence[str], *kinds: JointQuantity) -> list[Variable]:
-    """Inputs ``joint1.reference.position`` and so on, those of the first kind first."""
+    """Return the inputs ``joint1.reference.position`` and so on, those of the first kind first."""
     return [
         Variable(f"{joint}.reference.{kind}", UNITS[kind], f"Reference {kind} of {joint}", "input", 0.0)
         for kind in kinds
@@ -34,7 +34,7 @@ def references(joints: Sequence[str], *kinds: JointQuantity) -> list[Variable]:
 
 
 def measurements(joints: Sequence[str], *kinds: JointQuantity) -> list[Variable]:
-    """Inputs ``joint1.position`` and so on, those of the first kind first."""
+    """Return the inputs ``joint1.position`` and so on, those of the first kind first."""
     return [
         Variable(f"{joint}.{kind}", UNITS[kind], f"Measured {kind} of {joint}", "input", 0.0)
         for kind in kinds
@@ -43,7 +43,7 @@ def measurements(joints: Sequence[str], *kinds: JointQuantity) -> list[Variable]
 
 
 def feedforwards(joints: Sequence[str]) -> list[Variable]:
-    """Inputs ``joint1.feedforward``: torques that are added before the limits."""
+    """Return the inputs ``joint1.feedforward``: torques that are added before the limits."""
     return [
         Variable(f"{joint}.feedforward", "N.m", f"Torque added to that of the controller of {joint}", "input", 0.0)
         for joint in joints
@@ -51,17 +51,17 @@ def feedforwards(joints: Sequence[str]) -> list[Variable]:
 
 
 def feedforward_outputs(joints: Sequence[str], what: str) -> list[Variable]:
-    """Outputs ``joint1.feedforward`` of a slave that calculates feedforward torques."""
+    """Return the outputs ``joint1.feedforward`` of a slave that calculates feedforward torques."""
     return [Variable(f"{joint}.feedforward", "N.m", f"{what} of {joint}", "output") for joint in joints]
 
 
 def torques(joints: Sequence[str]) -> list[Variable]:
-    """Outputs ``joint1.torque``."""
+    """Return the outputs ``joint1.torque``."""
     return [Variable(f"{joint}.torque", "N.m", f"Torque of {joint}, counter-clockwise", "output") for joint in joints]
 
 
 def gains(joints: Sequence[str], name: str, values: PerJoint, unit: str, what: str) -> list[Variable]:
-    """Tunable parameters ``joint1.<name>``, zero or positive.
+    """Return the tunable parameters ``joint1.<name>``, zero or positive.
 
     Raises:
         InputError: there isn't one finite, non-negative value for each joint.
@@ -75,10 +75,10 @@ def gains(joints: Sequence[str], name: str, values: PerJoint, unit: str, what: s
 def per_joint(
     joints: Sequence[str], name: str, values: PerJoint, unit: str, minimum: float | None = None
 ) -> tuple[float, ...]:
-    """One value for each joint.
+    """Return one value for each joint.
 
     Raises:
-        InputError: the number of values is wrong, or a value isn't finite or is too small.
+        InputError: the number of values is wrong, or a value isn't finite or is below ``minimum``.
     """
     # one number for all joints, or one for each
     try:
@@ -90,7 +90,7 @@ def per_joint(
             f"{name} must be one number or {len(joints)} (one for each of {', '.join(joints)}), got shape {array.shape}"
         )
     result = tuple(float(value) for value in np.broadcast_to(array, (len(joints),)))
-    # refuse what no joint can take
+    # check each value
     for joint, value in zip(joints, result, strict=True):
         if not isfinite(value):
             raise InputError(f"{name} of {joint} must be finite, got {value} {unit}")
@@ -101,18 +101,18 @@ def per_joint(
 
 @dataclass(frozen=True)
 class Limits:
-    """Smallest and largest torque [N.m], for all joints or one for each."""
+    """Smallest and largest torque [N.m]: one number for all joints, or one for each."""
 
     lower: PerJoint
     upper: PerJoint
 
     def parameters(self, joints: Sequence[str]) -> list[Variable]:
-        """Tunable parameters ``joint1.torque.minimum``, ..., ``joint1.torque.maximum``, ...
+        """Return the tunable parameters ``joint1.torque.minimum``, ..., ``joint1.torque.maximum``, ...
 
         Raises:
             InputError: a limit isn't finite, or the lower one isn't below the upper one.
         """
-        # limits in the right order for every joint
+        # lower limit below upper limit for every joint
         lower = per_joint(joints, "the lower torque limit", self.lower, "N.m")
         upper = per_joint(joints, "the upper torque limit", self.upper, "N.m")
         for joint, low, high in zip(joints, lower, upper, strict=True):
@@ -127,41 +127,44 @@ class Limits:
 
 
 def symmetric(limit: PerJoint) -> Limits:
-    """Limits ±limit [N.m]."""
+    """Return the limits ±limit [N.m]."""
     lower = -limit if isinstance(limit, (int, float)) else tuple(-value for value in limit)
     return Limits(lower, limit)
 
 
 def torque_limits(limit: PerJoint | None) -> Limits | None:
-    """Limits ±limit [N.m] of a section of the scene file; None for none."""
+    """Return the limits ±limit [N.m] of a section of the scene file; None for none."""
     return None if limit is None else symmetric(limit)
 
 
 def saturate(value: Vector, lower: Vector, upper: Vector) -> Vector:
-    """The value within its limits. NaN stays NaN, whereas minimum and maximum would turn it into a limit."""
+    """Return the value within its limits. NaN stays NaN; minimum and maximum would turn it into a limit."""
     return casadi.if_else(value > upper, upper, casadi.if_else(value < lower, lower, value))
 
 
 Law = Callable[[Vector, list[Vector], list[Vector]], tuple[Vector, Vector]]
-"""(states, signals, gains) → (torques before feedforward and limits, next states); every signal and every gain is a vector of
-one number for each joint."""
+"""(states, signals, gains) → (torques before feedforward and limits, next states); every signal and every gain is a
+vector with one element for each joint."""
 
 
 def torque_equations(law: Law, joints: Sequence[str], limits: Limits | None) -> Equations:
-    """Equations of torque = sat(law + feedforward), for a block whose inputs end with `feedforwards` and whose parameters end with
-    those of the limits.
+    """Return the equations of torque = sat(law + feedforward).
+
+    The block's inputs must end with `feedforwards`, its parameters with those of the limits.
 
     Args:
-        law: the law.
+        law: the control law.
         joints: names of the joints.
         limits: torque limits; None for none.
     """
     n = len(joints)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
+        # signals, gains and limits, each with one element for each joint
         *signals, feedforward = split(u, n)
         gains = split(p, n)
         lower, upper = (gains.pop(-2), gains.pop()) if limits else (None, None)
+        # the law, the feedforward, then the limits
         torque, following = law(x, signals, gains)
         torque = torque + feedforward
         return saturate(torque, lower, upper) if limits else torque, following

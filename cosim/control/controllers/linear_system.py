@@ -1,4 +1,4 @@
-"""A discrete-time linear system with named signals: what state-space controllers and observers are made of."""
+"""Discrete-time linear systems with named signals, and their blocks."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k; a static gain has A = B = C = [].
+    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k; a static gain has no states, A = B = C = [].
 
     Attributes:
-        A, B, C, D: matrices (n, n), (n, inputs), (outputs, n), (outputs, inputs); anything that NumPy takes.
+        A, B, C, D: matrices (n, n), (n, inputs), (outputs, n), (outputs, inputs), of any type that NumPy converts.
         sample_time: [s].
         inputs, outputs: signals in the order of u and y.
 
@@ -58,7 +58,7 @@ class LinearSystem:
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, matrix(getattr(self, name), shape, name))
-        # signals are connected by name
+        # names must be unique
         names = [signal.name for signal in (*self.inputs, *self.outputs)]
         for name in names:
             if names.count(name) > 1:
@@ -80,18 +80,18 @@ def linear_system(
     inputs: Sequence[str] = (),
     outputs: Sequence[str] = (),
 ) -> LinearSystem:
-    """A linear system of matrices alone; signals are named ``u[0]``, .. and ``y[0]``, .. unless told otherwise.
+    """Build a linear system from its matrices; signals are named ``u[0]``, .. and ``y[0]``, .. by default.
 
     Args:
-        A, B, C: two-dimensional; A = [] makes a static gain, whose B and C don't count.
+        A, B, C: two-dimensional; A = [] makes a static gain, for which B and C are ignored.
         D: zero when left out.
         sample_time: [s].
-        inputs, outputs: names.
+        inputs, outputs: names of the signals.
 
     Raises:
         InputError: as for `LinearSystem`.
     """
-    if np.size(A) == 0:  # a static gain: the feedthrough alone says how many inputs and outputs there are
+    if np.size(A) == 0:  # a static gain: D has the numbers of inputs and outputs
         rows, columns = (len(outputs), len(inputs)) if D is None else np.atleast_2d(D).shape
         A, B, C = np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0))
     width, height = np.atleast_2d(B).shape[1], np.atleast_2d(C).shape[0]
@@ -107,10 +107,10 @@ def linear_system(
 
 
 def matrix(values: Any, shape: tuple[int, int], name: str) -> RealArray:
-    """A read-only matrix of real, finite numbers.
+    """Return a read-only matrix of real, finite numbers.
 
     Raises:
-        InputError: the shape is wrong, or a number isn't real and finite; the message names it.
+        InputError: the shape is wrong, or a number isn't real and finite; the message has its index.
     """
     array = np.array(values)
     if array.shape in {(0,), (1, 0)} and 0 in shape:  # [] or [[]] stands for a matrix without rows or columns
@@ -133,7 +133,7 @@ def matrix(values: Any, shape: tuple[int, int], name: str) -> RealArray:
 def state_space(
     system: LinearSystem, *, offset: float = 0.0, start: Sequence[float] | None = None, name: str = "state_space"
 ) -> SymbolicBlock:
-    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k; direct feedthrough where D isn't zero.
+    """Build the block x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k; direct feedthrough where D isn't zero.
 
     Args:
         system: the system; its sample time and signals are the block's.
@@ -144,12 +144,12 @@ def state_space(
     Raises:
         InputError: the number of start states doesn't fit, or one isn't finite.
     """
-    # a start of the right length
+    # one start value for each state
     states = [0.0] * system.order if start is None else [float(value) for value in start]
     if len(states) != system.order:
         raise InputError(f"{name}: start must have {system.order} values, one for each state, got {len(states)}")
 
-    # output and update of the four matrices
+    # output and update from the four matrices
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         return times(system.C, x) + times(system.D, u), times(system.A, x) + times(system.B, u)
 
@@ -166,12 +166,12 @@ def state_space(
 
 
 def times(matrix: RealArray, vector: Vector) -> Vector:
-    """matrix @ vector without the products by zero."""
+    """Return matrix @ vector without the products with zeros."""
     return casadi.mtimes(casadi.sparsify(casadi.DM(np.asarray(matrix))), vector)
 
 
 def variables(signals: Sequence[Signal], causality: Causality) -> list[Variable]:
-    """Variables of some signals; inputs start at zero."""
+    """Return the variables of signals; inputs start at zero."""
     what = "Input" if causality == "input" else "Output"
     start = 0.0 if causality == "input" else None
     return [Variable(signal.name, signal.unit, f"{what} {i + 1}", causality, start) for i, signal in enumerate(signals)]

@@ -1,4 +1,4 @@
-"""A linear-quadratic regulator with a Kalman filter for the torque-driven robot, designed at a pose.
+"""Linear-quadratic regulator with a Kalman filter (LQG) for the torque-driven robot, designed at a pose.
 
 The gains solve the discrete algebraic Riccati equations of the sampled, linearised robot and of its dual: G. F. Franklin,
 J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 9.3 and 9.5.
@@ -35,13 +35,13 @@ TORQUES = ("joint1.torque", "joint2.torque")
 
 @dataclass(frozen=True)
 class LqgWeights:
-    """What counts as one unit of cost, and the noise that the filter expects.
+    """Deviations that cost one unit each (Bryson's rule), and the noise that the filter is designed for.
 
     Attributes:
-        position_error: [rad], for each joint.
-        velocity_error: [rad/s].
-        torque_deviation: [N.m].
-        torque_noise: standard deviation of a disturbing torque, sample by sample [N.m].
+        position_error: of each joint [rad].
+        velocity_error: of each joint [rad/s].
+        torque_deviation: of each motor, from its torque at the equilibrium [N.m].
+        torque_noise: standard deviation of a white disturbance torque [N.m].
         measurement_noise: standard deviation of the measured angles [rad].
     """
 
@@ -62,24 +62,25 @@ def lqg(
     limits: Limits | None = None,
     name: str = "state_feedback",
 ) -> SymbolicBlock:
-    """State feedback with an observer of full order, from measured angles alone.
+    """Build the block: state feedback with a full-order observer, from measured angles alone.
 
-    The robot is linearised about its equilibrium at a pose and discretised for held torques; `control.dlqr` and
-    `control.dlqe` give the gains. References shift the equilibrium without static error.
+    The robot is linearised about its equilibrium at a pose and discretised with a zero-order hold of the torques;
+    `control.dlqr` and `control.dlqe` calculate the gains. Constant references are tracked without static error in the
+    linearised robot.
 
     Args:
         scene: the robot.
-        position: pose, of the rigid end effector [m].
-        weights: what counts.
+        position: end-effector position of the rigid robot at the pose (2,) [m].
+        weights: of cost and noise; `LqgWeights()` when left out.
         sample_time, offset: [s].
-        limits: torque limits.
+        limits: torque limits; None for none.
         name: name of the block.
 
     Raises:
         InputError: python-control is missing.
         EquilibriumError: there is no equilibrium at the pose.
     """
-    # the plant: the linearised robot, sampled with held torques; the gains need rates beside positions
+    # the plant: the linearised robot with zero-order hold; the cost needs the rates too
     robot = linearize(scene, position, (*POSITIONS, *RATES))[:, :2]
     units = dict.fromkeys(TORQUES, "N.m") | dict.fromkeys(POSITIONS, "rad") | dict.fromkeys(RATES, "rad/s")
     full = from_control(
@@ -91,7 +92,7 @@ def lqg(
     measured = from_control(
         robot[:2, :], method="zoh", sample_time=sample_time, inputs=TORQUES, outputs=POSITIONS, units=measured_units
     )
-    # references enter as the steady state of each position, about the torques at rest
+    # feedforward of the steady state that belongs to each reference, about the equilibrium
     point = operating_point(scene, position)
     rest = Equilibrium(inputs=point.inputs[:2].tolist(), outputs=point.coordinates[:2].tolist())
     reference = static_feedforward(measured, POSITIONS, rest)
@@ -114,7 +115,7 @@ def lqg(
 
 
 def _gains(robot: LinearSystem, weights: LqgWeights) -> tuple[RealArray, RealArray]:
-    """Feedback and observer gains for a robot whose outputs are angles, then rates.
+    """Return feedback gains K and observer gains L for a robot whose outputs are angles, then rates.
 
     Raises:
         InputError: python-control is missing.
@@ -141,7 +142,7 @@ def _from_section(section: StateFeedbackSection, context: LoopContext) -> Symbol
         section.torque_noise,
         section.measurement_noise,
     )
-    # the design pose, a point of the path
+    # end-effector position at the design pose
     path = context.along_path.path
     place = np.array([{"start": 0.0, "middle": 0.5, "end": 1.0}[section.pose] * path.length])
     x, y = (float(coordinate.value[0]) for coordinate in path.jets(place, order=0))

@@ -32,7 +32,7 @@ def pd(
     joints: Sequence[str] = JOINTS,
     name: str = "pd",
 ) -> SymbolicBlock:
-    """Torque = sat(K_p (q_r - q) + K_d (v_r - v) + feedforward) for each joint. It has no state.
+    """Build the block: torque = sat(K_p (q_r - q) + K_d (v_r - v) + feedforward) for each joint, without states.
 
     Inputs: ``joint1.reference.position``, ``.velocity``, ``joint1.position``, ``joint1.velocity``,
     ``joint1.feedforward`` (zero unless connected); output ``joint1.torque``. Gains and limits are tunable parameters

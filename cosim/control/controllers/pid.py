@@ -8,8 +8,8 @@ Dynamic Systems, 3rd ed. 1998, section 6.3.2). With e = q_r - q, d = c q_r - q, 
     I_k = I_k-1 + K_i h (e_k + e_k-1) / 2
     D_k = a D_k-1 + K_d (1 - a) (d_k - d_k-1) / h
 
-Without a filter, a = 0, D is the difference quotient. At the first sample e_-1 = e_0 and d_-1 = d_0 and no time has passed:
-neither a kick nor an increment. Form, weights and anti-windup after K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006,
+Without a filter (T_f = 0, a = 0) D is the difference quotient. At the first sample the integral gets no increment and D
+is zero, since there is no sample before. Form, weights and anti-windup after K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006,
 sections 3.3 to 3.5.
 """
 
@@ -46,13 +46,13 @@ CLAMPING = Clamping()
 
 @dataclass(frozen=True)
 class PidLaw:
-    """The formulas on top of this module, for all joints at once.
+    """The PID law at the top of this module, for all joints at once.
 
     Attributes:
         joints: number of joints n.
         sample_time: h [s].
         setpoint_weight, derivative_weight: b and c.
-        anti_windup: what the integral does at the torque limits; None for no limits.
+        anti_windup: rule for the integral at the torque limits; None for no limits.
     """
 
     joints: int
@@ -62,19 +62,19 @@ class PidLaw:
     anti_windup: AntiWindup | None
 
     def equations(self, x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Torques (n, 1) and next states; states are whether there was a sample, and I, D, e and d of the last one."""
+        """Return torques (n, 1) and next states; states are 1 after the first sample, else 0, then the last I, D, e and d."""
         n, h = self.joints, self.sample_time
         started, carried, slope, last_e, last_d = split(x, 1, n)
         q_r, q, feedforward = split(u, n)
         k_p, k_i, k_d, t_f, *bounds = split(p, n)
         e, d = q_r - q, self.derivative_weight * q_r - q
-        # integral and filtered derivative, neither of which moves at the first sample
+        # integral and filtered derivative; both stay as they are at the first sample
         running = casadi.repmat(started, n, 1)
         increment = casadi.if_else(running, k_i * (h / 2.0) * (e + last_e), 0.0)
         fading = casadi.exp(-h / t_f)
         slope = casadi.if_else(running, fading * slope + k_d * ((1.0 - fading) / h) * (d - last_d), slope)
         rest = k_p * (self.setpoint_weight * q_r - q) + slope + feedforward
-        # the integral takes part as far as the limits let it
+        # limits, with anti-windup
         if self.anti_windup is None:
             torque, carried = rest + carried + increment, carried + increment
         else:
@@ -100,7 +100,7 @@ def pid(
     joints: Sequence[str] = JOINTS,
     name: str = "pid",
 ) -> SymbolicBlock:
-    """PID control of each joint from a reference, a measured angle and a feedforward, by the formulas on top of this module.
+    """Build the block: PID control of each joint from reference, measured angle and feedforward; law at the module's top.
 
     Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward`` (zero unless connected); output
     ``joint1.torque``. Gains, filter times and limits are tunable parameters ``joint1.proportional_gain``,
@@ -112,24 +112,24 @@ def pid(
         derivative: K_d [N.m.s/rad].
         sample_time, offset: [s].
         filter_time: T_f [s] of the derivative.
-        setpoint_weight: b; below 1 it tempers the overshoot after a jump of the reference.
-        derivative_weight: c; 0 differentiates the measurement alone.
+        setpoint_weight: b; below 1 it reduces the overshoot after a step of the reference.
+        derivative_weight: c; with 0 only the measurement is differentiated.
         limits: torque limits; None for none.
-        anti_windup: what the integral does at the limits.
-        initial_torque: I at the start [N.m], for a start without a bump.
+        anti_windup: rule for the integral at the limits.
+        initial_torque: I at the start [N.m], for bumpless start.
         joints: names of the joints.
         name: name of the block.
 
     Raises:
         InputError: a gain or time is negative or not finite, their number doesn't fit, or the sample time isn't positive.
     """
-    # weights are no parameters: what is wrong is seen here alone
+    # weights are constants, not parameters, so they are checked here
     for what, weight in (("setpoint", setpoint_weight), ("derivative", derivative_weight)):
         if not isfinite(weight):
             raise InputError(f"{name}: the {what} weight must be finite, usually 0 to 1, got {weight}")
     n = len(joints)
     law = PidLaw(n, sample_time, setpoint_weight, derivative_weight, anti_windup if limits else None)
-    # no sample yet, the integral at its start
+    # start states: no sample yet, I at its initial torque, D, e and d zero
     return block(
         name,
         "PID control of the joints",
@@ -151,7 +151,7 @@ def pid(
 
 @builds(scene.PidSection)
 def _from_section(section: scene.PidSection, context: LoopContext) -> SymbolicBlock:
-    # the rule that the section names
+    # the anti-windup of the section
     anti_windup: AntiWindup
     match section.anti_windup:
         case scene.BackCalculationSection(tracking_time=time):

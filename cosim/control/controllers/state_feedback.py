@@ -1,4 +1,4 @@
-"""State feedback from an observer's estimate, with reference feedforward and limits."""
+"""State feedback with a prediction observer, reference feedforward and input limits."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from flexfmu.model.symbolic import SymbolicBlock
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFeedforward:
-    """States and inputs that belong to reference signals r: x_r = Nx r, u_r = Nu r.
+    """Target states and inputs of references r: x_r = Nx r, u_r = Nu r.
 
     Attributes:
-        signals: the references, controller inputs.
+        signals: the references, which are inputs of the controller.
         Nx: (n, references).
         Nu: (plant inputs, references).
         base: value of each reference at the equilibrium, (references,); r is the deviation from it.
@@ -35,7 +35,7 @@ class ReferenceFeedforward:
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Where a plant has been linearised: inputs u_0 and outputs y_0, in the order of its signals."""
+    """Operating point of a linearised plant: inputs u_0 and outputs y_0, in the order of its signals."""
 
     inputs: Sequence[float]
     outputs: Sequence[float]
@@ -43,7 +43,7 @@ class Equilibrium:
 
 @dataclass(frozen=True)
 class InputLimits:
-    """Smallest and largest plant inputs, absolute, one for each."""
+    """Lower and upper limit of each plant input, as absolute values, not deviations from the equilibrium."""
 
     lower: Sequence[float]
     upper: Sequence[float]
@@ -55,10 +55,10 @@ class StateFeedbackLaw:
 
         x̂_k+1 = A x̂_k + B (u_k - u_0) + L (y_k - y_0 - C x̂_k - D (u_k - u_0))
 
-    The estimate's error has the poles of A - L C, the plant those of A - B K, independently of each other; with the
-    observer fed by the saturated input the estimate stays right at the limits, which is its anti-windup. G. F. Franklin,
+    The estimation error has the poles of A - L C, the plant those of A - B K (separation). The observer uses the
+    saturated input, so the estimate stays right at the limits; no other anti-windup is needed. G. F. Franklin,
     J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 8.2 to 8.4; K. J. Åström,
-    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. `control.dlqr` gives K, `control.dlqe` L.
+    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. `control.dlqr` calculates K, `control.dlqe` L.
 
     Attributes:
         plant: A, B, C, D.
@@ -66,7 +66,7 @@ class StateFeedbackLaw:
         L: (n, plant outputs) observer gains.
         reference: Nx, Nu and the references r.
         u_0, y_0: inputs and outputs at the equilibrium.
-        bounds: lower and upper limits of the inputs; None for none.
+        bounds: lower and upper limits of the inputs, (plant inputs,) each; None for none.
     """
 
     plant: LinearSystem
@@ -78,11 +78,14 @@ class StateFeedbackLaw:
     bounds: tuple[RealArray, RealArray] | None
 
     def equations(self, x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Plant inputs and next estimate, from the estimate, [y, r] and no parameters."""
+        """Return plant inputs and next estimate from the estimate x, u = [y, r] and no parameters."""
+        # deviations of measurements and references from the equilibrium
         plant, r, outputs = self.plant, self.reference, len(self.plant.outputs)
         deviation, target = u[:outputs, 0] - self.y_0, u[outputs:, 0] - np.reshape(r.base, (-1, 1))
+        # feedback and feedforward, within the limits
         wanted = self.u_0 + times(r.Nu, target) - times(self.K, x - times(r.Nx, target))
         applied = saturate(wanted, *self.bounds) if self.bounds else wanted
+        # the observer sees the limited input
         effect = applied - self.u_0
         innovation = deviation - times(plant.C, x) - times(plant.D, effect)
         return applied, times(plant.A, x) + times(plant.B, effect) + times(self.L, innovation)
@@ -100,13 +103,13 @@ def state_feedback(
     estimate: Sequence[float] | None = None,
     name: str = "state_feedback",
 ) -> SymbolicBlock:
-    """State feedback from an observer: `StateFeedbackLaw`.
+    """Build the block of `StateFeedbackLaw`.
 
-    Inputs are the plant's outputs and the references, outputs the plant's inputs, named like those. The output depends
-    at once on the references alone, not on the measurements.
+    Its inputs are the plant's outputs and the references, its outputs the plant's inputs, under the same names. Only the
+    references have direct feedthrough, the measurements have none.
 
     Args:
-        plant: model of the plant at the controller's sample time, of deviations from the equilibrium.
+        plant: model of the plant for deviations from the equilibrium, at the controller's sample time.
         K: (plant inputs, n) feedback gains.
         L: (n, plant outputs) observer gains.
         offset: first sample instant [s].
@@ -117,7 +120,8 @@ def state_feedback(
         name: name of the block.
 
     Raises:
-        InputError: a gain has the wrong shape or isn't finite, or a number of values doesn't fit.
+        InputError: a gain has the wrong shape or isn't finite, a vector has the wrong length, or limits are in the wrong
+            order.
     """
     # check every matrix and vector against the plant
     n, m, outputs = plant.order, len(plant.inputs), len(plant.outputs)
@@ -131,7 +135,7 @@ def state_feedback(
         _values(equilibrium.outputs if equilibrium else None, outputs, f"{name}: equilibrium.outputs"),
         _bounds(limits, m, name),
     )
-    # the references come in beside the measurements; the estimate is the state
+    # inputs: measurements, then references; states: the estimate
     return block(
         name,
         f"State feedback from an observer of order {n}",
@@ -147,7 +151,7 @@ def state_feedback(
 def static_feedforward(
     plant: LinearSystem, tracked: Sequence[str], equilibrium: Equilibrium | None = None
 ) -> ReferenceFeedforward:
-    """Feedforward that brings the tracked outputs to their references without static error ::
+    """Return the feedforward for zero static error of the tracked outputs ::
 
         [A - I  B] [Nx]   [0]
         [C      D] [Nu] = [I]
@@ -178,20 +182,20 @@ def static_feedforward(
     if np.linalg.matrix_rank(system) < n + count:
         raise InputError(f"static feedforward: {', '.join(tracked)} can't be set independently at rest by the inputs")
     solution = np.linalg.solve(system, np.eye(n + count)[:, n:])
-    # the inputs that take the references
+    # input signals of the references
     signals = tuple(Signal(reference_name(names[row]), plant.outputs[row].unit) for row in rows)
     base = [equilibrium.outputs[row] for row in rows] if equilibrium else []
     return ReferenceFeedforward(signals, solution[:n], solution[n:], base)
 
 
 def reference_name(name: str) -> str:
-    """``joint1.position`` → ``joint1.reference.position``, ``y`` → ``reference.y``."""
+    """Return the reference's name: ``joint1.position`` → ``joint1.reference.position``, ``y`` → ``reference.y``."""
     place, dot, kind = name.rpartition(".")
     return f"{place}{dot}reference.{kind}"
 
 
 def _checked(reference: ReferenceFeedforward | None, plant: LinearSystem, name: str) -> ReferenceFeedforward:
-    """The feedforward with its matrices checked; one of no signals for none."""
+    """Return the feedforward with checked matrices; one without references for None."""
     given = reference or ReferenceFeedforward((), np.zeros((plant.order, 0)), np.zeros((len(plant.inputs), 0)))
     count = len(given.signals)
     return ReferenceFeedforward(
@@ -203,7 +207,7 @@ def _checked(reference: ReferenceFeedforward | None, plant: LinearSystem, name: 
 
 
 def _values(values: Sequence[float] | None, count: int, what: str) -> RealArray:
-    """(count,) finite numbers; zeros for None."""
+    """Return (count,) finite numbers; zeros for None."""
     if values is None:
         return np.zeros(count)
     array = np.asarray(values, dtype=float)
@@ -211,7 +215,7 @@ def _values(values: Sequence[float] | None, count: int, what: str) -> RealArray:
 
 
 def _bounds(limits: InputLimits | None, count: int, name: str) -> tuple[RealArray, RealArray] | None:
-    """Lower and upper limits, each (count,)."""
+    """Return lower and upper limits, each (count,); None for none."""
     if limits is None:
         return None
     lower = _values(limits.lower, count, f"{name}: limits.lower")
