@@ -1,1 +1,1 @@
-"""The master: a system of slaves, its order of calls, its time grid, and steps that keep their error, in Python and in C."""
+"""The co-simulation master: wiring, order of calls, time grid, coupling algorithms and step control."""

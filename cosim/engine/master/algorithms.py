@@ -1,4 +1,4 @@
-"""How slaves are coupled over a communication step."""
+"""Coupling algorithms: how inputs behave over a communication step, and whether the step is iterated."""
 
 from __future__ import annotations
 
@@ -9,63 +9,64 @@ from flexfmu.cosim.engine.master.iteration import Anderson, LoopSolver, Toleranc
 
 
 class Algorithm(Protocol):
-    """What the master needs to know about a coupling algorithm."""
+    """A coupling algorithm, as the master uses it."""
 
     @property
     def solver(self) -> LoopSolver | None:
-        """How the signals at the end of a step are found where slaves feed each other; None: they are extrapolated."""
+        """Solver for the signals at the end of a step in closed loops of slaves; None if steps aren't iterated."""
 
     def interpolates(self, ahead: bool) -> bool:
-        """Whether an input interpolates between both ends of a step.
+        """Whether an input is interpolated between both ends of a step, else extrapolated from its beginning.
 
         Args:
-            ahead: whether its source is advanced before it.
+            ahead: whether the source is stepped before the target.
         """
 
 
 @dataclass(frozen=True)
 class GaussSeidel:
-    """One slave after the other, sources first: inputs from slaves that have been advanced interpolate, those that
-    close a loop extrapolate."""
+    """Steps one slave after the other, sources first.
+
+    An input is interpolated if its source has been stepped already; the inputs that close a loop are extrapolated.
+    """
 
     @property
     def solver(self) -> None:
-        """Nothing is repeated."""
+        """None: steps are not iterated."""
 
     def interpolates(self, ahead: bool) -> bool:
-        """Where the source is ahead."""
+        """Whether the source has been stepped before the target."""
         return ahead
 
 
 @dataclass(frozen=True)
 class Jacobi:
-    """All slaves side by side: every input extrapolates from the beginning of the step, so that the order of the slaves
-    doesn't matter."""
+    """Steps all slaves with inputs extrapolated from the beginning of the step; their order doesn't matter."""
 
     @property
     def solver(self) -> None:
-        """Nothing is repeated."""
+        """None: steps are not iterated."""
 
     def interpolates(self, ahead: bool) -> bool:
-        """Nowhere."""
+        """False: every input is extrapolated."""
         return False
 
 
 @dataclass(frozen=True)
 class Implicit:
-    """Slaves that feed each other repeat the step until the signals at its end agree: every input interpolates, and
-    stiff couplings stay stable.
+    """Iterates the step of slaves in a closed loop until the signals at its end agree; stiff couplings stay stable.
 
-    With k derivatives of the signals the order is 2k + 2. An input that takes no derivatives is held at the mean of
-    both ends, which has order 2. Needs slaves that can save and restore their state.
+    Every input is interpolated. With k derivatives of the signals the order is 2k + 2. An input that takes no
+    derivatives is held at the mean of both ends, which has order 2. The slaves in the loop must be able to save and
+    restore their state.
 
     Args:
-        solver: how the signals at the end of the step are found. Its tolerance should be above the noise of the slaves'
-            own integrators.
+        solver: solves for the signals at the end of the step. Its tolerance should be larger than the error of the
+            slaves' own integrators.
     """
 
     solver: LoopSolver = field(default_factory=lambda: Anderson(tolerance=Tolerance(relative=1e-8)))
 
     def interpolates(self, ahead: bool) -> bool:
-        """Everywhere."""
+        """True: every input is interpolated."""
         return True

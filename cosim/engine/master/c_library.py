@@ -1,4 +1,4 @@
-"""The C side of the master: compiled once on a machine, loaded once in a process."""
+"""The C library of the master: compiled once on a machine, loaded once in a process."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.toolchain import Compiler, find_compiler
 
 RunProgram = Callable[[CProgram, int, CProgress], int]
-"""Carries a program out up to a number of points; not zero where an instruction has failed."""
+"""Runs a program until so many steps are completed; returns 0, or 1 if an instruction failed."""
 
 
 @cache
 def load() -> RunProgram | None:
-    """The function that carries programs out; None where it can't be compiled, for want of a compiler for example."""
+    """The C function that runs programs; None if it can't be compiled or loaded, for example without a C compiler."""
     try:
-        # compiled on the first use on this machine
+        # compile on the first use on this machine
         library = CDLL(str(_library()))
     except (BuildError, OSError):
         return None
@@ -35,7 +35,7 @@ def load() -> RunProgram | None:
 
 
 def _library() -> Path:
-    """The shared library, in the cache under the hash of its sources and compiler."""
+    """Path of the shared library; it is cached under the hash of its sources and the compiler."""
     folder = files("flexfmu.cosim.engine.master").joinpath("c-master")
     texts = {file.name: file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name[-2:] in (".c", ".h")}
     platform = native_platform()
@@ -46,7 +46,7 @@ def _library() -> Path:
 
 
 def _compile(texts: dict[str, str], compiler: Compiler) -> bytes:
-    """The library's content; CasADi comes with these imports, and is needed once only."""
+    """Content of the shared library. The import is local because it loads CasADi, which only compilation needs."""
     from flexfmu.fmu_build.sources import Sources
 
     return compile_library(Sources("flexfmu_master", "", "", {}, texts, {}), compiler)

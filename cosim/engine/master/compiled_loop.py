@@ -1,6 +1,6 @@
-"""The loop over communication points in C: a compiled program is carried out in pieces.
+"""The loop over communication points in C: the instructions of a run, executed in pieces.
 
-Between the pieces Python reports progress, and the user can interrupt.
+Between two pieces Python reports progress, and the user can interrupt the run.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from flexfmu.cosim.engine.master.schedule import Schedule
 
 
 class CompiledLoop:
-    """Goes through the points of a grid, in one run after the other.
+    """Runs a schedule over a time grid in C; one loop serves several runs, one after the other.
 
     Args:
-        library: the C side.
-        schedule: the order of calls.
-        recorder: gets every instant; has room for all of them.
-        grid: the points.
+        library: the C function that runs programs.
+        schedule: ports and order of calls.
+        recorder: records every instant; its capacity must suffice for all of them.
+        grid: communication points.
     """
 
     def __init__(self, library: RunProgram, schedule: Schedule, recorder: Recorder, grid: TimeGrid) -> None:
@@ -36,12 +36,12 @@ class CompiledLoop:
         self._progress = CProgress()
 
     def begin(self) -> None:
-        """Begin a run; slaves have been initialised, and the first instant is recorded."""
+        """Begin a run, after the slaves have been initialised and the first instant has been recorded."""
         self._progress = CProgress(points=0, records=self._recorder.count)
 
     @cached_property
     def _instructions(self) -> tuple[list[Instruction], list[Instruction]]:
-        """What happens over a step, and at its end; of slaves that have been initialised once."""
+        """Instructions of a step and of the exchange at its end; the slaves must have been initialised once."""
         plan = self._schedule.plan
         return instructions(self._schedule, plan.step), instructions(self._schedule, plan.exchange)
 
@@ -59,7 +59,7 @@ class CompiledLoop:
 
     @cached_property
     def _program(self) -> CProgram:
-        # addresses of arrays that live as long as this loop
+        # the addressed arrays are attributes, so that they live as long as this loop
         (advance, exchange), (n_advance, n_exchange) = self._packed, map(len, self._instructions)
         return CProgram(
             advance=addressof(advance),
@@ -76,14 +76,14 @@ class CompiledLoop:
 
     @property
     def points(self) -> int:
-        """Steps that all slaves have completed."""
+        """Number of steps that all slaves have completed."""
         return int(self._progress.points)
 
     def go(self, points: int) -> None:
-        """Go on until so many steps are completed.
+        """Continue until ``points`` steps are completed.
 
         Raises:
-            BaseException: what the failing slave says, or what was raised in Python.
+            BaseException: the error of the slave that failed, or the exception of a Python callback.
         """
         failed = self._library(self._program, points, self._progress)
         self._recorder.advance(int(self._progress.records))

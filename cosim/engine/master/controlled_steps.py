@@ -1,8 +1,8 @@
-"""Communication steps that are tried, judged, and taken back where their error is too large.
+"""Communication steps with error control: step doubling with rollback.
 
-Step doubling with rollback: a step is taken once as a whole and once in two halves. Their difference estimates the error of
-the coupling by Richardson's extrapolation; `flexfmu.cosim.engine.master.step_control` says how much a step may add and
-chooses the next one.
+A step is taken once as a whole and once in two halves. Their difference estimates the coupling error by Richardson
+extrapolation. If the error is too large, the slaves are rolled back and a smaller step is tried.
+`flexfmu.cosim.engine.master.step_control` sets the error that a step may add, and the length of the next step.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from flexfmu.cosim.engine.master.step_control import GROW, ErrorBudget, StepDoub
 from flexfmu.cosim.engine.slave import RealArray
 
 WORK_AT_START, WORK = 1e5, 100.0
-"""So many steps may be made, and so many times those of the first one's length."""
+"""Maximum number of steps: WORK_AT_START, plus WORK times the number of steps of the first one's length."""
 
 
 class ControlledSteps:
-    """Crosses the distance between two points of the grid in steps that keep a tolerance.
+    """Steps the slaves from one grid point to the next with a bounded coupling error.
 
-    Each step is taken at once and in two halves, which are kept: their distance is what the step adds to the error. A
-    second solution goes on in long steps from mark to mark, never put right: its distance from the first is what the
-    system has made of all errors since. (Both by Richardson's extrapolation.)
+    Each step is taken once as a whole and once in two halves; the halves are kept. Their difference estimates the local
+    error. A second solution takes the whole steps only and is never corrected. Its difference from the first solution
+    estimates the error accumulated since it began. (Both by Richardson extrapolation.)
 
     Attributes:
         time: end of the last accepted step [s].
-        accepted, rejected: steps so far; the two halves of an accepted one count as two.
-        largest: largest accepted step [s].
+        accepted, rejected: number of steps so far; the two halves of an accepted step count as two.
+        largest: largest accepted half step [s].
     """
 
     def __init__(
@@ -52,24 +52,25 @@ class ControlledSteps:
         self._control = control
         self._error = error
         self._budget = budget
-        # length of the next step, the least one, and how many there may be
+        # length of the next step, smallest step, and maximum number of steps
         self._step = min(first, control.largest)
         self._least = control.least(first)
         self._first, self._most = first, WORK_AT_START + WORK * budget.span / first
-        # signals at the end of the last step, and states to go back to: of the run, and of the long steps
+        # signals at the end of the last step, and snapshots to roll back to: of the run, and of the second solution
         self._signals = np.empty(0)
         self._short: Snapshot | None = None
         self._long: Snapshot | None = None
 
     def cross(self, begin: float, end: float) -> None:
-        """Advance to ``end`` [s], all points between exchanged and recorded, the end itself not yet.
+        """Step from ``begin`` to ``end`` [s]; exchange and record at every point between them, not at the end.
 
         Raises:
-            StepSizeError: not even the smallest step keeps the tolerance.
-            WorkError: far more steps than expected.
+            StepSizeError: the error exceeds the tolerance even with the smallest step.
+            WorkError: the run has taken more steps than allowed.
             SlaveError: a slave fails even in the smallest step.
+            LoopError: an iteration doesn't converge even in the smallest step.
         """
-        # a mark: signals may have jumped, and their new magnitudes count
+        # signals may have jumped at this point: include their new magnitudes
         self.time, self._mark = begin, begin
         if self.accepted == 0:
             self._error.start(self._schedule.inputs)
@@ -77,7 +78,7 @@ class ControlledSteps:
         self._error.learn(self._signals)
         try:
             self._short = self._schedule.save()
-            # steps up to the point, exchanged and recorded between them
+            # steps up to the point, with exchange and recording between them
             while self.time < end:
                 if self.time > begin:
                     if self._schedule.predicting:
@@ -90,13 +91,16 @@ class ControlledSteps:
                 self.finish()
 
     def finish(self) -> None:
-        """End the long steps: after the run, and where slaves sample, which have no saved states."""
+        """End the second solution: after the run, and at each grid point if slaves sample.
+
+        The states of sampled slaves are not saved.
+        """
         self._long = _replaced(self._long, None)
         self._budget.carry()
 
     def _advance(self, end: float) -> None:
-        """One step that keeps the tolerance, no further than ``end``."""
-        # smaller and smaller, until the error is small enough
+        """Take one step that meets the tolerance, no further than ``end`` [s]."""
+        # reduce the step until the error is small enough
         wanted, rejected = self._step, self.rejected
         while True:
             self._check_work(end)
@@ -108,9 +112,9 @@ class ControlledSteps:
                 break
             self.rejected += 1
             self._step = proposal
-        # what the step has added to the error of the run
+        # update the error budget
         self._budget.spend(step, added, self._accumulated(reached, added, reached < end or not self._schedule.due))
-        # a step that was shortened to end on the point says nothing against the length wanted before
+        # after a step that was shortened only to end on the point, keep the length wanted before
         shortened = self.rejected == rejected and proposal >= GROW * step
         self._step = max(proposal, wanted) if shortened else proposal
         self.time = reached
@@ -118,12 +122,14 @@ class ControlledSteps:
         self.largest = max(self.largest, 0.5 * step)
 
     def _try(self, end: float) -> tuple[float, float]:
-        """Take a step at once, then in two halves; what it adds to the error, over what it may add, and by itself. Taken
-        back where it adds too much.
+        """Take a step as a whole and in two halves; roll back if its error is too large.
 
-        A slave that fails, or a loop that isn't solved, may manage a smaller step: that too counts as a large error.
+        A failing slave or a loop that doesn't converge counts as an infinite error: a smaller step may succeed.
+
+        Returns:
+            The error relative to what the step may add (the largest of all signals), and relative to the tolerance.
         """
-        # the error of the worst signal; infinite where the step fails
+        # error of the worst signal; infinite if the step fails
         recorded, step, worst = self._recorder.count, end - self.time, ""
         error = added = inf
         try:
@@ -134,7 +140,7 @@ class ControlledSteps:
         except (SlaveError, LoopError):
             if step <= self._least:
                 raise
-        # back to the beginning, or give up
+        # too large: roll back, or give up at the smallest step
         if error > 1.0:
             if step <= self._least:
                 raise StepSizeError(self._complaint(worst, step, error))
@@ -143,9 +149,13 @@ class ControlledSteps:
         return error, added
 
     def _double(self, end: float) -> tuple[RealArray, RealArray]:
-        """The step at once, back, and in two halves, of which the middle is recorded; how both differ."""
+        """Take the step as a whole, roll back, take it in two halves and record the middle.
+
+        Returns:
+            What `CouplingError.compare` returns for both.
+        """
         schedule, begin = self._schedule, self.time
-        # at once
+        # as a whole
         middle, at_once = begin + 0.5 * (end - begin), self._at_once(end, goes_on=False)
         self._restore(self._short)
         # in two halves
@@ -159,7 +169,13 @@ class ControlledSteps:
         return self._error.compare(self._signals, at_once)
 
     def _at_once(self, end: float, jump: bool = False, goes_on: bool = True) -> RealArray:
-        """(n,) signals after one step, at whose beginning they may jump; whether another one follows from there."""
+        """Take a step as a whole; the signals (n,) at its end.
+
+        Args:
+            end: of the step [s].
+            jump: whether signals may jump at its beginning.
+            goes_on: whether another step continues from its end.
+        """
         self._schedule.begin(self.time, end, jump=jump)
         self._schedule.advance(self.time, end)
         if goes_on or self._error.following:
@@ -167,34 +183,44 @@ class ControlledSteps:
         return self._error.signals()
 
     def _accumulated(self, end: float, added: float, goes_on: bool) -> float:
-        """The error since the last mark, at the end of a step that adds so much of it: the long steps go there too."""
+        """Continue the second solution to ``end`` [s]; the error accumulated since it began, relative to the tolerance.
+
+        Args:
+            end: of the step [s].
+            added: the step's own error; returned where there is no second solution.
+            goes_on: whether the second solution continues from ``end``.
+        """
         self._error.learn(self._signals)
-        # where no second solution has begun or will go on, the step's own error is all there is
+        # without a second solution, before or after this step, only the step's own error is known
         before = self._long or self._short
         if before is self._short and not goes_on:
             return added
         schedule, kept = self._schedule, self._schedule.save()
         try:
-            # the second solution, one long step further
+            # the second solution: one whole step further
             self._restore(before)
             long = self._at_once(end, jump=self.time == self._mark, goes_on=goes_on)
             self._long = _replaced(self._long, schedule.save() if goes_on else None)
         except (SlaveError, LoopError):
-            # too long a step for them: they begin anew
+            # the step is too long for a slave or a loop: the second solution restarts
             self._long, long = _replaced(self._long, None), None
             self._budget.carry()
-        # back to the first solution, which the next step begins from
+        # back to the first solution, from which the next step begins
         self._short = _replaced(self._short, kept)
         self._restore(kept)
         return added if long is None else float(self._error.learned(self._signals, long).max(initial=0.0))
 
     def _restore(self, snapshot: Snapshot | None) -> None:
-        """Go back."""
+        """Roll back to a snapshot, if there is one."""
         if snapshot is not None:
             self._schedule.restore(snapshot)
 
     def _check_work(self, end: float) -> None:
-        """Give up when the steps have become far more than those of the first one's length would be."""
+        """Refuse another step once the maximum number of steps is exceeded.
+
+        Raises:
+            WorkError: it is exceeded.
+        """
         steps = self.accepted + self.rejected
         if steps > self._most:
             raise WorkError(
@@ -205,7 +231,7 @@ class ControlledSteps:
             )
 
     def _complaint(self, worst: str, step: float, error: float) -> str:
-        """Why there is no smaller step."""
+        """Message for an error that is too large at the smallest step."""
         return (
             f"the coupling error of {worst} is {error:.3g} times what the tolerance of {self._control.tolerance:g} allows "
             f"at {self.time:.9g} s, even with a step of {step:.3g} s; take a larger tolerance, a smaller smallest step, "
@@ -214,7 +240,7 @@ class ControlledSteps:
 
 
 def _replaced(old: Snapshot | None, new: Snapshot | None) -> Snapshot | None:
-    """The new one, when the old one isn't needed any more."""
+    """The new snapshot, after the states of the old one have been released."""
     if old is not None:
         old.states.release()
     return new

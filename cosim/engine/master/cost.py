@@ -1,7 +1,7 @@
-"""What a long run will take in time and memory, estimated before it starts.
+"""Estimates computing time and memory of a long run before it starts.
 
-The time of a communication step is measured on the first ones, in a child process where the platform has them, so that slaves
-stay as they are. Memory follows from the numbers of values.
+The computing time of a communication step is measured on the first steps, in a child process where the platform allows
+it, so that the slaves don't change. Memory follows from the number of values.
 """
 
 from __future__ import annotations
@@ -16,38 +16,38 @@ from flexfmu.cosim.engine.master.outcome import Simulation
 from flexfmu.cosim.engine.master.recorder import SPEND_LESS
 
 MANY_POINTS, MANY_VALUES = 10**7, 10**8
-"""Above these numbers of communication points or recorded values the user is warned of the cost."""
+"""Numbers of communication steps and of recorded values above which the user is warned of the cost."""
 
 FEW_STEPS, TRIED_STEPS = 500, 2500
-"""Lengths of the two trials; their difference leaves the initialisation out."""
+"""Numbers of steps of the two trials; the initialisation cancels in the difference of their times."""
 
 BYTES_PER_VALUE = 19.0
-"""Memory of a recorded value, as it comes and in its column (`benchmarks/long_runs.py`)."""
+"""Bytes per recorded value: in the recorder's buffer and in the column of the results (`benchmarks/long_runs.py`)."""
 
 BYTES_PER_VALUE_IN_FILES = 50.0
-"""The same while results.csv is written."""
+"""Bytes per recorded value while results.csv is written."""
 
 BYTES_PER_REFERENCE, BYTES_KEPT = 300.0, 120.0
-"""Memory of a reference at one point: while all are calculated, before the first step (`benchmarks/long_runs.py --points 2e6`),
-and from then on."""
+"""Bytes per reference output and point: while the references are calculated, before the first step
+(`benchmarks/long_runs.py --points 2e6`), and during the run."""
 
 
 def is_long(steps: int, values: int) -> bool:
-    """Whether the user is warned of a run's cost."""
+    """Whether a run of so many steps and recorded values is long enough for a warning of its cost."""
     return steps > MANY_POINTS or values > MANY_VALUES
 
 
 def cost(steps: int, values: int, references: int, trial: Callable[[int], Simulation]) -> str:
-    """What a run will take and how to spend less, in one sentence.
+    """A sentence with a run's computing time and memory, and how to reduce them.
 
     Args:
         steps: communication steps.
         values: recorded values.
-        references: outputs that are calculated for all points before the first step.
-        trial: simulates so many of the first steps.
+        references: number of outputs that are calculated for all points before the first step.
+        trial: simulates the first steps, as many as its argument says.
     """
     seconds = None
-    # what goes wrong now goes wrong in the run, whose message says more: then the time is left out
+    # an error occurs again in the run, which reports it better; the sentence then leaves out the time
     with suppress(Exception):
         seconds = (
             in_child(lambda: _seconds_per_step(trial), lambda: None, CALL_LIMIT)
@@ -59,7 +59,7 @@ def cost(steps: int, values: int, references: int, trial: Callable[[int], Simula
         duration = seconds * steps
         unit, size = ("h", 3600.0) if duration > 5400.0 else ("min", 60.0) if duration > 90.0 else ("s", 1.0)
         time = f"{duration / size:.2g} {unit} and "
-    # memory: references are all calculated before the first step, values recorded as they come
+    # memory: all references are calculated before the first step, values are recorded during the run
     tabulated = references * steps
     gigabytes = 1e-9 * max(BYTES_PER_REFERENCE * tabulated, BYTES_KEPT * tabulated + BYTES_PER_VALUE * values)
     return (
@@ -70,11 +70,11 @@ def cost(steps: int, values: int, references: int, trial: Callable[[int], Simula
 
 
 def _seconds_per_step(trial: Callable[[int], Simulation]) -> float | None:
-    """Time of a communication step, references included [s]; None where the first ones fail."""
+    """Computing time per communication step, references included [s]; None if a trial ends early."""
     taken = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # two lengths, since both take the same time to initialise
+        # two trials, which take the same time to initialise
         for steps in (FEW_STEPS, TRIED_STEPS):
             begin = perf_counter()
             if trial(steps).steps < steps:

@@ -1,4 +1,4 @@
-"""How signals get from slave to slave: as which polynomial, known from when on."""
+"""Couplings of slaves: the polynomial of each input over a step, and the order in which slaves are stepped."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from flexfmu.cosim.engine.slave import PredictsOutputs, Sampled, feedthrough, in
 
 
 class Transport(Enum):
-    """How signals get to an input; the value describes it in messages."""
+    """How an input gets its signal over a step; the value is the phrase for messages."""
 
     ANNOUNCED = "known in advance over the whole step"
     SAMPLED = "read at the sample instants"
@@ -29,11 +29,11 @@ class Coupling:
     """How the signals of one slave reach another.
 
     Attributes:
-        transport: which way.
+        transport: kind of polynomial or sample.
         order: degree of the polynomial that is known at the beginning of a step.
-        ends: derivatives at both ends of a step that an interpolating polynomial meets, of degree 2 ends + 1, or that
-            are averaged; None where the source is advanced later than the target, or announces its outputs.
-        exact: whether the input arrives at the output's value at the end of a step.
+        ends: highest derivative that the interpolating polynomial, of degree 2 ends + 1, matches at both ends of a
+            step; 0 for the mean of both ends; None if the input isn't interpolated.
+        exact: whether the input equals the output at the end of a step.
     """
 
     transport: Transport
@@ -43,22 +43,29 @@ class Coupling:
 
 
 Couplings = Mapping[tuple[int, int], Coupling]
-"""(source, target) → how its signals get there."""
+"""(source, target), both indices of slaves → their coupling."""
 
 
 def couplings(system: System, algorithm: Algorithm) -> Couplings:
-    """(source, target) → how its signals get there."""
+    """The coupling of every connected pair of slaves."""
     position = {slave: i for i, slave in enumerate(step_order(system, algorithm))}
     pairs = {(each.source, each.target) for each in system.connections}
     return {(a, b): _coupling(system, a, b, position.get(a, -1) < position.get(b, -1), algorithm) for a, b in pairs}
 
 
 def _coupling(system: System, source: int, target: int, ahead: bool, algorithm: Algorithm) -> Coupling:
-    """The best that source and target can do together."""
+    """The coupling with the highest order that source, target and algorithm allow.
+
+    Args:
+        system: slaves and connections.
+        source, target: indices of slaves.
+        ahead: whether the source is stepped before the target.
+        algorithm: how slaves are coupled over a step.
+    """
     giver, taker = system.slaves[source], system.slaves[target]
     used = [each.output for each in system.connections if (each.source, each.target) == (source, target)]
     accepted, known = input_order(taker), output_order(giver, used)
-    # signals that are sampled, at either end
+    # sampled source or target, or a source that predicts its outputs
     if isinstance(giver, Sampled):
         return Coupling(Transport.HELD_SAMPLE, 0, None, exact=True)
     if isinstance(taker, Sampled):
@@ -67,7 +74,7 @@ def _coupling(system: System, source: int, target: int, ahead: bool, algorithm: 
         order = min(giver.announced_order, accepted)
         exact = giver.ends_exactly and order == giver.announced_order
         return Coupling(Transport.ANNOUNCED if exact else Transport.EXTRAPOLATED, order, None, exact)
-    # stepped slaves: as the algorithm says, as far as the target takes derivatives
+    # stepped slaves: as the algorithm says, with the derivatives that the source gives and the target takes
     interpolates = algorithm.interpolates(ahead)
     if interpolates and accepted:
         return Coupling(Transport.INTERPOLATED, min(known, accepted), min(known, (accepted - 1) // 2), exact=True)
@@ -77,11 +84,13 @@ def _coupling(system: System, source: int, target: int, ahead: bool, algorithm: 
 
 
 def stale_after_step(system: System, coupled: Couplings) -> frozenset[int]:
-    """Slaves whose outputs are out of date after a step until the next exchange: a directly fed-through input has not
-    arrived at its source's value, or that source is out of date itself."""
+    """Slaves whose outputs are out of date between a step and the exchange at its end.
+
+    An input with direct feedthrough differs from its source at the end of the step, or the source is out of date.
+    """
     direct = {(i, n) for i, slave in enumerate(system.slaves) for names in feedthrough(slave).values() for n in names}
     through = [e for e in system.connections if (e.target, system.slaves[e.target].variables[e.input].name) in direct]
-    # late by themselves, then by their sources
+    # inexact inputs, then inputs whose source is out of date
     stale = {each.target for each in through if not coupled[each.source, each.target].exact}
     for _ in system.slaves:
         stale |= {each.target for each in through if each.source in stale}
@@ -89,19 +98,18 @@ def stale_after_step(system: System, coupled: Couplings) -> frozenset[int]:
 
 
 def loop_order(system: System, coupled: Couplings) -> int:
-    """Highest derivative that goes round a closed loop; 0 where there is none."""
+    """Highest derivative that is passed round a closed loop of slaves; 0 if there is no loop."""
     return max((coupled[each.source, each.target].order for each in system.delayed), default=0)
 
 
 @dataclass(frozen=True)
 class StepGroup:
-    """Slaves that are advanced together.
+    """Slaves whose step is iterated together, or a single slave that is stepped once.
 
     Attributes:
-        slaves: in the order in which they are advanced.
-        torn: connections within the group whose target is advanced before its source; none for a slave that is
-            advanced once.
-        solver: how the signals at the end of the step are found; None for a slave that is advanced once.
+        slaves: in the order in which they are stepped.
+        torn: connections within the group whose target is stepped before its source; empty if nothing is iterated.
+        solver: solves for the signals at the end of the step; None if nothing is iterated.
     """
 
     slaves: tuple[int, ...]
@@ -110,7 +118,7 @@ class StepGroup:
 
 
 def step_groups(system: System, algorithm: Algorithm) -> tuple[StepGroup, ...]:
-    """All slaves that are stepped, in order; those that feed each other are one group where the step is iterated."""
+    """All slaves that are stepped, in order; those of a closed loop are one group if the step is iterated."""
     stepped, signals = _stepped(system)
     if algorithm.solver is None:
         return tuple(StepGroup((i,)) for i in stepped)
@@ -118,26 +126,26 @@ def step_groups(system: System, algorithm: Algorithm) -> tuple[StepGroup, ...]:
 
 
 def step_order(system: System, algorithm: Algorithm) -> tuple[int, ...]:
-    """All slaves that are stepped, in order."""
+    """Indices of all slaves that are stepped, in the order of `step_groups`."""
     return tuple(i for group in step_groups(system, algorithm) for i in group.slaves)
 
 
 def feedback_signals(system: System, sampled: bool = False) -> list[Connection]:
-    """Connections by which slaves that are stepped feed each other, or themselves; on demand those that sample, too."""
+    """Connections within closed loops of stepped slaves; with ``sampled``, within loops of all slaves."""
     stepped, signals = (system.step_order, system.connections) if sampled else _stepped(system)
     ring = {i: number for number, ring in enumerate(_ordered_rings(stepped, signals)) for i in ring}
     return [each for each in signals if ring[each.source] == ring[each.target]]
 
 
 def _stepped(system: System) -> tuple[list[int], list[Connection]]:
-    """Slaves that are stepped, in order, and the connections between them."""
+    """Indices of the slaves that are stepped, in order, and the connections between them."""
     stepped = [i for i in system.step_order if not isinstance(system.slaves[i], Sampled)]
     return stepped, [each for each in system.connections if {each.source, each.target} <= set(stepped)]
 
 
 def _ordered_rings(stepped: Sequence[int], signals: Sequence[Connection]) -> list[set[int]]:
-    """Slaves that feed each other, and single ones, sources before targets."""
-    # a graph of whole slaves, and its loops
+    """Closed loops of slaves, and slaves outside loops as sets of one, sources before targets."""
+    # graph of whole slaves, and its loops
     graph: dict[VariableKey, set[VariableKey]] = {(i, ""): set() for i in stepped}
     for each in signals:
         graph[each.target, ""].add((each.source, ""))
@@ -151,9 +159,9 @@ def _ordered_rings(stepped: Sequence[int], signals: Sequence[Connection]) -> lis
 
 
 def _group(members: set[int], stepped: Sequence[int], signals: Sequence[Connection], solver: LoopSolver) -> StepGroup:
-    """The group of slaves that feed each other, or a single one."""
+    """The step group of a closed loop of slaves, or of a single one."""
     order = tuple(i for i in stepped if i in members)
-    # what a slave needs from one that is advanced after it, or from itself, must be assumed
+    # tear the connections from slaves that are stepped later, or from the slave itself
     position = {slave: i for i, slave in enumerate(order)}
     inner = [each for each in signals if each.source in position and each.target in position]
     torn = tuple(each for each in inner if position[each.source] >= position[each.target])

@@ -1,4 +1,4 @@
-"""Which signals arrive late, by how much and why."""
+"""The delay of each connection, and its cause."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.slave import HasLatency, Sampled, Slave, offset
 
 ROUNDING = 1e-9
-"""Instants nearer than this fraction of a sample time are one."""
+"""Instants that differ by less than this fraction of a sample time coincide."""
 
 
 @dataclass(frozen=True)
 class SignalDelay:
-    """How late a signal arrives.
+    """Delay of a connection.
 
     Attributes:
         connection: ``plant.y -> controller.u``.
-        seconds: age of what the target knows of the signal, at most [s]: zero, one communication step (the largest of
-            the run), or for a target that samples how long ago its source has sampled.
-        transport: how the signal gets there.
-        derivatives: how many derivatives of the signal go with it, to make up for its age.
-        hold: how long a sampled source holds the signal for a target that is stepped [s]; on average half of it is delay.
-        latency: by how much the source itself lags behind its inputs at low frequency [s], as delays and lags do.
+        seconds: greatest age of the signal at the target [s]: zero; the largest communication step of the run if it is
+            extrapolated; or, between two sampled slaves, the time since the source's last sample.
+        transport: how the target gets the signal.
+        derivatives: number of derivatives that extrapolate the signal and compensate for its age.
+        hold: sample time of a sampled source whose target is stepped [s]; half of it is delay on average.
+        latency: delay of the source's output behind its inputs at low frequency [s], as of a dead time or a lag.
     """
 
     connection: str
@@ -40,7 +40,10 @@ class SignalDelay:
 
     @property
     def average(self) -> float:
-        """The whole delay on average [s]: the source's own, half of what is held, and age without derivatives."""
+        """Total delay on average [s]: the latency, half of the hold, and the age.
+
+        Of an extrapolated signal half the age counts, or nothing if derivatives are passed.
+        """
         extrapolated = self.transport is Transport.EXTRAPOLATED
         age = self.seconds * ((0.0 if self.derivatives else 0.5) if extrapolated else 1.0)
         return self.latency + 0.5 * self.hold + age
@@ -51,8 +54,8 @@ class SignalDelay:
         return f"{self.connection}: {self._way()}{own}"
 
     def _way(self) -> str:
-        """What happens between source and target."""
-        # from the longest delay to none
+        """The delay between source and target in words."""
+        # sample and hold, no delay, an older sample, extrapolation
         if self.hold:
             return (
                 f"{0.5 * self.hold:.6g} s late on average, held for {self.hold:.6g} s between the samples of its source"
@@ -68,11 +71,11 @@ class SignalDelay:
 
 
 def signal_delays(system: System, couplings: Couplings, step: float) -> tuple[SignalDelay, ...]:
-    """For each connection of the system how late its signals arrive.
+    """The delay of each connection of the system, in their order.
 
     Args:
-        system: the system.
-        couplings: (source, target) → how signals get there.
+        system: slaves and connections.
+        couplings: (source, target) → their coupling.
         step: the largest communication step [s].
     """
     positions = sampling_positions(system)
@@ -87,28 +90,28 @@ def _delay(
     """The delay of one connection."""
     source, target = system.slaves[connection.source], system.slaves[connection.target]
     seconds, hold = step if coupling.transport is Transport.EXTRAPOLATED else 0.0, 0.0
-    # a sample may be older than its target's instant, and is held for those that are stepped
+    # a sampled target may use an older sample; a stepped target sees it held
     if isinstance(source, Sampled) and isinstance(target, Sampled):
         sampled_later = in_one_call(source) and positions[connection.source] >= positions[connection.target]
         seconds = _age(source, target, sampled_later)
     elif isinstance(source, Sampled):
         hold = source.sample_time
-    # what the source itself adds
+    # latency of the source itself
     latencies = source.latency if isinstance(source, HasLatency) else {}
     latency = latencies.get(source.variables[connection.output].name, 0.0)
     return SignalDelay(system.describe(connection), seconds, coupling.transport, coupling.order, hold, latency)
 
 
 COUNTED = 1000
-"""Instants of a target that are looked at; their pattern repeats after no more, see `flexfmu.cosim.engine.master.grid`."""
+"""Number of target instants compared; the pattern repeats within it, see `flexfmu.cosim.engine.master.grid`."""
 
 
 def _age(source: Slave, target: Slave, late: bool) -> float:
-    """How long ago a source has sampled when its target does, at most [s].
+    """Longest time between a sample of the target and the source's last sample before it [s].
 
     Args:
         source, target: slaves that sample.
-        late: whether the source samples after the target where both sample at one instant.
+        late: whether the source samples after the target when both sample at the same instant.
     """
     assert isinstance(source, Sampled)
     assert isinstance(target, Sampled)

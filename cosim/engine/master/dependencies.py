@@ -1,8 +1,9 @@
-"""Connections, and what depends on what at one instant: the graph of variables, its loops, and an order of calls.
+"""Connections, and the graph of direct dependencies at one instant: its loops, and an order of calls.
 
-Nodes of the graph are inputs and outputs; an output depends on the inputs with direct feedthrough to it, an input on the
-output that feeds it. Loops are strongly connected components; they are torn at the outputs that feed the most inputs (tearing:
-H. Elmqvist and M. Otter, Proc. European Simulation Multiconference 1994, 326). What is left is sorted topologically.
+Nodes of the graph are inputs and outputs; an output depends on the inputs with direct feedthrough to it, an input on
+the output that feeds it. Loops are strongly connected components; they are torn at the outputs that feed the most
+inputs (tearing: H. Elmqvist and M. Otter, Proc. European Simulation Multiconference 1994, 326). The remaining graph is
+sorted topologically.
 """
 
 from __future__ import annotations
@@ -15,17 +16,20 @@ from flexfmu.cosim.engine.master.linear_map import IDENTITY, SignalMap
 from flexfmu.cosim.engine.slave import RatesFollowInputs, Sampled, SamplesInTwoPhases, Slave, feedthrough
 
 VariableKey = tuple[int, str]
-"""Index of a slave and name of one of its variables."""
+"""(index of a slave, name of one of its variables)."""
 
 Graph = Mapping[VariableKey, Collection[VariableKey]]
-"""Variable → those it depends on at the same instant."""
+"""Variable → the variables that it depends on at the same instant."""
 
 
 @dataclass(frozen=True)
 class Connection:
-    """An output that feeds an input; indices of slaves in `System.slaves` and of variables in `Slave.variables`.
+    """An output that feeds an input: input = transformation(output).
 
-    The input is the output under the map ``transformation``.
+    Attributes:
+        source, target: indices of the slaves in `System.slaves`.
+        output, input: indices of the variables in `Slave.variables`.
+        transformation: map from output to input.
     """
 
     source: int
@@ -46,34 +50,34 @@ def target_of(slaves: Sequence[Slave], connection: Connection) -> VariableKey:
 
 
 def dependencies(slaves: Sequence[Slave], connections: Sequence[Connection]) -> Graph:
-    """The graph of all variables, as far as it decides about the order of calls.
+    """The graph of all variables that determines the order of calls.
 
-    A slave that samples in one call (inputs, then outputs) is called when all of its inputs are up to date, whatever
-    feedthrough it declares. Where that alone would close a loop, it outputs what it knew one sample earlier. The same holds
-    for a slave whose outputs' derivatives follow its inputs.
+    A slave that samples in one call, or whose output derivatives depend on its inputs (`RatesFollowInputs`), is called
+    when all of its inputs are up to date, whatever feedthrough it declares. If only this rule closes a loop, the
+    declared feedthrough counts instead: inputs without feedthrough may then be one sample old.
     """
     one_call = {i for i, slave in enumerate(slaves) if in_one_call(slave) or isinstance(slave, RatesFollowInputs)}
-    # slaves in loops when outputs of all of these depend on all inputs
+    # slaves in loops if all outputs of these slaves depended on all inputs
     closing = one_call & _in_loops(declared(slaves, connections, one_call))
-    # slaves in loops by declared feedthrough alone: these loops are algebraic
+    # slaves in loops with their declared feedthrough: these loops are algebraic
     algebraic = _in_loops(declared(slaves, connections, one_call - closing))
     return declared(slaves, connections, one_call - (closing - algebraic))
 
 
 def _in_loops(graph: Graph) -> set[int]:
-    """Slaves with a part in a loop."""
+    """Slaves with a variable in a loop."""
     return {slave for loop in find_loops(graph) for slave, _ in loop}
 
 
 def in_one_call(slave: Slave) -> bool:
-    """Whether the slave samples in one call, with all of its inputs."""
+    """Whether the slave samples in one call, `Sampled.sample`, and not in two phases."""
     return isinstance(slave, Sampled) and not isinstance(slave, SamplesInTwoPhases)
 
 
 def declared(slaves: Sequence[Slave], connections: Sequence[Connection], complete: Collection[int] = ()) -> Graph:
-    """The graph as the slaves declare it, but for the ``complete`` ones, which depend on all of their inputs.
+    """The graph with the slaves' declared feedthrough; outputs of ``complete`` slaves depend on all of their inputs.
 
-    Inputs that aren't connected are left out: they wait for nothing.
+    Unconnected inputs are left out.
     """
     graph: dict[VariableKey, list[VariableKey]] = {}
     connected = {target_of(slaves, each) for each in connections}
@@ -90,7 +94,7 @@ def declared(slaves: Sequence[Slave], connections: Sequence[Connection], complet
 
 
 def cycle(graph: Graph) -> list[VariableKey]:
-    """Variables of a cycle in the direction of the signals, the first again at the end; empty when there is none."""
+    """Variables of one cycle in the direction of the signals, the first repeated at the end; empty if there is none."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -101,9 +105,9 @@ def cycle(graph: Graph) -> list[VariableKey]:
 def find_loops(graph: Graph) -> list[frozenset[VariableKey]]:
     """Sets of variables that depend on each other (the strongly connected components with a cycle).
 
-    Cycles are contracted one after the other until none is left.
+    Cycles are contracted one by one until none is left.
     """
-    # contract one cycle; its members, themselves contracted cycles perhaps, become one node
+    # contract one cycle to a node; its members may be contracted cycles themselves
     groups: dict[VariableKey, set[VariableKey]] = {}  # node of the contracted graph → variables that it stands for
     left = graph
     while ring := cycle(left):
@@ -116,7 +120,7 @@ def find_loops(graph: Graph) -> list[frozenset[VariableKey]]:
 
 
 def _contract(graph: Graph, ring: set[VariableKey], name: VariableKey) -> Graph:
-    """The graph with a cycle made one node."""
+    """The graph with the nodes of ``ring`` merged into the node ``name``."""
     result: dict[VariableKey, set[VariableKey]] = {}
     for node, needed in graph.items():
         merged = {name if each in ring else each for each in needed}
@@ -126,14 +130,17 @@ def _contract(graph: Graph, ring: set[VariableKey], name: VariableKey) -> Graph:
 
 
 def restricted(graph: Graph, inside: Collection[VariableKey], cut: Collection[VariableKey] = ()) -> Graph:
-    """The part of the graph within a set of variables, without the use of the outputs ``cut``."""
+    """The subgraph of the variables ``inside``, without dependencies on the outputs ``cut``."""
     return {
         node: [each for each in graph.get(node, ()) if each in inside and each not in cut] for node in sorted(inside)
     }
 
 
 def tear(graph: Graph, outputs: Collection[VariableKey]) -> tuple[VariableKey, ...]:
-    """Outputs that, when they are assumed, leave no loop: few, by taking those that feed the most inputs first."""
+    """Outputs that leave no loop when they are assumed.
+
+    Those that feed the most inputs are taken first, so that they are few.
+    """
     torn: list[VariableKey] = []
     while ring := cycle(restricted(graph, graph.keys(), torn)):
         users = {each: sum(each in needed for needed in graph.values()) for each in ring if each in outputs}
@@ -144,12 +151,16 @@ def tear(graph: Graph, outputs: Collection[VariableKey]) -> tuple[VariableKey, .
 def order_of_calls(
     graph: Graph, owner: Mapping[VariableKey, int], inputs: Collection[VariableKey] = ()
 ) -> tuple[int, ...]:
-    """Owners of variables in an order of exchange steps in which everything is up to date when it is needed.
+    """The owner of each exchange step, in an order in which every variable is up to date when another depends on it.
 
-    A topological sort that takes as many variables of one owner at a time as it can: one exchange step. An owner has a step
-    when it has outputs that others need, and once more in the end if some of its inputs were late. In a step the ``inputs``
-    are set before outputs are read, so an input that its owner's own output feeds waits for the next step. The graph must
-    have no loop (see `contracted`).
+    A topological sort that takes as many variables of one owner as possible at a time: one exchange step. An owner has
+    a step when other owners depend on its outputs, and a last one if inputs remain. In a step the ``inputs`` are set
+    before outputs are read, so that an input fed by its owner's own output waits for the next step.
+
+    Args:
+        graph: without loops (see `contracted`).
+        owner: variable → number of the slave or loop that it belongs to.
+        inputs: variables that are set, not read.
     """
     sorter: TopologicalSorter[VariableKey] = TopologicalSorter(graph)
     sorter.prepare()
@@ -159,17 +170,17 @@ def order_of_calls(
     ready = list(sorter.get_ready())
 
     def reached() -> list[VariableKey]:
-        """Variables that the current step can bring up to date too."""
+        """Variables that the current step can also bring up to date."""
         own = [node for node in ready if order and owner[node] == order[-1]]
         return [node for node in own if node not in inputs or read.isdisjoint(graph.get(node, ()))]
 
     while ready:
-        # the current step is at its end: choose the next owner, one that others wait for if there is one
+        # the current step is complete: choose the next owner, preferably one that others depend on
         if not reached():
             waiting = sorted({owner[node] for node in ready})
             order.append(next((each for each in waiting if _is_awaited(graph, owner, each, done)), waiting[0]))
             read.clear()
-        # take all that this step brings up to date; more may become ready by it
+        # update all variables of this step; more may become ready
         updated = reached()
         sorter.done(*updated)
         done.update(updated)
@@ -179,8 +190,8 @@ def order_of_calls(
 
 
 def _is_awaited(graph: Graph, owner: Mapping[VariableKey, int], chosen: int, done: Collection[VariableKey]) -> bool:
-    """Whether an exchange step of an owner would bring a variable up to date that others need."""
-    # follow the step: variables whose needs are met, until there are no more
+    """Whether an exchange step of the owner ``chosen`` would update a variable that other owners depend on."""
+    # variables that the step would update: repeat until no more become ready
     reached = set(done)
     waiting = {node for node, its in owner.items() if its == chosen} - reached
     while found := {node for node in waiting if reached.issuperset(graph.get(node, ()))}:
@@ -191,7 +202,7 @@ def _is_awaited(graph: Graph, owner: Mapping[VariableKey, int], chosen: int, don
 
 
 def contracted(graph: Graph, groups: Iterable[Collection[VariableKey]]) -> Graph:
-    """The graph with each group made one node, named after its smallest member."""
+    """The graph with each group merged into its smallest variable."""
     for group in groups:
         graph = _contract(graph, set(group), min(group))
     return graph
