@@ -1,4 +1,4 @@
-"""The FMU's zip archive: how it is written, and what it holds besides description and binaries."""
+"""Checks of the FMU's zip archive, and of files other than description and binaries."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 
 FOLDERS = {"binaries", "documentation", "extra", "licenses", "resources", "sources", "terminalsAndIcons"}
-"""Folders of an FMU 2.0, and what later versions of the standard or of tools add."""
+"""Folders of an FMU 2.0, and of later versions of the standard."""
 
 FILES = {"modelDescription.xml", "model.png"}
 
 _METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 _LINK = 0o120000
 _FLAGS, _ENCRYPTED = 6, 1
-"""Where the flags are in the header before each file of an archive, and the one for encryption."""
+"""Offset of the flags in a local file header, and the flag for encryption (PKWARE APPNOTE, 4.3.7 and 4.4.4)."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], list[str]]:
-    """Directory and content of the archive, path inside → bytes, and paths whose own header says that they are encrypted.
+    """Read the archive: its entries, path → content, and the paths whose local header has the encryption flag.
 
-    Every entry is read, so its checksum is checked.
+    Reading every entry verifies its checksum.
 
     Raises:
         ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
@@ -43,7 +43,7 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
     except OSError as error:
         raise ArchiveError(f"cannot read the FMU {path}: {error.strerror}; check its permissions") from error
     try:
-        # each entry, in full: the archive's directory alone doesn't show damage
+        # read each entry in full: the central directory alone doesn't reveal damage
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = archive.infolist()
             files = {entry.filename: archive.read(entry) for entry in entries if not entry.is_dir()}
@@ -51,7 +51,7 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError) as error:
         raise ArchiveError(f"{path} is no intact FMU (zip archive): {error}; build it again") from error
     if "modelDescription.xml" not in files:
-        # the usual mistakes: a folder too much, or another spelling
+        # usual mistakes: an extra folder level, or another spelling
         nested = next((name for name in files if name.endswith("/modelDescription.xml")), None)
         where = f": it is at {nested}, pack the content of that folder" if nested else ""
         other = next((name for name in files if name.lower() == "modeldescription.xml"), None)
@@ -61,7 +61,7 @@ def read_archive(path: Path) -> tuple[list[zipfile.ZipInfo], dict[str, bytes], l
 
 
 def unpack(files: dict[str, bytes], folder: Path) -> None:
-    """Write the files that an FMU may need to run."""
+    """Write the FMU's files, without sources and unsafe paths, to ``folder``, with an empty resources folder if it has none."""
     (folder / "resources").mkdir(parents=True)
     for name, content in files.items():
         path = PurePosixPath(name.replace("\\", "/"))
@@ -72,19 +72,19 @@ def unpack(files: dict[str, bytes], folder: Path) -> None:
 
 
 def check_entries(entries: list[zipfile.ZipInfo], encrypted: Sequence[str] = ()) -> Iterator[Finding]:
-    """Findings about how the zip file is written.
+    """Yield findings about the entries of the zip file.
 
     Args:
-        entries: its directory.
-        encrypted: paths of the files that are encrypted by what stands before them.
+        entries: entries of the central directory.
+        encrypted: paths whose local header has the encryption flag.
     """
-    # files that tools cannot read, or read differently
+    # encrypted files and repeated paths
     for name in encrypted:
         yield _archive(f"{name} is marked as encrypted in its own header", "pack it without a password", name)
     for name, count in Counter(entry.filename for entry in entries).items():
         if count > 1:
             yield _archive(f"{name} is there {count} times", "keep one: tools take any of them", name)
-    # paths, methods and kinds of entries
+    # paths, compression methods, symbolic links
     for entry in entries:
         name = entry.filename
         if "\\" in entry.orig_filename or name.startswith("/") or ".." in PurePosixPath(name).parts or name[1:2] == ":":
@@ -97,7 +97,7 @@ def check_entries(entries: list[zipfile.ZipInfo], encrypted: Sequence[str] = ())
             )
         if entry.external_attr >> 16 & 0o170000 == _LINK:
             yield _archive(f"{name} is a symbolic link", "put the file there: most tools unpack its path as text", name)
-    # names that are one on other systems
+    # names that differ only by case
     alike = Counter(entry.filename.rstrip("/").lower() for entry in entries)
     for entry in entries:
         if alike[entry.filename.rstrip("/").lower()] > 1 and entry.filename != entry.filename.lower():
@@ -106,12 +106,12 @@ def check_entries(entries: list[zipfile.ZipInfo], encrypted: Sequence[str] = ())
 
 
 def check_archive(files: Mapping[str, bytes]) -> Iterator[Finding]:
-    """Findings about files, sources and documentation.
+    """Yield findings about files, sources and documentation.
 
     Args:
-        files: content of the FMU, path inside → bytes.
+        files: path inside the FMU → content.
     """
-    # files that tools never look at
+    # files outside the standard's folders
     for name in files:
         first, *rest = PurePosixPath(name).parts or ("",)
         if (rest and first not in FOLDERS) or (not rest and first not in FILES):
@@ -121,7 +121,7 @@ def check_archive(files: Mapping[str, bytes]) -> Iterator[Finding]:
     yield from _check_documentation(files)
     if "model.png" in files and not files["model.png"].startswith(_PNG):
         yield _archive("model.png is no PNG picture", "convert it", "", Severity.WARNING)
-    # sources that the description or the build description lists
+    # sources listed in the description or the build description
     listed = _names(files, "modelDescription.xml", "File") | _names(files, "sources/buildDescription.xml", "SourceFile")
     for file in sorted(listed):
         path = f"sources/{PurePosixPath(file)}"
@@ -136,7 +136,7 @@ def _archive(message: str, remedy: str, subject: str, severity: Severity = Sever
 
 
 def _names(files: Mapping[str, bytes], path: str, element: str) -> set[str]:
-    """The attributes ``name`` of all elements of a kind in an XML file; none where it is missing or broken."""
+    """The attributes ``name`` of all elements with a tag in an XML file; empty if the file is missing or malformed."""
     try:
         return {
             item.attrib.get("name", "") for item in ElementTree.fromstring(files.get(path, b"<none/>")).iter(element)
@@ -146,7 +146,7 @@ def _names(files: Mapping[str, bytes], path: str, element: str) -> set[str]:
 
 
 def _check_documentation(files: Mapping[str, bytes]) -> Iterator[Finding]:
-    """A folder of documentation needs its entry point (FMI 2.0.4, section 2.3)."""
+    """Check that a documentation folder has its entry point index.html (FMI 2.0.4, section 2.3)."""
     pages = [name for name in files if name.startswith("documentation/")]
     if pages and "documentation/index.html" not in files:
         message, remedy = (

@@ -1,4 +1,4 @@
-"""The shared libraries: there, well named, exporting the interface and nothing else, needing nothing unusual."""
+"""Checks of the shared libraries: presence, name, exported functions, dependencies."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def _names(text: str) -> frozenset[str]:
 
 
 COSIMULATION_FUNCTIONS = _names(f"{_FUNCTIONS} {_COSIMULATION}")
-"""All functions that a co-simulation FMU exports (FMI 2.0.4, section 2.1 and fmi2Functions.h)."""
+"""All functions that an FMU for co-simulation exports (FMI 2.0.4, section 2.1 and fmi2Functions.h)."""
 
 EXCHANGE_FUNCTIONS = _names(f"{_FUNCTIONS} {_EXCHANGE}")
-"""The same for model exchange."""
+"""All functions that an FMU for model exchange exports (FMI 2.0.4, section 2.1 and fmi2Functions.h)."""
 
 SUFFIXES = {
     "linux64": ".so",
@@ -58,48 +58,48 @@ SUFFIXES = {
     "x86_64-darwin": ".dylib",
     "aarch64-darwin": ".dylib",
 }
-"""Platform folder of FMI 2.0 or 3.0 → ending of its library's name."""
+"""Platform folder of FMI 2.0 or 3.0 → file suffix of its libraries."""
 
 _MAGIC = {
     ".so": (b"\x7fELF",),
     ".dll": (b"MZ",),
     ".dylib": (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe", b"\xca\xfe\xba\xbe"),
 }
-"""What libraries begin with."""
+"""File suffix → possible first bytes of the library."""
 
 _MACHINES = {"linux64": 62, "x86_64-linux": 62, "aarch64-linux": 183}
-"""e_machine of ELF files by folder."""
+"""Platform folder → e_machine of its ELF files."""
 
 SYSTEM_LIBRARIES = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s)\.so\.\d+|ld-linux.*)")
-"""What every Linux with glibc has, a minimal container too."""
+"""Libraries on every Linux with glibc, including minimal containers."""
 
 OLD_GLIBC = (2, 28)
 """The oldest glibc in general use: enterprise distributions of 2019, and Python's manylinux_2_28."""
 
 
 _ELF64 = b"\x7fELF\x02\x01"
-"""What ELF files with 64 bits, little endian, begin with."""
+"""First bytes of a 64-bit little-endian ELF file."""
 
 _SECTION_HEADER = 64
-"""Bytes of a section header in a 64-bit ELF file."""
+"""Size of a section header in a 64-bit ELF file [bytes]."""
 
 _TEXTS = {"DT_NEEDED": "needed", "DT_RPATH": "rpath", "DT_RUNPATH": "runpath"}
-"""Tag of the dynamic section → pyelftools' attribute that has its text."""
+"""Tag of the dynamic section → attribute of pyelftools with its text."""
 
 
 class NotElfError(ValueError):
-    """The bytes are no 64-bit little-endian ELF file, or a damaged one."""
+    """Not a 64-bit little-endian ELF file, or a damaged one."""
 
 
 @dataclass(frozen=True)
 class ElfFacts:
-    """What a program that loads a Linux library has to know of it.
+    """Exports and dependencies of an ELF shared library.
 
     Attributes:
-        exports: names that it defines and that are visible from outside.
-        needed: names of the libraries that it needs.
-        search_path: folders where it looks for them first (RPATH, RUNPATH).
-        glibc: oldest version of the C library that will do, (0, 0) if it needs none.
+        exports: names of the exported symbols.
+        needed: names of the required libraries (DT_NEEDED).
+        search_path: folders that are searched for them (RPATH, RUNPATH).
+        glibc: required version of glibc; (0, 0) if it needs none.
     """
 
     exports: frozenset[str]
@@ -109,23 +109,23 @@ class ElfFacts:
 
 
 def read_elf(library: bytes) -> ElfFacts:
-    """Facts about a shared library.
+    """Read exports and dependencies of a shared library.
 
     Raises:
-        NotElfError: not an ELF file of this kind, or cut off.
+        NotElfError: not a 64-bit little-endian ELF file, or damaged.
     """
     if not library.startswith(_ELF64):
         raise NotElfError("not a 64-bit ELF file")
     try:
         return _elf_facts(library)
-    except Exception as error:  # whatever pyelftools makes of a broken file: it does not check what it reads
+    except Exception as error:  # pyelftools does not validate: a damaged file raises any type
         raise NotElfError("damaged ELF file") from error
 
 
 def _elf_facts(library: bytes) -> ElfFacts:
-    """The same, with pyelftools' errors where the file is damaged."""
+    """Read exports and dependencies; a damaged file raises exceptions of pyelftools."""
     elf = ELFFile(io.BytesIO(library))
-    # a damaged count of sections would keep pyelftools busy for ever
+    # a damaged section count would make pyelftools run for ever
     if elf["e_shoff"] and elf.num_sections() * _SECTION_HEADER > len(library):
         raise ValueError("more sections than the file has room for")
     exports: set[str] = set()
@@ -141,7 +141,7 @@ def _elf_facts(library: bytes) -> ElfFacts:
                 else:
                     search_path += [folder for folder in text.split(":") if folder]
         elif isinstance(section, GNUVerNeedSection):
-            # the needed versions are linked lists, endless in a damaged file: the table of their names says enough
+            # read the table of names: the linked lists of versions may be endless in a damaged file
             names = section.stringtable
             text = library[names["sh_offset"] : names["sh_offset"] + names["sh_size"]]
             for major, minor in re.findall(rb"\0GLIBC_(\d+)\.(\d+)", text):
@@ -150,25 +150,25 @@ def _elf_facts(library: bytes) -> ElfFacts:
 
 
 def _is_exported(symbol: Any) -> bool:
-    """Whether a library defines a symbol and shows it to others."""
+    """Whether a library defines and exports a symbol."""
     visible = symbol["st_other"]["visibility"] not in ("STV_INTERNAL", "STV_HIDDEN")
     return visible and symbol["st_shndx"] != "SHN_UNDEF" and symbol["st_info"]["bind"] != "STB_LOCAL"
 
 
 def check_binaries(description: Any, files: Mapping[str, bytes]) -> Iterator[Finding]:
-    """Findings about all libraries of the FMU.
+    """Yield findings about all shared libraries of the FMU.
 
     Args:
-        description: model description as fmpy reads it.
-        files: content of the FMU, path inside → bytes.
+        description: model description as read by fmpy.
+        files: path inside the FMU → content.
     """
-    # one folder for each platform
+    # a folder for each platform
     folders = sorted(
         {PurePosixPath(name).parts[1] for name in files if name.count("/") > 1 and name.startswith("binaries/")}
     )
     for folder in folders:
         yield from _check_folder(folder, description, files)
-    # a library for this machine
+    # a folder for this machine
     if fmpy.platform not in folders:
         has = ", ".join(folders) or "no platform at all"
         yield Finding(
@@ -180,7 +180,7 @@ def check_binaries(description: Any, files: Mapping[str, bytes]) -> Iterator[Fin
 
 
 def library_name(description: Any, platform: str) -> str:
-    """Path of the library inside the FMU, of the first interface."""
+    """Path inside the FMU of the first interface's library."""
     return f"binaries/{platform}/{interfaces(description)[0].modelIdentifier}{SUFFIXES.get(platform, '')}"
 
 
@@ -189,13 +189,13 @@ def _check_folder(folder: str, description: Any, files: Mapping[str, bytes]) -> 
         known = ", ".join(list(SUFFIXES)[:6])
         yield Finding("binary", f"no tool looks into binaries/{folder}/", f"use {known}", Severity.WARNING)
         return
-    # one library for each model identifier
+    # a library for each model identifier
     required = _required_functions(description)
     for identifier, functions in required.items():
         name = f"binaries/{folder}/{identifier}{SUFFIXES[folder]}"
         if name not in files:
             there = sorted(file for file in files if file.startswith(f"binaries/{folder}/"))
-            # Windows doesn't mind upper and lower case
+            # Windows ignores case
             same = folder.startswith("win") and name.lower() in map(str.lower, there)
             yield Finding(
                 "binary",
@@ -227,13 +227,13 @@ def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str])
     except NotElfError as error:
         yield Finding("binary", f"{name}: {error}", "compile it for this platform")
         return
-    # can it be loaded at all
+    # processor
     machine = int.from_bytes(files[name][18:20], "little")
     if machine != _MACHINES.get(PurePosixPath(name).parts[1], machine):
         yield Finding(
             "binary", f"{name} is for another processor (ELF machine {machine})", "compile it for this platform"
         )
-    # exports: all of the interface, nothing else
+    # exports: all FMI functions of the interface, nothing else
     if missing := sorted(functions - facts.exports):
         yield Finding("binary", f"{name} does not export {_few(missing)}", "implement and export them all")
     if foreign := sorted(symbol for symbol in facts.exports if not symbol.startswith("fmi2")):
@@ -248,7 +248,7 @@ def _check_elf(name: str, files: Mapping[str, bytes], functions: frozenset[str])
 
 def _check_dependencies(name: str, files: Mapping[str, bytes], facts: ElfFacts) -> Iterator[Finding]:
     beside = {PurePosixPath(file).name for file in files if PurePosixPath(file).parent == PurePosixPath(name).parent}
-    # libraries that not every machine has, or has elsewhere
+    # libraries that other machines may lack, or have elsewhere
     if others := sorted(library for library in facts.needed if not SYSTEM_LIBRARIES.fullmatch(library)):
         bundled = " (some lie beside it)" if beside & set(others) else ""
         yield Finding(
@@ -259,7 +259,7 @@ def _check_dependencies(name: str, files: Mapping[str, bytes], facts: ElfFacts) 
         )
     if outside := [path for path in facts.search_path if not path.startswith("$ORIGIN")]:
         yield Finding("dependencies", f"{name} looks for libraries in {_few(outside)}", "use $ORIGIN", Severity.WARNING)
-    # a binary that was built on a new system doesn't load on an old one
+    # an older glibc can't load the binary
     if facts.glibc > OLD_GLIBC:
         version, old = (".".join(map(str, number)) for number in (facts.glibc, OLD_GLIBC))
         yield Finding(

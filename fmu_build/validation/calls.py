@@ -1,4 +1,4 @@
-"""Calls that the standard forbids or makes harmless: the FMU has to refuse the ones and to survive the others."""
+"""Checks of illegal FMI calls, which must return an error, and of calls without variables, which must succeed."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from flexfmu.fmu_build.validation.fmu import FmuUnderTest, InterfaceType
 from flexfmu.fmu_build.validation.library import CANARY, announce
 
 NO_VARIABLE = 0x7FFFFFF1
-"""A value reference that the description does not have."""
+"""A value reference that no variable has."""
 
 
 def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Calls with unknown value references or in the wrong state give an error; calls without variables succeed, and
-    none writes beyond its array."""
+    """Check illegal calls (unknown value references, wrong state), calls without variables, and writes out of bounds."""
     with fmu.instance("calls") as instance:
         instance.initialize()
         yield from _empty_call(instance)
@@ -68,7 +67,7 @@ _LATE: dict[InterfaceType, dict[str, FmiCall]] = {
 def _accepted(
     fmu: FmuUnderTest, calls: dict[str, FmiCall], initialized: bool, when: str, severity: Severity = Severity.NOTE
 ) -> Iterator[Finding]:
-    """One finding for the calls that are accepted, each tried with an instance of its own: an error may end it."""
+    """Yield one finding for all accepted calls; each call has a separate instance, since an error may end it."""
     accepted = []
     for name, call in calls.items():
         with fmu.instance("illegal") as instance:
@@ -94,7 +93,7 @@ def _empty_call(instance: Any) -> Iterator[Finding]:
 
 
 def _overrun(fmu: FmuUnderTest, instance: Any) -> Iterator[Finding]:
-    """Whether fmi2GetReal writes more values than it was asked for."""
+    """Yield a finding if fmi2GetReal writes more than nvr values."""
     variables = [variable for variable in fmu.outputs if variable.type == "Real"][:1]
     if variables:
         values = (c_double * 4)(*[CANARY] * 4)

@@ -1,4 +1,4 @@
-"""All checks that run the FMU, in their order."""
+"""All dynamic checks, in the order of execution."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from flexfmu.fmu_build.validation.steps import (
 from flexfmu.fmu_build.validation.values import one_call_does_what_several_do, parameters_are_kept, starts_are_kept
 
 Check = Callable[[FmuUnderTest], Iterator[Finding]]
-"""Tries one thing with an FMU and yields what it finds. A failed FMI call may raise."""
+"""A dynamic check: runs an FMU and yields findings; a failed FMI call may raise fmpy's exception."""
 
 CHECKS: dict[str, Check] = {
     "instantiation": instantiates,
@@ -77,8 +77,7 @@ CHECKS: dict[str, Check] = {
     "interfaces": interfaces_agree,
     "calls": refuses_illegal_calls,
 }
-"""Name of the finding → check; one that doesn't apply to the FMU finds nothing. Where the first fails, the others make
-no sense."""
+"""Name of the finding → check. A check that doesn't apply to the FMU yields nothing; if the first fails, the others can't run."""
 
 SEVERAL = {
     "repeatability",
@@ -95,4 +94,4 @@ SEVERAL = {
     "output derivatives",
     "interfaces",
 }
-"""Checks that compare instances; they don't apply to an FMU that a process may instantiate only once."""
+"""Checks that need several instances, skipped for an FMU that a process may instantiate only once."""

@@ -1,7 +1,7 @@
-"""Dependencies that the model structure declares, against what changes when an input or a state is moved up and down.
+"""Checks of the declared dependencies: each known is changed up and down, and the unknowns are compared.
 
-A change shows a dependency, a difference between the two directions a dependency that is not linear. Independence is never
-proved: a dependency may be small at all points that are tried.
+A change of an unknown proves a dependency; an asymmetric change proves that it is not linear. Independence can't be proved:
+a dependency may be small at all tested points.
 """
 
 from __future__ import annotations
@@ -17,27 +17,26 @@ from flexfmu.fmu_build.validation.instance import RealArray
 from flexfmu.fmu_build.validation.variables import size_of
 
 SHARE = 0.01
-"""How far knowns are moved, relative to their size."""
+"""Change of a known, relative to its size."""
 
 INFLUENCE = 1e-6
-"""Least change of an unknown, relative to its size, that neither rounding nor an inner iteration's tolerance
-explains."""
+"""Smallest change of an unknown, relative to its size, that proves a dependency; above rounding and iteration errors."""
 
 MOST_KNOWNS = 100
 
 _LINEAR = {"constant", "fixed", "tunable", "discrete"}
-"""Kinds of dependencies that are a factor."""
+"""Values of dependenciesKind for which the unknown is linear in the known."""
 
 
 def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Unknowns depend on nothing that they don't declare, and factors that are declared constant are constant."""
+    """Check that unknowns have no undeclared dependencies, and that dependencies declared linear are linear."""
     structure = fmu.description
     unknowns = [*(structure.outputs or ())]
     if fmu.kind is InterfaceType.EXCHANGE:
         unknowns += structure.derivatives or ()
-    # what may be moved: in co-simulation discrete inputs too
+    # knowns: in co-simulation also discrete inputs
     inputs, reported, done = fmu.inputs, set[str](), 0
-    if fmu.kind is InterfaceType.COSIMULATION:  # in model exchange discrete ones are set at events alone
+    if fmu.kind is InterfaceType.COSIMULATION:  # in model exchange, discrete inputs may be set only in Event Mode
         inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
     with fmu.instance("dependencies") as instance:
 
@@ -50,7 +49,7 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
             instance.set_continuous_states(x)
 
         instance.initialize()
-        # at several points of the run: a dependency may vanish at one of them
+        # at several instants: a dependency may vanish at one of them
         for instant in (min(fmu.steps, 3), fmu.steps // 2, fmu.steps):
             instance.advance(done, instant)
             done = max(done, instant)
@@ -62,8 +61,8 @@ def declared_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """The same in Initialization Mode, for parameters, inputs and exact starts."""
-    # all unknowns against all Real variables that may be set before the start
+    """Check the dependencies of InitialUnknowns on parameters, inputs and exact start values, in Initialization Mode."""
+    # all unknowns against all settable Reals
     unknowns = fmu.description.initialUnknowns or ()
     knowns = [variable for variable in fmu.settable("parameter", "input", "output", "local") if variable.type == "Real"]
     with fmu.instance("initial_dependencies") as instance:
@@ -72,7 +71,7 @@ def initial_dependencies_hold(fmu: FmuUnderTest) -> Iterator[Finding]:
         def set_known(known: Any, value: RealArray) -> None:
             instance.set([known], value)
 
-        # the same findings, with words of this mode
+        # the same findings, with messages for this mode
         for finding in _violations(unknowns, knowns, instance, set_known, set()):
             yield Finding(
                 finding.check,
@@ -90,19 +89,19 @@ def _violations(
     set_known: Callable[[Any, RealArray], None],
     reported: set[str],
 ) -> Iterator[Finding]:
-    """Findings about unknowns that change with a known other than declared, but for those in ``reported``."""
+    """Yield findings about unknowns that contradict their declared dependencies, except those in ``reported``."""
     declared = [unknown for unknown in unknowns if unknown.dependencies is not None and unknown.variable.type == "Real"]
     if not declared:
         return
     variables = [unknown.variable for unknown in declared]
     sizes = np.array([size_of(variable) for variable in variables])
-    # one known after the other is moved up and down
+    # change one known after the other
     for known in knowns[:MOST_KNOWNS]:
         answers = _answers(variables, known, instance, set_known)
         if answers is None:
             continue
         base, up, down, steps = answers
-        # change and curvature of every unknown, relative to its size
+        # change and nonlinearity of each unknown, relative to its size
         scale = np.maximum(np.abs(base), sizes)
         change = np.abs(up - base) / scale
         bend = (
@@ -118,17 +117,17 @@ def _violations(
 
 
 def _contradiction(unknown: Any, known: Any, change: float, bend: float) -> Iterator[Finding]:
-    """A finding if an unknown changes or bends with a known in a way that its declaration excludes."""
+    """Yield a finding if the relative change or nonlinearity of an unknown contradicts its declaration."""
     name = unknown.variable.name
     listed = [dependency.valueReference for dependency in unknown.dependencies]
-    # it changes although it isn't declared to depend on the known
+    # undeclared dependency
     if known.valueReference not in listed:
         if change > INFLUENCE:
             message = f"{name} changes with {known.name}, which its dependencies don't name"
             remedy = "declare it in ModelStructure: loops are found by it"
             yield Finding("dependencies of variables", message, remedy, subject=name)
         return
-    # it is declared as linear but is not
+    # declared as linear but nonlinear
     kind = unknown.dependenciesKind[listed.index(known.valueReference)] if unknown.dependenciesKind else ""
     if kind in _LINEAR and bend > INFLUENCE + 1e-4 * change:
         message = f"{name} is no linear function of {known.name}, which its dependenciesKind {kind} says"
@@ -138,7 +137,7 @@ def _contradiction(unknown: Any, known: Any, change: float, bend: float) -> Iter
 def _answers(
     variables: Sequence[Any], known: Any, instance: Any, set_known: Callable[[Any, RealArray], None]
 ) -> tuple[RealArray, RealArray, RealArray, RealArray] | None:
-    """Unknowns as they are and with the known moved up and down, and the two steps; None where the FMU refuses the values."""
+    """Unknowns at the known's value, above and below it, and the two steps; None if the FMU rejects or does not reproduce them."""
     try:
         value = instance.get([known])
         step = SHARE * max(size_of(known), abs(float(value[0])))
@@ -148,10 +147,10 @@ def _answers(
             set_known(known, value + sign * step)
             ends.append(instance.get(variables))
             steps.append(sign * step)
-        # back at the start the FMU has to give the first values again
+        # at the first value of the known, the unknowns must repeat
         set_known(known, value)
         again = instance.get(variables)
-    except Exception:  # fmpy's own kinds of errors: the known can't be set here, or not to this
+    except Exception:  # fmpy raises several types; the FMU rejects the known or its value
         return None
     if not np.allclose(base, again, rtol=1e-9, atol=0.0) or not np.isfinite([base, *ends]).all():
         return None

@@ -1,9 +1,9 @@
-"""Derivatives that the FMU gives, against differences of what it computes.
+"""Checks of the FMU's derivatives by finite differences.
 
-Each quotient is taken with two step sizes. Where both agree they are trusted; where they don't, a kink, a vibration or an inner
-iteration's tolerance is in the way and nothing is said. Directional derivatives: central differences of second order; output
-derivatives: central differences of fourth order along the run (Fornberg, Generation of finite difference formulas on
-arbitrarily spaced grids, Mathematics of Computation 51 (1988)).
+Each difference quotient is taken with two step sizes and trusted only where both agree; otherwise a kink, a vibration or an
+inner iteration disturbs it. Directional derivatives are checked by central differences of second order, output derivatives
+by central differences of fourth order along the run (Fornberg, Generation of finite difference formulas on arbitrarily
+spaced grids, Mathematics of Computation 51 (1988)).
 """
 
 from __future__ import annotations
@@ -25,46 +25,44 @@ from flexfmu.fmu_build.validation.steps import PERTURBATION, perturbed_states
 from flexfmu.fmu_build.validation.variables import moved, size_of
 
 DIFFERENCES = (1e-5, 1e-4)
-"""Steps of the difference quotients relative to a variable's size: rounding and truncation are about equal."""
+"""Steps of the difference quotients, relative to a variable's size; rounding and truncation errors are about equal."""
 
 DIRECTIONAL_TOLERANCE = 1e-4
-"""Tolerance of directional derivatives, relative to the largest; difference quotients are good to 1e-6 or so."""
+"""Tolerance of directional derivatives, relative to the largest one of the unknown; differences err by about 1e-6."""
 
 SEED_TOLERANCE = 1e-3
-"""Tolerance of derivatives along several knowns, relative to the sum of all contributions: some FMUs take
-differences."""
+"""Tolerance of derivatives along several knowns, relative to the sum of all magnitudes; some FMUs use differences."""
 
 NEGLIGIBLE = 1e-5
-"""Influence on an unknown, relative to its size, below which difference quotients are rounding errors."""
+"""Change of an unknown, relative to its size, below which difference quotients are rounding errors."""
 
 MOST_POINTS = 60
-"""Communication points at which output derivatives are compared."""
+"""Most communication points at which output derivatives are compared."""
 
 PARTS = (1, 8, 64, 512, 4096)
-"""Parts of a communication step between these points: as many as fast vibrations need to be resolved."""
+"""Numbers of parts of a communication step; the finer ones resolve fast vibrations."""
 
 RESOLVED = 0.1
-"""How much a difference quotient over two steps may differ from the one over one, where the step is short enough to judge
-derivatives by it."""
+"""Largest relative difference of the quotients over one and two steps for which the step resolves the derivative."""
 
 OUTPUT_TOLERANCE = 0.02
 """Tolerance of output derivatives, relative to the differences."""
 
 SMALL = 1e-9
-"""Uncertainty of values relative to the variable's size: what a solver's absolute tolerance may leave."""
+"""Uncertainty of values due to a solver's absolute tolerance, relative to the variable's size."""
 
 BEGIN = 10
 """Communication steps before the comparison."""
 
 LEAST_POINTS = 8
-"""Least number of resolved points for a judgement."""
+"""Smallest number of resolved points for a finding."""
 
 STAYS = 0.5
-"""Share of a contradiction that remains with smaller steps if the solver's steps don't cause it."""
+"""Share of a discrepancy that must remain with smaller steps to rule out the solver."""
 
 
 def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """fmi2GetDirectionalDerivative against central differences of two sizes, input by input and state by state."""
+    """Check fmi2GetDirectionalDerivative by central differences with two steps, for each input and state."""
     if not fmu.element.providesDirectionalDerivative:
         return
     with fmu.instance("directional") as instance:
@@ -73,7 +71,7 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         else:
             instance.initialize()
             instance.advance(0, 1)
-        # the FMU's matrix, and differences of two sizes
+        # the FMU's Jacobian, and differences with two steps
         unknowns, knowns = _unknowns(fmu), [*fmu.inputs, *_states(fmu)]
         if not unknowns or not knowns or instance.finished:
             return
@@ -83,20 +81,20 @@ def directional_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
             np.column_stack([_difference(fmu, instance, unknowns, known, step) for known in knowns])
             for step in DIFFERENCES
         )
-    # an output that is the state itself: some tools leave its derivative out, and no tool needs it
+    # ignore outputs that are aliases of states: some tools omit these derivatives
     same = [[unknown.valueReference == known.valueReference for known in knowns] for unknown in unknowns]
     wrong = list(_compare(unknowns, knowns, np.where(same, fine, matrix), fine, coarse))
     yield from wrong or _not_linear(unknowns, knowns, matrix, seeded)
 
 
 def _listed(items: Iterable[str]) -> str:
-    """The first few of them."""
+    """The first four items as text."""
     first = list(islice(items, 5))
     return ", ".join(first[:4]) + ", ..." * (len(first) > 4)
 
 
 def _seeds(knowns: int) -> Iterator[RealArray]:
-    """Seeds that are neither 0 nor 1: all knowns together, then some of them."""
+    """Yield seeds, shape (knowns,), for all knowns and for every second one, with values other than 1."""
     seed = 1.5 + np.cos(np.arange(knowns))
     yield from (seed, -0.5 * seed, np.where(np.arange(knowns) % 2, 0.0, -2.5))
 
@@ -104,9 +102,9 @@ def _seeds(knowns: int) -> Iterator[RealArray]:
 def _not_linear(
     unknowns: Sequence[Any], knowns: Sequence[Any], matrix: RealArray, seeded: list[tuple[RealArray, RealArray]]
 ) -> Iterator[Finding]:
-    """A finding if derivatives along several knowns aren't the sum of those along each, times its seed."""
+    """Yield a finding if a derivative along several knowns differs from the sum of single ones times their seeds."""
     for seed, given in seeded:
-        # compare with the product of matrix and seed
+        # compare with the product of Jacobian and seed
         expected, scale = matrix @ seed, np.abs(matrix) @ np.abs(seed)
         apart = np.abs(given - expected)
         apart = np.where(np.isfinite(apart), apart, np.inf) / np.maximum(scale, 1e-300)
@@ -123,7 +121,7 @@ def _not_linear(
 
 
 def _unknowns(fmu: FmuUnderTest) -> list[Any]:
-    """Outputs, and for model exchange the states' derivatives."""
+    """Continuous outputs; for model exchange the state derivatives before them."""
     if fmu.kind is InterfaceType.COSIMULATION:
         return fmu.smooth_outputs
     derivatives = [unknown.variable for unknown in fmu.description.derivatives or ()]
@@ -137,7 +135,7 @@ def _states(fmu: FmuUnderTest) -> list[Any]:
 
 
 def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known: Any, share: float) -> RealArray:
-    """Central difference quotient of all unknowns."""
+    """Central difference quotients of all unknowns with respect to one known, shape (unknowns,)."""
     states = _states(fmu)
     value = instance.get([known])
     step = share * max(size_of(known), abs(float(value[0])))
@@ -150,7 +148,7 @@ def _difference(fmu: FmuUnderTest, instance: Any, unknowns: Sequence[Any], known
 
 
 def _set(instance: Any, states: Sequence[Any], known: Any, value: RealArray) -> None:
-    """Set an input, or a state, which goes with all the others."""
+    """Set an input or state; FMI sets states only all together."""
     if known not in states:
         instance.set([known], value)
         return
@@ -162,16 +160,22 @@ def _set(instance: Any, states: Sequence[Any], known: Any, value: RealArray) -> 
 def _compare(
     unknowns: Sequence[Any], knowns: Sequence[Any], matrix: RealArray, differences: RealArray, coarse: RealArray
 ) -> Iterator[Finding]:
-    """A finding about the worst entry, each measured by the largest of its row in units of the known's size.
+    """Yield a finding about the worst entry of the Jacobian.
 
-    Where differences of two sizes disagree they prove nothing: at kinks, and where an inner iteration leaves its tolerance.
+    Errors are relative to the largest entry of the row, scaled by the sizes of the knowns. They are reduced by the
+    disagreement of the two differences, which is large at kinks and with inner iterations.
+
+    Args:
+        unknowns, knowns: variables of rows and columns.
+        matrix: Jacobian from the FMU, shape (unknowns, knowns).
+        differences, coarse: the same by differences with the smaller and the larger step.
     """
-    # everything in units of the known, relative to the largest entry of its row
+    # scaled by the known's size, relative to the largest entry of the row
     sizes = np.array([size_of(known) for known in knowns])
     apart, unsure = np.abs(matrix - differences) * sizes, np.abs(coarse - differences) * sizes
     floor = NEGLIGIBLE * np.array([[size_of(unknown)] for unknown in unknowns])
     scale = np.maximum((np.abs(differences) * sizes).max(axis=1, keepdims=True), floor)
-    # what the differences leave uncertain is forgiven
+    # subtract the uncertainty of the differences
     apart = np.where(np.isfinite(apart), np.maximum(apart - 2.0 * unsure, 0.0) / scale, np.inf)
     # the worst entry
     row, column = map(int, np.unravel_index(int(np.argmax(apart)), apart.shape))
@@ -185,7 +189,7 @@ def _compare(
 
 
 def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Each order of an output's derivative against differences of the order below."""
+    """Check each order of the output derivatives by differences of the next lower order."""
     most = int(fmu.element.maxOutputDerivativeOrder or 0) if fmu.kind is InterfaceType.COSIMULATION else 0
     if not most or not fmu.smooth_outputs:
         return
@@ -197,7 +201,7 @@ def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
         given = [instance.library.getRealOutputDerivatives(references, order) for order in orders]
         return [instance.get(fmu.smooth_outputs), *given]
 
-    # order by order along the run
+    # all orders along the run
     found = _contradiction(fmu, jet, np.array([size_of(variable) for variable in fmu.smooth_outputs]))
     if found is not None:
         name = fmu.smooth_outputs[found.column].name
@@ -212,7 +216,7 @@ def output_derivatives_are_right(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _no_number_at_start(fmu: FmuUnderTest, references: list[int], most: int) -> Iterator[Finding]:
-    """A finding if a derivative is NaN or infinite right after the initialisation; the FMU may refuse to give one there."""
+    """Yield a finding for each derivative that is not finite right after initialisation; an error status is legal there."""
     with fmu.instance("first_derivatives") as instance:
         instance.initialize()
         for order in range(1, most + 1):
@@ -231,17 +235,17 @@ def _no_number_at_start(fmu: FmuUnderTest, references: list[int], most: int) -> 
 
 
 def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """In co-simulation a variable changes throughout the step at the rate that its declared derivative gives."""
+    """Check, in co-simulation, that each variable changes at the rate of its declared derivative."""
     pairs = [(v.derivative, v) for v in fmu.description.modelVariables if v.derivative is not None and v.type == "Real"]
     if fmu.kind is not InterfaceType.COSIMULATION or not pairs:
         return
-    with suppress(FMICallException):  # where the FMU refuses derivatives there is nothing to compare
+    with suppress(FMICallException):  # the FMU may refuse to return derivatives
         found = _contradiction(
             fmu,
             lambda instance: [instance.get([pair[which] for pair in pairs]) for which in (0, 1)],
             np.array([size_of(state) for state, _ in pairs]),
         )
-        # the first pair that contradicts itself
+        # report the first contradiction only
         if found is not None and np.isfinite(found.given):
             state, rate = pairs[found.column]
             yield Finding(
@@ -254,7 +258,15 @@ def states_follow_their_derivatives(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 @dataclass(frozen=True)
 class _Contradiction:
-    """A derivative that isn't what differences of the order below say."""
+    """A derivative that contradicts the differences of the next lower order.
+
+    Attributes:
+        order: order of the derivative.
+        column: index of the variable.
+        time: instant of the contradiction [s].
+        given: value from the FMU.
+        differences: value by differences; NaN if ``given`` is not finite.
+    """
 
     order: int
     column: int
@@ -264,16 +276,16 @@ class _Contradiction:
 
 
 def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: RealArray) -> _Contradiction | None:
-    """The first derivative that is contradicted by differences, over steps of two sizes: of one size they may alias.
+    """The first derivative that contradicts the differences with two successive steps; None if there is none.
 
-    The step is refined until differences resolve what happens; what no step resolves is not judged.
+    A single step is not enough, since vibrations may alias. The step is refined until the differences resolve the motion.
 
     Args:
         fmu: the FMU, for co-simulation.
-        jet: values and their derivatives of an instance, orders from 0, each of shape (columns,).
+        jet: function that returns an instance's values and derivatives, orders from 0, each of shape (columns,).
         size: order of magnitude of each column.
     """
-    suspect = np.zeros(0)  # by how much derivatives are off at the coarser step
+    suspect = np.zeros(0)  # discrepancies with the coarser step
     for parts in PARTS if fmu.has_variable_step else PARTS[:1]:
         step = fmu.step / parts
         jets = _jets(fmu, jet, parts)
@@ -291,14 +303,14 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Rea
         given, differences, clear = _comparison(jets, step, fmu.accuracy, size)
         lag = 0.0
         if not fmu.has_variable_step:
-            # a method of first order follows the derivative of the step's beginning; smaller steps would show the difference
+            # a first-order method uses the derivative at the step's beginning; allow for this lag
             lag = 0.5 * np.abs(given[2:] - given[:-2]).max(axis=0) / np.abs(differences).max(axis=0).clip(1e-300)
-            # a vibration that differences alias is faster than they show
+            # exclude aliased vibrations: derivatives much larger than the differences
             clear = clear & (np.abs(given).max(axis=0) <= 3.0 * np.abs(differences).max(axis=0))
         by = _discrepancy(given, differences, clear, lag)
         if not fmu.has_variable_step:
             suspect = by
-        # what gets less with the step is the solver's
+        # a discrepancy that shrinks with the step is due to the solver
         if suspect.size and (stays := (by > 0.0) & (suspect > 0.0) & (by >= STAYS * suspect)).any():
             order, column = map(int, np.argwhere(stays)[0])
             n = int(np.argmax(np.where(clear, np.abs(differences), -1.0)[:, order, column]))
@@ -311,7 +323,16 @@ def _contradiction(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], size: Rea
 def _comparison(
     jets: RealArray, step: float, accuracy: float, size: RealArray
 ) -> tuple[RealArray, RealArray, NDArray[np.bool_]]:
-    """Derivatives given, central differences of fourth order, and where these resolve them; shape (points - 4, orders, columns)."""
+    """Derivatives from the FMU, differences of fourth order, and a mask of the entries that the differences resolve.
+
+    All have the shape (points - 4, orders, columns).
+
+    Args:
+        jets: values and derivatives, shape (points, orders + 1, columns).
+        step: distance of the points [s].
+        accuracy: relative accuracy of the values.
+        size: order of magnitude of each column, shape (columns,).
+    """
     lower, given = jets[:, :-1], jets[2:-2, 1:]
     near = (lower[3:-1] - lower[1:-3]) / (2.0 * step)
     wide = (lower[4:] - lower[:-4]) / (4.0 * step)
@@ -320,49 +341,49 @@ def _comparison(
     scale = np.maximum(np.abs(differences), np.abs(differences).max(axis=0) * 1e-2)
     moves = (np.diff(lower, axis=0) != 0.0).mean(
         axis=0
-    ) > 0.9  # an FMU with a larger step of its own stands still at times
+    ) > 0.9  # an FMU with a larger internal step is constant at times
     return given, differences, moves & (np.abs(near - wide) <= RESOLVED * scale) & (noise <= RESOLVED * scale)
 
 
 def _discrepancy(given: RealArray, differences: RealArray, clear: NDArray[np.bool_], slack: Any) -> RealArray:
-    """How far derivatives are off by a factor or on average, relative to the differences; 0 where no more than by chance.
+    """Relative error of derivatives, by factor or mean, shape (orders, columns); 0 where not significant.
 
-    A solver's tolerance makes the higher derivatives of vibrations noisy, which leaves factor and average alone.
+    Noise from a solver's tolerance in higher derivatives hardly affects factor and mean.
 
     Args:
-        given: shape (points, orders, columns).
-        differences: the same.
-        clear: points to look at, the same shape.
-        slack: what they may be off beside `OUTPUT_TOLERANCE`, shape (orders, columns) or a number.
+        given: derivatives from the FMU, shape (points, orders, columns).
+        differences: derivatives by differences, same shape.
+        clear: mask of the entries to compare, same shape.
+        slack: tolerance in addition to `OUTPUT_TOLERANCE`, shape (orders, columns) or a number.
     """
-    # points that are clear enough to judge
+    # use the resolved entries only, if there are enough
     count = clear.sum(axis=0)
     enough = (count >= LEAST_POINTS) & (clear.mean(axis=0) >= 0.5)
     given, differences = (np.where(clear, each, 0.0) for each in (given, differences))
-    # least squares: the factor between them, with three standard errors for chance
+    # factor between them by least squares, with three standard errors
     power = (differences**2).sum(axis=0).clip(1e-300)
     largest = np.abs(differences).max(axis=0).clip(1e-150)
     factor = (given * differences).sum(axis=0) / power
     chance = 3.0 / np.sqrt(count.clip(1))
     rest = np.sqrt(((given - factor * differences) ** 2).sum(axis=0) / power)
-    # the mean error, likewise
+    # mean error, with three standard errors
     mean = (given - differences).sum(axis=0) / count.clip(1) / largest
     spread = np.sqrt(((given - differences) ** 2).sum(axis=0) / count.clip(1)) / largest
-    # only what is beyond tolerance and chance
+    # errors beyond tolerance and three standard errors
     wrong = np.where(np.abs(factor - 1.0) > OUTPUT_TOLERANCE + slack + chance * rest, np.abs(factor - 1.0), 0.0)
     shifted = np.where(np.abs(mean) > 2.0 * OUTPUT_TOLERANCE + slack + chance * spread, np.abs(mean), 0.0)
     return np.where(enough, np.maximum(wrong, shifted), 0.0)
 
 
 def _begin(fmu: FmuUnderTest) -> int:
-    """Communication steps before the first point: from rest, derivatives are in proportion to the time since then."""
+    """Number of communication steps before the first point; right after a start from rest derivatives are small."""
     return min(BEGIN, fmu.steps // 4)
 
 
 def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> RealArray:
-    """Values and their derivatives after steps of a size, shape (points, orders + 1, columns).
+    """Values and derivatives after each step of a perturbed run, shape (points, orders + 1, columns).
 
-    Inputs stay as they are, so that nothing jumps.
+    Inputs are constant, so that no output jumps. Steps have 1/``parts`` of a communication step.
     """
     jets: list[list[Any]] = []
     begin = _begin(fmu)

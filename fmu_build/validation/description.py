@@ -1,4 +1,4 @@
-"""What the model description says of itself."""
+"""Checks of modelDescription.xml."""
 
 from __future__ import annotations
 
@@ -23,43 +23,43 @@ _NUMBERS = {"Real", "Integer", "Enumeration"}
 _SETTABLE = {"input", "parameter"}
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _FMPY_ERRORS = {"list index out of range", "'NoneType' object has no attribute 'get'"}
-"""Exceptions of Python that fmpy passes on as problems."""
+"""Messages of Python exceptions that fmpy reports as problems of the description."""
 
 _UNREADABLE = "fmpy cannot read modelDescription.xml"
 _ENCODING = re.compile(rb"""<\?xml[^>]*encoding\s*=\s*["']([^"']+)""")
 
 
 def fmi_version(content: bytes) -> str:
-    """The attribute fmiVersion of a modelDescription.xml, empty where there is none."""
+    """The attribute fmiVersion of a modelDescription.xml; empty if it is missing."""
     match = re.search(rb"""<fmiModelDescription[^>]*?\sfmiVersion\s*=\s*["']([^"']*)""", content, re.DOTALL)
     return match.group(1).decode(errors="replace") if match else ""
 
 
 def read_description(path: Path) -> tuple[Any | None, list[Finding]]:
-    """The description as fmpy reads it, None where it cannot; and what fmpy's rules find."""
+    """The description as read by fmpy, None if fmpy can't read it; and the findings of fmpy's rules."""
     findings = [_broken(problem) for problem in validate_by_fmpy(str(path)) if "contains a backslash" not in problem]
-    # where fmpy fails on a broken description, the rules below find why; its own message stays where they do not
+    # where fmpy crashes, `check_description` usually finds the cause; otherwise its message remains
     failures = [problem for problem in findings if problem.message in _FMPY_ERRORS]
     findings = [problem for problem in findings if problem not in failures]
     findings += [_broken(f"{_UNREADABLE}: {problem.message}") for problem in failures[:1]]
     try:
         return read_model_description(str(path), validate=False), findings
-    except Exception as error:  # whatever fmpy and lxml make of a broken description
+    except Exception as error:  # fmpy and lxml raise many types for a broken description
         return None, findings or [_broken(str(error))]
 
 
 def is_fmpy_error(finding: Finding) -> bool:
-    """Whether it says no more than that fmpy failed."""
+    """Whether a finding reports only that fmpy can't read the description."""
     return finding.message.startswith(_UNREADABLE)
 
 
 def check_description(content: bytes) -> Iterator[Finding]:
-    """Findings that fmpy's rules leave out.
+    """Yield findings that fmpy's rules don't cover.
 
     Args:
-        content: modelDescription.xml.
+        content: bytes of modelDescription.xml.
     """
-    # the text: encoding and document type
+    # encoding and document type
     encoding = _ENCODING.match(content)
     if encoding and encoding[1].lower() not in (b"utf-8", b"utf8", b"us-ascii"):
         message = f"modelDescription.xml is encoded as {encoding[1].decode(errors='replace')}"
@@ -71,14 +71,14 @@ def check_description(content: bytes) -> Iterator[Finding]:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, LookupError, ValueError):  # fmpy's rules report it
         return
-    # elements from the outside to the inside
+    # attributes, default experiment, units
     yield from _check_root(root)
     yield from _check_experiment(root)
     try:
         yield from check_units(root)
-    except ValueError as error:  # the schema wants numbers
+    except ValueError as error:  # not a number
         yield Finding("units", " ".join(str(error).split()), "give numbers")
-    # variables by themselves, then against each other
+    # each variable alone, then all of them together
     variables = root.findall("ModelVariables/ScalarVariable")
     for variable in variables:
         yield from _check_numbers(variable, root)
@@ -88,12 +88,12 @@ def check_description(content: bytes) -> Iterator[Finding]:
 
 
 def interfaces(description: Any) -> list[Any]:
-    """The elements CoSimulation and ModelExchange that are there."""
+    """The elements CoSimulation and ModelExchange of the description, as far as present."""
     return [element for element in (description.coSimulation, description.modelExchange) if element is not None]
 
 
 def _check_root(root: Element) -> Iterator[Finding]:
-    """Identity, interfaces and names that must not be there twice."""
+    """Check GUID, interfaces, date and unique names."""
     if not root.get("guid"):
         yield Finding(
             "guid",
@@ -101,7 +101,7 @@ def _check_root(root: Element) -> Iterator[Finding]:
             "it ties description and binary together: generate one",
             section="2.2.1",
         )
-    # interfaces, with names that C accepts and claims that agree
+    # interfaces: valid C identifiers, consistent capability flags
     elements = [element for kind in ("CoSimulation", "ModelExchange") for element in root.findall(kind)]
     if not elements:
         yield _broken("there is neither a CoSimulation nor a ModelExchange element")
@@ -133,13 +133,13 @@ def _check_root(root: Element) -> Iterator[Finding]:
 
 
 def _check_experiment(root: Element) -> Iterator[Finding]:
-    """Whether the default experiment can be run."""
+    """Check that the default experiment can be run."""
     experiment = root.find("DefaultExperiment")
     if experiment is None:
         return
     numbers = {name: _number(experiment.get(name), None) for name in ("startTime", "stopTime", "stepSize", "tolerance")}
     start, stop = numbers["startTime"] or 0.0, numbers["stopTime"]
-    # numbers, in their order, above zero
+    # finite, in order, above zero
     for name, value in numbers.items():
         if value is not None and not math.isfinite(value):
             yield _experiment(f"{name} is {value}")
@@ -163,21 +163,21 @@ def _experiment(message: str) -> Finding:
 
 
 def _check_numbers(variable: Element, root: Element) -> Iterator[Finding]:
-    """Range, start and nominal of a variable against each other, its type's among them."""
+    """Check range, start and nominal of a variable, including attributes of its declared type."""
     name, kind = variable.get("name", ""), next((child for child in variable if child.tag != "Annotations"), None)
     if variable.get("causality") in ("input", "independent") and variable.get("initial") is not None:
         message = f"{name} has initial although it is an {variable.get('causality')}"
         yield Finding("start value", message, "leave initial out", subject=name)
     if kind is None:
         return
-    # the type that the variable refers to
+    # declared type
     declared = _declared_type(kind, root)
     if kind.get("declaredType") and declared is None:
         message = f'{name} has the type "{kind.get("declaredType")}", which is not defined as {kind.tag}'
         yield Finding("model description", message, "define it in TypeDefinitions", subject=name, section="2.2.3")
     if kind.tag not in _NUMBERS:
         return
-    # bounds, the variable's own before those of its type
+    # bounds: those of the variable override those of its type
     text = {
         key: kind.get(key, declared.get(key) if declared is not None else None) for key in ("min", "max", "nominal")
     }
@@ -185,7 +185,7 @@ def _check_numbers(variable: Element, root: Element) -> Iterator[Finding]:
     start = _number(kind.get("start"), None)
     if low > high:
         yield Finding("range", f"{name} has min {low:g} above max {high:g}", "exchange them", subject=name)
-    # the start value lies within them
+    # the start value lies within the bounds
     if start is not None and not math.isfinite(start):
         yield Finding("start value", f"{name} starts at {start}", "give a finite start value", subject=name)
     elif start is not None and not low <= start <= high:
@@ -205,7 +205,7 @@ def _check_numbers(variable: Element, root: Element) -> Iterator[Finding]:
 
 
 def _check_names(variables: list[Element]) -> Iterator[Finding]:
-    """Names are there, and the time is there once."""
+    """Check that no name is empty and at most one variable is independent."""
     for number, variable in enumerate(variables, 1):
         if not variable.get("name", "").strip():
             message = f"variable {number} has an empty name"
@@ -217,15 +217,15 @@ def _check_names(variables: list[Element]) -> Iterator[Finding]:
 
 
 def _declared_type(kind: Element, root: Element) -> Element | None:
-    """The definition of a variable's type, if it is one of its kind."""
+    """Definition of a variable's declared type; None if missing or of another base type."""
     name = kind.get("declaredType")
     types = (each for each in root.iterfind("TypeDefinitions/SimpleType") if name and each.get("name") == name)
     return next((child for each in types for child in each if child.tag == kind.tag), None)
 
 
 def _check_references(variables: list[Element]) -> Iterator[Finding]:
-    """Variables of one base type that share a value reference are aliases: one value, one unit, set in one way."""
-    # variables with one memory
+    """Check aliases: variables of one base type with the same value reference."""
+    # groups of aliases
     aliases: dict[tuple[str, str], list[tuple[Element, Element]]] = {}
     for variable in variables:
         for kind in variable:
@@ -235,7 +235,7 @@ def _check_references(variables: list[Element]) -> Iterator[Finding]:
     for (_, reference), group in aliases.items():
         if len(group) < 2:
             continue
-        # the first contradiction between them
+        # the first contradiction within the group
         names = " and ".join(variable.get("name", "") for variable, _ in group[:3])
         settable = [variable for variable, _ in group if variable.get("causality") in _SETTABLE]
         constant = [variable for variable, _ in group if variable.get("variability") == "constant"]
@@ -253,8 +253,8 @@ def _check_references(variables: list[Element]) -> Iterator[Finding]:
 
 
 def _check_structure(root: Element, variables: list[Element]) -> Iterator[Finding]:
-    """Indices of the model structure and of derivatives."""
-    # indices of the model structure: once each, and of variables that exist
+    """Check the indices in the model structure and of derivatives."""
+    # indices of the model structure: unique, and of existing variables
     for part in ("Outputs", "Derivatives", "InitialUnknowns"):
         unknowns = root.findall(f"ModelStructure/{part}/Unknown")
         for index, count in Counter(unknown.get("index", "") for unknown in unknowns).items():
@@ -264,7 +264,7 @@ def _check_structure(root: Element, variables: list[Element]) -> Iterator[Findin
             for index in [unknown.get("index", ""), *(unknown.get("dependencies") or "").split()]:
                 if not index.isdigit() or not 1 <= int(index) <= len(variables):
                     yield _structure(f"{part} refers to variable {index} of {len(variables)}", "count from 1")
-    # derivatives: of another Real, which is continuous, one each
+    # derivatives: each of another continuous Real, one per state
     states: dict[str, Element] = {}
     derived = {kind.get("derivative") for variable in variables for kind in variable if kind.tag == "Real"}
     listed = {unknown.get("index") for unknown in root.iterfind("ModelStructure/Derivatives/Unknown")}

@@ -1,7 +1,7 @@
-"""What holds for model exchange alone, and between the two interfaces of one FMU.
+"""Checks of model exchange, and of its agreement with co-simulation in the same FMU.
 
-Both interfaces contain one model: integrated by CVODE to a tight tolerance, model exchange is the reference for co-simulation.
-Differences that shrink with the communication steps or the tolerance are the solvers' and give no finding.
+Model exchange, integrated by CVODE with a tight tolerance, is the reference for co-simulation. Differences that shrink with
+the communication step or the tolerance are due to the solvers and give no finding.
 """
 
 from __future__ import annotations
@@ -21,53 +21,52 @@ from flexfmu.fmu_build.validation.instance import RealArray
 from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
 AGREEMENT = 0.01
-"""Allowed difference of co-simulation and model exchange, relative to how far an output moves; most solvers do
-better."""
+"""Largest allowed difference of co-simulation and model exchange, relative to an output's motion."""
 
 WRONG = 0.05
-"""The same, above which the solver isn't the cause unless smaller steps help."""
+"""Difference, relative to an output's motion, above which the finding is an error unless smaller steps reduce it."""
 
 POOR = 0.03
-"""The same for a solver that gets better with smaller steps."""
+"""Largest allowed difference, relative to an output's motion, if smaller steps reduce it."""
 
 INTEGRATION_TOLERANCE = 1e-8
 POINTS = 100
-"""Communication steps over which the two interfaces are compared."""
+"""Most communication steps over which the two interfaces are compared."""
 
 LONGEST = 5.0
-"""Longest time for one integration [s]."""
+"""Time limit of one integration [s]."""
 
 PERTURBATION = 0.05
-"""Change of starts and inputs, relative to their size, that sets the model in motion."""
+"""Change of start values and inputs that sets the model in motion, relative to their size."""
 
 LEAST_MOTION = 1e-4
-"""Motion of an output, relative to its size, below which solvers' tolerances are seen."""
+"""Smallest motion of an output, relative to its size, that exceeds the errors of the solvers."""
 
 EULER = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-"""Parts of a communication step with which an FMU may integrate by Euler's method."""
+"""Possible numbers of Euler steps per communication step."""
 
 EXPLAINED = 0.2
-"""Part of the difference that may be left where Euler's method explains it."""
+"""Largest share of the difference that remains if the FMU uses Euler's method."""
 
 STAYS = 0.7
-"""Share of the difference that remains with smaller communication steps if the solver's steps don't cause it."""
+"""Share of the difference that must remain with smaller communication steps to rule out the solver."""
 
 STEPS = 6
-"""Steps after which states and event indicators are looked at."""
+"""Number of steps after which states and event indicators are checked."""
 
 _TINY = 1e-9
 _WANDER = 1e-4
 
 
 def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """The right-hand side is a function: back at the same states it has the same value, to the last bit."""
+    """Check that the state derivatives at the same states are equal bit by bit after an evaluation at other states."""
     if fmu.kind is not InterfaceType.EXCHANGE:
         return
     with fmu.instance("pure") as instance:
         instance.initialize()
         if not instance.states or instance.finished:
             return
-        # evaluate, move, evaluate, move back
+        # evaluate at x, elsewhere, and at x again
         x = instance.continuous_states()
         first = instance.derivatives()
         instance.set_continuous_states(x * (1.0 + 1e-3) + 1e-6)
@@ -83,7 +82,7 @@ def derivatives_depend_on_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """States, their derivatives and nominals are those of the variables that ModelStructure lists, in its order."""
+    """Check that states, state derivatives and nominal values follow the order of ModelStructure/Derivatives."""
     if fmu.kind is not InterfaceType.EXCHANGE or not fmu.states:
         return
     rates = [unknown.variable for unknown in fmu.description.derivatives]
@@ -91,13 +90,13 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
         instance.initialize()
         if instance.finished:
             return
-        # each state gets a value of its own, so that an exchange of two shows
+        # different values for all states reveal swapped ones
         x = instance.continuous_states()
         perturbed = x + PERTURBATION * np.array([size_of(variable) for variable in fmu.states]) * (
             1.0 + 0.1 * np.arange(x.size)
         )
         instance.set_continuous_states(perturbed)
-        # what FMI says in two ways
+        # values that two FMI functions must return alike
         getter = "fmi2GetContinuousStates"
         pairs = (
             (getter, "what fmi2SetContinuousStates has set", instance.continuous_states(), perturbed),
@@ -105,7 +104,7 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
             ("fmi2GetDerivatives", "fmi2GetReal of the derivative", instance.derivatives(), instance.get(rates)),
         )
         nominals = instance.nominals()
-    # the first contradiction
+    # report the first difference only
     for function, other, values, expected in pairs:
         apart = np.abs(values - expected) > _TINY * np.maximum(np.abs(values), np.abs(expected))
         if apart.any():
@@ -120,7 +119,7 @@ def states_are_the_variables(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """fmi2CompletedIntegratorStep leaves the states as they are: what changes them is an event."""
+    """Check that fmi2CompletedIntegratorStep does not change the states without requesting an event."""
     if fmu.kind is not InterfaceType.EXCHANGE or not fmu.states:
         return
     with fmu.instance("integrator_step") as instance:
@@ -128,13 +127,13 @@ def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
         for n in range(1, STEPS + 1):
             if instance.finished or fmu.start + n * fmu.step >= instance.next_event:
                 return
-            # a small step of an integrator
+            # an integrator step
             instance.library.setTime(fmu.start + n * fmu.step)
             x = instance.continuous_states()
             x += _WANDER * np.maximum(np.abs(x), 1e-3)
             instance.set_continuous_states(x)
             instance.derivatives()
-            # its end, which may ask for an event
+            # complete it; the FMU may request an event
             x = instance.continuous_states()
             event, instance.finished = instance.library.completedIntegratorStep()
             if event or instance.finished:
@@ -148,7 +147,7 @@ def integrator_steps_change_nothing(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """As many event indicators as the description has, all of them numbers, the same at each call, also after events."""
+    """Check number, finiteness and repeatability of the event indicators, also after events."""
     count = int(fmu.description.numberOfEventIndicators or 0)
     if fmu.kind is not InterfaceType.EXCHANGE or not count:
         return
@@ -166,14 +165,14 @@ def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
                 )
                 yield Finding("event indicators", message, "give them all, or correct numberOfEventIndicators")
                 return
-            # numbers, and the same ones
+            # finite and equal
             alike = np.isfinite(z) & np.isclose(z, again, rtol=1e-3, atol=1e-6)
             if not alike.all():
                 k = int(np.argmin(alike))
                 message = f"event indicator {k + 1} is {z[k]:.6g}, at a second call {again[k]:.6g}"
                 yield Finding("event indicators", message, "they must depend on time, states and inputs alone")
                 return
-            if n % 2:  # an event of the importing tool
+            if n % 2:  # an event triggered by the importing tool
                 instance.library.enterEventMode()
                 instance.handle_events()
             else:
@@ -181,8 +180,9 @@ def event_indicators_are_given(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Set in motion by other starts and inputs, co-simulation follows model exchange under CVODE. A difference that
-    Euler's method explains is the FMU's choice of a solver.
+    """Check that co-simulation agrees with model exchange under CVODE, after perturbing start values and inputs.
+
+    A difference that Euler's method explains is the FMU's choice of solver and gives no finding.
     """
     if fmu.kind is not InterfaceType.EXCHANGE or fmu.description.coSimulation is None or not fmu.smooth_outputs:
         return
@@ -191,21 +191,21 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
         try:
             exchange = _integrated(fmu, starts, inputs)
             slaves = [_stepped(fmu, starts, inputs, parts) for parts in _parts(fmu)]
-        except Exception:  # fmpy's and CVODE's: the model can't be run from here
+        except Exception:  # fmpy or CVODE can't run the model with these values
             continue
         rows = min(map(len, (exchange, *slaves)))
         if rows < 3:
             continue
-        # differences of whole and of smaller steps
+        # differences with whole and with smaller communication steps
         exchange, whole, split = (each[:rows] for each in (exchange, slaves[0], slaves[-1]))
         apart, finer = _apart(fmu, exchange, whole), _apart(fmu, exchange, split)
-        # what gets less with the step is the solver's, who may be poor but not that poor
+        # a difference that shrinks with the step is due to the solver; accept it up to POOR
         apart = np.where((finer > AGREEMENT) & (finer > STAYS * apart) | (apart > POOR), apart, 0.0)
-        if apart.max() > AGREEMENT:  # what a tighter tolerance changes is CVODE's
+        if apart.max() > AGREEMENT:  # ignore what a tighter tolerance of CVODE changes
             tighter = _integrated(fmu, starts, inputs, 0.01 * INTEGRATION_TOLERANCE)
             unsure = _apart(fmu, exchange, tighter[:rows]) if len(tighter) >= rows else apart
             apart = np.where(apart > 3.0 * unsure, apart, 0.0)
-        # the output that differs most, unless Euler's method explains it
+        # report the largest difference unless Euler's method explains it
         worst = int(np.argmax(apart))
         if apart[worst] > AGREEMENT and not _is_euler(fmu, starts, inputs, whole, exchange):
             yield Finding(
@@ -219,12 +219,12 @@ def interfaces_agree(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _parts(fmu: FmuUnderTest) -> tuple[int, ...]:
-    """Into how many parts communication steps are split, where co-simulation allows that."""
+    """Numbers of parts into which communication steps are divided; more than one only if co-simulation allows it."""
     return (1, 4) if fmu.description.coSimulation.canHandleVariableCommunicationStepSize else (1,)
 
 
 def _perturbations(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], RealArray]]:
-    """Other starts of the states with inputs at their starts, then other inputs; then all as it is."""
+    """Yield start values and inputs: perturbed states, then perturbed inputs, then neither."""
     states = {v: moved(v, PERTURBATION) for v in fmu.states if v in fmu.settable("output", "local")}
     still = np.array([start_of(variable) for variable in fmu.inputs])
     if states:
@@ -235,7 +235,7 @@ def _perturbations(fmu: FmuUnderTest) -> Iterator[tuple[dict[Any, float], RealAr
 
 
 def _apart(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> RealArray:
-    """Median difference of each output relative to how far it moves, shape (outputs,)."""
+    """Median difference of each output relative to its motion, shape (outputs,); 0 where it hardly moves."""
     motion = np.maximum(np.ptp(first, axis=0), np.ptp(second, axis=0))
     size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
     enough = motion > LEAST_MOTION * np.maximum(size, np.abs(first).max(axis=0))
@@ -245,14 +245,14 @@ def _apart(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> RealArray:
 def _integrated(
     fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, tolerance: float = INTEGRATION_TOLERANCE
 ) -> RealArray:
-    """Outputs after each step by fmpy's CVODE with constant inputs."""
+    """Outputs of model exchange after each step, by fmpy's CVODE with constant inputs, shape (steps, outputs)."""
     steps = min(fmu.steps, POINTS)
     stop = fmu.start + steps * fmu.step
     signals = np.zeros(2, dtype=[("time", "f8"), *((variable.name, "f8") for variable in fmu.inputs)])
     signals["time"] = (fmu.start, stop)
     for variable, value in zip(fmu.inputs, inputs, strict=True):
         signals[variable.name] = value
-    with redirect_stdout(None):  # fmpy prints which inputs it has no values for
+    with redirect_stdout(None):  # fmpy prints the names of inputs without values
         result = _simulate(fmu, starts, signals, stop, tolerance)
     return np.column_stack([result[variable.name] for variable in fmu.smooth_outputs])[1:]
 
@@ -277,7 +277,7 @@ def _simulate(fmu: FmuUnderTest, starts: dict[Any, float], signals: Any, stop: f
 
 
 def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, parts: int) -> RealArray:
-    """Outputs of co-simulation after each step with constant inputs."""
+    """Outputs of co-simulation after each step with constant inputs, shape (steps, outputs)."""
     slave = replace(fmu, kind=InterfaceType.COSIMULATION, _library=None)
     rows = []
     with slave.instance("stepped") as instance:
@@ -292,7 +292,7 @@ def _stepped(fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, par
 def _is_euler(
     fmu: FmuUnderTest, starts: dict[Any, float], inputs: RealArray, slave: RealArray, exact: RealArray
 ) -> bool:
-    """Whether Euler's method with some step gives what co-simulation gives."""
+    """Whether Euler's method with one of the tried steps reproduces co-simulation."""
     steps = [fmu.step / parts for parts in EULER]
     steps += [step for step in (1e-2, 1e-3, 1e-4) if fmu.step / 100 <= step < fmu.step]
     for step in steps:
@@ -308,7 +308,7 @@ def _is_euler(
                     rows.append(instance.get(fmu.smooth_outputs))
         if len(rows) < len(slave):
             continue
-        # nearer to co-simulation than the exact solution is?
+        # is Euler's method much nearer to co-simulation than the exact solution?
         euler, truth = (_apart(fmu, np.array(each), slave).max() for each in (rows, exact))
         if euler < EXPLAINED * truth:
             return True

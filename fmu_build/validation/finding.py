@@ -1,4 +1,4 @@
-"""Results of validation, put together and in order."""
+"""Findings of the validation: grouped, sorted by severity."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from enum import StrEnum
 
 
 class Severity(StrEnum):
-    """How bad it is."""
+    """Severity of a finding."""
 
     ERROR = "error"
-    """The FMU breaks the standard, or does not do what it claims."""
+    """The FMU violates the standard or one of its own claims."""
     WARNING = "warning"
-    """Some tools or machines will fail because of it."""
+    """The FMU fails in some tools or on some machines."""
     NOTE = "note"
-    """Something that could not be checked here."""
+    """A property that could not be checked here."""
 
 
 SECTIONS = {
@@ -60,24 +60,24 @@ SECTIONS = {
     "sources": "2.3",
     "dependencies": "2.3",
 }
-"""Name of the check → section of FMI 2.0.4 that it is about; the most harmful first."""
+"""Name of the check → section of FMI 2.0.4; the most harmful first."""
 
 NAMES_SHOWN = 4
-"""Names of further variables or files in a line that stands for many findings."""
+"""Most names of further variables or files that one line lists."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong with an FMU, or the same thing with many of its variables or files.
+    """A defect of an FMU, of one or many of its variables or files.
 
     Attributes:
-        check: what was looked at, for example ``binary``.
-        message: where and what: one sentence with the value found.
-        remedy: what would be right, or what to do.
-        severity: how bad it is.
-        subject: variable or file that it is about, if there is one.
-        section: section of FMI 2.0.4, or of another standard by its name; by default the one of the check.
-        others: subjects of further findings of the same kind, or names of checks that end in the same way.
+        check: name of the check, for example ``binary``.
+        message: location and defect, one sentence with the value found.
+        remedy: what to do.
+        severity: error, warning or note.
+        subject: variable or file concerned; may be empty.
+        section: section of FMI 2.0.4, or of another named standard; by default the section of the check.
+        others: subjects of further findings of the same kind, or names of other checks with the same message.
     """
 
     check: str
@@ -102,8 +102,11 @@ class Finding:
 
 
 def ranked(findings: Iterable[Finding]) -> list[Finding]:
-    """One finding for all that say the same of different variables or files; errors first, then the most harmful."""
-    # findings that differ by subject and values alone become one
+    """Findings with equal ones merged; errors first, then the most harmful checks.
+
+    Findings are equal if they differ only by subject and values, or have the same message in several checks.
+    """
+    # merge findings that differ only by subject and values
     groups: dict[object, list[Finding]] = {}
     for finding in dict.fromkeys(findings):
         groups.setdefault(_kind(finding), []).append(finding)
@@ -116,7 +119,7 @@ def ranked(findings: Iterable[Finding]) -> list[Finding]:
             checks.index(finding.check) if finding.check in checks else len(checks),
         )
     )
-    # one cause may end several checks
+    # merge checks with the same message: one cause may end several checks
     causes: dict[object, list[Finding]] = {}
     for finding in alike:
         causes.setdefault((finding.severity, finding.message), []).append(finding)
@@ -124,16 +127,16 @@ def ranked(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def _joined(group: list[Finding], others: list[str]) -> Finding:
-    """The first finding, with the names of the others."""
+    """The first finding of a group, with ``others`` added."""
     return replace(group[0], others=group[0].others + tuple(others))
 
 
 _DIFFERING = re.compile(r"""'[^']*'|"[^"]*"|\b(True|False|nan|inf)\b|[-+]?\d+(\.\d*)?([eE][-+]?\d+)?""")
-"""Values in a message: quoted texts, words for values, numbers."""
+"""Values in a message: quoted texts, True, False, nan, inf, numbers."""
 
 
 def _kind(finding: Finding) -> object:
-    """What findings have in common that differ by their subject and by values alone."""
+    """Key that is equal for findings that differ only by subject and values."""
     subject = rf"(?<!\w){re.escape(finding.subject)}(?!\w)"
     message = re.sub(subject, "#", finding.message) if finding.subject else finding.message
     return finding.check, finding.severity, finding.remedy, finding.section, _DIFFERING.sub("#", message)

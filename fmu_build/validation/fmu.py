@@ -1,4 +1,4 @@
-"""An FMU under test: its default experiment, the variables to look at, and instances of it on request."""
+"""An FMU under test: its default experiment, the observed variables, and its instances."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from flexfmu.fmu_build.validation.library import (
 from flexfmu.fmu_build.validation.variables import is_smooth, size_of, start_of, start_value, within
 
 _DEFAULT_STEPS = 500
-"""Communication steps of an FMU that proposes no step size."""
+"""Communication steps of the default experiment if the FMU proposes no step size."""
 
 MOST_STEPS = 300
-"""Communication steps that a run has, but for the one over the whole default experiment."""
+"""Most communication steps of a run; only the check of the simulation runs the whole default experiment."""
 
 SECONDS_A_RUN = 1.0
-"""Longest time for a run of so many steps [s]; a slow FMU makes fewer."""
+"""Longest wall time of a run [s]; a slow FMU makes fewer than `MOST_STEPS` steps."""
 
 EXCITATION = 1e-3
-"""Amplitude of what is added to the inputs' start values, relative to their size: small enough for any model."""
+"""Amplitude of the excitation of inputs about their start values, relative to their size; small enough for any model."""
 
 SOLVER_TOLERANCE = 1e-6
 """Assumed relative tolerance of a solver, unless the default experiment has a larger one."""
@@ -46,7 +46,7 @@ SOLVER_TOLERANCE = 1e-6
 _MOST_LOCALS = 100
 
 _made, _alive = Counter[Path](), Counter[Path]()
-"""Folder of an FMU → how many instances this process has made so far, and has now, of both interfaces."""
+"""Folder of an FMU → number of instances of both interfaces that this process has made so far, and that exist now."""
 
 _NUMBERS = {"Real", "Integer", "Enumeration", "Boolean"}
 
@@ -59,25 +59,25 @@ class InterfaceType(Enum):
 
 
 class OnlyOnceError(Exception):
-    """A second instance is asked for in a process, of an FMU that allows only one."""
+    """A check needs a second instance of an FMU that allows one per process."""
 
 
 class NoMoreInstancesError(RuntimeError):
-    """An instance that isn't made although all earlier ones of the process have been freed."""
+    """fmi2Instantiate fails although all earlier instances of the process have been freed."""
 
 
 @dataclass
 class FmuUnderTest:
-    """An extracted FMU with its default experiment; collects what its instances log and allocate.
+    """An extracted FMU with its default experiment; collects log messages and memory of its instances.
 
     Attributes:
-        description: model description as fmpy reads it.
-        folder: the extracted FMU.
+        description: model description as read by fmpy.
+        folder: folder of the extracted FMU.
         kind: the interface under test.
-        pace: how long a communication step takes, where that is known [s].
+        pace: wall time of a communication step [s]; 0 if unknown.
         messages: log messages of all instances so far.
-        memory: what instances got through the callbacks and have not freed, address → block with its guards.
-        misuse: what they did wrong with it.
+        memory: blocks of allocateMemory that are not freed, address → block with its guards.
+        misuse: wrong uses of these blocks, as parts of sentences.
     """
 
     description: Any
@@ -93,7 +93,7 @@ class FmuUnderTest:
     _functions: Any = None
 
     def __post_init__(self) -> None:
-        # a time span and a step, by the default experiment as far as it says
+        # times from the default experiment, defaults where it has none
         experiment = self.description.defaultExperiment
         self.start = _time(experiment, "startTime") or 0.0
         stop = _time(experiment, "stopTime") or 0.0
@@ -103,22 +103,22 @@ class FmuUnderTest:
         self.step = step if step > 0.0 else (stop - self.start) / _DEFAULT_STEPS
         self.all_steps = max(1, round((stop - self.start) / self.step))
         self.stop = max(stop, self.start + self.all_steps * self.step)
-        # errors below this one are the solver's
+        # errors below the accuracy are due to the solver
         self.tolerance = _time(experiment, "tolerance")
         self.accuracy = max(self.tolerance or 0.0, SOLVER_TOLERANCE)
-        # what is watched and moved; some FMUs have nothing but local variables
+        # observed and excited variables; some FMUs have only local variables
         self.outputs = self._variables("output", types=_NUMBERS) or self._variables("local")[:_MOST_LOCALS]
         self.inputs = self._variables("input", variability="continuous")
 
     @property
     def steps(self) -> int:
-        """Communication steps of a run: of a slow FMU few."""
+        """Communication steps of a run; fewer for a slow FMU, at least 4 unless the experiment is shorter."""
         affordable = int(SECONDS_A_RUN / self.pace) if self.pace else MOST_STEPS
         return min(self.all_steps, MOST_STEPS, max(affordable, 4))
 
     @property
     def element(self) -> Any:
-        """The description's element of this interface."""
+        """Element CoSimulation or ModelExchange of the description."""
         description = self.description
         return description.coSimulation if self.kind is InterfaceType.COSIMULATION else description.modelExchange
 
@@ -129,21 +129,21 @@ class FmuUnderTest:
 
     @property
     def can_serialize(self) -> bool:
-        """Whether saved states can be turned into bytes."""
+        """Whether saved states can be serialised."""
         return self.can_save and bool(self.element.canSerializeFMUstate)
 
     @property
     def is_single(self) -> bool:
-        """Whether a process may have one instance only."""
+        """Whether a process may instantiate the FMU only once."""
         return bool(self.element.canBeInstantiatedOnlyOncePerProcess)
 
     @property
     def has_variable_step(self) -> bool:
-        """Whether a communication step of any size may be made."""
+        """Whether the FMU is a slave that accepts communication steps of any size."""
         return self.kind is InterfaceType.COSIMULATION and bool(self.element.canHandleVariableCommunicationStepSize)
 
     def input_values(self, n: int, size: float = 1.0) -> RealArray:
-        """Inputs at step ``n``: their starts, and a little more that changes from step to step; shape (inputs,)."""
+        """Inputs at step ``n``, shape (inputs,): start values plus a sinusoidal excitation, multiplied by ``size``."""
         return np.array(
             [
                 within(
@@ -155,7 +155,7 @@ class FmuUnderTest:
 
     @property
     def smooth_outputs(self) -> list[Any]:
-        """Recorded variables that change continuously: those that solvers can be judged by."""
+        """Continuous outputs: only these reveal errors of a solver."""
         return [variable for variable in self.outputs if is_smooth(variable)]
 
     @property
@@ -164,7 +164,7 @@ class FmuUnderTest:
         return [unknown.variable.derivative for unknown in self.description.derivatives or ()]
 
     def settable(self, *causalities: str) -> list[Any]:
-        """Variables of these causalities with an exact start, which may be set before the initialisation."""
+        """Variables of these causalities that may be set before initialisation and have a start value."""
         return [
             variable
             for variable in self.description.modelVariables
@@ -176,25 +176,25 @@ class FmuUnderTest:
 
     @property
     def resource_uri(self) -> str:
-        """Where the resources are, as a file URI."""
+        """File URI of the resources folder."""
         return (self.folder / "resources").absolute().as_uri()
 
     @contextmanager
     def instance(self, name: str, guid: str | None = None, uri: str | None = None) -> Iterator[Any]:
-        """An instance that is freed at the end; ``guid`` and ``uri`` replace the right ones.
+        """Make an instance and free it at the end; ``guid`` and ``uri`` replace the correct ones.
 
-        The library stays loaded, as it does in most masters.
+        The library stays loaded, as in most masters.
 
         Raises:
-            OnlyOnceError: the FMU allows one instance a process, and there was one.
-            NoMoreInstancesError: fmi2Instantiate returns nothing, but did return instances before.
-            MisbehaviourError: fmi2Instantiate returns nothing.
-            Exception: as fmpy does, if the library cannot be loaded.
+            OnlyOnceError: the FMU allows one instance per process, and this process has made one.
+            NoMoreInstancesError: fmi2Instantiate returns NULL although it succeeded before.
+            MisbehaviourError: fmi2Instantiate returns NULL.
+            Exception: fmpy can't load the library; its type depends on the cause.
         """
         if self.is_single and self._instances:
             raise OnlyOnceError
         self._instances += 1
-        # a copy of the loaded library with an instance of its own
+        # a copy of the loaded library with its own component
         is_slave = self.kind is InterfaceType.COSIMULATION
         library: Any = copy(self.library())
         library.callbacks = self._callbacks()
@@ -207,7 +207,7 @@ class FmuUnderTest:
             fmi2.fmi2False,
             fmi2.fmi2False,
         )
-        # why there is none: the process has had its share, or the FMU fails
+        # NULL: a limited number of instances per process, or a failure
         if library.component is None and guid is uri is None and _made[self.folder] and not _alive[self.folder]:
             raise NoMoreInstancesError(
                 f"fmi2Instantiate returns no instance in a process that has made and freed {_made[self.folder]}"
@@ -216,7 +216,7 @@ class FmuUnderTest:
             raise MisbehaviourError("fmi2Instantiate returns no instance", "log why, or give one")
         _made[self.folder] += 1
         _alive[self.folder] += 1
-        # freed however the check ends
+        # free the instance even if the check fails
         instance: InstanceUnderTest = (CosimulationInstance if is_slave else ExchangeInstance)(self, library)
         try:
             yield instance
@@ -228,7 +228,7 @@ class FmuUnderTest:
         """The loaded library.
 
         Raises:
-            Exception: as fmpy does, if it cannot be loaded.
+            Exception: fmpy can't load it; its type depends on the cause.
         """
         if self._library is None:
             self._library = (FMU2SlaveLibrary if self.kind is InterfaceType.COSIMULATION else FMU2ModelLibrary)(
@@ -249,7 +249,7 @@ class FmuUnderTest:
         ]
 
     def _callbacks(self) -> Any:
-        """The callbacks of all instances: they must exist as long as these."""
+        """The callbacks of all instances, kept because they must outlive them."""
         if self._kept_callbacks is None:
             self._kept_callbacks = self._new_callbacks()
         return self._kept_callbacks
@@ -258,7 +258,7 @@ class FmuUnderTest:
         def log(_environment: int, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
             self.messages.append((message or b"").decode(errors="replace"))
 
-        # each block lies between guards and is kept until the FMU frees it
+        # each block lies between guards; Python keeps it until the FMU frees it
         def allocate(count: int, size: int) -> int | None:
             block = ctypes.create_string_buffer(GUARD + bytes(count * size) + GUARD, count * size + 2 * len(GUARD))
             address = ctypes.addressof(block) + len(GUARD)
@@ -272,12 +272,12 @@ class FmuUnderTest:
             elif block is not None and not is_guarded(block):
                 self.misuse.append(f"writes beyond a block of {len(block) - 2 * len(GUARD)} bytes")
 
-        # fmpy's structure, with references that keep the functions alive
+        # fmpy's structure; the references keep the functions alive
         callbacks = fmi2.fmi2CallbackFunctions()
         callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
         callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(allocate)
         callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-        with suppress(Exception):  # puts arguments into messages, where fmpy has it for this platform
+        with suppress(Exception):  # formats variadic log messages; fmpy has it on some platforms only
             self._functions = callbacks.logger, callbacks.allocateMemory, callbacks.freeMemory
             addLoggerProxy(byref(callbacks))
         return callbacks

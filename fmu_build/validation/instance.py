@@ -1,4 +1,4 @@
-"""One instance of an FMU under test, for co-simulation or for model exchange, with the same calls for both."""
+"""Instances of an FMU under test: one base class with the same methods for co-simulation and model exchange."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RealArray = NDArray[np.float64]
 
 _MOST_EVENT_ITERATIONS = 100
 _WANDER = 1e-4
-"""How far states are moved, relative to their size, to have something to evaluate."""
+"""Change of the states between evaluations, relative to their size."""
 
 _DISCARD, _PENDING = 2, 5
 _ACCESS = {
@@ -31,16 +31,16 @@ _ACCESS = {
     "Boolean": "Boolean",
     "String": "String",
 }
-"""Type of a variable → ending of the functions that get and set it."""
+"""Type of a variable → suffix of the functions that get and set it."""
 
 
 class Subject(Protocol):
-    """What an instance has to know of its FMU.
+    """The properties of an FMU that its instances use.
 
     Attributes:
-        description: model description as fmpy reads it.
-        start, stop, step: of the default experiment [s].
-        tolerance: of the default experiment; None where it has none.
+        description: model description as read by fmpy.
+        start, stop, step: times of the default experiment [s].
+        tolerance: relative tolerance of the default experiment; None if it has none.
         inputs, outputs: variables that are set and read in each step.
     """
 
@@ -54,22 +54,22 @@ class Subject(Protocol):
 
     @property
     def element(self) -> Any:
-        """The description's element of this interface."""
+        """Element CoSimulation or ModelExchange of the description."""
 
     @property
     def steps(self) -> int:
         """Communication steps of a run."""
 
     def input_values(self, n: int, size: float = 1.0) -> RealArray:
-        """Inputs at step ``n``, with changes multiplied by ``size``."""
+        """Inputs at step ``n``, shape (inputs,): start values plus an excitation, multiplied by ``size``."""
 
 
 class InstanceUnderTest(ABC):
-    """An instance; a failed FMI call raises fmpy's exception.
+    """Base class of instances; a failed FMI call raises fmpy's exception.
 
     Attributes:
-        finished: whether the FMU has ended the simulation by itself.
-        next_event: time of the next event that the FMU has asked for, in model exchange [s].
+        finished: whether the FMU has terminated the simulation.
+        next_event: time of the FMU's next time event in model exchange [s]; infinite if there is none.
     """
 
     def __init__(self, fmu: Subject, library: Any) -> None:
@@ -80,27 +80,27 @@ class InstanceUnderTest(ABC):
 
     @abstractmethod
     def initialize(self, values: Mapping[Any, Any] | None = None) -> None:
-        """Everything up to the first step, with the default experiment; ``values`` are set first of all, by variable."""
+        """Initialise with the default experiment, up to the first step; ``values`` (by variable) are set before."""
 
     @abstractmethod
     def advance(
         self, first: int, last: int, size: float = 1.0, between: Callable[[], object] | None = None
     ) -> RealArray:
-        """Go through the steps ``first`` to ``last`` with small changes of the inputs; the results, one row a step.
+        """Run the steps from ``first`` to ``last`` (excluded) with excited inputs; return the results, one row per step.
 
-        It ends earlier where the FMU ends the simulation. ``size`` multiplies the changes; ``between`` is called in each step
-        after the inputs are set.
+        The run ends early if the FMU terminates the simulation. ``size`` multiplies the excitation; ``between`` is called
+        in each step after the inputs are set.
         """
 
     def run(self) -> RealArray:
-        """Some steps of the default experiment; the results, one row a step."""
+        """Initialise, run `Subject.steps` steps and terminate; return the results, one row per step."""
         self.initialize()
         rows = self.advance(0, self.fmu.steps)
         self.library.terminate()
         return rows
 
     def enter_initialization(self, values: Mapping[Any, Any] | None = None) -> None:
-        """Up to Initialization Mode; ``values`` are set before."""
+        """Enter Initialization Mode with the default experiment; ``values`` (by variable) are set before."""
         fmu = self.fmu
         self.finished = False
         for variable, value in (values or {}).items():
@@ -109,11 +109,11 @@ class InstanceUnderTest(ABC):
         self.library.enterInitializationMode()
 
     def version(self) -> tuple[str, str]:
-        """FMI version and types platform that the binary returns."""
+        """FMI version and types platform of the binary."""
         return self.library.getVersion(), self.library.getTypesPlatform()
 
     def get(self, variables: Sequence[Any]) -> RealArray:
-        """Values of numbers and Booleans, shape (variables,)."""
+        """Values of numeric and Boolean variables, shape (variables,)."""
         if all(variable.type == "Real" for variable in variables):
             references = [variable.valueReference for variable in variables]
             return np.array(self.library.getReal(references) if references else [], dtype=np.float64)
@@ -140,12 +140,12 @@ class InstanceUnderTest(ABC):
             getattr(self.library, f"set{_ACCESS[variable.type]}")([variable.valueReference], [value])
 
     def directional(self, unknowns: Sequence[Any], knowns: Sequence[Any], seed: RealArray) -> RealArray:
-        """What the FMU says of the unknowns' derivatives along ``seed``, shape (unknowns,)."""
+        """Directional derivatives of the unknowns along ``seed``, shape (unknowns,), from the FMU."""
         references = [[v.valueReference for v in variables] for variables in (unknowns, knowns)]
         return np.array(self.library.getDirectionalDerivative(*references, list(seed)), dtype=np.float64)
 
     def reset(self) -> None:
-        """Back to the state after instantiation."""
+        """Reset the instance to its state after instantiation."""
         self.library.reset()
 
     def write_together(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
@@ -154,7 +154,7 @@ class InstanceUnderTest(ABC):
         setter([variable.valueReference for variable in variables], list(values))
 
     def save(self, state: Any = None) -> Any:
-        """The complete state, in the memory of another one that was saved before if there is one; give it back with `discard`."""
+        """Save the FMU state, into the memory of the earlier ``state`` if there is one; free it with `discard`."""
         if state is None:
             return self.library.getFMUstate(), self.next_event
         self.library.fmi2GetFMUstate(self.library.component, byref(state[0]))
@@ -167,18 +167,18 @@ class InstanceUnderTest(ABC):
         self.finished = False
 
     def discard(self, state: Any) -> None:
-        """Free a saved state; its pointer is null then."""
+        """Free a saved state; the FMU should set its pointer to NULL."""
         self.library.freeFMUstate(state[0])
 
     def serialize(self) -> bytes:
-        """The complete state as bytes, what the importing tool has to know of it first.
+        """The serialised FMU state, preceded by the time of the next event.
 
         Raises:
-            MisbehaviourError: the FMU writes beyond the size that it has returned.
+            MisbehaviourError: the FMU writes more bytes than fmi2SerializedFMUstateSize returns.
         """
         state, size = self.save(), c_size_t()
         self.library.fmi2SerializedFMUstateSize(self.library.component, state[0], byref(size))
-        # a guard behind the buffer shows whether the FMU keeps to the size
+        # a guard behind the buffer detects a write beyond the size
         buffer = create_string_buffer(bytes(size.value) + GUARD, size.value + len(GUARD))
         self.library.fmi2SerializeFMUstate(self.library.component, state[0], buffer, size.value)
         self.discard(state)
@@ -187,18 +187,18 @@ class InstanceUnderTest(ABC):
                 f"fmi2SerializeFMUstate writes beyond its buffer of {size.value} bytes",
                 "write as many as fmi2SerializedFMUstateSize returns",
             )
-        # the next event is known to the importing tool alone
+        # only the importing tool knows the next event
         return struct.pack("d", self.next_event) + buffer.raw[: size.value]
 
     def restore_serialized(self, data: bytes) -> None:
-        """Continue from the bytes of another instance's state."""
+        """Continue from a serialised state, possibly of another instance."""
         state = self.library.deSerializeFMUstate(data[8:]), *struct.unpack("d", data[:8])
         self.restore(state)
         self.discard(state)
 
 
 class CosimulationInstance(InstanceUnderTest):
-    """Makes communication steps; the results are the outputs."""
+    """Instance for co-simulation: makes communication steps; the results are the outputs."""
 
     def initialize(self, values: Mapping[Any, Any] | None = None) -> None:
         self.enter_initialization(values)
@@ -219,19 +219,19 @@ class CosimulationInstance(InstanceUnderTest):
         return _table(rows, len(fmu.outputs))
 
     def step(self, n: float, parts: int = 1) -> bool:
-        """A step from ``start + n * step`` of length ``step / parts``; whether it was made: the FMU may end the simulation.
+        """Make a step of length ``step / parts`` from ``start + n * step``; False if the FMU terminates the simulation.
 
         Raises:
-            MisbehaviourError: the FMU discards the step without ending the simulation.
+            MisbehaviourError: the FMU discards the step without terminating the simulation.
         """
         return self.step_from(self.fmu.start + n * self.fmu.step, self.fmu.step / parts)
 
     def step_from(self, time: float, length: float) -> bool:
-        """The same for a step of any length [s], from any time [s]."""
+        """Make a step of any length [s] from any time [s]; returns and raises as `step`."""
         try:
             self.library.doStep(time, length)
         except FMICallException as error:
-            # the step goes on, the simulation ends, or it is an error
+            # an asynchronous step, the end of the simulation, or an error
             if error.status == _PENDING:
                 self._await()
             elif error.status != _DISCARD:
@@ -247,13 +247,13 @@ class CosimulationInstance(InstanceUnderTest):
         return True
 
     def _has_terminated(self) -> bool:
-        """Whether a discarded step is the end of the simulation (fmi2Terminated)."""
+        """Whether the FMU discarded the step because it terminates the simulation (fmi2Terminated)."""
         with suppress(FMICallException):
             return bool(self.library.getBooleanStatus(fmi2.fmi2Terminated))
         return False
 
     def _await(self) -> None:
-        """Wait for the end of a step that the FMU computes asynchronously."""
+        """Wait for the end of an asynchronous step."""
         if not self.fmu.element.canRunAsynchronuously:
             raise MisbehaviourError(
                 "fmi2DoStep returns fmi2Pending, canRunAsynchronuously is not claimed",
@@ -266,7 +266,7 @@ class CosimulationInstance(InstanceUnderTest):
 
 
 class ExchangeInstance(InstanceUnderTest):
-    """Moves the states back and forth without integrating; the results are the states' derivatives and outputs."""
+    """Instance for model exchange: perturbs the states without integrating; the results are state derivatives and outputs."""
 
     def initialize(self, values: Mapping[Any, Any] | None = None) -> None:
         self.enter_initialization(values)
@@ -282,7 +282,7 @@ class ExchangeInstance(InstanceUnderTest):
         for n in range(first, last):
             if self.finished:
                 break
-            # another time, other inputs, other states
+            # new time, inputs and states
             time = fmu.start + n * fmu.step
             self.library.setTime(time)
             self.set(fmu.inputs, fmu.input_values(n, size))
@@ -291,9 +291,9 @@ class ExchangeInstance(InstanceUnderTest):
                 self.set_continuous_states(x + _WANDER * np.maximum(np.abs(x), 1e-3) * np.sin(n + np.arange(x.size)))
             if between is not None:
                 between()
-            # what is evaluated there
+            # evaluate
             rows.append(np.hstack([self.derivatives(), self.get(fmu.outputs)]))
-            # the end of the integrator's step, with an event where the FMU asks for one
+            # complete the integrator step; handle a step event or time event
             event, self.finished = self.library.completedIntegratorStep()
             if not self.finished and (event or time >= self.next_event):
                 self.library.enterEventMode()
@@ -301,26 +301,26 @@ class ExchangeInstance(InstanceUnderTest):
         return _table(rows, self.states + len(fmu.outputs))
 
     def continuous_states(self) -> RealArray:
-        """The states x, shape (states,)."""
+        """The continuous states x, shape (states,)."""
         return self._vector(self.library.getContinuousStates)
 
     def set_continuous_states(self, x: RealArray) -> None:
-        """Set the states x, shape (states,)."""
+        """Set the continuous states x, shape (states,)."""
         self.library.setContinuousStates(_pointer(np.ascontiguousarray(x)), self.states)
 
     def derivatives(self) -> RealArray:
-        """Derivatives of the states, shape (states,)."""
+        """State derivatives dx/dt, shape (states,)."""
         return self._vector(self.library.getDerivatives)
 
     def nominals(self) -> RealArray:
-        """Orders of magnitude of the states, shape (states,)."""
+        """Nominal values of the states, shape (states,)."""
         return self._vector(self.library.getNominalsOfContinuousStates)
 
     def event_indicators(self) -> RealArray:
-        """The event indicators, as many as the description has.
+        """The event indicators, shape (numberOfEventIndicators,).
 
         Raises:
-            MisbehaviourError: the FMU writes more of them.
+            MisbehaviourError: the FMU writes more values.
         """
         count = int(self.fmu.description.numberOfEventIndicators or 0)
         z = np.zeros(count + 1)
@@ -337,7 +337,11 @@ class ExchangeInstance(InstanceUnderTest):
         return x
 
     def handle_events(self) -> None:
-        """From Event Mode to Continuous-Time Mode, or to the end."""
+        """Iterate events in Event Mode, then enter Continuous-Time Mode unless the FMU terminates the simulation.
+
+        Raises:
+            MisbehaviourError: the event iteration does not converge.
+        """
         for _ in range(_MOST_EVENT_ITERATIONS):
             needed, self.finished, _, _, defined, time = self.library.newDiscreteStates()
             if self.finished:

@@ -1,6 +1,6 @@
-"""The functions of an FMU's library: each call is watched, so that a finding about a hang or a crash names the call.
+"""The functions of an FMU's shared library, with a record of the current call, so that findings about hangs name it.
 
-Memory that the FMU fills lies between guards, so that a write beyond its end is seen.
+Guards around memory that the FMU fills detect writes beyond its bounds.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ from typing import Any, ClassVar
 from fmpy import fmi2
 
 GUARD = bytes(range(0xA0, 0xC0))
-"""What lies before and behind each block of memory that an FMU gets, to see whether it writes there."""
+"""Bytes before and behind each block of memory that an FMU gets; a change reveals a write out of bounds."""
 
 CANARY = -4.25e11
-"""What lies behind an array that the FMU fills."""
+"""Value behind an array of doubles that the FMU fills; a change reveals a write out of bounds."""
 
 _WARNING = 1
 """fmi2Warning."""
 
 TRY = "flexfmu tries:"
-"""Prefix of the lines on standard error that say what is tried, in case the FMU crashes."""
+"""Prefix of announcements on standard error, which name the current action if the FMU crashes."""
 
 
 def announce(what: str) -> None:
-    """Say what is tried next."""
+    """Announce the next action on standard error."""
     with suppress(OSError):  # an FMU may have closed it
         print(f"{TRY}{what}", file=sys.stderr, flush=True)
 
 
 class MisbehaviourError(RuntimeError):
-    """An FMU doesn't do what the standard demands.
+    """An FMU violates the standard.
 
     Attributes:
-        remedy: what would be right.
+        remedy: what to do.
     """
 
     def __init__(self, message: str, remedy: str) -> None:
@@ -45,7 +45,14 @@ class MisbehaviourError(RuntimeError):
 
 
 class Watch:
-    """Which FMI call is under way, and since when; another thread may look. How often functions were called, and warned."""
+    """Record of the FMI calls of this process, read by the watchdog thread.
+
+    Attributes:
+        call: name of the current call; empty if there is none.
+        since: its start, by `time.monotonic` [s].
+        calls: function → number of calls.
+        warnings: function → number of calls that returned fmi2Warning.
+    """
 
     call = ""
     since = 0.0
@@ -54,7 +61,7 @@ class Watch:
 
 
 class _Watched:
-    """Reports each call to `Watch`."""
+    """Records each call in `Watch`."""
 
     def _call(self, name: str, *arguments: Any) -> Any:
         Watch.since = monotonic()
@@ -69,7 +76,7 @@ class _Watched:
 
 
 class FMU2SlaveLibrary(_Watched, fmi2.FMU2Slave):  # type: ignore[misc]
-    """The functions for co-simulation; fmpy looks at the beginning of the class's name."""
+    """The functions for co-simulation; fmpy evaluates the prefix of the class name."""
 
 
 class FMU2ModelLibrary(_Watched, fmi2.FMU2Model):  # type: ignore[misc]
@@ -77,6 +84,6 @@ class FMU2ModelLibrary(_Watched, fmi2.FMU2Model):  # type: ignore[misc]
 
 
 def is_guarded(block: Any) -> bool:
-    """Whether the guards of a block are as they were."""
+    """Whether the guards of a block are unchanged."""
     content = bytes(memoryview(block))
     return content.startswith(GUARD) and content.endswith(GUARD)

@@ -1,4 +1,4 @@
-"""The life cycle of an instance: instantiation, a run over the default experiment, and what is left when it is freed."""
+"""Checks of an instance's life cycle: instantiation, a run over the default experiment, memory after it is freed."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from flexfmu.fmu_build.validation.library import Watch, announce, is_guarded
 from flexfmu.fmu_build.validation.variables import attribute
 
 WHOLE_RUN = 5.0
-"""Longest time for the run over the whole default experiment [s]."""
+"""Time limit of the run over the whole default experiment [s]."""
 
 LAG = 0.2
-"""Share of the default experiment by which the independent variable may lag behind."""
+"""Largest error of the independent variable, as a share of the default experiment."""
 
 MORE_SAVINGS = 4
-"""How often a state is saved again in the memory of the one before."""
+"""Number of times that a state is saved again into the memory of the earlier one."""
 
 MEMORY_RUNS = 12
-"""Instances that are made and freed to see whether memory is lost."""
+"""Number of instances that are made and freed to detect memory leaks."""
 
 _OUTSIDE = 1e-6
-"""How far an output may leave its range, relative to its largest value: rounding."""
+"""Tolerance of an output's range for rounding, relative to its largest value."""
 
 
 def instantiates(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """An instance can be made, and the binary speaks FMI 2.0; all other checks need this."""
+    """Check that the FMU can be instantiated and its binary is for FMI 2.0; all other checks need this."""
     with fmu.instance("version") as instance:
         version, types = instance.version()
     if (version, types) != ("2.0", "default"):
@@ -47,24 +47,24 @@ def instantiates(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def refuses_wrong_guid(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """A binary must not run with the description of another FMU."""
+    """Check that fmi2Instantiate refuses the GUID of another FMU."""
     with suppress(RuntimeError), fmu.instance("wrong_guid", guid="{00000000-0000-0000-0000-000000000000}"):
         yield Finding("guid", "fmi2Instantiate accepts a wrong GUID", "compare it with the one of the description")
 
 
 def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """The resources may lie anywhere, and RFC 3986 and RFC 8089 allow to say so in several ways."""
+    """Check that fmi2Instantiate accepts all spellings of the resource location that RFC 3986 and RFC 8089 allow."""
     path = quote(str(fmu.folder / "resources"))
     with TemporaryDirectory(prefix="with space ") as home:
         copy = shutil.copytree(fmu.folder / "resources", Path(home) / "resources", dirs_exist_ok=True)
-        tries = (  # the standard wants the first three; the others are ways in which tools write them
+        tries = (  # the standard requires the first three; some tools use the others
             (f"file://{path}", "", Severity.ERROR),
             (f"file:{path}", "the authority may be left out", Severity.ERROR),
             (f"file://{quote(str(copy))}", "decode percent signs", Severity.ERROR),
             (f"file://{path}/", "ignore a slash at the end", Severity.WARNING),
             (f"file://localhost{path}", "localhost is this machine (RFC 8089)", Severity.WARNING),
         )
-        # an instance with each of them, up to the first step
+        # instantiate and initialise with each of them
         for uri, remedy, severity in tries:
             shown = uri.replace(str(fmu.folder), "/FOLDER").replace(quote(home), "/with%20space")
             announce(shown)
@@ -75,7 +75,7 @@ def accepts_odd_uris(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _starts_with(fmu: FmuUnderTest, uri: str) -> str | None:
-    """What goes wrong up to the first step with this resource location."""
+    """Error message of instantiation and initialisation with this resource location; None if they succeed."""
     try:
         with fmu.instance("uri", uri=uri) as instance:
             instance.initialize()
@@ -87,13 +87,13 @@ def _starts_with(fmu: FmuUnderTest, uri: str) -> str | None:
 
 
 def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """The whole default experiment gives numbers, within their ranges; measures how fast the FMU is too."""
+    """Check that outputs are finite and within range over the default experiment; measure the wall time per step."""
     Watch.calls.clear()
     Watch.warnings.clear()
     with fmu.instance("finite") as instance:
         instance.initialize()
         yield from _beyond_bounds(fmu, instance)
-        # all of the experiment, as far as the time goes
+        # the whole experiment, as far as the time limit allows
         begin, rows, done = monotonic(), [], 0
         while done < fmu.all_steps and monotonic() - begin < WHOLE_RUN and not instance.finished:
             rows.append(instance.advance(done, min(done + 10, fmu.all_steps), size=0.0))
@@ -102,14 +102,14 @@ def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
         if not instance.finished:
             yield from _check_time(fmu, instance, fmu.start + done * fmu.step)
             instance.library.terminate()
-    # warnings at every other call say nothing
+    # a warning at every second call carries no information
     for function in ("fmi2DoStep", "fmi2GetDerivatives", "fmi2GetReal"):
         if Watch.warnings[function] > 0.5 * Watch.calls[function]:
             logged = f": {fmu.messages[-1]}" if fmu.messages else ""
             often = f"in {Watch.warnings[function]} of {Watch.calls[function]} calls"
             message = " ".join(f"{function} returns fmi2Warning {often}{logged}".split())
             yield Finding("simulation", message, "keep fmi2Warning for what is unusual", Severity.NOTE)
-    # a slow FMU has not come to the end
+    # a slow FMU may not reach the end
     if done < fmu.all_steps and not instance.finished:
         until, end = (fmu.start + n * fmu.step for n in (done, fmu.all_steps))
         message = f"simulated to {until:.6g} s of {end:.6g} s: a step of {fmu.step:g} s takes {fmu.pace:.2g} s"
@@ -119,7 +119,7 @@ def outputs_are_finite(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _check_time(fmu: FmuUnderTest, instance: Any, expected: float) -> Iterator[Finding]:
-    """The independent variable is the time; an FMU with a step of its own may be a part of it behind."""
+    """Check that the independent variable shows the time; an FMU with an internal step may lag behind."""
     times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
     value = float(instance.get(times)[0]) if times else expected
     if not abs(value - expected) <= 1.5 * fmu.step + LAG * (fmu.stop - fmu.start):
@@ -128,17 +128,17 @@ def _check_time(fmu: FmuUnderTest, instance: Any, expected: float) -> Iterator[F
 
 
 def _judged(fmu: FmuUnderTest, rows: Any) -> Iterator[Finding]:
-    """Values that are no numbers, or outside what the description promises."""
+    """Yield findings about values that are not finite, or outside their range."""
     names = [variable.name for variable in fmu.outputs]
     first = rows.shape[1] - len(names)
-    # values that are no numbers
+    # values that are not finite
     bad = ~np.isfinite(rows)
     for column in np.flatnonzero(bad.any(axis=0)):
         row = int(np.argmax(bad[:, column]))
         what = names[column - first] if column >= first else f"derivative {column + 1}"
         message = f"{what} is {rows[row, column]} at {fmu.start + (row + 1) * fmu.step:.6g} s"
         yield Finding("simulation", message, "give a number, or return fmi2Error", subject=what)
-    # ranges, but for rounding
+    # ranges, with a tolerance for rounding
     for variable, values in zip(fmu.outputs, rows[:, first:].T, strict=True):
         low, high = attribute(variable, "min"), attribute(variable, "max")
         room = _OUTSIDE * float(np.abs(values).max(initial=0.0))
@@ -162,7 +162,7 @@ def _judged(fmu: FmuUnderTest, rows: Any) -> Iterator[Finding]:
 
 
 def _beyond_bounds(fmu: FmuUnderTest, instance: Any) -> Iterator[Finding]:
-    """Local variables and parameters that start outside their own range; of outputs the whole run is looked at."""
+    """Yield findings about variables other than outputs that are out of range after initialisation."""
     for variable in fmu.description.modelVariables:
         low, high = attribute(variable, "min"), attribute(variable, "max")
         if variable.type not in ("Real", "Integer") or variable in fmu.outputs or (low is None and high is None):
@@ -177,8 +177,8 @@ def _beyond_bounds(fmu: FmuUnderTest, instance: Any) -> Iterator[Finding]:
 
 
 def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """What was allocated is free again when the last instance is, and nothing beside it was touched."""
-    # memory from the callbacks: freed once, within its bounds
+    """Check that the FMU frees all memory of instances and states, and writes within its bounds."""
+    # memory from the callbacks: freed once, no write out of bounds
     fmu.memory.clear()
     fmu.misuse.clear()
     _short_run(fmu)
@@ -196,7 +196,7 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
         yield Finding("memory", message, "free in fmi2FreeInstance what was allocated", Severity.WARNING)
     if lost or fmu.memory or not fmu.can_save:
         return
-    # memory of saved states, and of states that are saved again in the same place
+    # memory of saved states, and of states saved again into the same memory
     lost = _lost_bytes(fmu, savings=1)
     again = _lost_bytes(fmu, savings=1 + MORE_SAVINGS) - lost
     if lost:
@@ -208,7 +208,7 @@ def gives_memory_back(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _short_run(fmu: FmuUnderTest, savings: int = 0) -> None:
-    """Some steps, after which the state is saved so many times in the same memory."""
+    """Run some steps, then save the state ``savings`` times into the same memory and free it."""
     with fmu.instance("memory") as instance:
         instance.initialize()
         instance.advance(0, min(fmu.steps, 5 if savings else 20))
@@ -220,7 +220,7 @@ def _short_run(fmu: FmuUnderTest, savings: int = 0) -> None:
 
 
 def _lost_bytes(fmu: FmuUnderTest, savings: int = 0) -> int:
-    """Bytes of malloc that an instance never frees; 0 where the C library cannot count them (glibc can)."""
+    """Bytes of malloc that each instance leaks; 0 without mallinfo2 (glibc 2.33) or for a slow FMU."""
     libc = ctypes.CDLL(None)
     if not hasattr(libc, "mallinfo2") or fmu.pace * 20 * MEMORY_RUNS > WHOLE_RUN:
         return 0
@@ -238,7 +238,7 @@ def _lost_bytes(fmu: FmuUnderTest, savings: int = 0) -> int:
             used.append(info.uordblks + info.hblkhd)
     finally:
         gc.enable()
-    # a leak grows at each run; the first ones fill caches
+    # a leak grows with each run; the first runs fill caches
     grown = np.diff(used[MEMORY_RUNS // 3 :])
     return int(np.median(grown)) if (grown > 0).all() else 0
 

@@ -1,4 +1,4 @@
-"""What an FMU shares with the process that runs it, and has to leave alone: locale, rounding, signals, streams, files."""
+"""Process state that an FMU must not change: locale, rounding, signal handlers, standard streams, files."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ import numpy as np
 from flexfmu.fmu_build.validation.finding import Finding, Severity
 
 _ROUNDING = {0: "nearest", 0x400: "downwards", 0x800: "upwards", 0xC00: "towards zero"}
-"""Names of what fegetround returns on x86."""
+"""Return value of fegetround on x86 → name of the rounding mode."""
 
 
 def surroundings(fmu: Path) -> dict[str, Any]:
-    """What an FMU shares with the process that it runs in, and has to leave alone.
+    """The process state that an FMU must not change, name → value.
 
     Args:
-        fmu: the folder in which it is.
+        fmu: folder of the extracted FMU.
     """
     seen: dict[str, Any] = {
         "working directory": os.getcwd(),
@@ -36,14 +36,14 @@ def surroundings(fmu: Path) -> dict[str, Any]:
             if path.is_file()
         },
     }
-    # what C code sees: rounding mode, environment, mask
+    # state of the C library: rounding mode, environment, umask
     if os.name == "posix":
         libc = ctypes.CDLL(None)
         seen["rounding of numbers"] = libc.fegetround() if hasattr(libc, "fegetround") else 0
         seen["environment"] = _environment(libc)
         seen["mask of new files"] = os.umask(0)
         os.umask(seen["mask of new files"])
-    # Linux also says which signals are handled and which files are open
+    # on Linux: signal handlers and open files
     status = Path("/proc/self/status")
     if status.exists():
         lines = (
@@ -55,7 +55,7 @@ def surroundings(fmu: Path) -> dict[str, Any]:
 
 
 def _environment(libc: Any) -> dict[bytes, bytes]:
-    """The environment as C code sees it."""
+    """The environment variables of the C library."""
     pointer = ctypes.POINTER(ctypes.c_char_p).in_dll(libc, "environ")
     entries: list[bytes] = []
     while pointer and (entry := pointer[len(entries)]) is not None:
@@ -64,10 +64,10 @@ def _environment(libc: Any) -> dict[bytes, bytes]:
 
 
 def disturbances(before: dict[str, Any], after: dict[str, Any]) -> Iterator[Finding]:
-    """Findings about what an FMU has changed in its process; what is reported is removed from ``before``."""
+    """Yield findings about changes of the process state; reported entries are removed from ``before``."""
     for what, old in list(before.items()):
         new = after[what]
-        # each disturbance is reported once
+        # report each change once
         if new != old:
             del before[what]
         if what == "open files" and new > old:
@@ -93,7 +93,11 @@ def _disturbance(what: str, remedy: str) -> Finding:
 
 
 def closed_streams(standard: list[int]) -> Iterator[Finding]:
-    """A finding about standard input, output and error if the FMU has closed them; they are opened again."""
+    """Yield a finding for each standard stream that the FMU has closed, and reopen it.
+
+    Args:
+        standard: duplicated file descriptors of standard input, output and error.
+    """
     names = ("input", "output", "error")
     for number, (name, copy) in enumerate(zip(names, standard, strict=True)):
         try:
@@ -105,13 +109,13 @@ def closed_streams(standard: list[int]) -> Iterator[Finding]:
 
 
 def printed_bytes() -> int:
-    """Bytes on standard output so far."""
+    """Size of the file behind standard output, after a flush [bytes]."""
     ctypes.CDLL(None).fflush(None)
     return os.fstat(1).st_size
 
 
 def printed_text(before: int) -> Iterator[Finding]:
-    """A finding about what an FMU prints."""
+    """Yield a finding if standard output has grown beyond ``before`` bytes."""
     now = printed_bytes()
     if now > before:
         text = os.pread(1, min(now - before, 200), before).decode(errors="replace").strip().splitlines()
@@ -122,7 +126,7 @@ def printed_text(before: int) -> Iterator[Finding]:
 
 
 def files_left() -> Iterator[Finding]:
-    """A finding about files that an FMU leaves in the working directory, which is empty at the start."""
+    """Yield a finding for each file that the FMU leaves in the working directory, and remove it."""
     for path in sorted(Path.cwd().iterdir()):
         yield Finding(
             "process",

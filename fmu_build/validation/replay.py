@@ -1,9 +1,8 @@
-"""Whether a reset, a saved state, another instance and a second run leave everything as it was, to the last bit.
+"""Checks that a second run, a reset, a restored state and another instance reproduce the results bit by bit.
 
-The same calls with the same values are the same arithmetic, so recordings are compared bit by bit; a difference shows memory that
-is not part of the state.
+The same calls with the same values run the same arithmetic. A difference reveals memory that is not part of the state.
 
-    python -m flexfmu.fmu_build.validation.replay FOLDER KIND PACE STATE RESULT    # in a process of its own
+    python -m flexfmu.fmu_build.validation.replay FOLDER KIND PACE STATE RESULT    # in a separate process
 """
 
 from __future__ import annotations
@@ -24,23 +23,23 @@ from flexfmu.fmu_build.validation.instance import RealArray
 from flexfmu.fmu_build.validation.variables import moved, start_of
 
 FRACTIONS = (0.0, 0.25, 0.75)
-"""Parts of the run at which states are saved."""
+"""Instants at which states are saved, as fractions of the run."""
 
 OTHER_PROCESS_TIMEOUT = 60.0
-"""Longest wait for a process that replays a state [s]."""
+"""Time limit of a process that replays a state [s]."""
 
 PERTURBATION = 0.02
-"""Change of parameters relative to their size."""
+"""Change of parameters and inputs, relative to their size."""
 
 READS = 10
-"""Further readings of all outputs in each step."""
+"""Additional readings of all outputs in each step."""
 
 NEGLIGIBLE = 1e-9
-"""Differences, relative to an output's largest value, that give only a warning."""
+"""Largest difference, relative to an output's largest value, that is a warning instead of an error."""
 
 
 def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """A second instance does what the first did; outputs that differ from process to process are left out from then on."""
+    """Check that a second instance reproduces the first; exclude outputs that are random from all later checks."""
     with fmu.instance("first") as instance:
         first = instance.run()
     with fmu.instance("second") as instance:
@@ -48,8 +47,8 @@ def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
     differing = _differing(fmu, first, second)
     if not differing:
         return
-    # random by intent, or by memory that instances share?
-    fresh = [_in_new_process(fmu, "run") for _ in range(2)]  # where no instance has been before
+    # outputs that differ between new processes too are random; otherwise instances share memory
+    fresh = [_in_new_process(fmu, "run") for _ in range(2)]  # without earlier instances
     random = [variable for variable in differing if variable in _differing(fmu, *fresh)]
     if random and set(random) == set(differing):
         names = ", ".join(variable.name for variable in random)
@@ -68,7 +67,7 @@ def repeats_itself(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _differing(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> list[Any]:
-    """Outputs that are not the same in two recordings."""
+    """Outputs whose values differ between two recordings."""
     rows = min(len(first), len(second))
     offset = first.shape[1] - len(fmu.outputs)
     same = [np.array_equal(a, b, equal_nan=True) for a, b in zip(first[:rows].T, second[:rows].T, strict=True)]
@@ -76,14 +75,14 @@ def _differing(fmu: FmuUnderTest, first: RealArray, second: RealArray) -> list[A
 
 
 def repeats_after_reset(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """fmi2Reset brings back the state after instantiation, all of it, parameters and inputs too."""
+    """Check that fmi2Reset restores the state after instantiation, including parameters and inputs."""
     remedy = "fmi2Reset has to restore everything, starts included"
     with fmu.instance("reset") as instance:
         first = instance.run()
         instance.reset()
         again = instance.run()
         findings = list(_compare(fmu, "reset", first, again, "after fmi2Reset", remedy))
-        # again after a run that has changed all it could
+        # once more, after a run with other parameters and inputs
         if not findings:
             instance.reset()
             _run_changed(fmu, instance)
@@ -96,27 +95,27 @@ def repeats_after_reset(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _run_changed(fmu: FmuUnderTest, instance: Any) -> RealArray:
-    """A run with other parameters and inputs; it ends where the FMU can't go on with them."""
+    """Results of a run with other parameters and inputs; no rows if the FMU rejects these values."""
     try:
         instance.initialize({variable: moved(variable, PERTURBATION) for variable in changeable(fmu)})
         return np.asarray(instance.advance(0, fmu.steps, size=-3.0))
-    except Exception:  # fmpy's own kinds of errors: these values may be impossible
+    except Exception:  # fmpy raises several types; the FMU may reject these values
         return np.zeros((0, 1))
 
 
 def changeable(fmu: FmuUnderTest) -> list[Any]:
-    """Real parameters that have another value than their start within their bounds."""
+    """Real parameters whose bounds allow another value than their start."""
     parameters = [variable for variable in fmu.settable("parameter") if variable.type == "Real"]
     return [variable for variable in parameters if moved(variable, PERTURBATION) != start_of(variable)]
 
 
 def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """States contain everything that the future depends on, in whatever order they are used; saving changes nothing."""
+    """Check that runs continue identically from restored states, in any order, and that saving has no side effect."""
     if not fmu.can_save:
         return
     with fmu.instance("undisturbed") as instance:
         undisturbed = instance.run()
-    # a run in parts, with states saved between them
+    # one run, interrupted to save states
     marks = [round(fraction * fmu.steps) for fraction in FRACTIONS]
     with fmu.instance("save") as instance:
         instance.initialize()
@@ -126,7 +125,7 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
             parts.append(instance.advance(mark, end))
         saving = list(_compare(fmu, "state", undisturbed, np.vstack(parts), _ON_THE_WAY, _SAVING))
         yield from saving
-        # from each state, in both orders, the future is the same
+        # the run continues identically from each state, restored in both orders
         futures: dict[int, RealArray] = {}
         found: list[Finding] = []
         for turn in (0, 1):
@@ -154,7 +153,7 @@ def replays_saved_states(fmu: FmuUnderTest) -> Iterator[Finding]:
 def _saving_in_used_memory(
     fmu: FmuUnderTest, instance: Any, states: list[Any], mark: int, undisturbed: RealArray
 ) -> Iterator[Finding]:
-    """A finding if a state at ``mark`` differs where it is saved in the memory of the first of ``states``, which it replaces."""
+    """Check a state at step ``mark`` that fmi2GetFMUstate writes into the memory of ``states[0]``, which it replaces."""
     instance.restore(states[0])
     instance.advance(0, mark)
     states[0] = instance.save(states[0])
@@ -165,7 +164,7 @@ def _saving_in_used_memory(
 
 
 def _saving_in_each_step(fmu: FmuUnderTest, undisturbed: RealArray) -> Iterator[Finding]:
-    """A finding if a run is another one where the state is saved and freed in each step."""
+    """Check that saving and freeing the state in each step does not change the results."""
     with fmu.instance("saving") as instance:
         instance.initialize()
         rows = instance.advance(0, min(fmu.steps, 20), between=lambda: instance.discard(instance.save()))
@@ -173,12 +172,12 @@ def _saving_in_each_step(fmu: FmuUnderTest, undisturbed: RealArray) -> Iterator[
 
 
 def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Inputs and time are part of the state: restored after others were set, they have the values that they had."""
+    """Check that fmi2SetFMUstate restores inputs and time, which belong to the state."""
     if not fmu.can_save:
         return
-    # inputs that may be set to something else
+    # inputs whose bounds allow another value
     inputs = list(fmu.inputs)
-    if fmu.kind is InterfaceType.COSIMULATION:  # in model exchange discrete ones are set at events alone
+    if fmu.kind is InterfaceType.COSIMULATION:  # in model exchange, discrete inputs may be set only in Event Mode
         inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
     inputs = [variable for variable in inputs if moved(variable, PERTURBATION) != start_of(variable)]
     times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
@@ -188,15 +187,15 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
         instance.advance(0, half)
         if instance.finished:
             return
-        # save, go on, restore, set, restore
+        # save; continue and restore; set other inputs and restore
         state, values, time = instance.save(), instance.get(inputs), instance.get(times)
-        instance.advance(half, fmu.steps)  # first of all this sets the inputs, which have been read
+        instance.advance(half, fmu.steps)  # sets other inputs first
         instance.restore(state)
         instance.set(inputs, np.array([moved(variable, PERTURBATION) for variable in inputs]))
         instance.restore(state)
         again, then = instance.get(inputs), instance.get(times)
         instance.discard(state)
-    # inputs and time are what they were
+    # inputs and time have their saved values
     for variable, before, after in zip([*inputs, *times], [*values, *time], [*again, *then], strict=True):
         if not np.isclose(before, after, rtol=1e-9, atol=1e-12 * fmu.step, equal_nan=True):
             message = (
@@ -207,7 +206,7 @@ def brings_inputs_back(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def reads_leave_the_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """A run in which variables are read repeatedly equals one in which they are read once a step."""
+    """Check that reading outputs repeatedly in each step does not change the results."""
     with fmu.instance("read_once") as instance:
         once = instance.run()
     with fmu.instance("read_often") as instance:
@@ -218,17 +217,17 @@ def reads_leave_the_state_alone(fmu: FmuUnderTest) -> Iterator[Finding]:
                 instance.get(fmu.outputs)
 
         often = instance.advance(0, fmu.steps, between=read)
-    # an inner iteration that goes on at each reading changes less than the solver's tolerance
+    # an inner iteration that continues at each reading may change outputs within the solver's tolerance
     when, room = f"where outputs are read {READS} times more a step", (NEGLIGIBLE, fmu.accuracy)
     yield from _compare(fmu, "reading", once, often, when, _READING, *room)
 
 
 def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """A serialised state works in another instance and in another process."""
+    """Check that a run continues identically from a serialised state in another instance and in another process."""
     if not fmu.can_serialize:
         return
     half = fmu.steps // 2
-    # the rest of a run from the middle, in the same instance and in another one
+    # second half of the run, in the same instance and in another one
     with fmu.instance("writer") as writer:
         writer.initialize()
         writer.advance(0, half)
@@ -241,10 +240,10 @@ def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
     when = "with a serialised state in another instance"
     findings = list(_compare(fmu, "serialisation", rows, again, when, _STATE_REMEDY))
     yield from findings
-    # in another process, where addresses differ
+    # in another process, at other addresses
     slave, model = fmu.description.coSimulation, fmu.description.modelExchange
     both = slave is not None and model is not None and slave.modelIdentifier == model.modelIdentifier
-    if findings or (both and fmu.kind is InterfaceType.EXCHANGE):  # the same code has been tried with co-simulation
+    if findings or (both and fmu.kind is InterfaceType.EXCHANGE):  # co-simulation has already tested this code
         return
     when = "with a serialised state in another process"
     remedy = "serialised states must hold values, no addresses"
@@ -252,7 +251,7 @@ def replays_serialized_state(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _continue_from(fmu: FmuUnderTest, data: bytes) -> RealArray:
-    """The second half of the run from a serialised state; without one, all of it."""
+    """Results of the second half of the run from a serialised state; of the whole run if ``data`` is empty."""
     with fmu.instance("other process") as instance:
         if not data:
             return np.asarray(instance.run())
@@ -262,10 +261,10 @@ def _continue_from(fmu: FmuUnderTest, data: bytes) -> RealArray:
 
 
 def _in_new_process(fmu: FmuUnderTest, what: str, data: bytes = b"") -> RealArray:
-    """`_continue_from` in a new process.
+    """Results of `_continue_from` in a new process.
 
     Raises:
-        RuntimeError: it ends in another way than it should.
+        RuntimeError: the process fails or writes no result.
     """
     with TemporaryDirectory(prefix="flexfmu-replay-") as home:
         state, result = Path(home) / "state", Path(home) / "rows.npy"
@@ -283,23 +282,23 @@ def _in_new_process(fmu: FmuUnderTest, what: str, data: bytes = b"") -> RealArra
 
 
 def two_instances_are_independent(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Two instances with different parameters and inputs that take turns do what each does alone."""
+    """Check that two instances with different parameters and inputs, stepped in turns, reproduce their separate runs."""
     if fmu.is_single:
         return
-    # each alone, the second one with other values if the FMU runs with them
+    # separate runs, the second one with other values if the FMU accepts them
     with fmu.instance("alone") as instance:
         alone = instance.run()
     with fmu.instance("changed") as instance:
         changed = _run_changed(fmu, instance)
     values = {variable: moved(variable, PERTURBATION) for variable in changeable(fmu)} if len(changed) else {}
     size = -3.0 if len(changed) else 1.0
-    # both step by step in turns
+    # both instances, step by step in turns
     with fmu.instance("one") as one, fmu.instance("two") as two:
         one.initialize()
         two.initialize(values)
         steps = min(len(alone), len(changed) or len(alone))
         turns = [(one.advance(n, n + 1), two.advance(n, n + 1, size)) for n in range(steps)]
-    # the first contradiction is enough
+    # report the first difference only
     remedy = "keep all data in the instance, none in static variables"
     for which, expected in enumerate((alone, changed if len(changed) else alone)):
         rows = np.vstack([turn[which] for turn in turns]) if turns else expected[:0]
@@ -327,20 +326,21 @@ def _compare(
     least: float = 0.0,
     negligible: float = NEGLIGIBLE,
 ) -> Iterator[Finding]:
-    """A finding if two recordings differ at all: the arithmetic is the same, so the results must be.
+    """Yield a finding if two recordings of the same calls differ.
 
-    Relative to a column's largest value, differences up to ``least`` are none, those up to ``negligible`` a warning.
+    Differences are relative to the column's largest value: up to ``least`` they are ignored, up to ``negligible`` they
+    are a warning.
     """
     if len(first) != len(second):
         ends = " and ".join(f"{fmu.start + len(rows) * fmu.step:.6g} s" for rows in (first, second))
-        # hardly any tool resets an FMU that has ended the simulation by itself
+        # tools hardly ever reset an FMU that has terminated the simulation
         severity = Severity.WARNING if check == "reset" else Severity.ERROR
         yield Finding(check, f"the run ends at different times {when}: {ends}", remedy, severity)
         return
     offset = first.shape[1] - len(fmu.outputs)
     if first.shape != second.shape or offset < 0 or np.array_equal(first, second, equal_nan=True):
         return
-    # the column that differs most for its size
+    # the column with the largest relative difference
     difference = np.abs(first - second)
     difference = np.where(
         np.isnan(difference) & (np.isnan(first) != np.isnan(second)), np.inf, np.nan_to_num(difference)
@@ -356,7 +356,7 @@ def _compare(
 
 
 def _main() -> None:
-    """Write what the FMU outputs in this process: ``FOLDER KIND PACE STATE RESULT``, see `_in_new_process`."""
+    """Write the results of `_continue_from` to a file; arguments FOLDER KIND PACE STATE RESULT, see `_in_new_process`."""
     folder, kind, pace, state, result = sys.argv[1:]
     fmu = FmuUnderTest(read_model_description(folder, validate=False), Path(folder), InterfaceType[kind], float(pace))
     np.save(result, _continue_from(fmu, Path(state).read_bytes()))

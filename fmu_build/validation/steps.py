@@ -1,7 +1,7 @@
-"""Whether communication steps may be of any size, as claimed, and whether inputs are interpolated, as claimed.
+"""Checks of two claims: communication steps of any size, and interpolation of inputs.
 
-A solver's error shrinks when steps are halved and halved again; an error that stays belongs to the FMU (the idea of Richardson's
-extrapolation). A ramp given by its derivative is compared with the same ramp in many small stairs.
+The error of a solver shrinks when steps are halved repeatedly; an error that remains is due to the FMU (the idea of
+Richardson extrapolation). An input ramp, set by its derivative, is compared with the same ramp in many small stairs.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from flexfmu.fmu_build.validation.library import MisbehaviourError
 from flexfmu.fmu_build.validation.variables import moved, size_of, start_of
 
 PARTS = (1, 2, 4)
-"""Parts into which steps are split."""
+"""Numbers of parts into which a communication step is divided."""
 
 SPLIT_POINTS = 60
 SPLIT_TOLERANCE = 0.01
-"""What the last halving of the step may change, relative to how far an output moves, if the first changed little more.
+"""Largest change of an output at the second halving of the step, relative to its motion, if the change does not shrink.
 
-It reveals an FMU that advances by a step size of its own, or loses time at each step: that does not get less with the step.
+A larger change reveals an FMU that uses a step size of its own or loses time at each step.
 """
 
 CONVERGING = 0.7
-"""Largest ratio of the second halving's change to the first's where the influence of the step vanishes."""
+"""Largest ratio of the changes at the second and first halving for which the outputs converge."""
 
 STAIRS = 16
-"""Steps that a ramp takes: communication steps, or samples of one step where outputs change at sample instants alone."""
+"""Duration of a ramp in communication steps; for discrete outputs in samples within one communication step."""
 
 FINE = 8
-"""Stairs a communication step that replace a ramp."""
+"""Stairs per communication step that approximate a ramp."""
 
 PERTURBATION = 0.02
-"""Change of inputs and starts relative to their size: what sets the model in motion."""
+"""Change of inputs and start values that sets the model in motion, relative to their size."""
 
 RISES = (0.01, 0.1, 1.0)
-"""Heights of a ramp relative to the input's size: the first that has an effect is enough."""
+"""Heights of a ramp relative to the input's size; the first with an effect is evaluated."""
 
 MOST_INPUTS = 8
 TIMES = 5
-"""Steps after which the time is read."""
+"""Number of steps after which the time is read."""
 
 _MOTION = 1e-4
 
 
 def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Set in motion by a perturbation, two half steps take the FMU about as far as a whole one."""
+    """Check, after a perturbation, that the outputs converge when communication steps are halved repeatedly."""
     if not fmu.has_variable_step or not fmu.smooth_outputs:
         return
     # the same motion with whole, half and quarter steps
@@ -70,7 +70,7 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
     whole, half, quarter = (rows[:length] for rows in runs)
     if length < 3:
         return
-    # what halving changes for the second time has to be less than the first time
+    # the second halving must change less than the first one
     size = np.array([size_of(variable) for variable in fmu.smooth_outputs])
     motion = np.ptp(quarter, axis=0)
     first, second = (np.median(np.abs(a - b), axis=0) for a, b in ((whole, half), (half, quarter)))
@@ -88,12 +88,15 @@ def halving_the_step_changes_little(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def perturbed_states(fmu: FmuUnderTest) -> dict[Any, float]:
-    """Other starts of those states that may be set."""
+    """Perturbed start values of the settable states."""
     return {v: moved(v, PERTURBATION) for v in fmu.states if v in fmu.settable("output", "local")}
 
 
 def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """The independent variable isn't off by a fixed part of the step: that is no step size of the FMU's own."""
+    """Check that the independent variable shows the time of the communication point.
+
+    Only a constant offset in communication steps is an error; an internal step of the FMU gives another pattern.
+    """
     times = [v for v in fmu.description.modelVariables if v.causality == "independent" and v.type == "Real"][:1]
     if not times or not fmu.has_variable_step or fmu.steps < TIMES:
         return
@@ -107,7 +110,7 @@ def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
                 time = fmu.start + (n + 1) * fmu.step / parts
                 shares.append((float(instance.get(times)[0]) - time) * parts / fmu.step)
     off, spread = float(np.median(shares)), float(np.ptp(shares))
-    # one that still shows the beginning of the step has not been asked to evaluate its outputs
+    # a lag of one whole step is tolerated: the FMU has not evaluated its outputs since doStep
     if spread < 1e-3 < 0.1 * abs(off) and abs(off + 1.0) > 1e-3:
         where = "ahead of" if off > 0.0 else "behind"
         message = f"{times[0].name} is {abs(off):.3g} communication steps {where} the communication point"
@@ -115,13 +118,13 @@ def reports_the_time(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def interpolates_inputs(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """A ramp given by its derivative does what the same ramp does in small stairs."""
-    # only what is claimed, where outputs show a difference
+    """Check that an input ramp, set by its derivative, has the same effect as the ramp in small stairs."""
+    # only where the FMU claims it and the outputs can show a difference
     claims = fmu.has_variable_step and fmu.element.canInterpolateInputs
     outputs = fmu.smooth_outputs or [variable for variable in fmu.outputs if variable.type == "Real"]
     if not claims or not outputs or (not fmu.smooth_outputs and fmu.steps < STAIRS):
         return
-    # the first input that is wrong is enough
+    # report the first wrong input only
     for variable in fmu.inputs[:MOST_INPUTS]:
         found = _wrong_ramp(fmu, variable, outputs)
         if found is not None:
@@ -136,9 +139,9 @@ def interpolates_inputs(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _wrong_ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any]) -> tuple[int, float, float] | None:
-    """The output that shows it, how far it is off with the derivative and with constant inputs; None if all is well.
+    """Index of a wrong output, its error with the derivative and its error with constant inputs; None if all are correct.
 
-    The ramp gets higher until it has an effect on an output; an FMU that can't go on with such an input isn't judged.
+    The height of the ramp grows until an output reacts. If the FMU rejects such an input, the result is None.
     """
     fine, coarse = (2 * FINE, FINE) if fmu.smooth_outputs else (STAIRS, STAIRS)
     for share in RISES:
@@ -150,7 +153,7 @@ def _wrong_ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any]) -> tuple[i
             return None
         missed = np.abs(_ramp(fmu, variable, outputs, rise, "derivative", 1) - exact)
         ignored, unsure = np.abs(constant - exact), np.maximum(np.abs(rough - exact), np.abs(split - constant))
-        # outputs that the number of stairs or of steps changes can't be judged by them
+        # ignore outputs that depend on the number of stairs or steps
         clear = (unsure < 0.2 * ignored) & (ignored > fmu.accuracy * np.abs(exact).max(initial=0.0))
         failing = clear & (missed > 0.5 * ignored)
         if clear.any():
@@ -162,19 +165,27 @@ def _wrong_ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any]) -> tuple[i
 
 
 def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how: str, parts: int) -> RealArray:
-    """Outputs after an input has risen from its start, given in one way or another.
+    """Outputs, shape (outputs,), after an input ramp from the start value.
 
-    A continuous input rises over several communication steps, each of some stairs that have the ramp's mean; then comes a step
-    with a constant input, so that direct feedthrough is the same in all ways. A sampled FMU sees its inputs at its sample
-    instants alone, so that a step has to contain some: it is as long as `STAIRS` of the steps that the FMU proposes, and what
-    is read at the beginning of a stair is what the ramp has there.
+    With continuous outputs the ramp takes several communication steps; each stair has the mean of the ramp. A final step
+    with a constant input makes the direct feedthrough equal for all values of ``how``. A sampled FMU reads its inputs only
+    at sample instants: there the ramp takes one communication step of `STAIRS` default steps, and each stair has the value
+    of the ramp at its beginning.
+
+    Args:
+        fmu: the FMU.
+        variable: the input.
+        outputs: variables to read.
+        rise: height of the ramp.
+        how: ``stairs``, ``constant`` (within each communication step) or ``derivative``.
+        parts: parts into which communication steps are divided.
     """
     is_smooth = bool(fmu.smooth_outputs)
     steps, length = (min(STAIRS, fmu.steps), fmu.step) if is_smooth else (1, STAIRS * fmu.step)
     start, slope = start_of(variable), rise / (steps * length)
     with fmu.instance(how) as instance:
         instance.initialize()
-        # the rise
+        # the ramp
         for n in range(steps):
             for part in range(parts):
                 risen = {"stairs": n + (part + 0.5 * is_smooth) / parts, "constant": n, "derivative": n}[how]
@@ -182,7 +193,7 @@ def _ramp(fmu: FmuUnderTest, variable: Any, outputs: list[Any], rise: float, how
                 if how == "derivative":
                     instance.library.setRealInputDerivatives([variable.valueReference], [1], [slope])
                 instance.step_from(fmu.start + (n + part / parts) * length, length / parts)
-        # a step with the input at its end
+        # the final step with a constant input
         instance.set([variable], np.array([start + rise]))
         if is_smooth:
             if how == "derivative":

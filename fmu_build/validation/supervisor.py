@@ -1,4 +1,4 @@
-"""Supervises worker processes: runs the checks that may crash or hang in them, and goes on after the one that did."""
+"""Runs checks in worker processes; after a crash or hang, a new worker continues with the next check."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from flexfmu.fmu_build.validation.finding import Finding, Severity
 from flexfmu.fmu_build.validation.library import TRY
 
 CALL_SHARE = 0.2
-"""Part of the time limit that one FMI call may take."""
+"""Share of the time limit that one FMI call may take."""
 
 MOST_HANGS = 2
-"""Calls that don't return after which nothing more is tried with an interface."""
+"""Number of hanging calls after which the remaining checks of an interface are skipped."""
 
 LOOK = 0.02
-"""How often the end of a process is looked for [s]."""
+"""Period at which the end of a worker is polled [s]."""
 
 _INSTANTIATION = "instantiation"
 
@@ -35,7 +35,16 @@ _AS_MANY = "a process may make as many as it wants, unless canBeInstantiatedOnly
 
 @dataclass
 class _Outcome:
-    """What a worker has reported; `again`: the check it got to must begin anew in another process."""
+    """Report of a worker.
+
+    Attributes:
+        begun: the last check begun, ``KIND:CHECK``.
+        found: pairs of interface and finding.
+        pace: wall time of a communication step [s]; 0 if unknown.
+        problem: crash, hang or timeout as a finding; None if the worker ended normally.
+        hangs: whether an FMI call hangs.
+        again: whether the last check must be repeated in a new process.
+    """
 
     begun: str = ""
     found: list[tuple[str, Finding]] = field(default_factory=list)
@@ -46,13 +55,16 @@ class _Outcome:
 
 
 def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) -> dict[str, list[Finding]]:
-    """Findings of the checks by interface, also of those that end or block their process.
+    """Run the checks in worker processes; return the findings by interface, including crashes and hangs.
 
     Args:
-        folder: the extracted FMU.
-        jobs: ``KIND:CHECK``, in their order.
+        folder: folder of the extracted FMU.
+        jobs: checks as ``KIND:CHECK``, in order.
         together: whether one process may run several checks.
-        limit: longest time for all of them [s].
+        limit: time limit of all checks [s].
+
+    Raises:
+        RuntimeError: a worker fails before its first check.
     """
     end = monotonic() + limit
     findings: dict[str, list[Finding]] = {job.split(":")[0]: [] for job in jobs}
@@ -65,21 +77,21 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
                 _not_checked(remaining, f"the time limit of {limit:.3g} s is over"),
             )
             break
-        # one process: all that remains, or a single check
+        # one process for all remaining checks, or for the next one
         outcome = _run(folder, remaining if together else remaining[:1], pace, end - monotonic(), CALL_SHARE * limit)
         pace = outcome.pace or pace
         for kind, finding in outcome.found:
             _add(findings, kind, finding)
-        # a crash or a hang is a finding of the check that it ended
+        # a crash or a hang is a finding of the check that was running
         kind = outcome.begun.split(":")[0]
         if outcome.problem is not None:
             _add(findings, kind, outcome.problem)
             hangs[kind] += outcome.hangs
-        # go on after it
+        # continue with the next check
         remaining = remaining[remaining.index(outcome.begun) + (not outcome.again) :]
         if any(
             finding.check == _INSTANTIATION for finding in findings[kind]
-        ):  # without an instance nothing else makes sense
+        ):  # without an instance no other check can run
             remaining = [job for job in remaining if not job.startswith(kind)]
         if hangs[kind] == MOST_HANGS and (rest := [job for job in remaining if job.startswith(kind)]):
             _add(findings, kind, _not_checked(rest, f"{MOST_HANGS} calls did not return"))
@@ -88,16 +100,20 @@ def run_checks(folder: Path, jobs: Sequence[str], together: bool, limit: float) 
 
 
 def _add(findings: dict[str, list[Finding]], kind: str, finding: Finding) -> None:
-    """Keep a finding; without an instance nothing else counts, and one process that has no more says it for all."""
+    """Add a finding, unless instantiation has failed or another finding already reports the limited number of instances."""
     instanceless = any(known.check == _INSTANTIATION for known in findings[kind])
     if not instanceless and not any(finding.remedy == _AS_MANY == known.remedy for known in findings[kind]):
         findings[kind].append(finding)
 
 
 def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit: float) -> _Outcome:
-    """Run a worker: the check it got to, what it found, and how it ended if not as it should."""
+    """Run a worker and return its report.
+
+    Raises:
+        RuntimeError: the worker fails before its first check.
+    """
     with TemporaryDirectory(prefix="flexfmu-validate-", dir=folder.parent) as home:
-        # the process, and the report that it leaves
+        # run the process and read its report
         report = Path(home) / "report"
         module = "flexfmu.fmu_build.validation.worker"
         numbers = [repr(call_limit), repr(pace)]
@@ -106,7 +122,7 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
         outcome, lines = _Outcome(begun=jobs[0]), list(_lines(report))
     if not lines and status:
         raise RuntimeError(f"the process that checks FMUs ends with status {status} before it begins: {last}")
-    # line by line: which check, what it found
+    # evaluate the report line by line
     before = 0
     for line in lines:
         outcome.pace = line.get("pace", outcome.pace)
@@ -115,7 +131,7 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
         if "finding" in line:
             outcome.found.append((outcome.begun.split(":")[0], _finding(line["finding"])))
         if "exhausted" in line:
-            # an FMU that counts its instances: what comes next needs a process that has made none
+            # the FMU limits its instances: repeat the check in a new process
             kind, check = outcome.begun.split(":")
             outcome.again = outcome.begun != jobs[0]
             del outcome.found[before if outcome.again else len(outcome.found) :]
@@ -123,7 +139,7 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
             if not outcome.again:
                 message = f"{check} not finished: it makes more instances than the FMU allows in a process"
                 outcome.found.append((kind, Finding(check, message, severity=Severity.NOTE)))
-    # without a last line it has crashed or hangs
+    # no final line: the worker has crashed or hangs
     if not any("end" in line for line in lines):
         hang = next((line["hang"] for line in lines if "hang" in line), None)
         outcome.hangs = hang is not None
@@ -134,16 +150,25 @@ def _run(folder: Path, jobs: list[str], pace: float, timeout: float, call_limit:
 
 
 def _problem(check: str, status: int | None, last: str, hang: str | None, timeout: float, call_limit: float) -> Finding:
-    """What is wrong with the way in which the process ended."""
+    """Finding about a crash, a hang or a timeout.
+
+    Args:
+        check: the check that was running.
+        status: exit status, negative for a signal; None if the worker was still running.
+        last: last line on standard error.
+        hang: name of the hanging FMI call, if any.
+        timeout: time limit of the worker [s].
+        call_limit: time limit of one call [s].
+    """
     severity = Severity.WARNING if check == "calls" else Severity.ERROR
-    # still running: within a call, or over all
+    # a hanging call, or the time limit of the worker
     if hang is not None:
         message = f"{hang} did not return within {call_limit:.3g} s"
         return Finding(check, message, "every FMI call has to return; --time-limit gives more time", severity)
     if status is None:
         message = f"not finished when the time limit was over, {timeout:.3g} s after its process had begun"
         return Finding(check, message, "--time-limit gives more", Severity.NOTE)
-    # ended: quietly, or with a crash
+    # a call of exit, or a crash
     if status == 0:
         return Finding(check, "the FMU ended the process that ran it", "an FMU must not call exit", severity)
     how = f"signal {-status}" if status < 0 else f"exit status {status}"
@@ -152,7 +177,7 @@ def _problem(check: str, status: int | None, last: str, hang: str | None, timeou
 
 
 def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | None, str]:
-    """Exit status of the process, None if it takes too long, and its last line; all that it started ends with it."""
+    """Run a command and kill its process group; return its exit status (None on timeout) and its last line."""
     (folder / "work").mkdir()
     with (folder / "stdout").open("w+b") as stdout, (folder / "stderr").open("w+b") as stderr:
         process = subprocess.Popen(
@@ -164,25 +189,25 @@ def _end_of(command: list[str], folder: Path, timeout: float) -> tuple[int | Non
             start_new_session=os.name == "posix",
         )
         try:
-            # the whole group ends, what the FMU has started too
+            # kill the whole group, including processes that the FMU has started
             status = _wait(process, max(timeout, 1.0))
         finally:
             _kill(process)
         stderr.seek(0)
         lines = stderr.read().decode(errors="replace").strip().splitlines()
-    # the last message, and what was announced last
+    # the last message, and the last announcement
     last = next((line for line in reversed(lines) if not line.startswith(TRY)), "no message")
     tried = next((line.removeprefix(TRY) for line in reversed(lines) if line.startswith(TRY)), "")
     return status, f"{last} ({tried})" if tried else last
 
 
 def _wait(process: subprocess.Popen[bytes], timeout: float) -> int | None:
-    """Exit status, None if it takes too long; the process stays a zombie, so that its number stays taken."""
+    """Exit status, None on timeout; on POSIX the process stays a zombie, so that its id is not reused."""
     if os.name != "posix":
         with suppress(subprocess.TimeoutExpired):
             return process.wait(timeout)
         return None
-    # look without reaping the process, which would free its number
+    # poll without reaping the process, which would free its id
     end = monotonic() + timeout
     while (ended := os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is None:
         if monotonic() > end:
@@ -192,7 +217,7 @@ def _wait(process: subprocess.Popen[bytes], timeout: float) -> int | None:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End the process and its group."""
+    """Kill the process and its group."""
     if os.name == "posix":
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
@@ -202,7 +227,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def _lines(report: Path) -> Iterator[dict[str, Any]]:
-    """Complete lines of the report; a crash may have cut the last one."""
+    """Yield the complete lines of the report; a crash may have cut off the last one."""
     if report.exists():
         for line in report.read_text(encoding="utf-8").splitlines(keepends=True):
             if line.endswith("\n"):

@@ -1,6 +1,6 @@
-"""Units that a model description defines, against what their names mean: exponents and factors of SI units.
+"""Checks that unit definitions (SI exponents, factors) match the names of the units.
 
-Names whose meaning is not certain, such as a/b.c, are not judged. Source: BIPM, The International System of Units, 9th edition.
+Ambiguous names, such as a/b.c, are not checked. Source: BIPM, The International System of Units, 9th edition.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from flexfmu.fmu_build.validation.finding import Finding
 Exponents = dict[str, int]
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
-"""Base units whose exponents count; whether an angle is written as rad or as 1 is left to the author."""
+"""Base units whose exponents are checked; rad is not, since an angle may also have the unit 1."""
 
 _SYMBOLS: dict[str, tuple[float, Exponents]] = {
     "1": (1.0, {}),
@@ -41,41 +41,41 @@ _SYMBOLS: dict[str, tuple[float, Exponents]] = {
     "T": (1.0, {"kg": 1, "s": -2, "A": -1}),
     "bar": (1e5, {"kg": 1, "m": -1, "s": -2}),
 }
-"""Symbol → factor and exponents; those that may have a prefix."""
+"""Symbols that may have a prefix → factor and exponents."""
 
 _PLAIN: dict[str, tuple[float, Exponents]] = {
-    "Hz": (math.nan, {"s": -1}),  # with 2 pi or without: both are in use
+    "Hz": (math.nan, {"s": -1}),  # with or without 2 pi: both are in use
     "deg": (math.pi / 180.0, {}),
     "min": (60.0, {"s": 1}),
     "h": (3600.0, {"s": 1}),
     "d": (86400.0, {"s": 1}),
     "degC": (1.0, {"K": 1}),
 }
-"""The same, without prefixes."""
+"""Symbols without prefixes → factor and exponents."""
 
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6, "G": 1e9}
 _FACTOR = re.compile(r"(?P<symbol>1|[A-Za-z]+)\^?(?P<power>-?\d+)?")
 _QUOTIENT = re.compile(r"(?P<above>[^/()]+)(/\((?P<product>[^/()]+)\)|(?P<factors>(/[^/().*]+)*))")
-"""a.b, a/b, a/b/c and a/(b.c); what a/b.c means isn't clear."""
+"""a.b, a/b, a/b/c and a/(b.c), but not a/b.c, which is ambiguous."""
 
 _CLOSE = 1e-3
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """Factor to SI units, NaN where it isn't clear, and exponents of the base units."""
+    """Factor to SI units, NaN if ambiguous, and exponents of the base units."""
 
     factor: float
     exponents: Exponents
 
 
 def meaning(name: str) -> Meaning | None:
-    """What a unit's name says; None where that isn't certain."""
+    """Factor and exponents that the name of a unit implies; None if the name is unknown or ambiguous."""
     factor, exponents = 1.0, dict.fromkeys(BASE, 0)
     form = _QUOTIENT.fullmatch(name.replace(" ", ""))
     if form is None:
         return None
-    # factors above, then those below the line
+    # factors of the numerator, then of the denominator
     below = [form["product"]] if form["product"] else form["factors"].split("/")[1:]
     for sign, product in ((1, form["above"]), *((-1, part) for part in below)):
         for part in re.split(r"[.*]", product):
@@ -99,7 +99,10 @@ def _symbol(text: str) -> tuple[float, Exponents] | None:
 
 
 def check_units(root: Element) -> Iterator[Finding]:
-    """Findings about exponents, factors and display units.
+    """Yield findings about exponents, factors and display units.
+
+    Raises:
+        ValueError: an exponent or factor is not a number.
 
     Args:
         root: the element fmiModelDescription.

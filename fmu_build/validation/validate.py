@@ -1,4 +1,4 @@
-"""Is this FMU sound? Static checks of archive, description and binaries, then its behaviour, in worker processes."""
+"""Validation of an FMU: static checks of archive, description and binaries, then dynamic checks in worker processes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from flexfmu.fmu_build.validation.fmu import InterfaceType
 from flexfmu.fmu_build.validation.supervisor import run_checks
 
 TIME_LIMIT = 120.0
-"""Longest time for what runs the FMU [s]; the paper's scene needs a few seconds."""
+"""Time limit of the dynamic checks [s]; the paper's scene needs a few seconds."""
 
 _FMI3 = Finding(
     "model description",
@@ -36,26 +36,25 @@ _FMI3 = Finding(
 
 
 def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -> list[Finding]:
-    """Check any FMU 2.0, for co-simulation, model exchange or both; an empty list says that nothing was found.
-    Of an FMU 3.0 the description alone is checked.
+    """Check any FMU 2.0, for co-simulation, model exchange or both.
 
-    Static: archive, `fmpy.validation.validate_fmu`, what it leaves out, the binaries' names, exports and dependencies.
-    Dynamic, in processes of their own so that a crash is a finding too, and each claim of the description tried for real:
-    the catalogue in `flexfmu.fmu_build.validation.catalogue`. The processes end with this one, however it ends.
+    Static checks: archive, model description (by fmpy and by further rules), names, exports and dependencies of the
+    binaries. Dynamic checks: those of `flexfmu.fmu_build.validation.catalogue`. They run in worker processes, so that a
+    crash is a finding; the workers end with this process. Of an FMU 3.0 only the description is checked.
 
     Args:
-        path: the FMU.
-        time_limit: longest time for the dynamic checks [s]; one FMI call may take a fifth of it.
-        run: whether the FMU may run; otherwise the checks are static.
+        path: the FMU file.
+        time_limit: time limit of the dynamic checks [s]; one FMI call may take a fifth of it.
+        run: False runs the static checks only.
 
     Returns:
-        Findings, those of the same kind together, the worst first.
+        Findings, equal ones merged, the worst first; empty if there are none.
 
     Raises:
         ArchiveError: the file is missing, no zip archive, damaged, or has no modelDescription.xml.
     """
     entries, files, encrypted = read_archive(path)
-    # FMI 3.0: the description alone
+    # FMI 3.0: only the description
     version = fmi_version(files["modelDescription.xml"])
     if version.startswith("3."):
         broken = [replace(finding, section=_FMI3.section) for finding in read_description(path)[1]]
@@ -69,7 +68,7 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
     if any(finding.severity is Severity.ERROR for finding in described):
         findings = [finding for finding in findings if not is_fmpy_error(finding)]
     findings += [*described, *check_entries(entries, encrypted), *check_archive(files)]
-    # binaries, then what they do
+    # binaries, then dynamic checks
     if description is not None and interfaces(description):
         findings += check_binaries(description, files)
         if run and library_name(description, fmpy.platform) in files:
@@ -78,7 +77,7 @@ def validate_fmu(path: Path, time_limit: float = TIME_LIMIT, run: bool = True) -
 
 
 def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) -> list[Finding]:
-    # every check for every interface
+    # every check for every interface; a single instance excludes those that need several
     elements = {InterfaceType.COSIMULATION: description.coSimulation, InterfaceType.EXCHANGE: description.modelExchange}
     offered = {kind: element for kind, element in elements.items() if element is not None}
     single = any(element.canBeInstantiatedOnlyOncePerProcess for element in offered.values())
@@ -87,7 +86,7 @@ def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) 
         folder = Path(home) / "fmu"
         unpack(files, folder)
         reported = run_checks(folder, jobs, not single, limit)
-    # without its tool an FMU can't be judged
+    # a failed instantiation is no defect if the FMU needs its own tool
     found = {}
     for kind, element in offered.items():
         found[kind.value] = reported[kind.name]
@@ -98,7 +97,7 @@ def _check_dynamically(description: Any, files: dict[str, bytes], limit: float) 
 
 
 def _merged(found: dict[str, list[Finding]]) -> list[Finding]:
-    """Findings of all interfaces: what both show once, the rest with the interface's name."""
+    """Findings of all interfaces; the message names the interface unless both have the finding."""
     common = set.intersection(*(set(findings) for findings in found.values()))
     return [
         finding

@@ -1,4 +1,4 @@
-"""Whether variables have the values that the description or the importing tool gives them."""
+"""Checks that variables have their start values or the values that the importing tool sets."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from flexfmu.fmu_build.validation.fmu import FmuUnderTest
 from flexfmu.fmu_build.validation.variables import other_value, size_of, start_value
 
 MOST_TOGETHER = 200
-"""Variables that are set and read in one call."""
+"""Most variables that are set or read in one call."""
 
 PRECISION = 1e-9
-"""Relative rounding error of a double that is converted back and forth; single precision leaves 6e-8."""
+"""Relative tolerance for rounding in double precision; single precision errs by 6e-8."""
 
 CLOSE = 1e-6
-"""Relative difference of two numbers that printing one of them explains."""
+"""Relative tolerance for numbers that were rounded when printed."""
 
 
 def starts_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Variables with an exact start have it, in Initialization Mode or after it: events may come in between."""
+    """Check that variables with an exact start value have it in Initialization Mode or after it (an event may change it)."""
     variables = [
         variable
         for variable in fmu.description.modelVariables
@@ -47,7 +47,7 @@ def starts_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _read(instance: Any, variables: Sequence[Any]) -> list[Any]:
-    """Values one by one, None where the FMU refuses."""
+    """Values of the variables, read one by one; None where the FMU returns an error."""
     values: list[Any] = []
     for variable in variables:
         try:
@@ -70,8 +70,8 @@ def _shown(variable: Any, value: Any) -> str:
 
 
 def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Parameters and inputs keep what is set before the initialisation, and forget it at a reset."""
-    # other values for all that can be set, numbers apart from the rest
+    """Check that parameters and inputs keep values set before initialisation, until fmi2Reset."""
+    # other values for all settable variables; Reals and other types in separate runs
     changes = {variable: other_value(variable) for variable in fmu.settable("parameter", "input")}
     changes = {variable: value for variable, value in changes.items() if value is not None}
     numbers = {variable: value for variable, value in changes.items() if variable.type == "Real"}
@@ -81,9 +81,9 @@ def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
             continue
         with fmu.instance("parameters") as instance:
             kept = _kept(instance, group)
-            if kept is None:  # the FMU can't run with these values, and says so
+            if kept is None:  # the FMU rejects these values
                 continue
-            # kept until the first step, in double precision
+            # values are kept until the first step, in double precision
             for variable, value in kept.items():
                 if not _is_close(variable, value, group[variable]):
                     yield _forgotten(variable, value, group[variable], "after the initialisation, it was set to")
@@ -95,7 +95,7 @@ def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
                     )
                     remedy = "keep it in double precision"
                     yield Finding("parameters", message, remedy, Severity.WARNING, variable.name)
-            # forgotten by fmi2Reset
+            # fmi2Reset restores the start values
             instance.reset()
             instance.enter_initialization()
             instance.library.exitInitializationMode()
@@ -107,7 +107,7 @@ def parameters_are_kept(fmu: FmuUnderTest) -> Iterator[Finding]:
 
 
 def _kept(instance: Any, changes: dict[Any, Any], variables: Sequence[Any] | None = None) -> dict[Any, Any] | None:
-    """Values after the initialisation of what was set before, or of other variables; None if that fails."""
+    """Set ``changes``, initialise and read these or other variables; None if initialisation fails."""
     try:
         instance.enter_initialization(changes)
         instance.library.exitInitializationMode()
@@ -124,14 +124,14 @@ def _forgotten(variable: Any, value: Any, expected: Any, when: str, check: str =
 
 
 def one_call_does_what_several_do(fmu: FmuUnderTest) -> Iterator[Finding]:
-    """Several variables are set and read in one call, in another order than the description's, as they are one by one."""
+    """Check that setting and reading several variables in one call, in shuffled order, equals one call per variable."""
     for kind in ("Real", "Integer", "Enumeration", "Boolean", "String"):
         yield from _read_together(fmu, kind)
         yield from _set_together(fmu, kind)
 
 
 def _read_together(fmu: FmuUnderTest, kind: str) -> Iterator[Finding]:
-    """A finding about a variable that has another value where several are read."""
+    """Yield a finding for each variable whose value differs when several are read in one call."""
     with fmu.instance("read_together") as instance:
         instance.initialize()
         variables = _shuffled([v for v in fmu.description.modelVariables if v.type == kind])
@@ -147,7 +147,7 @@ def _read_together(fmu: FmuUnderTest, kind: str) -> Iterator[Finding]:
 
 
 def _set_together(fmu: FmuUnderTest, kind: str) -> Iterator[Finding]:
-    """The same about one that gets another value where several are set."""
+    """Yield a finding for each variable whose value differs when several are set in one call."""
     changes = {
         v: other_value(v, 0.013 + 0.001 * n) for n, v in enumerate(_shuffled(fmu.settable("parameter", "input")))
     }
@@ -168,13 +168,13 @@ def _set_together(fmu: FmuUnderTest, kind: str) -> Iterator[Finding]:
 
 
 def _shuffled(variables: Sequence[Any]) -> list[Any]:
-    """Some of the variables, each value reference once, in no order."""
+    """At most `MOST_TOGETHER` variables, each value reference once, in a reproducible shuffled order."""
     single = list({(v.type, v.valueReference): v for v in variables}.values())[:MOST_TOGETHER]
     return sorted(single, key=lambda variable: crc32(variable.name.encode()))
 
 
 def _differs(variable: Any, one: Any, other: Any) -> bool:
-    """Whether two values of a variable are not the same."""
+    """Whether two values of a variable differ by more than rounding."""
     if variable.type != "Real":
         return bool(one != other)
     return not np.isclose(one, other, rtol=CLOSE, atol=CLOSE * size_of(variable) * 1e-3, equal_nan=True)

@@ -1,4 +1,4 @@
-"""Runs checks of an FMU in a process of its own and writes what they find to a file, line by line.
+"""Runs checks of an FMU in a separate process and writes each finding as a line of JSON to a report file.
 
 python -m flexfmu.fmu_build.validation.worker PARENT FOLDER REPORT CALL_LIMIT PACE KIND:CHECK [KIND:CHECK...]
 """
@@ -34,22 +34,22 @@ from flexfmu.fmu_build.validation.process_state import (
 )
 
 LOOK = 0.1
-"""How often the watcher looks [s]."""
+"""Period of the watchdog thread [s]."""
 
 
 def main() -> None:
     """Run the checks that the command line names."""
     parent, folder, report, limit, pace, *jobs = sys.argv[1:]
     with Path(report).open("a", encoding="utf-8", buffering=1) as file:
-        # a thread watches for calls that hang
+        # watchdog thread for FMI calls that hang
         watched = (file, float(limit), Path(folder).parent, int(parent))
         threading.Thread(target=_watch, args=watched, daemon=True).start()
-        # the FMU and the process as they are before the first check
+        # the FMU, and the state of the process before the first check
         description = read_model_description(folder, validate=False)
         fmus = {kind.name: FmuUnderTest(description, Path(folder), kind, float(pace)) for kind in InterfaceType}
         standard = [os.dup(number) for number in range(3)]
         before = surroundings(Path(folder))
-        # check by check; what is found is on file before the next one may crash
+        # one check after the other; findings are in the file before the next check may crash
         for job in jobs:
             kind, name = job.split(":")
             announce("")
@@ -69,7 +69,7 @@ def _report(file: TextIO, **line: Any) -> None:
 
 
 def _watch(file: TextIO, limit: float, home: Path, parent: int) -> None:
-    """End this process and all that it has started when a call doesn't return, or when the supervisor has ended."""
+    """Kill this process and its children when an FMI call hangs or the supervisor has ended."""
     while True:
         time.sleep(LOOK)
         call, since = Watch.call, Watch.since
@@ -88,13 +88,13 @@ def _watch(file: TextIO, limit: float, home: Path, parent: int) -> None:
 def _findings(
     name: str, check: Check, fmu: FmuUnderTest, before: dict[str, Any], standard: list[int]
 ) -> Iterator[Finding]:
-    """What a check finds, failed FMI calls and what it did to the process included.
+    """Yield the findings of a check, of failed FMI calls and of changes to the process.
 
     Args:
-        name: the check's.
-        check: what is tried.
+        name: name of the check.
+        check: the check.
         fmu: the FMU.
-        before: what the process looked like.
+        before: state of the process before the first check, see `surroundings`.
         standard: copies of standard input, output and error.
     """
     printed, folder = printed_bytes(), Path.cwd()
@@ -104,12 +104,12 @@ def _findings(
         return
     except NoMoreInstancesError as error:
         raise NoMoreInstancesError(_with_messages(error, fmu)) from error
-    except Exception as error:  # any failed FMI call is a finding, not the end of the validation
+    except Exception as error:  # a failed FMI call is a finding and doesn't end the validation
         severity = Severity.WARNING if name == "calls" else Severity.ERROR
         what, remedy = _explained(error)
         yield Finding(name, _with_messages(what, fmu), remedy, severity)
     finally:
-        # what the check has done to the process
+        # changes to the process
         fmu.messages.clear()
         yield from closed_streams(standard)
         yield from disturbances(before, surroundings(fmu.folder))
@@ -119,7 +119,7 @@ def _findings(
 
 
 def _with_messages(error: Exception | str, fmu: FmuUnderTest) -> str:
-    """A failure in a line, with what the FMU has logged last."""
+    """The error in one line, followed by the FMU's last two log messages."""
     logged = f" ({'; '.join(dict.fromkeys(fmu.messages[-2:]))})" if fmu.messages else ""
     return " ".join(f"{error}{logged}".split())
 
@@ -130,11 +130,11 @@ _STATUS = {
     4: ("fmi2Fatal", "keep fmi2Fatal for what no instance in the process survives"),
     5: ("fmi2Pending", "return fmi2Pending from fmi2DoStep alone, and claim canRunAsynchronuously"),
 }
-"""Status → its name, and what to do where a call ought to succeed."""
+"""fmi2Status → its name, and the remedy where the call should succeed."""
 
 
 def _explained(error: Exception) -> tuple[str, str]:
-    """An exception in words of the standard, and the remedy."""
+    """Description of an exception in the standard's terms, and the remedy."""
     if isinstance(error, FMICallException):
         name, remedy = _STATUS.get(
             error.status, (f"the status {error.status}, which there is not", "return a fmi2Status")
