@@ -1,10 +1,10 @@
-"""Elasticity of the links: modes with their strain energy, and what can be measured of them.
+"""Elasticity of the links: mode shapes, strain energy and outputs.
 
 A scene chooses between two bases. Proximal links are clamped to the motors, distal links are pinned at both ends. With
-`assumed-modes` the shapes are the paper's. With `craig-bampton` the first shape of a family whose tip moves is the
-static one under a force at the tip, and the others are vibrations with the tip held: the static shape alone carries the
-whole compliance to the other links, so few coordinates are enough (Craig and Bampton, AIAA Journal 6, 1968). A hinge
-passes no moment, so that no static shape belongs to one; a pinned-pinned link's tip doesn't move across, so that both
+`assumed-modes` the shapes are the paper's. With `craig-bampton` the first shape of a family is the static deflection
+under a tip force, and the others are fixed-interface modes, whose tip is fixed. The static shape alone contains the
+whole compliance at the tip, so few coordinates suffice (Craig and Bampton, AIAA Journal 6, 1968). Hinges transmit no
+moment, so there is no static shape for one. The tip of a pinned-pinned link has no transverse displacement, so both
 bases are the same there.
 """
 
@@ -37,7 +37,7 @@ from flexfmu.model.timoshenko import timoshenko_shapes
 from flexfmu.trajectories.jets import RealArray
 
 Shapes = Callable[[int], tuple[Shape, ...]]
-"""Number of modes → their shapes."""
+"""Number of modes → shapes."""
 
 
 def family_shapes(basis: Basis, group: LinkGroup, direction: Direction, modes: int) -> tuple[Shape, ...]:
@@ -97,9 +97,9 @@ class ElasticFamily(Effect):
         thick: ThickBeam | None = None,
         quasi_static: bool = False,
     ) -> None:
-        """`thick` adds the strain energy of shear to bending, and rotary inertia to the modal masses; `quasi_static`
-        takes the modes' own dynamics away."""
-        # factors and integrals over the shapes, of strain energy and kinetic energy
+        """`thick` adds shear to the strain energy and rotary inertia to the modal masses; with `quasi_static` the modes deflect
+        statically."""
+        # stiffness and mass terms: factor and integrals over the shapes
         integrals = integrate_shapes(shapes)
         rigidity = (
             properties.youngs_modulus * properties.second_moment / properties.length**3
@@ -108,7 +108,7 @@ class ElasticFamily(Effect):
         )
         stiffness, mass = [(rigidity, integrals.strain_gram)], [(properties.mass, integrals.gram)]
         if thick is not None:
-            # shear angle times the length: what of the slope isn't turning of the sections
+            # shear angle times the length: slope minus rotation of the sections
             shear = gram(shapes, lambda shape: lambda xi: shape.slope(xi) - shape.rotation(xi))
             stiffness.append((thick.shear_rigidity, shear))
             mass.append((properties.mass * thick.gyration, gram(shapes, lambda shape: shape.rotation)))
@@ -142,7 +142,7 @@ class ElasticFamily(Effect):
         name, text = _TIP_NAMES[family.direction]
         if any(shape.tip for shape in family.shapes):
             found += [Output(f"{link}.{name}", "m", f"{text} of {link}", q, casadi.SX(family.tips)) for link, q in mine]
-        # bending strain at the clamped end, where a strain gauge would sit: D/2 times the curvature
+        # bending strain at the clamped end, as a strain gauge measures it: D/2 times the curvature
         if (family.group, family.direction) == ("proximal", "bending"):
             lever = self._properties.outer_diameter / (2 * self._properties.length**2)
             gain = column(

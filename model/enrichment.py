@@ -1,8 +1,8 @@
-"""The neighbours of a scene: one effect richer, or one effect poorer; for choosing effects by what each is worth.
+"""Neighbours of a scene, which have one effect more or one less; the choice of effects compares them.
 
-What the links may do is a choice (elastic families and the number of their modes, beam theory, foreshortening), so both
-directions have it. Loads and drives are given by the robot (payload, gravity, damping, friction, motors,
-transmissions): they can be left out, but a scene without them doesn't say how large they would be.
+The elastic effects of the links are a choice (families and their numbers of modes, beam theory, foreshortening): they
+can be added and left out. Loads and drives belong to the robot (payload, gravity, damping, friction, motors,
+transmissions): they can only be left out, as a scene without them doesn't give their size.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class Neighbour:
     """A scene that differs in one effect.
 
     Attributes:
-        effect: the effect's key in the scene file, below `effects` unless it has a dot in it, like ``payload.inertia``.
-        change: what is different, for people: ``2 modes instead of 1``.
+        effect: key of the effect in the scene file, below `effects` unless it contains a dot, like ``payload.inertia``.
+        change: the difference in words: ``2 modes instead of 1``.
         scene: the scene with this difference.
     """
 
@@ -37,7 +37,7 @@ def enrichments(scene: Scene) -> tuple[Neighbour, ...]:
     """All scenes that have one effect or one mode more."""
     effects = scene.effects
     steps: list[tuple[str, str, EffectChanges]] = []
-    # elastic families; the tip of a distal link that bends doesn't move, so that no static shape helps there
+    # elastic families; bending doesn't displace the tip of a distal link, so no static shape is offered there
     for key, modes, static in _families(effects):
         if static:
             steps.append((key, "vibrating instead of deflecting statically", _static(effects, key, False)))
@@ -70,7 +70,7 @@ def reductions(scene: Scene) -> tuple[Neighbour, ...]:
         steps.append(("beam", "without shear and rotary inertia", {"effects.beam": "euler-bernoulli"}))
     if effects.foreshortening and (effects.proximal_bending or effects.distal_bending):
         steps.append(("foreshortening", "without foreshortening", {"effects.foreshortening": False}))
-    # loads of the robot; the payload's mass is what the robot is there for, and stays
+    # loads of the robot; the mass of the payload stays
     for key in scene.loads:
         full = key if "." in key else f"effects.{key}"
         steps.append((key, LOADS[key].change, {full: LOADS[key].absent}))
@@ -78,14 +78,14 @@ def reductions(scene: Scene) -> tuple[Neighbour, ...]:
 
 
 def _families(effects: Effects) -> Iterator[tuple[str, int, bool]]:
-    """Key, number of modes and whether they deflect statically, of each elastic family."""
+    """Key and number of modes of each elastic family, and whether it deflects statically."""
     for group, direction in FAMILIES:
         key = f"{group}_{direction}"
         yield key, getattr(effects, key), key in effects.quasi_static
 
 
 def _static(effects: Effects, key: str, wanted: bool) -> EffectChanges:
-    """The list of quasi-static families with or without one of them."""
+    """The change that adds a family to `quasi_static` or removes it."""
     others = [family for family in effects.quasi_static if family != key]
     return {"effects.quasi_static": [*others, key] if wanted else others}
 

@@ -1,10 +1,10 @@
-"""The five-bar of a scene as a sum of effects, assembled once: what plants, statics and modes have in common.
+"""The five-bar of a scene as a sum of effects, the common base of plants, statics and modes.
 
-Elastic families that deflect statically have no states and no inertia of their own, but the deflection under the
-present loads. The loads on such a family are those that the motion of all others puts on it while it is undeformed;
-they hold the family's springs in equilibrium, q = -K^-1 f. The result moves the end effector (and what is measured of
-the links), not the other coordinates: this is the static correction of the mode acceleration method. What it leaves out
-falls with the square of the motion's frequency over the family's own.
+Quasi-static families have no states and no inertia of their own: they deflect statically under the present loads. The
+loads f on such a family follow from the motion of all other coordinates with the family undeformed; the deflection is q
+= -K^-1 f. It displaces the end effector and enters the effects' outputs, but doesn't act back on the other coordinates:
+this is the static correction of the mode acceleration method. Its relative error is of the order of (frequency of the
+motion / natural frequency of the family)².
 
 Sources: Craig and Kurdila, Fundamentals of Structural Dynamics (2006), section 11.4; Dickens, Nakagawa and Wittbrodt, A
 critique of mode acceleration and modal truncation augmentation methods for modal response analysis, Computers &
@@ -33,7 +33,7 @@ from flexfmu.model.symbolic import EffectNote
 
 @dataclass(frozen=True)
 class Partition:
-    """Indices within q_e (n,) of the coordinates that are states and of those that deflect statically."""
+    """Indices in q_e (n,) of the coordinates that are states, and of those that deflect statically."""
 
     states: tuple[int, ...]
     statics: tuple[int, ...]
@@ -46,11 +46,11 @@ class Partition:
         return Partition(tuple(i for i in indices if not flags[i]), tuple(i for i in indices if flags[i]))
 
     def states_of(self, values: casadi.SX) -> casadi.SX:
-        """The part (n_states, 1) of values (n, 1) that belongs to states."""
+        """The entries (n_states, 1) of `values` (n, 1) that belong to states."""
         return values[list(self.states)] if self.statics else values
 
     def fill(self, states: casadi.SX, statics: casadi.SX | None = None) -> casadi.SX:
-        """Values (n, 1) from those of the states and of the others, zero if not given."""
+        """Values (n, 1) from those of the states and of the static coordinates, which are zero by default."""
         if not self.statics:
             return states
         values = casadi.SX(len(self.states) + len(self.statics), 1)
@@ -68,20 +68,20 @@ class FiveBar:
     Attributes:
         robot: symbols of the redundant coordinates.
         registry: parameters and derived values.
-        links: mass, sizes and stiffness of the link groups.
+        links: properties of the link groups.
         dynamics: equations of motion in redundant coordinates.
-        motion: symbols of the independent motion, whose elastic coordinates are the states.
+        motion: symbols of the independent motion; its elastic coordinates are the states.
         partition: which elastic coordinates are states, and which deflect statically.
-        closure: the assembled motion as expressions of the independent one, without static deflections.
-        redundant_force: generalised forces that the motion needs in redundant coordinates, (10 + n, 1).
-        forces: the same, projected: motor torques, forces on the states (zero in a free motion), joint reactions.
+        closure: motion of the assembled robot as expressions of the independent motion, without static deflections.
+        redundant_force: generalised forces that the motion needs, in redundant coordinates (10 + n, 1).
+        forces: their projection: motor torques, forces on the states (zero by the equations of motion), reactions.
         elastic: all elastic coordinates (n, 1), static deflections under these forces included.
         position: end effector (2, 1) [m] with these elastic coordinates.
         end_effector_mass: mass that moves with the end effector, of all effects [kg].
         joint_stiffness: stiffness of each transmission [N m/rad]; None where they are rigid.
         outputs: outputs of the effects.
         stiction: dry friction that can hold motor 1 and motor 2; empty where there is none.
-        notes: what the documentation says of each effect.
+        notes: documentation of each effect.
     """
 
     robot: Robot
@@ -115,7 +115,7 @@ def effect_classes() -> tuple[type[Effect], ...]:
 
 
 def assemble(scene: Scene) -> FiveBar:
-    """Put the chosen effects of a scene together.
+    """Assemble the five-bar from the effects of a scene.
 
     Raises:
         SceneError: the scene leaves the choice of effects open.
@@ -137,7 +137,7 @@ def assemble(scene: Scene) -> FiveBar:
     robot = _robot_with(effects, registry, parameters["base_half_distance"], joint_stiffness is not None)
     outputs = tuple(output for effect in effects for output in effect.outputs(robot))
 
-    # equations in redundant coordinates, and their reduction to the independent ones
+    # equations in redundant coordinates, and their projection onto the independent ones
     dynamics = derive_dynamics(robot, effects, registry)
     partition = Partition.of(robot)
     q_a, v_a, a_a = (casadi.SX.sym(name, 2) for name in ("q_a", "v_a", "a_a"))
@@ -171,7 +171,7 @@ def assemble(scene: Scene) -> FiveBar:
 def _robot_with(
     effects: Sequence[Effect], registry: ParameterRegistry, base_half_distance: casadi.SX, elastic_joints: bool
 ) -> Robot:
-    """The robot whose coordinates are those that effects add."""
+    """The robot with the coordinates of all effects."""
     families = [family for effect in effects for family in effect.families()]
     # families that shorten their link by bending
     shortening = {
@@ -187,7 +187,7 @@ def _robot_with(
 def _respond(
     robot: Robot, partition: Partition, closure: Closure, force: casadi.SX
 ) -> tuple[ProjectedForces, casadi.SX, casadi.SX]:
-    """Forces on the states, elastic coordinates with static deflections, and where these put the end effector."""
+    """Projected forces, elastic coordinates with static deflections, and the end-effector position with these."""
     forces = closure.project(force)
     if not partition.statics:
         return forces, robot.q_e, closure.position
@@ -197,7 +197,7 @@ def _respond(
 
 
 def static_deflections(robot: Robot, forces: casadi.SX) -> casadi.SX:
-    """Deflections (n_statics, 1) of the quasi-static families for the forces (n, 1) that hold all coordinates."""
+    """Deflections (n_statics, 1) of the quasi-static families under the forces on all elastic coordinates (n, 1)."""
     deflections, start = [], 0
     for _, part in robot.elastic:
         stop = start + part.q.numel()

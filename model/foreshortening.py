@@ -1,9 +1,9 @@
-"""Foreshortening: a link that bends comes nearer to its base, which couples bending with forces along the link.
+"""Foreshortening: bending moves the tip of a link towards its base, which couples bending with axial forces.
 
-The displacement along the axis gets its second-order part -1/(2 l) ∫ phi_j' phi_k' q_j q_k over 0..xi. In the kinetic
-energy it stands with all terms of second order in q: they stiffen a turning link (centrifugal stiffening) and soften or
-stiffen it under the accelerations of its base. At the tip it shortens the link in the assembly, so that payload,
-gravity and the other links stiffen or buckle it, and the end effector is where a bent link of constant length puts it.
+The axial displacement gets the second-order term -1/(2 l) ∫ phi_j' phi_k' q_j q_k over 0..xi. The kinetic energy
+contains it in all terms of second order in q: they stiffen a rotating link (centrifugal stiffening), and stiffen or
+soften it under acceleration of its base. At the tip it shortens the link in the assembly: payload, gravity and the
+other links then stiffen or buckle it, and the end-effector position is that of bent links of constant length.
 
 Sources: Kane, Ryan and Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guidance 10 (1987);
 Wallrapp and Schwertassek, Representation of geometric stiffening in multibody system simulation, Int. J. Numer. Methods
@@ -27,7 +27,7 @@ from flexfmu.model.symbolic import EffectNote
 
 
 class Foreshortening(Effect):
-    """Second-order shortening of links that bend: geometric stiffening by rotation, payload, gravity and joint forces."""
+    """Second-order shortening of bending links: geometric stiffening by rotation, payload, gravity and joint forces."""
 
     note = EffectNote(
         title="foreshortening",
@@ -55,7 +55,7 @@ class Foreshortening(Effect):
         return sum(parts, casadi.SX(np.zeros((2, 1))))
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
-        """V · d/dt (∫ u dm e) + w² ∫ x u dm of each link with the shortening u."""
+        """V · d/dt (∫ u dm e) + w² ∫ x u dm, summed over the links, with the axial displacement u due to bending."""
         total = casadi.SX(0)
         for link, part in _bending(robot):
             w, mass = link.turning_rate, self._properties[part.family.group].mass
@@ -81,15 +81,15 @@ class Foreshortening(Effect):
 
 
 def bending_beyond(robot: Robot, scene: Scene) -> casadi.SX:
-    """Strain energy of bending beyond the model's, of fourth order: 1/2 ∫ EI w''² w'² dx [J].
+    """Bending energy of fourth order, which the model neglects: 1/2 ∫ EI w''² w'² dx [J].
 
-    A line that keeps its length has the curvature w'' / sqrt(1 - w'²). What else is of this order (the shortening's own
-    inertia and w'⁴ / 8) is smaller by far, see ``tests/cosim/metrics/test_large_deflections.py``.
+    The curvature of an inextensible line is w'' / sqrt(1 - w'²). The other terms of this order (inertia of the
+    shortening, w'⁴ / 8) are far smaller, see ``tests/cosim/metrics/test_large_deflections.py``.
 
     Source: Crespo da Silva and Glynn, Nonlinear flexural-flexural-torsional dynamics of inextensional beams, J. Struct.
     Mech. 6 (1978), eq. (14) in the plane.
     """
-    # slopes and strains at the nodes of a quadrature, as functions of the link's coordinates
+    # slopes and strains at the quadrature nodes, as functions of the elastic coordinates
     xi, weights = np.polynomial.legendre.leggauss(40)
     energy = casadi.SX(0)
     for link, part in _bending(robot):

@@ -1,7 +1,7 @@
-"""Rigid kinematics of the five-bar: inverse and forward for points and jets, and margins to singularities.
+"""Rigid kinematics of the five-bar: inverse and forward kinematics of points and jets, and margins to singularities.
 
-A leg is a triangle of base, elbow and end effector, whose sides are known: the law of cosines gives the motor angle,
-with the sign of the working mode (type-1 singularities where a leg is stretched or folded). The end effector is an
+Base, elbow and end effector of a leg form a triangle with known sides: the law of cosines gives the motor angle, with
+the sign of the working mode (type-1 singularities where a leg is stretched or folded). The end effector is an
 intersection of two circles about the elbows, chosen by the assembly mode (type-2 singularities where the distal links
 are parallel; Gosselin and Angeles, Singularity analysis of closed-loop kinematic chains, IEEE Trans. Robot. Autom. 6
 (1990)).
@@ -19,19 +19,19 @@ from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sincos, sqrt, uns
 from flexfmu.trajectories.joint import Margin
 
 REACH_MARGIN = 1e-3
-"""Smallest distance [m] to a stretched or folded leg (type-1 singularity) that planning accepts: joint rates grow like
+"""Smallest margin [m] to a stretched or folded leg (type-1 singularity) that planning accepts: joint rates grow like
 1/sqrt(margin)."""
 
 SINE_MARGIN = 0.02
-"""Smallest sine of the angle between the distal links (type-2 singularity) that planning accepts: at 0.026 (elbows 10 mm
-apart on the paper's robot) the first frequency has fallen from 80 Hz to 3 Hz."""
+"""Smallest sine of the angle between the distal links (type-2 singularity) that planning accepts: at 0.026 (elbows
+10 mm apart on the paper's robot) the first natural frequency has fallen from 80 Hz to 3 Hz."""
 
 SINE_NAME = "sine of the angle between the distal links (type-2 singularity)"
 
 
 @dataclass(frozen=True)
 class RigidKinematics:
-    """Inverse kinematics of a mechanism in its working mode; implements the trajectories' `InverseKinematics`."""
+    """Inverse kinematics in the working mode; implements `InverseKinematics` of `flexfmu.trajectories`."""
 
     mechanism: Mechanism
 
@@ -54,7 +54,7 @@ class RigidKinematics:
         )
         dx, dy = x - base_x, y - base_y
         square = dx * dx + dy * dy
-        # the elbow angle from its cosine and sine, both times 2 l r: no acos near its ends
+        # elbow angle from cosine and sine, both times 2 l r: acos would be inaccurate near ±1
         cosine = square + (proximal**2 - distal**2)
         sine = sqrt(4.0 * proximal**2 * square - cosine * cosine)
         return unstack(arctan2(dy, dx) + signs * arctan2(sine, cosine))
@@ -62,9 +62,9 @@ class RigidKinematics:
     def margins(self, position: RealArray) -> tuple[Margin, ...]:
         """Distances to the workspace boundary and to the type-2 singularity at positions (N, 2) [m].
 
-        Out of reach the sine is NaN.
+        The sine is NaN out of reach.
         """
-        # type 1: distance of each base from where its leg is stretched or folded
+        # type 1: margin of each leg to being stretched or folded
         proximal, distal = self.mechanism.proximal.length, self.mechanism.distal.length
         distances = [np.hypot(*(position - base).T) for base in bases(self.mechanism)]
         reaches = [
@@ -82,7 +82,7 @@ class RigidKinematics:
     def sine(self, position: RealArray) -> RealArray:
         """Sine of the angle between the distal links at positions (N, 2) [m], shape (N,).
 
-        Negative on the wrong assembly side, NaN out of reach.
+        It is negative in the other assembly mode, and NaN out of reach.
         """
         elbow1, elbow2 = self._elbows(position)
         line, arm = elbow2 - elbow1, position - elbow1
@@ -98,7 +98,7 @@ class RigidKinematics:
             # angle between arm and proximal link, by the law of cosines
             square = np.sum(arm**2, axis=1)
             cosine = square + (proximal**2 - distal**2)
-            # out of reach the root has no real value
+            # out of reach the square root is NaN
             with np.errstate(invalid="ignore"):
                 sine = np.sqrt(4.0 * proximal**2 * square - cosine**2)
             angle = np.arctan2(arm[:, 1], arm[:, 0]) + sign * np.arctan2(sine, cosine)
@@ -108,14 +108,14 @@ class RigidKinematics:
 
 @dataclass(frozen=True)
 class RigidForwardKinematics:
-    """Forward kinematics of a mechanism in its assembly mode; implements the shapers' `ForwardKinematics`."""
+    """Forward kinematics in the assembly mode; implements the shapers' `ForwardKinematics`."""
 
     mechanism: Mechanism
 
     def end_effector(self, q11: Jet, q21: Jet) -> tuple[Jet, Jet]:
         """Jets of the end effector's x and y [m] from jets of the joint angles [rad].
 
-        Both elbows are at the distal length from it: it lies on the perpendicular through the middle between them.
+        Both distal links have the same length: the end effector lies on the perpendicular bisector of the elbows.
         """
         (x1, y1), (x2, y2) = self._elbow(0, q11), self._elbow(1, q21)
         dx, dy = x2 - x1, y2 - y1

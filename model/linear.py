@@ -1,7 +1,6 @@
 """Small motions of the torque-driven plant about an equilibrium, as a state-space system for python-control.
 
-The plant's residual M a + b(y, v, u) = 0 is linearised with exact derivatives; accelerations are eliminated from states
-and outputs.
+The residual M a + b(y, v, u) = 0 is linearised with exact derivatives; the accelerations are eliminated.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class OperatingPoint:
 
 
 def operating_point(scene: Scene, position: tuple[float, float]) -> OperatingPoint:
-    """The equilibrium with the motors where the rigid end effector would be at `position` [m].
+    """The equilibrium with the motor angles of the rigid robot for `position` [m].
 
     Raises:
         ValueError: the position is out of reach.
@@ -52,13 +51,13 @@ def operating_point(scene: Scene, position: tuple[float, float]) -> OperatingPoi
 def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str] | None = None) -> control.StateSpace:
     """The torque-driven plant about its equilibrium at `position` [m], in deviations from it.
 
-    States are the coordinates and their rates, inputs `joint1_torque`, `joint2_torque`, `force_x`, `force_y`; labels
-    and units are those of the FMU's variables, with underscores for dots.
+    States are the coordinates and their rates; inputs are `joint1_torque`, `joint2_torque`, `force_x` and `force_y`.
+    Labels and units are those of the FMU's variables, with underscores for dots.
 
     Args:
-        scene: the robot; its drive doesn't matter.
-        position: of the rigid end effector [m].
-        outputs: names of the outputs; all of the FMU's by default.
+        scene: the scene; `cosimulation.drive` has no influence.
+        position: end effector of the rigid robot [m].
+        outputs: names of the outputs; all outputs of the FMU by default.
 
     Raises:
         ImportError: python-control isn't installed.
@@ -93,13 +92,13 @@ def linearize(scene: Scene, position: tuple[float, float], outputs: Sequence[str
 
 
 def signal_label(name: str) -> str:
-    """A variable's name as python-control takes it, which knows no dots: ``joint1.torque`` → ``joint1_torque``."""
+    """A name that python-control accepts, with underscores for dots: ``joint1.torque`` → ``joint1_torque``."""
     return name.replace(".", "_")
 
 
 def _matrices(plant: SymbolicModel, point: OperatingPoint) -> tuple[RealArray, RealArray, RealArray, RealArray]:
-    """A, B, C, D in the states [y, v] from M, K, C and the input matrix at the equilibrium."""
-    # symbols of the plant, and its numbers at the equilibrium
+    """State-space matrices A, B, C, D for the states [y, v], from the Jacobians of the plant at the equilibrium."""
+    # symbols of the plant, and their values at the equilibrium
     n, m = len(plant.unknowns), len(plant.inputs)
     y, v, a, u = (casadi.SX.sym(name, size) for name, size in (("y", n), ("v", n), ("a", n), ("u", m)))
     derived = plant.functions["derive"]([variable.start or 0.0 for variable in plant.parameters])
@@ -110,11 +109,11 @@ def _matrices(plant: SymbolicModel, point: OperatingPoint) -> tuple[RealArray, R
         slopes = casadi.Function(name, [y, v, a, u], [casadi.jacobian(expression, x) for x in (y, v, a, u)])
         return [np.asarray(slope.full()) for slope in slopes(*rest)]
 
-    # accelerations by states and inputs: M a + C v + K y + B u = 0
+    # accelerations as functions of states and inputs: M a + C v + K y + B u = 0
     stiffness, damping, mass, load = jacobians("residual")
     response = -np.linalg.solve(mass, np.hstack([stiffness, damping, load]))
     by_state, by_input = response[:, : 2 * n], response[:, 2 * n :]
-    # outputs, which see the accelerations too
+    # outputs, which depend on the accelerations too
     c_y, c_v, c_a, c_u = jacobians("outputs")
     state_matrix = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), by_state])
     input_matrix = np.vstack([np.zeros((n, m)), by_input])

@@ -1,4 +1,4 @@
-"""Inertia of the links, each a floating frame in which the beam deforms."""
+"""Inertia of the links; each beam deforms in a floating frame."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class LinkInertia(Effect):
         self._registry, self._properties = registry, properties
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
-        """T of each link: point P translates, the frame turns, the beam deforms in it."""
+        """Kinetic energy of all links: the base point P translates, the frame rotates, the beam deforms in it."""
         total = casadi.SX(0)
         for link in robot.links.values():
             integrals, w, V = self._integrals(link), link.turning_rate, link.base_velocity
-            # the base point's own motion, and its product with the motion relative to it
+            # motion of the base point, and its product with the motion relative to it
             along, across = integrals.moment(link)
             along_rate, across_rate = integrals.moment_rate(link)
             relative = (along_rate - w * across) * link.direction + (across_rate + w * along) * link.normal
@@ -56,10 +56,10 @@ class LinkInertia(Effect):
 
 
 class _LinkIntegrals:
-    """Mass integrals of one link group as derived symbols: m, m l/2, m l²/3 and those with the mode shapes."""
+    """Mass integrals of one link group as derived values: m, m l/2, m l²/3 and those of the mode shapes."""
 
     def __init__(self, registry: ParameterRegistry, link: Link, properties: LinkProperties) -> None:
-        # derived symbols are computed once for each set of parameters, not at every step
+        # derived values are computed once for each set of parameters, not at every step
         m, length, group = properties.mass, properties.length, link.group
         integrals = link.shape_integrals()
         count = len(integrals.mean)
@@ -71,7 +71,7 @@ class _LinkIntegrals:
         self.mass = m
         self.half = derived("m_l_2", m * length / 2)
         self.inertia = derived("m_l2_3", m * length**2 / 3)
-        # its elastic coordinates, and how they couple with the rigid motion
+        # elastic coordinates, and their coupling with the rigid motion
         self.mean = column([derived(f"mean_{k}", m * integrals.mean[k]) for k in range(count)])
         self.first = column([derived(f"first_{k}", m * length * integrals.first_moment[k]) for k in range(count)])
         self.gram = symmetric(count, lambda i, j: derived(f"gram_{i}_{j}", m * integrals.gram[i, j]), integrals.gram)
@@ -83,13 +83,13 @@ class _LinkIntegrals:
         return self.half + dot(self.mean[:k], axial), dot(self.mean[k:], bending)
 
     def moment_rate(self, link: Link) -> tuple[casadi.SX, casadi.SX]:
-        """The same for the displacements' rates [kg m/s]."""
+        """Rates of both in the floating frame [kg m/s]."""
         axial, bending = _split(link, "v")
         k = axial.numel()
         return dot(self.mean[:k], axial), dot(self.mean[k:], bending)
 
     def relative_energy(self, link: Link, w: casadi.SX) -> casadi.SX:
-        """Kinetic energy with respect to the base point [J]."""
+        """Kinetic energy of the motion relative to the base point [J]."""
         (ax, be), (axd, bed) = _split(link, "q"), _split(link, "v")
         k = ax.numel()
         gram_xx, gram_yy, gram_xy = self.gram[:k, :k], self.gram[k:, k:], self.gram[:k, k:]

@@ -45,8 +45,8 @@ class PointPayload(Effect):
 class PayloadInertia(Effect):
     """Rotary inertia of the payload, which turns with the last cross section of link 12.
 
-    The end effector is a point where two links meet; the payload is taken to be mounted on the distal link of leg 1, as
-    a gripper is. A payload that keeps its orientation, as a fourth leg or a parallelogram makes it, has no such effect.
+    The payload, a gripper for example, is mounted on the distal link of leg 1. A payload of constant orientation,
+    guided by a parallelogram for example, has no such effect.
     """
 
     note = EffectNote(
@@ -63,7 +63,7 @@ class PayloadInertia(Effect):
             yield cls(context.registry, inertia, context.links["distal"].length)
 
     def __init__(self, registry: ParameterRegistry, inertia: float, length: casadi.SX) -> None:
-        """`length` of the distal links [m]."""
+        """`inertia` in kg m²; `length` is that of the distal links [m]."""
         text = "Rotary inertia of the payload about the end effector, turning with link 12"
         self._inertia = registry.quantity("payload.inertia", "kg.m2", text, inertia, maximum=1e6)
         self._length = length

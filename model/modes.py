@@ -1,7 +1,7 @@
 """Natural frequencies and damping of the flexible robot with locked motors, about its static equilibrium.
 
-Small motions satisfy M x'' + C x' + K x = 0. Undamped frequencies are the generalised eigenvalues of (K, M), damped
-modes the eigenvalues of the first-order form in [x, x'].
+Small motions satisfy M x'' + C x' + K x = 0. Squared undamped frequencies [rad²/s²] are the generalised eigenvalues of
+(K, M); damped modes are eigenvalues of the first-order form in [x, x'].
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.jets import RealArray
 
 OSCILLATING = 1e-9
-"""Imaginary part of an eigenvalue, relative to its magnitude, above which it belongs to a vibration."""
+"""An eigenvalue belongs to a vibration if its imaginary part exceeds this fraction of its magnitude."""
 
 
 @dataclass(frozen=True, eq=False)
 class DampedModes:
-    """The vibrations of the assembled robot, ascending by frequency; overdamped motions are left out.
+    """Damped modes of the assembled robot, in ascending order of frequency, without overdamped modes.
 
     Attributes:
         frequencies: |λ| / 2π of the eigenvalues λ [Hz], shape (m,): the undamped natural frequency where the damping is
@@ -63,11 +63,11 @@ def damped_modes(scene: Scene, joints: tuple[float, float] | RealArray) -> Dampe
     _stable(eigh(stiffness, mass, eigvals_only=True), joints)
     acceleration = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
     values = np.linalg.eigvals(np.vstack([np.eye(n, 2 * n, n), acceleration])).astype(complex)
-    # one of each conjugate pair, ascending; overdamped motions have none
+    # one eigenvalue of each conjugate pair, ascending; overdamped modes have none
     values = values[values.imag > OSCILLATING * np.abs(values)]
     values = values[np.argsort(np.abs(values))]
     size = np.abs(values)
-    # an undamped mode's real part is rounding of either sign
+    # the real part of an undamped mode is a rounding error of either sign
     return DampedModes(size / (2 * np.pi), np.maximum(-values.real / size, 0.0))
 
 
@@ -81,7 +81,7 @@ def _matrices(scene: Scene, joints: tuple[float, float] | RealArray) -> tuple[Re
 
 @lru_cache(maxsize=32)
 def _damping_matrix(scene: Scene) -> casadi.Function:
-    """(q_e, u) → Jacobian of the elastic forces by the elastic rates at rest (n, n) [N.s/m]."""
+    """(q_e, u) → damping matrix: Jacobian of the elastic forces by the elastic rates at rest (n, n) [N s/m]."""
     model = numeric_model(scene)
     q, v, u = casadi.SX.sym("q", model.n), casadi.SX.sym("v", model.n), casadi.SX.sym("u", 6)
     force = model.elastic_forces(q, v, casadi.SX.zeros(model.n), u)
@@ -90,7 +90,7 @@ def _damping_matrix(scene: Scene) -> casadi.Function:
 
 
 def _stable(squares: RealArray, joints: tuple[float, float] | RealArray) -> RealArray:
-    """Squares of angular frequencies, ascending, none of them negative."""
+    """The squared angular frequencies, ascending; raises `EquilibriumError` if one is negative."""
     if squares[0] < 0.0:
         raise EquilibriumError(
             f"the static equilibrium with the motors at q11 = {joints[0]:.6g} rad, q21 = {joints[1]:.6g} rad is unstable "

@@ -1,5 +1,5 @@
-"""The five-bar by finite elements: a second formulation, to check the model of shapes against.
+"""The five-bar by finite elements: an independent formulation that checks the model with mode shapes.
 
-Nothing of the model of shapes is used here: co-rotational beam elements between nodes in the fixed frame, hinges as
-shared nodes, and an integrator of its own. It converges with the number of elements, and it is slow.
+It shares no equations with the model of mode shapes: co-rotational beam elements between nodes in the fixed frame,
+hinges as shared node positions, and its own integrator. It converges with the number of elements, but is slow.
 """

@@ -1,9 +1,9 @@
-"""A link's cross section, and a co-rotational beam element between two nodes (x, y, theta) in the fixed frame.
+"""Cross section of a link, and a co-rotational beam element between two nodes (x, y, theta) in the fixed frame.
 
 Deformation is measured from the straight line between the nodes: the elongation, with the shortening due to bending,
-and the rotations of both ends. Within the element the deflection is that of Timoshenko's beam under forces at its ends,
-which for infinite shear stiffness is Hermite's cubic; elongation is linear. Forces follow from the energies by
-Lagrange's equations, with all terms that rotation brings.
+and the rotations of both ends. Within the element the deflection is that of a Timoshenko beam under end loads
+(Hermite's cubic for infinite shear stiffness); the axial displacement is linear. Forces follow from the energies by
+Lagrange's equations, with all inertial terms due to rotation.
 
 Sources: Crisfield, Non-linear Finite Element Analysis of Solids and Structures 1 (1991), chapter 7 (co-rotational
 beams); Friedman and Kosmatka, An improved two-node Timoshenko beam finite element, Comput. Struct. 47 (1993)
@@ -27,24 +27,24 @@ from flexfmu.model.timoshenko import shear_coefficient
 from flexfmu.trajectories.jets import RealArray
 
 COORDINATES = 6
-"""Of an element: x, y, theta of both nodes."""
+"""Number of coordinates of an element: x, y, theta of both nodes."""
 
 POINTS, WEIGHTS = (np.polynomial.legendre.leggauss(5)[i] for i in range(2))
 POINTS, WEIGHTS = 0.5 * (POINTS + 1.0), 0.5 * WEIGHTS
-"""Gauss's quadrature over 0..1, exact for products of two cubics and a quadratic."""
+"""Gauss-Legendre quadrature over 0..1, exact for polynomials up to degree 9."""
 
 
 @dataclass(frozen=True)
 class BeamSection:
-    """A uniform link.
+    """Cross-section properties and length of a uniform link.
 
     Attributes:
-        length: l [m].
-        axial: EA [N].
-        bending: EI [N m²].
-        shear: kGA [N]; infinite for Euler and Bernoulli's beam.
-        mass: rho A [kg/m].
-        rotary: rho I [kg m]; zero for Euler and Bernoulli's beam.
+        length: length of the link l [m].
+        axial: axial rigidity EA [N].
+        bending: bending rigidity EI [N m²].
+        shear: shear rigidity kGA [N]; infinite for an Euler-Bernoulli beam.
+        mass: mass per length rho A [kg/m].
+        rotary: rotary inertia per length rho I [kg m]; zero for an Euler-Bernoulli beam.
     """
 
     length: float
@@ -56,13 +56,13 @@ class BeamSection:
 
 
 def beam_section(scene: Scene, group: LinkGroup) -> BeamSection:
-    """The links of a group, with shear and rotary inertia where ``effects.beam`` is Timoshenko's."""
+    """The section of a link group, with shear and rotary inertia where ``effects.beam`` is ``timoshenko``."""
     # area and second moment of the tube
     link: LinkSection = getattr(scene.mechanism, group)
     outer, inner, material = link.diameter, link.inner_diameter, scene.mechanism.material
     area = math.pi / 4.0 * (outer**2 - inner**2)
     second = math.pi / 64.0 * (outer**4 - inner**4)
-    # Timoshenko's beam also shears and has rotary inertia
+    # shear and rotary inertia of a Timoshenko beam
     young, nu, density = material.youngs_modulus, material.poissons_ratio, material.density
     thick = scene.effects.beam == "timoshenko"
     shear = shear_coefficient(outer, inner, nu) * young / (2.0 * (1.0 + nu)) * area
@@ -81,8 +81,8 @@ class BeamElement:
     """Functions of one element's coordinates x, rates v and accelerations a (6, 1) each.
 
     Attributes:
-        force: (x, v, a) → forces (6, 1) that the motion needs from outside.
-        tangent: (x, v, a) → its Jacobians by x, v and a, column after column (108, 1).
+        force: (x, v, a) → nodal forces (6, 1) that the motion needs.
+        tangent: (x, v, a) → Jacobians of the force by x, v and a, column by column (108, 1).
         energy: (x, v) → kinetic and potential energy [J].
     """
 
@@ -93,13 +93,13 @@ class BeamElement:
 
 @lru_cache(maxsize=32)
 def beam_element(section: BeamSection, length: float, gravity: tuple[float, float], damping_time: float) -> BeamElement:
-    """An element of a link.
+    """The functions of one element of a link.
 
     Args:
-        section: the link.
-        length: of the element, undeformed [m].
-        gravity: [m/s²].
-        damping_time: ratio of viscous to elastic stresses (Kelvin and Voigt) [s].
+        section: section of the link.
+        length: undeformed length of the element [m].
+        gravity: gravitational acceleration [m/s²].
+        damping_time: retardation time of the Kelvin-Voigt material [s].
     """
     # energies and dissipation
     x, v, a = (casadi.SX.sym(name, COORDINATES) for name in "xva")
@@ -127,7 +127,7 @@ def _function(name: str, arguments: list[casadi.SX], result: casadi.SX) -> casad
 
 
 def _kinetic_energy(section: BeamSection, length: float, shear: float, x: casadi.SX, v: casadi.SX) -> casadi.SX:
-    """Of displacements along and across, and of turning sections [J]."""
+    """Kinetic energy of the displacements and of the rotation of the sections [J]."""
     total, line = casadi.SX(0), x[3:5] - x[0:2]
     for xi, weight in zip(POINTS, WEIGHTS, strict=True):
         velocity = casadi.jtimes(_point(length, shear, x, xi), x, v)
@@ -140,9 +140,9 @@ def _kinetic_energy(section: BeamSection, length: float, shear: float, x: casadi
 
 
 def _deformation(length: float, shear: float, x: casadi.SX) -> casadi.SX:
-    """Elongation [m] and turning of both ends [rad] against the line between the nodes, (3, 1).
+    """Elongation [m], and rotations of both ends [rad] relative to the line between the nodes, (3, 1).
 
-    The axis is longer than this line by half the integral of the slope's square.
+    The axis is longer than this line by half the integral of the squared slope.
     """
     line, ends = x[3:5] - x[0:2], _ends(x)
     slopes = np.array([_deflection(shear, xi)[1] for xi in POINTS])
@@ -154,7 +154,7 @@ def _deformation(length: float, shear: float, x: casadi.SX) -> casadi.SX:
 
 
 def _stiffness(section: BeamSection, length: float, shear: float) -> RealArray:
-    """Of the deformation (3, 3)."""
+    """Stiffness matrix of the deformation (3, 3)."""
     bending = section.bending / (length * (1.0 + shear)) * np.array([[4 + shear, 2 - shear], [2 - shear, 4 + shear]])
     matrix = np.zeros((3, 3))
     matrix[0, 0], matrix[1:, 1:] = section.axial / length, bending
@@ -162,7 +162,7 @@ def _stiffness(section: BeamSection, length: float, shear: float) -> RealArray:
 
 
 def _ends(x: casadi.SX) -> casadi.SX:
-    """Turning of both ends against the line between the nodes, within half a turn [rad], (2, 1)."""
+    """Rotations of both ends relative to the line between the nodes, within ±pi [rad], (2, 1)."""
     line = x[3:5] - x[0:2]
     turned = []
     for theta in (x[2], x[5]):
@@ -180,7 +180,7 @@ def _point(length: float, shear: float, x: casadi.SX, xi: float) -> casadi.SX:
 
 
 def _deflection(shear: float, xi: float) -> tuple[RealArray, RealArray, RealArray]:
-    """Deflection over the length, its slope, and turning of the section, per turning of the ends (2,) each."""
+    """Deflection / length, slope and section rotation at xi, per unit rotation of each end, (2,) each."""
     s = shear
     value = np.array([xi**3 - (2 + s / 2) * xi**2 + (1 + s / 2) * xi, xi**3 - (1 - s / 2) * xi**2 - s / 2 * xi])
     slope = np.array([3 * xi**2 - (4 + s) * xi + 1 + s / 2, 3 * xi**2 - (2 - s) * xi - s / 2])

@@ -15,17 +15,17 @@ from flexfmu.trajectories.jets import RealArray
 MAXIMUM_ITERATIONS = 20
 
 ROUNDING = 1e-13
-"""Newton's iteration has converged when its step is below this, in m and rad: rounding of coordinates of about 1."""
+"""The Newton iteration has converged when its step is below this [m, rad]: rounding of coordinates of about 1."""
 
 
 @dataclass(frozen=True)
 class RestState:
-    """A robot at rest.
+    """A static equilibrium.
 
     Attributes:
-        coordinates: (size,) of all nodes [m, rad].
+        coordinates: coordinates of all nodes (size,) [m, rad].
         position: end effector (2,) [m].
-        torque: that the motors hold the pose with (2,) [N m].
+        torque: motor torques that hold the pose (2,) [N m].
     """
 
     coordinates: RealArray
@@ -37,9 +37,9 @@ def equilibrium(robot: FiniteElementRobot, joints: RealArray) -> RestState:
     """Equilibrium with the motors locked at the angles (q11, q21) [rad].
 
     Raises:
-        EquilibriumError: Newton's iteration doesn't converge.
+        EquilibriumError: the Newton iteration doesn't converge.
     """
-    # Newton's iteration on the free coordinates; the motors stay locked
+    # Newton iteration on the free coordinates; the motors stay locked
     x = robot.undeformed(joints)
     rest = np.zeros(x.size)
     for _ in range(MAXIMUM_ITERATIONS):
@@ -47,7 +47,7 @@ def equilibrium(robot: FiniteElementRobot, joints: RealArray) -> RestState:
         step = np.linalg.solve(stiffness, -robot.forces(*_columns(x, rest, rest))[HELD:, 0])
         x[HELD:] += step
         if np.abs(step).max() < ROUNDING:
-            # the motors carry what remains
+            # motor torques balance the forces on the motor angles
             torque = robot.forces(*_columns(x, rest, rest))[list(MOTORS), 0]
             return RestState(x, x[list(robot.mesh.end)], torque)
     raise EquilibriumError(

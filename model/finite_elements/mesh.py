@@ -1,6 +1,6 @@
-"""Which coordinates belong to which element, and where nodes are placed on the rigid robot.
+"""Coordinates of each element, and positions of the nodes on the rigid robot.
 
-A link is a chain of elements; hinges are nodes of two links that share a position and turn independently.
+A link is a chain of elements; at a hinge, the nodes of two links share their position, but not their angle.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from flexfmu.trajectories.jets import Jet, RealArray
 Index = NDArray[np.intp]
 
 BASES = ((0, 1), (3, 4))
-"""Positions of both base joints among the coordinates."""
+"""Indices of the x and y coordinates of both bases."""
 
 MOTORS = (2, 5)
-"""Angles at the roots of the proximal links, where the motors turn them."""
+"""Indices of the motor angles: the angles at the roots of the proximal links."""
 
 HELD = 6
-"""Number of coordinates that bases and motors prescribe, which come first."""
+"""Number of prescribed coordinates (bases and motors); they come first."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Global numbers of all coordinates.
+    """Indices of all coordinates.
 
     Attributes:
         size: number of coordinates.
-        nodes: link name → (elements + 1, 3) numbers of x, y, theta of its nodes.
-        end: numbers of the end effector's x and y.
+        nodes: link name → indices of x, y, theta of its nodes (elements + 1, 3).
+        end: indices of the end effector's x and y.
     """
 
     size: int
@@ -45,14 +45,14 @@ class Mesh:
     end: tuple[int, int]
 
     def elements(self, link: str) -> Index:
-        """(elements, 6) coordinates of each element of a link."""
+        """Indices of the coordinates of each element of a link (elements, 6)."""
         nodes = self.nodes[link]
         return np.hstack([nodes[:-1], nodes[1:]])
 
 
 def five_bar_mesh(elements: int) -> Mesh:
-    """So many elements a link; proximal tips and distal roots share positions, so do both distal tips."""
-    # bases and motors come first, then the end effector, then node after node of each link
+    """The mesh with `elements` elements per link; hinged nodes share their positions."""
+    # bases and motors come first, then the end effector, then the nodes of each link
     free = iter(range(HELD, HELD + 100 * (elements + 1)))
     end = (next(free), next(free))
     nodes = {}
@@ -80,6 +80,6 @@ def rigid_links(mechanism: Mechanism, joints: RealArray) -> Iterator[tuple[LinkG
 
 
 def straight(root: Point, tip: Point, elements: int) -> RealArray:
-    """Positions (elements + 1, 2) [m] of nodes at equal distances."""
+    """Positions (elements + 1, 2) [m] of equally spaced nodes on a straight line."""
     fraction = np.linspace(0.0, 1.0, elements + 1)[:, None]
     return np.asarray(np.array(root) * (1.0 - fraction) + np.array(tip) * fraction)

@@ -1,8 +1,8 @@
-"""Motion of the finite elements under prescribed motor angles, by Radau's method with steps of equal length.
+"""Motion of the finite elements under prescribed motor angles, by the Radau IIA method of order 5.
 
-The unknowns of a step are the accelerations at its three stages, after which rates and coordinates follow; forces of
-inertia, rotation and deformation balance at every stage. The method is of fifth order, damps what is much faster than a
-step, and its last stage is the step's end, so that accelerations and torques come with the accuracy of the method.
+The unknowns of a step are the accelerations at its three stages; rates and coordinates follow from them. The equations
+of motion hold at every stage. The method damps vibrations much faster than the step. Its last stage is the end of the
+step, so that accelerations and torques have the accuracy of the method.
 
 Source: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), section IV.5, Radau IIA of order 5.
 """
@@ -38,26 +38,25 @@ TABLEAU = np.array(
 TWICE = TABLEAU @ TABLEAU
 
 CONVERGED = 1e-6
-"""Newton's iteration is over when its accelerations change by less than this fraction of the largest and `SCALE`."""
+"""The Newton iteration has converged when no acceleration changes by more than this fraction of `SCALE` + the largest."""
 
 SCALE = 10.0
-"""An acceleration that counts [m/s²]: links are so stiff along their axis that rounding of positions makes accelerations of
-1e-7 m/s²."""
+"""Acceleration [m/s²] added to the scale of convergence: axial stiffness turns rounding of positions into 1e-7 m/s²."""
 
 MANY = 6
-"""Iterations after which the matrix is made anew."""
+"""The iteration matrix is computed again after this number of iterations."""
 
 MAXIMUM_ITERATIONS = 30
 
 
 @dataclass(frozen=True)
 class ElementMotion:
-    """The robot at N instants.
+    """Motion of the robot at N instants.
 
     Attributes:
-        time: (N,) [s].
-        position, velocity, acceleration: of the end effector (N, 2) [m, m/s, m/s²].
-        torque: of the motors (N, 2) [N m].
+        time: instants (N,) [s].
+        position, velocity, acceleration: end-effector motion (N, 2) [m, m/s, m/s²].
+        torque: motor torques (N, 2) [N m].
     """
 
     time: RealArray
@@ -72,20 +71,20 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
 
     Args:
         robot: the finite elements.
-        joints: motion of the motors [rad], which stand still after its end.
-        instants: to record, (N,), ascending, above zero [s].
-        step: longest step [s]; each interval is cut into equal ones.
+        joints: motion of the motors [rad]; they stand still after its end.
+        instants: instants to record (N,) [s], ascending, above zero.
+        step: longest step [s]; the steps within an interval are equal.
 
     Raises:
-        EquilibriumError: the start has no static equilibrium, or a step's iteration doesn't converge.
+        EquilibriumError: the start has no static equilibrium, or the iteration of a step doesn't converge.
     """
     course = _Course(robot, joints.evaluate(0.0, 0)[0, 0])
     wanted = set(instants.tolist())
-    # intervals between instants and breakpoints that aren't the same but for rounding
+    # intervals between instants and breakpoints; a breakpoint that equals an instant but for rounding is dropped
     stop = float(instants[-1])
     breakpoints = [t for t in joints.breakpoints if t < stop and np.abs(instants - t).min() > SAME_TIME * stop]
     for begin, end in pairwise(sorted({0.0, *breakpoints, *instants.tolist()})):
-        # equal steps within each, with the motors at all stages at once
+        # equal steps within each interval; the motor motion at all stages at once
         count = math.ceil((end - begin) / step * (1.0 - 1e-9))
         h = (end - begin) / count
         stages = begin + h * (np.arange(count)[:, None] + STAGES)
@@ -98,7 +97,7 @@ def simulate(robot: FiniteElementRobot, joints: Trajectory, instants: RealArray,
 
 
 class _Course:
-    """A running integration: the present state, the factorised iteration matrix, and the recorded instants."""
+    """State of the integration: present motion, factorised iteration matrix and recorded instants."""
 
     def __init__(self, robot: FiniteElementRobot, joints: RealArray) -> None:
         self._robot = robot
@@ -109,19 +108,19 @@ class _Course:
         self._passed: list[tuple[float, RealArray, RealArray, RealArray, RealArray]] = []
 
     def advance(self, time: float, h: float, motors: RealArray) -> None:
-        """One step of length h to a time; `motors` are angles, rates and accelerations (3, 2, stages)."""
+        """Advance by a step h [s] to `time`; `motors` are angles, rates and accelerations (3, 2, stages)."""
         # predict with constant accelerations, prescribe the motors
         x = self._x[:, None] + h * STAGES * self._v[:, None]
         v, a = self._v[:, None] + np.zeros(3), self._a[:, None] + np.zeros(3)
         x[HELD:] += h**2 * a[HELD:] @ TWICE.T
         v[HELD:] += h * a[HELD:] @ TABLEAU.T
         x[list(MOTORS)], v[list(MOTORS)], a[list(MOTORS)] = motors
-        # correct until forces balance; the last stage is the new state
+        # correct until the equations of motion hold; the last stage is the new state
         force = self._balance(time, h, x, v, a)
         self._x, self._v, self._a, self._force = x[:, -1], v[:, -1], a[:, -1], force[:, -1]
 
     def _balance(self, time: float, h: float, x: RealArray, v: RealArray, a: RealArray) -> RealArray:
-        """Newton's iteration on the stages' accelerations in place; the forces (size, 3) of the last iterate."""
+        """Solve for the stages' accelerations by Newton's method, in place; returns the final forces (size, 3)."""
         for iteration in range(1, MAXIMUM_ITERATIONS + 1):
             force = self._robot.forces(x, v, a)
             change = lu_solve(self._matrix(h, x[:, 1], v[:, 1], a[:, 1]), -force[HELD:].T.ravel()).reshape(3, -1).T
@@ -137,7 +136,7 @@ class _Course:
         )
 
     def _matrix(self, h: float, x: RealArray, v: RealArray, a: RealArray) -> Factors:
-        """Factors of the iteration's matrix, made anew at the middle stage where they have grown old."""
+        """LU factors of the iteration matrix at the middle stage, for a new step size or after `MANY` iterations."""
         if self._factors is None or abs(h - self._factors_step) > 1e-9 * h:
             k, c, m = (each[HELD:, HELD:] for each in self._robot.tangents(x, v, a))
             self._factors = lu_factor(np.kron(np.eye(3), m) + h * np.kron(TABLEAU, c) + h**2 * np.kron(TWICE, k))
@@ -145,10 +144,10 @@ class _Course:
         return self._factors
 
     def record(self, time: float) -> None:
-        """Keep the present state."""
+        """Record the present state."""
         end, motors = list(self._robot.mesh.end), list(MOTORS)
         self._passed.append((time, self._x[end], self._v[end], self._a[end], self._force[motors]))
 
     def motion(self) -> ElementMotion:
-        """The recorded instants."""
+        """The motion at the recorded instants."""
         return ElementMotion(*(np.array(column) for column in zip(*self._passed, strict=True)))

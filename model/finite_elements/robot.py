@@ -16,7 +16,7 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 
 KNOWN = ("gravity", "payload.inertia", "damping")
-"""Loads that this formulation has."""
+"""Loads that this formulation supports."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +24,8 @@ class Chain:
     """All elements of a link group.
 
     Attributes:
-        element: their functions.
-        index: (E, 6) their coordinates.
+        element: functions of each element.
+        index: indices of the coordinates of each element (E, 6).
     """
 
     element: BeamElement
@@ -34,12 +34,12 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class FiniteElementRobot:
-    """Forces of a scene's five-bar between beam elements; S states are treated at once.
+    """The five-bar of a scene as beam elements; forces are evaluated for S states at once.
 
     Attributes:
-        scene: the scene; which shapes it chooses doesn't matter, all links bend and stretch, with foreshortening.
-        mesh: numbers of the coordinates.
-        chains: the elements.
+        scene: the scene; its mode shapes have no meaning here: all links bend and stretch, with foreshortening.
+        mesh: indices of the coordinates.
+        chains: elements of each link group.
     """
 
     scene: Scene
@@ -47,7 +47,7 @@ class FiniteElementRobot:
     chains: tuple[Chain, ...]
 
     def forces(self, x: RealArray, v: RealArray, a: RealArray) -> RealArray:
-        """Forces (size, S) that motions need from outside, from coordinates, rates and accelerations (size, S) each."""
+        """Generalised forces (size, S) that the motion needs, for coordinates, rates and accelerations (size, S) each."""
         # elements of all links
         total = np.zeros(x.shape)
         for chain in self.chains:
@@ -65,7 +65,7 @@ class FiniteElementRobot:
         for chain in self.chains:
             parts = _mapped(chain.element.tangent, chain.index, x[:, None], v[:, None], a[:, None])[0]
             for index, part in zip(chain.index, parts.T, strict=True):
-                # columns by x, v and a follow each other, each of 6 rows
+                # Jacobians by x, v and a, column by column
                 blocks = part.reshape(3, COORDINATES, COORDINATES)
                 total[:, index[:, None], index[None, :]] += blocks.transpose(0, 2, 1)
         for i in self.mesh.end:
@@ -85,22 +85,24 @@ class FiniteElementRobot:
 
     @property
     def _payload_angle(self) -> int:
-        """The payload turns with the tip of link 12."""
+        """Index of the payload's angle: that of the tip of link 12."""
         return int(self.mesh.nodes["link12"][-1, 2])
 
 
 def finite_element_robot(scene: Scene, elements: int) -> FiniteElementRobot:
-    """A scene's robot with so many elements a link.
+    """The robot of a scene with `elements` elements per link.
 
     Raises:
         SceneError: the scene has damping or drive effects that this formulation doesn't have.
     """
+    # damping and loads that the formulation supports
     time = _damping_time(scene)
     for key in scene.loads:
         if key not in KNOWN:
             raise SceneError(
                 f"finite elements are driven by angles of the links: leave `effects.{key}` out of the scene"
             )
+        # elements of each link group
     mesh, chains = five_bar_mesh(elements), []
     for group, links in LINKS.items():
         section = beam_section(scene, group)
@@ -110,7 +112,7 @@ def finite_element_robot(scene: Scene, elements: int) -> FiniteElementRobot:
 
 
 def _mapped(function: casadi.Function, index: NDArray[np.intp], *states: RealArray) -> RealArray:
-    """The function of all elements in all states, shape (S, results, E)."""
+    """Values of the function for all elements in all states, shape (S, results, E)."""
     count, elements = states[0].shape[1], len(index)
     columns = [z[index].transpose(1, 2, 0).reshape(COORDINATES, count * elements) for z in states]
     result = function.map(count * elements)(*columns).full()
