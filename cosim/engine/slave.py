@@ -226,7 +226,7 @@ class HasLatency(Protocol):
 
     @property
     def latency(self) -> Mapping[str, float]:
-        """Output → its delay at low frequency [s], without the hold between samples; outputs without one are left out."""
+        """Output → its delay at low frequency [s], without the hold between samples; undelayed outputs are left out."""
 
 
 @runtime_checkable

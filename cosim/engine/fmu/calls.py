@@ -1,6 +1,6 @@
-"""The FMI 2.0 and 3.0 functions of a loaded FMU as plain C calls on addresses, without any conversion on the way.
+"""The FMI 2.0 and 3.0 functions of a loaded FMU as C calls on addresses, without conversions.
 
-fmpy's methods turn lists into C arrays at every call; here arrays are numpy buffers whose addresses are taken once.
+fmpy's methods convert lists to C arrays at every call; here arrays are numpy buffers whose addresses are taken once.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
-"""fmi2Status."""
+"""Values of fmi2Status; those of fmi3Status are the same without Pending."""
 
 DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3
-"""fmi2StatusKind."""
+"""Values of fmi2StatusKind: fmi2DoStepStatus, fmi2LastSuccessfulTime, fmi2Terminated."""
 
 CO_SIMULATION = 1
-"""fmi2Type."""
+"""Value fmi2CoSimulation of fmi2Type."""
 
 Signature = tuple[Any, ...]
-"""Types of result and arguments; pointers as addresses."""
+"""C types of the result and of the arguments; pointers are addresses."""
 
 FMI2_SIGNATURES: dict[str, Signature] = {
     "fmi2Instantiate": (c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int),
@@ -49,7 +49,7 @@ FMI2_SIGNATURES: dict[str, Signature] = {
     "fmi2SetFMUstate": (c_int, c_void_p, c_void_p),
     "fmi2FreeFMUstate": (c_int, c_void_p, c_void_p),
 }
-"""Functions of FMI 2.0."""
+"""Functions of FMI 2.0 → signatures."""
 
 DTYPES: dict[str, DTypeLike] = {
     "Float32": np.float32,
@@ -64,7 +64,7 @@ DTYPES: dict[str, DTypeLike] = {
     "UInt64": np.uint64,
     "Boolean": np.bool_,
 }
-"""Types of variables that are numbers → element types of the C arrays; enumerations are reached as Int64."""
+"""Numeric types of FMI 3.0 → element types of the C arrays; enumerations use the functions of Int64."""
 
 _TRANSFER: Signature = (c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_size_t)
 
@@ -89,19 +89,21 @@ FMI3_SIGNATURES: dict[str, Signature] = {
     "fmi3FreeFMUState": (c_int, c_void_p, c_void_p),
     **{f"fmi3{verb}{kind}": _TRANSFER for kind in (*DTYPES, "String") for verb in ("Get", "Set")},
 }
-"""Functions of FMI 3.0; fmi3Boolean is C's bool."""
+"""Functions of FMI 3.0 → signatures; fmi3Boolean is C's bool."""
 
 _RARE = ("String", "Derivatives", "Status", "FMUstate")
-"""How functions end that some libraries lack, though FMI has them all."""
+"""Endings of the names of functions that some libraries lack, although FMI requires all."""
 
 Calls = dict[str, Callable[..., Any]]
 
 
 def bound_calls(library: Any, signatures: Mapping[str, tuple[Any, ...]]) -> Calls:
-    """Functions with these signatures from a loaded library; one that few FMUs need fails when it is called where it is missing.
+    """Return the functions with these signatures from a loaded library.
+
+    A missing function that few FMUs need (`_RARE`) is replaced by one that returns fmi2Error.
 
     Raises:
-        AttributeError: the library lacks another one.
+        AttributeError: the library lacks any other function.
     """
     calls: Calls = {}
     for name, signature in signatures.items():
@@ -112,12 +114,16 @@ def bound_calls(library: Any, signatures: Mapping[str, tuple[Any, ...]]) -> Call
 
 
 def address(array: NDArray[Any]) -> int:
-    """Address of a C-contiguous array, valid while the array lives."""
+    """Return the address of a C-contiguous array, valid while the array exists.
+
+    Raises:
+        ValueError: the array isn't C-contiguous.
+    """
     if not array.flags.c_contiguous:
         raise ValueError("a buffer for FMI functions must be C-contiguous")
     return int(array.ctypes.data)
 
 
 def value_references(references: list[int]) -> NDArray[np.uint32]:
-    """Value references as FMI functions take them."""
+    """Return value references as the array that FMI functions take."""
     return np.array(references, dtype=np.uint32)

@@ -1,4 +1,4 @@
-"""What an FMU can do with derivatives and steps, as far as its model description says."""
+"""Capabilities of an FMU that concern derivatives, steps and instances, from its model description."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from flexfmu.cosim.engine.errors import FmuFileError
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu
 
 INTERPOLATION_ORDER = 1
-"""Highest input derivative of an FMU that says no more than that it interpolates inputs: all that FMI 2.0 lets it say."""
+"""Highest input derivative of an FMU that states only canInterpolateInputs; FMI 2.0 has no attribute for the order."""
 
 ANNOTATION = "VendorAnnotations/Tool[@name='flexfmu']//InputDerivatives"
-"""Where our FMUs say more: the attribute ``maxOrder`` is the highest order that fmi2SetRealInputDerivatives takes."""
+"""Annotation of our own FMUs; its ``maxOrder`` is the highest order that fmi2SetRealInputDerivatives takes."""
 
 
 @cache
 def highest_input_derivative(fmu: UnpackedFmu) -> int:
-    """Order of the highest input derivative that the FMU takes; 0 where it doesn't interpolate inputs.
+    """Return the order of the highest input derivative that the FMU takes; 0 if it doesn't interpolate inputs.
 
     Raises:
-        FmuFileError: the annotation is no order.
+        FmuFileError: ``maxOrder`` of the annotation isn't a whole number.
     """
     if not fmu.description.coSimulation.canInterpolateInputs:
         return 0
@@ -35,22 +35,22 @@ def highest_input_derivative(fmu: UnpackedFmu) -> int:
 
 
 def highest_output_derivative(fmu: UnpackedFmu) -> int:
-    """Order of the highest output derivative that the FMU gives."""
+    """Return the order of the highest output derivative that the FMU states; 0 for none."""
     return int(fmu.description.coSimulation.maxOutputDerivativeOrder or 0)
 
 
 def needs_regular_steps(fmu: UnpackedFmu) -> bool:
-    """Whether all communication steps of the FMU must have the same length."""
+    """Return whether all communication steps of the FMU must have the same length."""
     return not fmu.description.coSimulation.canHandleVariableCommunicationStepSize
 
 
 def only_once_per_process(fmu: UnpackedFmu) -> bool:
-    """Whether a process can have one instance of the FMU only."""
+    """Return whether the FMU can be instantiated only once per process."""
     return bool(fmu.description.coSimulation.canBeInstantiatedOnlyOncePerProcess)
 
 
 def needs(fmu: UnpackedFmu) -> str:
-    """What an FMU that fails to start may lack, to be added to the reason; empty where it stands on its own."""
+    """Return a hint for the error of an FMU that needs an execution tool; empty for any other FMU."""
     if not fmu.description.coSimulation.needsExecutionTool:
         return ""
     tool = fmu.description.generationTool or "the tool that exported it"
@@ -58,16 +58,17 @@ def needs(fmu: UnpackedFmu) -> str:
 
 
 def steps_asynchronously(fmu: UnpackedFmu) -> bool:
-    """Whether fmi2DoStep may return before its step is done, with fmi2Pending."""
+    """Return whether fmi2DoStep may return fmi2Pending before its step is complete."""
     return bool(fmu.description.coSimulation.canRunAsynchronuously)
 
 
 def fixed_step(fmu: UnpackedFmu) -> float | None:
-    """Step size [s] of an FMU that can't vary its communication step, of its default experiment or its own fixed internal one;
-    None for any other.
+    """Return the step size [s] of an FMU that can't vary its communication step; None for any other FMU.
+
+    It is the step size of the default experiment, or else the fixed internal step size; None if neither is stated.
 
     Raises:
-        FmuFileError: the step size isn't positive.
+        FmuFileError: the step size isn't positive and finite.
     """
     experiment = fmu.description.defaultExperiment
     stated = (experiment.stepSize if experiment else None) or fmu.description.coSimulation.fixedInternalStepSize

@@ -1,6 +1,6 @@
-"""FMU files: unpacked once per content, described, and checked for what a slave needs.
+"""FMU files: unpacked once per content, parsed, and checked for use as a slave.
 
-Our own FMUs say more of themselves than FMI provides for, in vendor annotations: sample times, breakpoints, and names of
+Vendor annotations of our own FMUs state what FMI 2.0 can't: sample times, breakpoints, structured names, and the names of
 numbered choices.
 """
 
@@ -31,13 +31,13 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class UnpackedFmu:
-    """An FMU on disk, ready to be loaded; equal to any with the same content.
+    """An unpacked FMU, ready to be loaded; equal to any other with the same content and sizes.
 
     Attributes:
         path: the FMU file.
-        folder: where FMUs with that content have been unpacked; gone when the process ends.
-        description: model description as fmpy reads it; of FMI 3.0 with a variable for each element of an array.
-        sizes: structural parameters that have other values than the description says.
+        folder: folder of the unpacked FMU, deleted when the process ends.
+        description: model description as fmpy reads it; for FMI 3.0 with one scalar variable per array element.
+        sizes: (structural parameter, value) for those set by start values.
     """
 
     path: Path = field(compare=False)
@@ -47,12 +47,12 @@ class UnpackedFmu:
 
     @property
     def is_fmi3(self) -> bool:
-        """Whether it is an FMU of FMI 3.0."""
+        """Whether the FMU is of FMI 3.0."""
         return str(self.description.fmiVersion).startswith("3.")
 
     @property
     def library(self) -> Path:
-        """Where the binary for this platform is, or should be."""
+        """Path of the binary for this platform; the file may be missing."""
         platform: str = fmpy.platform_tuple if self.is_fmi3 else fmpy.platform
         identifier = self.description.coSimulation.modelIdentifier
         return Path(self.folder, "binaries", platform, f"{identifier}{fmpy.sharedLibraryExtension}")
@@ -62,7 +62,7 @@ class UnpackedFmu:
         """Sample time and offset [s] of an exported block; None for any other FMU.
 
         Raises:
-            FmuFileError: the annotation doesn't make sense.
+            FmuFileError: the annotation is invalid.
         """
         return _annotation(
             self.path, self.folder, "Sampling", lambda at: (_number(at["sampleTime"]), _number(at["offset"]))
@@ -73,21 +73,21 @@ class UnpackedFmu:
         """Breakpoints [s] of an exported trajectory, ascending; None for any other FMU.
 
         Raises:
-            FmuFileError: the annotation doesn't make sense.
+            FmuFileError: the annotation is invalid.
         """
         return _annotation(self.path, self.folder, "Breakpoints", lambda at: tuple(map(_number, at["times"].split())))
 
     @property
     def is_ours(self) -> bool:
-        """Whether this package made it."""
+        """Whether this package exported the FMU."""
         return str(self.description.generationTool).startswith("flexfmu ")
 
 
 def open_fmu(path: Path) -> UnpackedFmu:
-    """Unpack an FMI 2.0 or 3.0 co-simulation FMU, or find it unpacked from an earlier time.
+    """Return an FMI 2.0 or 3.0 co-simulation FMU, unpacked unless this process has done so already.
 
     Raises:
-        FmuFileError: it is missing, broken, of another kind, or has no binary for this platform.
+        FmuFileError: the FMU is missing, broken, of another kind, or has no binary for this platform.
     """
     try:
         content = path.read_bytes()
@@ -100,10 +100,10 @@ def open_fmu(path: Path) -> UnpackedFmu:
 
 
 def resized(fmu: UnpackedFmu, parameters: Mapping[str, Any]) -> UnpackedFmu:
-    """The FMU with arrays of the sizes that the structural parameters among these start values give them.
+    """Return the FMU with array sizes as the structural parameters among these start values state.
 
     Raises:
-        InputError: a structural parameter has a value that doesn't suit its type or range.
+        InputError: the value of a structural parameter doesn't fit its type or range.
     """
     sizes = structural_sizes(fmu.description, parameters)
     if not sizes:
@@ -114,36 +114,40 @@ def resized(fmu: UnpackedFmu, parameters: Mapping[str, Any]) -> UnpackedFmu:
 
 @cache
 def _root() -> Path:
-    """Folder of all unpacked FMUs of this process, removed at its end."""
+    """Return the folder of all unpacked FMUs of this process, deleted at its end."""
     folder = tempfile.TemporaryDirectory(prefix="flexfmu-", ignore_cleanup_errors=True)
     atexit.register(folder.cleanup)
     return Path(folder.name)
 
 
 _unpacked: dict[str, tuple[Path, Any]] = {}
-"""Content hash → folder and model description, so that the same FMU is unpacked and parsed once."""
+"""SHA-256 of the content → folder and model description, so that each FMU is unpacked and parsed once."""
 
 
 def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
-    """Folder and model description of the FMU with that content."""
+    """Return folder and model description of the FMU with that SHA-256; unpack and parse it the first time.
+
+    Raises:
+        FmuFileError: the FMU is broken or has clocks.
+    """
     if digest not in _unpacked:
         folder = _root() / digest
         attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
-        # our own FMUs say more in annotations
+        # annotations of our own FMUs
         if str(description.generationTool).startswith("flexfmu "):
-            # structured names instead of flat ones, so that they connect like any others
+            # structured names instead of flat ones, as in scenes and connections
             structured: Mapping[str, str] = _annotation(path, folder, NAMES, dict) or {}
             numbered = _annotation(path, folder, ANNOTATION, _numbered) or {}
             for variable in description.modelVariables:
                 variable.name = structured.get(variable.name, variable.name)
-                # names of numbered choices, as enumerations have them in their types
+                # names of numbered choices, declared like the items of an enumeration
                 if variable.name in numbered:
                     items = [Item(name, str(value)) for name, value in numbered[variable.name].items()]
                     variable.declaredType = SimpleType(variable.name, type=variable.type, items=items)
-        # arrays become scalar variables
+        # FMI 3.0: one scalar variable per array element
         if description.fmiVersion.startswith("3."):
-            # clocks tick at instants that the importer must keep
+            # clocks, which this program doesn't support
             clocks = [variable.name for variable in description.modelVariables if variable.type == "Clock"]
             if clocks:
                 more = f" and {len(clocks) - 3} more" if len(clocks) > 3 else ""
@@ -157,7 +161,7 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
 
 
 def attempt(path: Path, action: Callable[[], Any]) -> Any:
-    """Do something with fmpy, whose errors are of many kinds."""
+    """Return the result of an action with fmpy; any exception becomes an `FmuFileError`."""
     try:
         return action()
     except zipfile.BadZipFile:
@@ -170,13 +174,17 @@ def attempt(path: Path, action: Callable[[], Any]) -> Any:
 
 
 def _check(fmu: UnpackedFmu) -> None:
-    """Version, kind and platform."""
+    """Check FMI version, kind and platform.
+
+    Raises:
+        FmuFileError: this program or platform can't run the FMU.
+    """
     path, description = fmu.path, fmu.description
     if not description.fmiVersion.startswith(("2.", "3.")):
         raise FmuFileError(
             f"{path} is an FMU of FMI {description.fmiVersion}; this program runs FMI 2.0 and 3.0: export it again"
         )
-    # made for co-simulation
+    # an FMU for co-simulation
     if description.coSimulation is None:
         kind = "model exchange" if description.modelExchange is not None else "scheduled execution"
         raise FmuFileError(f"{path} is for {kind} only; export it for co-simulation")
@@ -189,16 +197,16 @@ def _check(fmu: UnpackedFmu) -> None:
 
 
 def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
-    """What an annotation of our own FMUs says; None in any other FMU.
+    """Return the parsed content of an annotation of our own FMUs; None if there is no such annotation.
 
     Args:
         path: the FMU file.
-        folder: where it has been unpacked.
+        folder: folder of the unpacked FMU.
         element: name of the annotation.
-        parse: makes sense of its attributes.
+        parse: function that parses the attributes.
 
     Raises:
-        FmuFileError: the annotation doesn't make sense.
+        FmuFileError: the annotation is invalid.
     """
     root = ElementTree.parse(folder / "modelDescription.xml")
     found = root.find(f"VendorAnnotations/Tool[@name='flexfmu']//{element}")
@@ -211,6 +219,7 @@ def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[st
 
 
 def _number(text: str) -> float:
+    """Return a finite number; raise ValueError for any other text."""
     value = float(text)
     if not isfinite(value):
         raise ValueError(text)
@@ -218,6 +227,6 @@ def _number(text: str) -> float:
 
 
 def _numbered(attributes: Mapping[str, str]) -> dict[str, dict[str, int]]:
-    """Integer parameters whose values have names: parameter → name → value, from texts such as ``static=1 undeformed=2``."""
+    """Return the named values of Integer parameters (parameter → name → value), given as ``static=1 undeformed=2``."""
     pairs = {parameter: (item.partition("=") for item in text.split()) for parameter, text in attributes.items()}
     return {parameter: {name: int(number) for name, _, number in items} for parameter, items in pairs.items()}

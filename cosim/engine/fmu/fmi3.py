@@ -1,8 +1,8 @@
-"""The life of an FMI 3.0 co-simulation FMU's instances: configured, initialised, stepped from event to event, and freed.
+"""Instances of an FMI 3.0 co-simulation FMU: configured, initialised, stepped from event to event, and freed.
 
-Events are handled where the FMU has them and says so (hasEventMode): it may return from fmi3DoStep before its end, its
-event is handled there, and the step goes on; time events that it announces are met, and discrete inputs change at events.
-Intermediate updates and clocks are not used.
+Event mode is used if the FMU supports it (hasEventMode): fmi3DoStep may return early at an event, which is handled before
+the step goes on; steps end at announced time events, and discrete inputs change at events. Intermediate update and clocks
+are not used.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from flexfmu.cosim.engine.fmu.instance import Instance, StatusCall
 from flexfmu.cosim.engine.slave import Call
 
 NEAR = 1e-9
-"""Instants that are closer, in communication steps, are the same: FMUs add up their own times."""
+"""Instants closer than this fraction of the communication step count as one: FMUs sum up their own times."""
 
 MOST_ROUNDS = 1000
-"""An FMU whose event iteration takes longer, or that returns as often from fmi3DoStep without getting on, hangs."""
+"""Limit of the iterations of one event, and of successive returns from fmi3DoStep without progress in time."""
 
 
 class Fmi3Instance(Instance):
-    """The instance of an FMI 3.0 FMU that is in use, and after it the next one; for attributes see `Instance`.
+    """Current instance of an FMI 3.0 FMU; see `Instance`, also for further attributes.
 
     Attributes:
-        instances: how many there have been.
-        epoch: changes whenever the FMU's inputs may be others than those that were set last.
+        instances: number of instances so far.
+        epoch: changes whenever the FMU's inputs may differ from those set last (new instance, restored state).
     """
 
     prefix = "fmi3"
@@ -51,16 +51,16 @@ class Fmi3Instance(Instance):
         self._next_event, self.epoch, self.instances = inf, 0, 0
         self._events_after: dict[int | None, float] = {}
         self._configurable = self._stepping = False
-        # results of fmi3DoStep and fmi3UpdateDiscreteStates, written by the FMU
+        # output arguments of fmi3DoStep and of fmi3UpdateDiscreteStates
         self._event, self._ends, self._early, self._reached = c_bool(), c_bool(), c_bool(), c_double()
         self._again, self._timed, self._unused, self._time = c_bool(), c_bool(), c_bool(), c_double()
 
     def _logged(self, environment: int | None, status: int, category: bytes | None, message: bytes | None) -> None:
-        """Take a message of the FMU."""
+        """Add a message of the FMU to the log."""
         self.log.add(status, (message or b"").decode("utf-8", "replace"))
 
     def _created(self, name: bytes) -> int | None:
-        """The handle of a new instance; one that states event mode and refuses it handles its events itself."""
+        """Return a new instance; an FMU that states event mode but refuses it is instantiated without."""
         self._configurable, self._stepping, self._next_event = True, False, inf
         self.epoch, self.instances = self.epoch + 1, self.instances + 1
         self._events = self._has_events
@@ -72,18 +72,18 @@ class Fmi3Instance(Instance):
         return found
 
     def _instantiated(self, name: bytes) -> int | None:
-        """The handle of an instance with or without event mode."""
+        """Return a new instance with or without event mode; None if the FMU refuses."""
         flags = False, False, self._events, self._events and self._returns_early
         arguments = name, self._guid, self._resources, *flags, None, 0, None, self._receive, None
         found: int | None = self.fmi["fmi3InstantiateCoSimulation"](*arguments)
         return found
 
     def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Take note of the experiment."""
+        """Store the experiment for fmi3EnterInitializationMode."""
         self._experiment = tolerance is not None, tolerance or 0.0, start_time, True, stop_time
 
     def configure(self, change: StatusCall) -> int:
-        """Change structural parameters in configuration mode, once the instance is made and not later; the status."""
+        """Change structural parameters in configuration mode; return the status. From initialisation on, do nothing."""
         if not self._configurable:
             return fmi2.OK
         if (status := self._call("EnterConfigurationMode")) > fmi2.WARNING:
@@ -92,7 +92,11 @@ class Fmi3Instance(Instance):
         return max(status, self._call("ExitConfigurationMode")) if status <= fmi2.WARNING else status
 
     def initialize(self, meanwhile: Call) -> None:
-        """Go through initialisation mode, and do something in it; events at the start follow."""
+        """Initialise, with ``meanwhile`` called in initialisation mode, and handle the events at the start.
+
+        Raises:
+            SlaveError: the FMU fails.
+        """
         # structural parameters are fixed from here on
         self._configurable = False
         enter = self.fmi["fmi3EnterInitializationMode"]
@@ -106,17 +110,17 @@ class Fmi3Instance(Instance):
         self._stepping = True
 
     def step(self, time: float, step: float, no_rollback: int) -> None:
-        """Advance from ``time`` by ``step`` [s], event by event.
+        """Advance from ``time`` by ``step`` [s], from event to event.
 
         Raises:
-            SlaveError: the FMU fails; carries the last time that it reached.
-            SlaveEnded: it asks to end the simulation.
+            SlaveError: the FMU fails; its ``time`` is the last time reached.
+            SlaveEnded: the FMU requests the end of the simulation.
         """
         now, end, idle = time, time + step, 0
         near, do_step = NEAR * step + 4.0 * ulp(end), self.fmi["fmi3DoStep"]
         results = byref(self._event), byref(self._ends), byref(self._early), byref(self._reached)
         while True:
-            # up to the next time event, if one is announced and the FMU can be stepped there
+            # up to the next announced time event, unless all steps must be equal
             announced = now < self._next_event < end - near and not self._regular
             target = self._next_event if announced else end
             length = step if (now, target) == (time, end) else target - now
@@ -127,6 +131,7 @@ class Fmi3Instance(Instance):
                 raise self._ended(self._reached.value)
             if self._events and (self._event.value or reached >= self._next_event - near):
                 self.at_event(lambda: fmi2.OK, reached)
+            # done, or on from the event
             if end - reached <= near:
                 return
             idle = 0 if reached > now else idle + 1
@@ -136,11 +141,11 @@ class Fmi3Instance(Instance):
 
     @property
     def at_events(self) -> bool:
-        """Whether discrete inputs change at events now."""
+        """Whether discrete inputs must be changed at an event: the FMU has event mode and is in step mode."""
         return self._events and self._stepping
 
     def at_event(self, change: StatusCall, time: float | None = None) -> int:
-        """Change discrete inputs at an event, or without event mode as they are; the status of the change."""
+        """Change discrete inputs at an event, or directly without event mode; return the status of the change."""
         if not self.at_events:
             return change()
         self.check("an event", lambda: self._call("EnterEventMode"))
@@ -152,7 +157,7 @@ class Fmi3Instance(Instance):
         return status
 
     def _update(self, time: float | None) -> None:
-        """Iterate the event until nothing changes any more, and go over to step mode."""
+        """Update discrete states until none changes any more, then enter step mode."""
         unused = byref(self._unused)
         results = byref(self._again), byref(self._ends), unused, unused, byref(self._timed), byref(self._time)
         for _ in range(MOST_ROUNDS):
@@ -167,29 +172,29 @@ class Fmi3Instance(Instance):
         self.check("an event", lambda: self._call("EnterStepMode"))
 
     def _ended(self, time: float | None) -> SlaveEnded:
-        """The FMU has asked to end the simulation."""
+        """Return the error of an FMU that requests the end of the simulation."""
         return SlaveEnded(self.name, self.log.complaint() or "terminateSimulation", time)
 
     def _hangs(self, what: str, time: float | None) -> SlaveError:
-        """The FMU doesn't get on."""
+        """Return the error of an FMU that makes no progress."""
         return SlaveError(self.name, f"it {what} {MOST_ROUNDS} times without getting on", time)
 
     def get_state(self, state: c_void_p) -> int:
-        """Save the state and the time of the event that comes next; the status."""
+        """Save the state and the time of the next event; return the status."""
         status = int(self.fmi["fmi3GetFMUState"](self.component, byref(state)))
         self._events_after[state.value] = self._next_event
         return status
 
     def set_state(self, state: c_void_p) -> int:
-        """Go back to a state."""
+        """Restore a state and the time of its next event; return the status."""
         self._next_event = self._events_after[state.value]
         self.epoch += 1
         return int(self.fmi["fmi3SetFMUState"](self.component, state))
 
     def free_state(self, state: c_void_p) -> int:
-        """Free a saved state."""
+        """Free a saved state; return the status."""
         return int(self.fmi["fmi3FreeFMUState"](self.component, byref(state)))
 
     def _call(self, function: str) -> int:
-        """A function that has the instance as its only argument."""
+        """Call a function whose only argument is the instance; return the status."""
         return int(self.fmi[f"fmi3{function}"](self.component))

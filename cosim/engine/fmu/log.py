@@ -1,4 +1,4 @@
-"""What FMUs log, collected per instance, so that an error carries the FMU's own sentence."""
+"""Log messages of FMUs, collected per instance, so that errors quote the FMU's own message."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from fmpy.logging import addLoggerProxy
 from flexfmu.cosim.engine.fmu.calls import WARNING
 
 MAXIMUM_MESSAGES = 200
-"""Messages kept per instance; a chatty FMU must not fill the memory."""
+"""Messages kept per instance; a verbose FMU must not fill the memory."""
 
 MAXIMUM_COMPLAINTS = 3
-"""An FMU that explains a failure at several levels needs no more lines than this."""
+"""Last messages of a failure that an error quotes."""
 
 
 class FmuLog:
-    """Messages of one instance at a time, oldest first.
+    """Log of one instance at a time.
 
     Attributes:
-        messages: what the FMU said with status warning or worse.
-        callbacks: the structure for fmi2Instantiate; must live as long as the instance.
+        messages: messages with status warning or worse, oldest first.
+        callbacks: callback structure for fmi2Instantiate; must exist as long as the instance.
     """
 
     def __init__(self) -> None:
@@ -44,8 +44,10 @@ class FmuLog:
         self.callbacks.componentEnvironment = self._key
 
     def open(self) -> None:
-        """Forget the messages of the instance before and receive those of the next one; fmpy's formatting proxy serves one
-        listener at a time in a process."""
+        """Clear the messages and receive those of the next instance.
+
+        fmpy's logger proxy, which formats messages, serves one logger at a time in a process.
+        """
         self.messages.clear()
         self._complaints.clear()
         _logs[self._key] = self
@@ -53,15 +55,15 @@ class FmuLog:
         addLoggerProxy(byref(self.callbacks))
 
     def close(self) -> None:
-        """Receive no more."""
+        """Stop receiving messages."""
         _logs.pop(self._key, None)
 
     def complaint(self) -> str:
-        """The last messages that came with a failure, as one line; empty when the FMU fails without a word."""
+        """Return the last messages of a failure as one line; empty if the FMU gave none."""
         return "; ".join(dict.fromkeys(self._complaints))
 
     def add(self, status: int, message: str) -> None:
-        """Keep a message that matters."""
+        """Keep a message with status warning or worse."""
         line = " ".join(message.split())
         if status >= WARNING and len(self.messages) < MAXIMUM_MESSAGES:
             self.messages.append(line)
@@ -74,7 +76,7 @@ _keys = count(1)
 
 
 def _receive(environment: int | None, name: bytes, status: int, category: bytes, message: bytes) -> None:
-    """Hand a message to the instance it belongs to, or print it if it is a foreign one's."""
+    """Add a message to its instance's log; print it if the instance is unknown."""
     text = (message or b"").decode("utf-8", "replace")
     log = _logs.get(environment or 0)
     if log is not None:

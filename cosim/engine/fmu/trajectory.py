@@ -1,4 +1,4 @@
-"""The FMU of a trajectory as a trajectory again, for `flexfmu.cosim.engine.trajectory_slave.TrajectorySlave`."""
+"""An exported trajectory FMU as a trajectory, for `flexfmu.cosim.engine.trajectory_slave.TrajectorySlave`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,18 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.trajectories.curves import Side
 
 KINDS = 3
-"""Position, velocity and acceleration are outputs; higher derivatives are those of the acceleration."""
+"""Number of outputs per axis: position, velocity and acceleration; higher derivatives are those of the acceleration."""
 
 
 class FmuTrajectory:
-    """A trajectory that an FMU gives: `evaluate` runs the FMU through the times.
+    """A trajectory calculated by an FMU: `evaluate` steps the FMU from time to time.
 
     Args:
-        path: an FMU that `flexfmu.fmu_build.trajectory_build` has made.
+        path: FMU exported by `flexfmu.fmu_build.trajectory_build`.
+
+    Attributes:
+        breakpoints: breakpoints of the trajectory [s].
+        axes: number of axes.
 
     Raises:
         FmuFileError: the FMU is missing or broken, or states no breakpoints.
@@ -33,7 +37,7 @@ class FmuTrajectory:
         if not points:
             raise FmuFileError(f"{path} doesn't tell its breakpoints; run it as a slave that is stepped")
         self.breakpoints = points
-        # one instance for each one-sided limit
+        # one slave for left limits and one for right limits
         self._runs = {side: FmuSlave(path, f"trajectory, {side} limits", {"limit": side}) for side in get_args(Side)}
         variables = self._runs["right"].variables
         self._outputs = np.array([i for i, each in enumerate(variables) if each.causality == "output"], np.intp)
@@ -46,18 +50,19 @@ class FmuTrajectory:
 
     @property
     def highest_order(self) -> int:
-        """Order of the highest derivative that the FMU knows."""
+        """Order of the highest derivative that the FMU provides."""
         return KINDS - 1 + self._runs["right"].max_output_order
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Value and time derivatives, shape (order + 1, N, axes); see `flexfmu.trajectories.Trajectory.evaluate`.
+        """Return value and time derivatives (order + 1, N, axes); see `flexfmu.trajectories.Trajectory.evaluate`.
 
         Raises:
-            InputError: the FMU doesn't know derivatives of that order.
+            InputError: the FMU doesn't provide derivatives of that order.
             SlaveError: the FMU fails.
         """
         if not 0 <= order <= self.highest_order:
             raise InputError(f"this trajectory has derivatives of orders 0 to {self.highest_order}, got order {order}")
+        # the FMU runs forward through the different times, in ascending order
         times = np.atleast_1d(np.asarray(time, dtype=np.float64))
         instants, place = np.unique(times, return_inverse=True)
         signals = self._signals(instants, side)
@@ -65,7 +70,7 @@ class FmuTrajectory:
         return result
 
     def _signals(self, instants: RealArray, side: Side) -> RealArray:
-        """(highest order + 1, N, axes): everything that the FMU knows at ascending times."""
+        """Return value and all derivatives (highest_order + 1, N, axes) at ascending times."""
         fmu, axes = self._runs[side], self.axes
         signals = np.zeros((self.highest_order + 1, instants.size, axes))
         values, derivatives = np.empty(KINDS * axes), np.empty((fmu.max_output_order, axes))
@@ -73,7 +78,7 @@ class FmuTrajectory:
             return signals
         fmu.initialize(float(instants[0]), float(instants[-1]) + 1.0, None)
         try:
-            # from instant to instant: kinds first, then derivatives of the highest kind
+            # at each instant position, velocity, acceleration, then the derivatives of the acceleration
             for n, instant in enumerate(instants.tolist()):
                 if n:
                     fmu.step(float(instants[n - 1]), instant - float(instants[n - 1]))

@@ -1,4 +1,4 @@
-"""Transfers between an FMU's variables and numpy buffers, as calls with all arguments bound."""
+"""Transfers between variables of an FMI 2.0 FMU and numpy buffers, as calls with all arguments bound."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ from flexfmu.cosim.engine.fmu.variables import FmiType, Handle, Setting, Value
 from flexfmu.cosim.engine.slave import TEXTS, RealArray
 
 DTYPES = {"Integer": np.int32, "Boolean": np.int32}
-"""Element types of the C arrays for what isn't a Real; fmi2Boolean is an int."""
+"""Element types of the C arrays of Integer and Boolean variables; fmi2Boolean is an int."""
 
 
 class Transfers:
-    """Calls that move values between variables of an instance and buffers.
+    """Makes calls that transfer values between variables of an instance and buffers; a call returns its fmi2Status.
 
-    Buffers of doubles hold all kinds of variables: integers, booleans (0 or 1) and texts (see `TEXTS`) are converted on the
-    way.
+    Buffers are doubles for all types: integers, booleans (0 or 1) and texts (codes in `TEXTS`) are converted.
 
     Args:
         fmi: the FMI functions.
-        component: place of the instance's handle, looked up in every call.
+        component: pointer to the instance; every call reads its current value.
     """
 
     def __init__(self, fmi: Calls, component: c_void_p) -> None:
@@ -34,13 +33,13 @@ class Transfers:
         self._component = component
 
     def get(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
-        """A call that fills ``values`` (n,)."""
+        """Return a call that reads the variables into ``values`` (n,)."""
         return _all(
             [self._get_kind(kind, columns, references, values) for kind, columns, references in _by_kind(handles)]
         )
 
     def set(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
-        """A call that sets the variables from ``values`` (n,)."""
+        """Return a call that sets the variables from ``values`` (n,)."""
         return _all(
             [self._set_kind(kind, columns, references, values) for kind, columns, references in _by_kind(handles)]
         )
@@ -48,21 +47,23 @@ class Transfers:
     def get_derivatives(
         self, handles: Sequence[Handle], derivatives: RealArray, absent: NDArray[np.bool_] | None = None
     ) -> StatusCall:
-        """A call that fills ``derivatives`` (orders, n), row k - 1 for order k; what isn't a Real, or is ``absent``
-        (orders, n), is left as it is."""
+        """Return a call that reads output derivatives into ``derivatives`` (orders, n), row k - 1 for order k.
+
+        Elements of other types than Real, and those that are ``absent`` (orders, n), keep their values.
+        """
         return self._derivatives("fmi2GetRealOutputDerivatives", handles, derivatives, absent)
 
     def set_derivatives(self, handles: Sequence[Handle], derivatives: RealArray) -> StatusCall:
-        """A call that sets derivatives from ``derivatives`` (orders, n); what isn't a Real is left out."""
+        """Return a call that sets input derivatives from ``derivatives`` (orders, n), of Real inputs only."""
         return self._derivatives("fmi2SetRealInputDerivatives", handles, derivatives)
 
     def setting(self, setting: Setting) -> StatusCall:
-        """A call that gives a variable its start value."""
+        """Return a call that sets a start value."""
         value = setting.value
         return self.set([setting.handle], np.array([TEXTS.code(value) if isinstance(value, str) else float(value)]))
 
     def reading(self, setting: Setting) -> tuple[StatusCall, Callable[[], Value]]:
-        """A call that reads back what was set, and what it has read."""
+        """Return a call that reads a start value back, and a function that returns the value read."""
         found = np.zeros(1)
         call = self.get([setting.handle], found)
         if setting.handle.kind == "String":
@@ -70,10 +71,10 @@ class Transfers:
         return call, lambda: float(found[0])
 
     def _get_kind(self, kind: FmiType, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
-        """Read variables of one kind."""
+        """Return a call that reads variables of one kind."""
         if kind == "Real" and len(columns) == values.size:
             return self._bind("fmi2GetReal", references, values)
-        # numbers of other types through a buffer of their own
+        # other kinds, or some of the columns, through a buffer of their own
         if kind == "String":
             return self._get_texts(columns, references, values)
         buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
@@ -87,10 +88,10 @@ class Transfers:
         return call
 
     def _set_kind(self, kind: FmiType, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
-        """Set variables of one kind."""
+        """Return a call that sets variables of one kind."""
         if kind == "Real" and len(columns) == values.size:
             return self._bind("fmi2SetReal", references, values)
-        # numbers of other types through a buffer of their own, rounded
+        # other kinds, rounded, or some of the columns, through a buffer of their own
         if kind == "String":
             return self._set_texts(columns, references, values)
         buffer = np.zeros(len(columns), DTYPES.get(kind, np.float64))
@@ -103,7 +104,7 @@ class Transfers:
         return call
 
     def _get_texts(self, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
-        """Read variables of type String, as codes."""
+        """Return a call that reads variables of type String, as codes."""
         array, texts = value_references(references), (c_char_p * len(columns))()
 
         def call() -> int:
@@ -115,7 +116,7 @@ class Transfers:
         return call
 
     def _set_texts(self, columns: list[int], references: list[int], values: RealArray) -> StatusCall:
-        """Set variables of type String from codes."""
+        """Return a call that sets variables of type String from codes."""
         array, texts = value_references(references), (c_char_p * len(columns))()
 
         def call() -> int:
@@ -126,7 +127,7 @@ class Transfers:
         return call
 
     def _bind(self, function: str, references: list[int], buffer: NDArray[np.generic]) -> StatusCall:
-        """The function on fixed references and a fixed buffer; keeps both alive."""
+        """Return the function bound to value references and a buffer; the call keeps both alive."""
         array = value_references(references)
         call = partial(self._fmi[function], self._component, address(array), array.size, address(buffer))
         return _keeping(call, array, buffer)
@@ -134,8 +135,8 @@ class Transfers:
     def _derivatives(
         self, function: str, handles: Sequence[Handle], derivatives: RealArray, absent: NDArray[np.bool_] | None = None
     ) -> StatusCall:
-        """All orders of all variables in one call, but for what isn't a Real or is absent."""
-        # what is wanted, in rows of orders
+        """Return one call for all orders of all Real variables that aren't absent."""
+        # the derivatives to transfer, order by order
         orders = np.repeat(np.arange(1, len(derivatives) + 1, dtype=np.int32), len(handles))
         references = value_references([handle.reference for handle in handles] * len(derivatives))
         real = np.tile([handle.kind == "Real" for handle in handles], len(derivatives))
@@ -145,7 +146,7 @@ class Transfers:
             return lambda: OK
         if real.all():
             return self._bind_derivatives(function, references, orders, derivatives)
-        # through a buffer of their own where some are left out
+        # if some are left out, through a buffer of the others
         buffer = np.zeros(int(real.sum()))
         transfer = self._bind_derivatives(function, references[real], orders[real], buffer)
         flat, getting = derivatives.reshape(-1), function.startswith("fmi2Get")
@@ -163,41 +164,41 @@ class Transfers:
     def _bind_derivatives(
         self, function: str, references: NDArray[np.uint32], orders: NDArray[np.int32], buffer: RealArray
     ) -> StatusCall:
-        """The function on fixed arrays; keeps them alive."""
+        """Return the function bound to these arrays; the call keeps them alive."""
         arguments = (address(references), references.size, address(orders), address(buffer))
         return _keeping(partial(self._fmi[function], self._component, *arguments), references, orders, buffer)
 
 
 def _keeping(call: partial[int], *arrays: NDArray[np.generic]) -> StatusCall:
-    """The call, with the arrays whose addresses it holds tied to it."""
+    """Return the call with references to the arrays whose addresses it uses, so that they stay alive."""
     call.__dict__["arrays"] = arrays
     return call
 
 
 def _by_kind(handles: Sequence[Handle]) -> list[tuple[FmiType, list[int], list[int]]]:
-    """(kind, columns, value references) of the handles of each kind."""
+    """Return (kind, columns, value references) for each kind of variable."""
     kinds = dict.fromkeys(handle.kind for handle in handles)
     columns = {kind: [i for i, handle in enumerate(handles) if handle.kind == kind] for kind in kinds}
     return [(kind, columns[kind], [handles[i].reference for i in columns[kind]]) for kind in kinds]
 
 
 def _all(calls: Sequence[Callable[[], int]]) -> StatusCall:
-    """One call after the other; the worst status."""
+    """Return a call that makes all calls and returns the worst status."""
     if len(calls) == 1:
         return calls[0]
     return lambda: max((call() for call in calls), default=OK)
 
 
 PREFIX = "statistics."
-"""How the names of the variables begin."""
+"""Prefix of the names of the counters."""
 
 
 class Statistics:
-    """An FMU's counters of its run: its integer variables ``statistics.*``.
+    """Counters of an FMU's run: its Integer variables ``statistics.*``.
 
     Args:
-        variables: all variables that can be read; among them the counters.
-        get: makes a call that reads variables into a buffer.
+        variables: name → handle of the variables, the counters among them.
+        get: function that makes a call which reads variables into a buffer.
     """
 
     def __init__(
@@ -209,7 +210,7 @@ class Statistics:
         self._read = get([*counters.values()], self._values)
 
     def read(self) -> dict[str, int]:
-        """Name without prefix → value; nothing where they can't be read."""
+        """Return name without prefix → value; empty if the FMU has no counters or they can't be read."""
         if not self._names or self._read() > WARNING:
             return {}
         return {name: int(value) for name, value in zip(self._names, self._values.tolist(), strict=True)}
