@@ -1,4 +1,4 @@
-"""The time grid of a run: integer ticks start + n * step, with every mark landed on exactly."""
+"""The time grid of a run: ticks start + n * step, sample instants and marks, all of them met exactly."""
 
 from __future__ import annotations
 
@@ -26,26 +26,27 @@ from flexfmu.cosim.engine.slave import (
 Flags = NDArray[np.bool_]
 
 MAXIMUM_POINTS = 20_000_000
-"""More communication points than this are taken for a mistake in the step's unit."""
+"""More communication points than this are refused: the step is probably in a wrong unit."""
 
 
 MAXIMUM_RATIO = 1000
-"""Sample times must be p/q communication steps with q up to this: coarse enough that no chance fits, since a
-random number comes that near to such a fraction less than once in a million times."""
+"""Sample times must be p/q communication steps with q up to this.
+
+The fractions are so few that a random ratio is one of them, within `RATIO_TOLERANCE`, less than once in a million."""
 
 RATIO_TOLERANCE = 1e-12
-"""Relative rounding of a ratio of two times that users have typed in or calculated."""
+"""Relative rounding error of a ratio of two times that users have typed in or calculated."""
 
 SUGGESTED_RATIO = 10
 """Largest denominator of a sample time that an error message suggests."""
 
 MAXIMUM_TICKS = 100_000
-"""Ticks in a communication step; the distance of two of them stays well above what counts as one instant."""
+"""Largest number of common ticks in a communication step; two of them stay further apart than `COINCIDENT`."""
 
 
 @dataclass(frozen=True)
 class Clock:
-    """When a slave samples: at start + offset + k * sample_time, k = 0, 1, ..
+    """Sample instants of a slave: start + offset + k * sample_time, k = 0, 1, ..
 
     Attributes:
         name: the slave's name.
@@ -63,9 +64,9 @@ class TimeGrid:
     """Communication points of a run.
 
     Attributes:
-        times: (N + 1,) communication points [s], strictly increasing, start and stop included.
-        marked: (N + 1,) whether the point is a mark: signals may jump there. Sample instants are marks.
-        due: for each clock (N + 1,) whether it samples at the point.
+        times: (N + 1,) communication points [s], strictly increasing, from start to stop.
+        marked: (N + 1,) whether signals may jump at the point: breakpoints and sample instants.
+        due: for each clock (N + 1,) whether its slave samples at the point.
     """
 
     times: RealArray
@@ -74,7 +75,7 @@ class TimeGrid:
 
     @cached_property
     def largest_step(self) -> float:
-        """Longest distance of two neighbouring points [s]."""
+        """Longest communication step [s]."""
         return float(np.diff(self.times).max())
 
 
@@ -84,16 +85,16 @@ def system_grid(system: System, start: float, stop: float, step: float, ticks: b
     Args:
         system: the slaves.
         start, stop: [s].
-        step: communication step [s].
-        ticks: whether there are points at start + n * step, besides marks and sample instants.
+        step: communication step [s]; it is divided for slaves that limit it.
+        ticks: whether the points start + n * step belong to the grid, besides breakpoints and sample instants.
 
     Raises:
-        InputError: the times don't fit, or a slave limits the step far too much.
+        InputError: as `time_grid`; or a slave needs steps shorter than 1 / `MAXIMUM_RATIO` of the communication step.
     """
     # sample instants, and breakpoints
     clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
     marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
-    # into how many parts a communication step is divided for slaves that limit it
+    # divide the communication step for slaves that limit it
     parts = 1
     for slave in system.slaves:
         if isinstance(slave, LimitsStep):
@@ -108,12 +109,18 @@ def system_grid(system: System, start: float, stop: float, step: float, ticks: b
 
 
 def check_regular_steps(system: System, grid: TimeGrid, step: float, varies: bool) -> None:
-    """Slaves that can't vary their step get none but equal ones.
+    """Check that slaves that need equal communication steps get them.
+
+    Args:
+        system: the slaves.
+        grid: communication points.
+        step: communication step [s], for the message.
+        varies: whether step control chooses the steps.
 
     Raises:
-        InputError: steps differ, or step control chooses them.
+        InputError: a slave needs equal steps, but they differ or step control chooses them.
     """
-    # equal steps suit every slave
+    # equal steps suit all slaves
     steps = np.diff(grid.times)
     least, largest = float(steps.min()), float(steps.max())
     if largest - least <= COINCIDENT * largest and not varies:
@@ -138,20 +145,20 @@ def time_grid(
     *,
     ticks: bool = True,
 ) -> TimeGrid:
-    """Ticks start + n * step, sample instants and marks from start to stop; the last step may be shorter.
+    """The grid of ticks start + n * step, sample instants and marks from start to stop; the last step may be shorter.
 
-    Sample instants and ticks are whole multiples of one common tick, and compared as integers: where several fall
-    together they are one point, however long the run.
+    Sample instants and ticks are integer multiples of one common tick and compared as integers, so that coinciding ones
+    become one point, however long the run.
 
     Args:
         start, stop, step: [s].
-        marks: further points to land on [s].
-        clocks: when slaves sample.
+        marks: further points, at which signals may jump [s].
+        clocks: sample times of the sampled slaves.
         ticks: whether the points start + n * step belong to the grid.
 
     Raises:
-        InputError: the step isn't positive, the stop isn't after the start, there would be far too many points, or a
-            clock and the step have no common tick.
+        InputError: the step isn't positive, the stop isn't after the start, there would be more than `MAXIMUM_POINTS`
+            points, or a clock and the step have no common tick.
     """
     if not 0.0 < step < np.inf:
         raise InputError(f"the communication step must be above 0 s and finite, got {step:g} s")
@@ -165,12 +172,12 @@ def time_grid(
     near = COINCIDENT * step
     instants = [sample_instants(clock, start, stop, near) for clock in clocks]
     regular = _regular_points(start, stop, step, clocks, instants, ticks)
-    # marks, start and end replace regular points that are near them
+    # marks, start and stop replace the regular points that coincide with them
     inside = [mark for mark in marks if start - near < mark < stop + near]
     fixed = merge([start, stop, *inside], near)
     fixed[0], fixed[-1] = start, stop
     times = np.union1d(regular[(_distance(regular, fixed) > near) & (regular < stop)], fixed)
-    # when clocks sample, and where signals may jump
+    # where slaves sample, and where signals may jump
     due = tuple(_nearest(times, each) for each in instants)
     marked = _distance(times, np.asarray(inside)) <= near if inside else np.zeros(times.shape, dtype=np.bool_)
     return TimeGrid(times, np.logical_or.reduce([marked, *due]), due)
@@ -179,7 +186,7 @@ def time_grid(
 def _regular_points(
     start: float, stop: float, step: float, clocks: Sequence[Clock], instants: Sequence[RealArray], ticks: bool
 ) -> RealArray:
-    """Ticks and sample instants, each once; where they fall together, the tick's or the first clock's number."""
+    """Ticks and sample instants [s] without repetition; of coinciding ones the tick's time, or the first clock's."""
     # a common tick of the step and all sample times
     ratios = [(_ratio(clock, "sample time", step), _ratio(clock, "offset", step)) for clock in clocks]
     per_step = lcm(*(ratio.denominator for pair in ratios for ratio in pair))
@@ -190,7 +197,7 @@ def _regular_points(
             f"{1.0 / MAXIMUM_TICKS:g} of that step; take sample times that divide it or are multiples of it"
         )
     count = int((stop - start) / step + 1.0) if ticks else 0
-    # number each point in common ticks, and keep the first of equal numbers
+    # express each point in common ticks, and keep the first of equal ones
     numbers = [per_step * np.arange(count, dtype=np.int64)]
     times = [start + step * np.arange(count, dtype=np.float64)]
     for (period, first), each in zip(ratios, instants, strict=True):
@@ -201,10 +208,10 @@ def _regular_points(
 
 
 def _ratio(clock: Clock, what: str, step: float) -> Fraction:
-    """The clock's sample time or offset in communication steps.
+    """The clock's sample time or offset (``what``) divided by the communication step.
 
     Raises:
-        InputError: it is no fraction with a denominator up to `MAXIMUM_RATIO`.
+        InputError: the ratio is no fraction with a denominator up to `MAXIMUM_RATIO`.
     """
     value = clock.offset if what == "offset" else clock.sample_time
     exact = value / step
@@ -214,11 +221,11 @@ def _ratio(clock: Clock, what: str, step: float) -> Fraction:
             f"{step:.12g} s; take at least {step / MAXIMUM_RATIO:.12g} s, or a communication step of at most "
             f"{value * MAXIMUM_RATIO:.12g} s"
         )
-    # a fraction within rounding
+    # a fraction within rounding errors
     ratio = Fraction(exact).limit_denominator(MAXIMUM_RATIO)
     if abs(float(ratio) - exact) <= RATIO_TOLERANCE * exact:
         return ratio
-    # else times near by that fit, or a communication step
+    # else suggest times near by that fit, or another communication step
     below = Fraction(exact).limit_denominator(SUGGESTED_RATIO)
     whole = max(1, round(exact)) if exact > 0.5 else Fraction(1, round(1.0 / exact))
     fitting = " or ".join(
@@ -232,7 +239,7 @@ def _ratio(clock: Clock, what: str, step: float) -> Fraction:
 
 
 def merge(instants: Iterable[float], near: float) -> RealArray:
-    """Ascending instants, of each group of neighbours nearer than ``near`` the first."""
+    """The instants in ascending order, without those that follow the one before by ``near`` or less."""
     ascending = np.unique(np.fromiter(instants, dtype=np.float64))
     return ascending[np.diff(ascending, prepend=-np.inf) > near]
 
@@ -247,10 +254,11 @@ def _distance(times: RealArray, marks: RealArray) -> RealArray:
 
 
 def sample_instants(clock: Clock, start: float, stop: float, near: float = 0.0) -> RealArray:
-    """Instants start + offset + k * sample_time up to ``stop`` [s], or beyond it by no more than ``near``.
+    """Instants start + offset + k * sample_time up to ``stop`` + ``near`` [s].
 
     Raises:
-        InputError: the sample time isn't positive, the offset is negative, or there would be far too many instants.
+        InputError: the sample time isn't positive, the offset is negative or infinite, or there would be more than
+            `MAXIMUM_POINTS` instants.
     """
     if not 0.0 < clock.sample_time < np.inf or (stop - start) / clock.sample_time > MAXIMUM_POINTS:
         raise InputError(
@@ -258,13 +266,13 @@ def sample_instants(clock: Clock, start: float, stop: float, near: float = 0.0) 
         )
     if not 0.0 <= clock.offset < np.inf:
         raise InputError(f"{clock.name}: the offset must be zero or positive, got {clock.offset} s")
-    # each from its number, never from the one before
+    # calculate each instant from its index, so that rounding errors don't add up
     count = max(0, int((stop - start - clock.offset + near) / clock.sample_time + 1.0))
     return start + (clock.offset + clock.sample_time * np.arange(count, dtype=np.float64))
 
 
 def _nearest(times: RealArray, instants: RealArray) -> Flags:
-    """(N + 1,) which of the times are nearest to one of the instants."""
+    """(N + 1,) whether the time is the nearest one to an instant."""
     points: Flags = np.zeros(times.shape, dtype=np.bool_)
     after = np.searchsorted(times, instants).clip(1, times.size - 1)
     nearer_before = instants - times[after - 1] < times[after] - instants

@@ -1,4 +1,4 @@
-"""The instructions of a compiled run, and the structures that the C side reads."""
+"""The instructions of the loop in C, and the structures that the C code reads (``master.h``)."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from flexfmu.cosim.engine.master.plan import When
 from flexfmu.cosim.engine.slave import RealArray
 
 CALLBACK = CFUNCTYPE(c_int, c_size_t, c_double, c_double)
-"""A Python function that the C side calls with the index of the point, begin and end [s]; not zero to stop the run."""
+"""A Python function that C calls with the index of the point, begin and end [s]; it returns 0, else the run stops."""
 
 Failure = Callable[[int, float, float], BaseException]
-"""What went wrong, from the status, begin and end [s] of an instruction that has failed."""
+"""(status, begin [s], end [s]) of a failed instruction → the exception to raise."""
 
 _FIELDS = ("function", "component", "references", "orders", "columns", "places", "source", "target", "due")
 
 
 class Opcode(IntEnum):
-    """What an instruction does; the names of ``master.h``."""
+    """Kind of an instruction; the numbers of ``master.h``."""
 
     VALUES = 0
     DERIVATIVES = 1
@@ -79,15 +79,16 @@ class CProgress(Structure):
 
 @dataclass
 class Instruction:
-    """One instruction.
+    """One instruction of the loop in C.
 
     Attributes:
-        kind, when: what it does, and when.
+        kind: what it does.
+        when: at which points it is executed.
         owner: index of the slave that is called.
-        failure: makes the error where it fails.
-        numbers: its fields ``count`` and ``stride``, as far as it needs them.
-        addresses: its pointers, by field.
-        kept: what these point to.
+        failure: creates the exception if it fails.
+        numbers: values of the fields ``count`` and ``stride``, if it uses them.
+        addresses: field → pointer.
+        kept: the objects that the pointers refer to, to keep them alive.
     """
 
     kind: Opcode
@@ -99,7 +100,7 @@ class Instruction:
     kept: tuple[Any, ...] = ()
 
     def due(self, flags: NDArray[np.uint8]) -> None:
-        """Carry it out at the points that are flagged alone."""
+        """Execute the instruction only at the points whose flag is set."""
         self.when = When.WHEN_DUE
         self.addresses["due"] = flags.ctypes.data_as(c_void_p).value
         self.kept = (*self.kept, flags)
@@ -116,7 +117,7 @@ def pack(instructions: Sequence[Instruction]) -> Any:
 
 
 def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure) -> Instruction:
-    """fmi2GetReal, fmi2SetReal or their derivatives with bound arguments, see `Transfers`."""
+    """fmi2GetReal, fmi2SetReal, or the functions for their derivatives, with bound arguments."""
     _, references, count, *orders, target = call.args
     pointers = {**_reached(call), "references": references, "target": target}
     kind = Opcode.DERIVATIVES if orders else Opcode.VALUES
@@ -125,17 +126,17 @@ def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure) -
 
 
 def fmi_step(call: partial[int], owner: int, failure: Failure) -> Instruction:
-    """fmi2DoStep, never to go back to an earlier point."""
+    """fmi2DoStep with noSetFMUStatePriorToCurrentPoint = true: the slave is never rolled back."""
     return Instruction(Opcode.STEP, When.ALWAYS, owner, failure, {}, _reached(call), (call,))
 
 
 def _reached(call: partial[int]) -> dict[str, int | None]:
-    """An FMI function, and where the handle of the instance is that it is bound to."""
+    """Pointers to an FMI function and to the handle of its instance."""
     return {"function": pointer(call.func), "component": addressof(call.args[0])}
 
 
 def table_row(table: RealArray, signals: RealArray, owner: int, rows: int) -> Instruction:
-    """The first ``rows`` rows of ``signals`` from those of ``table`` (points, orders, n) at the point."""
+    """Copies the first ``rows`` rows of ``table[point]`` into ``signals``; ``table`` is (points, orders, n)."""
     stride = int(np.prod(table.shape[1:]))
     numbers = {"count": rows * signals.shape[1], "stride": stride}
     pointers: dict[str, int | None] = {"source": address(table), "target": address(signals)}
@@ -143,7 +144,7 @@ def table_row(table: RealArray, signals: RealArray, owner: int, rows: int) -> In
 
 
 def copy(source: RealArray, target: RealArray, when: When, owner: int) -> Instruction:
-    """``target`` becomes ``source``; both contiguous."""
+    """Copies ``source`` into ``target``; both are contiguous."""
     pointers: dict[str, int | None] = {"source": address(source), "target": address(target)}
     return Instruction(Opcode.COPY, when, owner, _never, {"count": source.size}, pointers, (source, target))
 
@@ -163,14 +164,14 @@ def gather(
 
 
 def finite(signals: RealArray, when: When, owner: int, failure: Failure) -> Instruction:
-    """Fails where a signal isn't finite."""
+    """Fails if a signal isn't finite."""
     return Instruction(
         Opcode.FINITE, when, owner, failure, {"count": signals.size}, {"target": address(signals)}, (signals,)
     )
 
 
 def python_callback(function: Callable[[int, float, float], object], when: When, owner: int) -> Instruction:
-    """A Python function; what it raises ends the run."""
+    """Calls a Python function; an exception that it raises ends the run."""
     raised: list[BaseException] = []
 
     def guarded(point: int, begin: float, end: float) -> int:
@@ -193,10 +194,10 @@ def pointer(function: Any) -> int | None:
 
 
 def flags(values: Sequence[bool] | NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Flags as the C side reads them."""
+    """Flags as bytes, as C reads them."""
     return np.array(values, dtype=c_ubyte)
 
 
 def _never(status: int, begin: float, end: float) -> BaseException:
-    """For instructions that can't fail."""
+    """The `Failure` of instructions that can't fail."""
     return AssertionError(f"status {status} of an instruction that can't fail")

@@ -1,6 +1,6 @@
-"""Which runs are simulated in a child process: those with code from elsewhere.
+"""Decides which runs are simulated in a child process: those with foreign code.
 
-The child records into memory that it shares with its parent, which looks on.
+The child records into memory that it shares with its parent, which watches its progress.
 """
 
 from __future__ import annotations
@@ -19,32 +19,33 @@ from flexfmu.cosim.engine.slave import Slave
 
 @dataclass(frozen=True)
 class Isolation:
-    """How runs are isolated.
+    """Settings of a run in a child process.
 
     Attributes:
-        call_limit: how long a slave may stay in one call [s].
+        call_limit: longest duration of one call of a slave [s].
     """
 
     call_limit: float = CALL_LIMIT
 
 
 def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *, theirs: bool) -> Isolation | None:
-    """How a run of these slaves is isolated; None for a run in this process.
+    """The isolation for a run of these slaves; None for a run in this process.
 
     Args:
-        wanted: what the user says; None for isolation where slaves are from elsewhere.
+        wanted: the user's choice; None isolates runs with foreign slaves, where the platform allows it.
         slaves: the slaves.
-        call_limit: how long a slave may stay in one call [s].
-        theirs: whether Python slaves are the caller's own objects, which the caller may read after the run.
+        call_limit: longest duration of one call of a slave [s].
+        theirs: whether Python slaves are the caller's own objects, which the caller may read after the run; if
+            ``wanted`` is None, such a run stays in this process.
 
     Raises:
-        InputError: isolation is wanted on a platform that doesn't have it.
+        InputError: isolation is wanted on a platform other than Linux.
     """
     if wanted and not AVAILABLE:
         raise InputError(
             f"isolate = true needs Linux, this is {sys.platform}: leave `isolate` out to run all slaves in this process"
         )
-    # slaves from elsewhere, but not objects whose owner may read them afterwards
+    # isolate foreign slaves, but not objects that the caller may read after the run
     if wanted is None:
         foreign = [slave for slave in slaves if is_foreign(slave)]
         objects = theirs and any(not hasattr(slave, "path") for slave in foreign)
@@ -53,7 +54,7 @@ def isolation(wanted: bool | None, slaves: Iterable[Slave], call_limit: float, *
 
 
 def is_foreign(slave: Slave) -> bool:
-    """Whether a slave runs code that isn't ours: an FMU of another tool, or a Python class from elsewhere."""
+    """Whether a slave runs foreign code: an FMU of another tool, or a Python class outside this package."""
     if isinstance(slave, FmuSlave | SampledFmu | FmuTask):
         return not open_fmu(slave.path).is_ours
     return not type(slave).__module__.startswith("flexfmu.")

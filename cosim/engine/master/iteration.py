@@ -1,4 +1,4 @@
-"""Solvers for loops of signals: find v with G(v) = v, where G passes the signals once round the loop."""
+"""Solvers for loops of signals: find v with G(v) = v, where G evaluates the slaves once round the loop."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Round = Callable[[RealArray], RealArray]
 
 @dataclass(frozen=True)
 class IterationResult:
-    """Where an iteration ended.
+    """Result of an iteration, converged or not.
 
     Attributes:
-        value: (n,) the last v that was passed round.
+        value: (n,) the last v at which G was evaluated.
         residual: (n,) G(v) - v.
         allowed: (n,) the largest residuals that count as zero.
-        rounds: how often signals were passed round.
+        rounds: number of evaluations of G.
     """
 
     value: RealArray
@@ -38,20 +38,20 @@ class IterationResult:
 
     @property
     def worst(self) -> int:
-        """Which residual is the largest, compared with what is allowed."""
+        """Index of the largest residual relative to the allowed one."""
         return int(np.argmax(abs(self.residual) / self.allowed))
 
 
 class LoopSolver(Protocol):
-    """Finds v with G(v) = v. The last v that it passes round is the solution that it returns."""
+    """Finds v with G(v) = v. The solution that it returns is the last v at which it evaluated G."""
 
     def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
-        """Iterate until the residuals count as zero, or give up.
+        """Iterate until the residuals count as zero, or the maximum number of rounds is reached.
 
         Args:
-            around: G.
-            guess: (n,) first v.
-            scale: (n,) magnitudes seen so far, for the relative tolerance; zero where there are none yet.
+            around: the function G.
+            guess: (n,) initial v.
+            scale: (n,) largest magnitudes of the signals so far, for the relative tolerance; zero if there are none.
         """
 
 
@@ -69,22 +69,22 @@ class Tolerance:
             )
 
     def allowed(self, scale: RealArray, *values: RealArray) -> RealArray:
-        """(n,) largest residuals that count as zero; the absolute one keeps them above zero."""
+        """(n,) largest residuals that count as zero; never zero themselves, thanks to the absolute tolerance."""
         magnitude = np.maximum.reduce([scale, *map(abs, values)])
         return np.asarray(self.relative * magnitude + self.absolute)
 
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """v ← v + relaxation * (G(v) - v).
+    """Fixed-point iteration v ← v + relaxation * (G(v) - v).
 
-    Converges where |1 - relaxation * (1 - g)| < 1 for every eigenvalue g of G's Jacobian: without relaxation (1) for
-    loop gains below one, with 0 < relaxation < 1 also for larger negative ones.
+    Converges if |1 - relaxation * (1 - g)| < 1 for every eigenvalue g of G's Jacobian: without relaxation (1) for
+    loop gains below one, with 0 < relaxation < 1 also for larger negative gains.
 
     Args:
         relaxation: above zero, at most one.
         tolerance: when a residual counts as zero.
-        rounds: give up after so many.
+        rounds: maximum number of rounds.
     """
 
     relaxation: float = 1.0
@@ -97,7 +97,7 @@ class FixedPoint:
         _check_rounds(self.rounds)
 
     def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
-        """Iterate until the residuals count as zero, or give up."""
+        """Iterate until the residuals count as zero, or the maximum number of rounds is reached."""
         value = guess
         for count in range(1, self.rounds + 1):
             passed = around(value)
@@ -110,15 +110,15 @@ class FixedPoint:
 
 @dataclass(frozen=True)
 class Anderson:
-    """Anderson's acceleration: a quasi-Newton method that learns the Jacobian from the last rounds.
+    """Anderson's acceleration: a quasi-Newton method that estimates the Jacobian from the last rounds.
 
     D. G. Anderson, J. ACM 12 (1965) 547; H. F. Walker and P. Ni, SIAM J. Numer. Anal. 49 (2011) 1715, eq. (2.1).
     A linear loop of n signals is solved in at most n + 2 rounds, whatever its gain, if depth ≥ n.
 
     Args:
-        depth: how many of the last rounds to learn from.
+        depth: number of last rounds that the estimate uses.
         tolerance: when a residual counts as zero.
-        rounds: give up after so many.
+        rounds: maximum number of rounds.
     """
 
     depth: int = 8
@@ -131,10 +131,11 @@ class Anderson:
         _check_rounds(self.rounds)
 
     def solve(self, around: Round, guess: RealArray, scale: RealArray) -> IterationResult:
-        """Iterate until the residuals count as zero, or give up."""
+        """Iterate until the residuals count as zero, or the maximum number of rounds is reached."""
         value = guess
         values: list[RealArray] = []
         residuals: list[RealArray] = []
+        # evaluate G once per round, and extrapolate from the last rounds
         for count in range(1, self.rounds + 1):
             passed = around(value)
             solution = IterationResult(value, passed - value, self.tolerance.allowed(scale, value, passed), count)
@@ -146,12 +147,12 @@ class Anderson:
 
 
 def _accelerated(values: list[RealArray], residuals: list[RealArray], allowed: RealArray) -> RealArray:
-    """The next v: where the linear model through the last rounds has the smallest residual, one round on."""
+    """The next v: the linear model of G through the last rounds, where its residual is smallest (least squares)."""
     value, residual = values[-1], residuals[-1]
     if len(values) == 1:
         return np.asarray(value + residual)
     value_steps, residual_steps = np.diff(np.stack(values), axis=0).T, np.diff(np.stack(residuals), axis=0).T
-    # residuals of different units are made comparable, and the columns of different rounds well conditioned
+    # weights make residuals of different units comparable; unit columns keep the least-squares problem well conditioned
     weighted = residual_steps / allowed[:, None]
     lengths = np.linalg.norm(weighted, axis=0)
     lengths[lengths == 0.0] = 1.0
@@ -160,6 +161,6 @@ def _accelerated(values: list[RealArray], residuals: list[RealArray], allowed: R
 
 
 def _check_rounds(rounds: int) -> None:
-    """At least one round."""
+    """Refuse less than one round."""
     if rounds < 1:
         raise InputError(f"a loop needs at least one round to be solved, got {rounds}")

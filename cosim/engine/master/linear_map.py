@@ -1,4 +1,4 @@
-"""Maps of signals on their way from an output to an input: conversions of units, linear transformations, and tables."""
+"""Maps from an output to an input: conversions of units, linear transformations, and tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class LinearMap:
     offset: float = 0.0
 
     def __call__(self, value: float) -> float:
-        """The mapped value; unchanged to the last bit by the identity."""
+        """The mapped value; the identity returns it bit for bit."""
         return value if self == IDENTITY else self.factor * value + self.offset
 
     @overload
@@ -25,7 +25,7 @@ class LinearMap:
     @overload
     def then(self, other: TableMap) -> TableMap: ...
     def then(self, other: SignalMap) -> SignalMap:
-        """This map, then the other."""
+        """The composition: this map first, then the other."""
         if isinstance(other, TableMap):
             return TableMap(other.pairs, self.then(other.before))
         if self == IDENTITY or other == IDENTITY:
@@ -34,37 +34,37 @@ class LinearMap:
 
 
 IDENTITY = LinearMap()
-"""Leaves everything as it is."""
+"""The identity."""
 
 
 @dataclass(frozen=True)
 class TableMap:
-    """Whole numbers, Booleans (0 and 1) or items of enumerations, each mapped to a number; nothing in between.
+    """Maps integers, Booleans (0 and 1) or enumeration items to numbers, without interpolation.
 
     Attributes:
-        pairs: whole numbers and what they are mapped to.
-        before: what is done to a signal before it is looked up, rounded.
+        pairs: integers and the numbers that they are mapped to.
+        before: linear map that is applied first; its result is rounded and looked up.
     """
 
     pairs: tuple[tuple[int, float], ...]
     before: LinearMap = IDENTITY
 
     def __call__(self, value: float) -> float:
-        """What the table has for the value.
+        """The table's number for the value.
 
         Raises:
-            InputError: it has nothing.
+            InputError: the table has no entry for it.
         """
         key = self.before(value)
         for source, target in self.pairs:
-            # as a number is rounded on its way into an Integer
+            # rounded as a Real that feeds an Integer
             if abs(source - key) <= 0.5:
                 return target
         known = ", ".join(str(source) for source, _ in self.pairs)
         raise InputError(f"the table of a connection has nothing for {key:g}, only for {known}; complete it")
 
     def then(self, other: SignalMap) -> TableMap:
-        """This map, then the other; values that the other doesn't know are left out."""
+        """The composition: this map first, then the other; values that the other has no entry for are left out."""
         return TableMap(tuple(_mapped(self.pairs, other)), self.before)
 
 
@@ -72,7 +72,7 @@ SignalMap = LinearMap | TableMap
 
 
 def _mapped(pairs: Iterable[tuple[int, float]], other: SignalMap) -> Iterable[tuple[int, float]]:
-    """The pairs with their targets mapped."""
+    """The pairs with their numbers mapped by ``other``, without those that it has no entry for."""
     for source, target in pairs:
         try:
             yield source, other(target)

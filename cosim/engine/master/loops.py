@@ -1,7 +1,7 @@
-"""Loops of signals between slaves: calls are repeated until the signals agree, at an instant or at the end of a step.
+"""Loops of signals between slaves: calls are iterated until the signals agree, at an instant or at the end of a step.
 
-The unknown signals of a loop are one vector v, and one round of calls maps it to G(v); a solver of
-`flexfmu.cosim.engine.master.iteration` finds v = G(v). Slaves are taken back to saved states before each round.
+The unknown signals of a loop form a vector v, and one round of calls maps it to G(v); a solver of
+`flexfmu.cosim.engine.master.iteration` finds v = G(v). Slaves are rolled back to saved states before each round.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ STEP_REMEDY = "take a smaller communication step, a solver with more rounds or a
 
 
 def check_can_save(slaves: Iterable[Slave], purpose: str) -> None:
-    """Refuse slaves that can't go back.
+    """Refuse slaves that can't be rolled back.
 
     Raises:
         InputError: a slave can't save and restore its state.
@@ -44,21 +44,21 @@ def check_can_save(slaves: Iterable[Slave], purpose: str) -> None:
 
 
 def needs_rollback(slave: Slave) -> bool:
-    """Whether the slave's state moves on in a step, so that repeating the step needs it saved.
+    """Whether the slave's state changes in a step, so that repeating the step needs a saved state.
 
-    A slave that predicts its outputs goes to any time by `prepare`; one that samples keeps its state over a step.
+    A slave that predicts its outputs can be set to any time by `prepare`; a sampled slave keeps its state over a step.
     """
     return not isinstance(slave, PredictsOutputs | Sampled)
 
 
 class StateKeeper:
-    """The states of slaves at the time when it is made; let go at the end of a ``with`` block."""
+    """Saved states of slaves, taken on construction and released at the end of a ``with`` block."""
 
     def __init__(self, slaves: Sequence[Slave]) -> None:
         self._states = [(slave, slave.save()) for slave in cast(Sequence[SavesState], slaves)]
 
     def restore(self) -> None:
-        """Go back; may be repeated."""
+        """Roll the slaves back; may be repeated."""
         for slave, state in self._states:
             slave.restore(state)
 
@@ -71,23 +71,23 @@ class StateKeeper:
         self.release()
 
     def release(self) -> None:
-        """Let the states go."""
+        """Release the states."""
         for slave, state in self._states:
-            # `ReleasesStates`, asked thousands of times
+            # faster than isinstance(slave, ReleasesStates), since it is checked thousands of times
             if (release := getattr(slave, "release", None)) is not None:
                 release(state)
         self._states = []
 
 
 class LoopSignals:
-    """Some columns of some ports, with the derivatives that go round the loop.
+    """The unknown signals of a loop, with their derivatives, as one vector.
 
     Args:
-        signals: port → (columns (n,), how many rows of its signals).
+        signals: port → (columns (n,) of its signals, number of rows: 1 for values alone, more with derivatives).
 
     Attributes:
         size: number of unknowns.
-        scale: (size,) largest magnitudes of solutions so far.
+        scale: (size,) largest magnitudes of the solutions so far in the run.
     """
 
     def __init__(self, signals: Mapping[OutputPort, tuple[Indices, int]]) -> None:
@@ -100,18 +100,18 @@ class LoopSignals:
         self.scale = np.zeros(begin)
 
     def reset(self) -> None:
-        """Forget the solutions of a run before."""
+        """Discard the magnitudes of an earlier run."""
         self.scale.fill(0.0)
 
     def gather(self) -> RealArray:
-        """(size,) the current signals."""
+        """(size,) the ports' current signals."""
         values = np.empty(self.size)
         for port, columns, rows, where in self._parts:
             values[where] = port.signals[:rows, columns].ravel()
         return values
 
     def scatter(self, values: RealArray) -> None:
-        """Make these the current signals."""
+        """Write ``values`` (size,) into the ports' current signals."""
         for port, columns, rows, where in self._parts:
             port.signals[:rows, columns] = values[where].reshape(rows, -1)
 
@@ -122,7 +122,7 @@ class LoopSignals:
                 values[where] = port.signals[:rows, columns].ravel()
 
     def extrapolated(self, step: float) -> RealArray:
-        """(size,) the signals after a step [s], by their Taylor polynomials."""
+        """(size,) the signals after a step [s], extrapolated by Taylor polynomials."""
         values = np.empty(self.size)
         for port, columns, rows, where in self._parts:
             known = port.signals[:, columns]
@@ -134,7 +134,7 @@ class LoopSignals:
         return values
 
     def accept(self, solution: IterationResult, loop: str, time: float, remedy: str) -> RealArray:
-        """(size,) the signals that came back from the last round.
+        """(size,) G(v) of the last round, after the magnitudes have been updated.
 
         Raises:
             LoopError: the iteration has not converged.
@@ -145,7 +145,7 @@ class LoopSignals:
         return solution.value + solution.residual
 
     def _complaint(self, solution: IterationResult, loop: str, time: float, remedy: str) -> str:
-        """What is left after the last round, and where."""
+        """Message with the largest residual after the last round."""
         worst = solution.worst
         residual, allowed = abs(solution.residual[worst]), solution.allowed[worst]
         return (
@@ -154,7 +154,7 @@ class LoopSignals:
         )
 
     def _name(self, index: int) -> str:
-        """Name of an unknown."""
+        """Name of the unknown with this index, with its unit if known."""
         for port, columns, _, where in self._parts:
             if index < where.stop:
                 order, column = divmod(index - where.start, columns.size)
@@ -166,12 +166,12 @@ class LoopSignals:
 
 @dataclass(frozen=True, slots=True)
 class LoopCall:
-    """One call on the way round a loop.
+    """One call in a round of a loop.
 
     Attributes:
         slave: index of the slave that is called.
         call: the call.
-        read: port that it reads; None where it reads nothing.
+        read: port whose signals it reads; None if it reads nothing.
     """
 
     slave: int
@@ -184,11 +184,11 @@ class InstantLoop:
 
     Args:
         loop: the loop.
-        calls: what is done on the way round.
-        sampling: slaves that sample on the way in one call, and whether they do so at each point: they are repeated from
-            saved states.
-        signals: its unknowns.
-        active: index of the slave that is being called.
+        calls: the calls of one round.
+        sampling: slaves of the loop that sample in one call, and whether each is due at each point; they are rolled
+            back before each round.
+        signals: unknowns of the loop.
+        active: set to the index of the slave that is being called.
     """
 
     def __init__(
@@ -212,14 +212,14 @@ class InstantLoop:
         with StateKeeper([slave for slave, due in self._sampling if due[point]]) as states:
 
             def around(values: RealArray) -> RealArray:
-                """One round with the unknowns assumed; what comes back."""
+                """One round of calls from the assumed unknowns; G(v)."""
                 states.restore()
                 passed = np.empty_like(values)
                 signals.scatter(values)
                 for each in self._calls:
                     active.value = each.slave
                     each.call(point, begin, end)
-                    # what is read comes back; those that follow are fed with what is assumed
+                    # keep what the call has read, and feed the following slaves with the assumed values
                     if each.read is not None:
                         signals.take(each.read, passed)
                         signals.scatter(values)
@@ -230,18 +230,18 @@ class InstantLoop:
 
 
 class IteratedStep:
-    """Repeats a step of slaves that feed each other until the signals at its end agree.
+    """Iterates a step of slaves in a closed loop until the signals at its end agree.
 
     Args:
-        solver: finds these signals.
+        solver: solves for these signals.
         name: the loop, for messages.
-        slaves: the slaves.
-        calls: what is done in a step.
-        signals: the unknowns: what is assumed about the end of the step.
-        active: index of the slave that is being called.
+        slaves: the slaves of the loop.
+        calls: the calls of one step.
+        signals: the unknowns, assumed signals at the end of the step.
+        active: set to the index of the slave that is being called.
 
     Raises:
-        InputError: a slave can't go back.
+        InputError: a slave can't save and restore its state.
     """
 
     def __init__(
@@ -258,7 +258,7 @@ class IteratedStep:
         self._signals, self._active = signals, active
 
     def solve(self, point: int, begin: float, end: float) -> None:
-        """Step to ``end`` so that what is assumed about the signals there comes back.
+        """Step to ``end`` with assumed signals that agree with the ones reached.
 
         Raises:
             LoopError: the iteration has not converged.
@@ -266,7 +266,7 @@ class IteratedStep:
         with StateKeeper(self._slaves) as states:
 
             def around(values: RealArray) -> RealArray:
-                """One step of all with the signals at the end assumed; what comes back."""
+                """One step of all slaves with the assumed signals at its end; G(v)."""
                 states.restore()
                 self._signals.scatter(values)
                 for each in self._calls:
@@ -274,7 +274,7 @@ class IteratedStep:
                     each.call(point, begin, end)
                 return self._signals.gather()
 
-            # the first guess continues the signals over the step
+            # initial guess: extrapolate the signals over the step
             guess = self._signals.extrapolated(end - begin)
             solution = self._solver.solve(around, guess, self._signals.scale)
         self._signals.accept(solution, self._name, end, STEP_REMEDY)

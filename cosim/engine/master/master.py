@@ -1,4 +1,4 @@
-"""The master: advances a system of slaves on one time grid and records what they do."""
+"""The master: simulates a system of slaves on one time grid and records their outputs."""
 
 from __future__ import annotations
 
@@ -30,32 +30,35 @@ def simulate(
 ) -> Simulation:
     """Co-simulate a system from ``start`` to ``stop`` [s].
 
-    Communication points are start + n * step, every breakpoint and every sample instant, hit exactly. At one instant
+    Communication points are start + n * step, every breakpoint and every sample instant, met exactly. At one instant
     outputs are exchanged in the order of direct feedthrough, and algebraic loops are solved if the system has a solver.
-    Over a step an input follows the polynomial that its source announced; else it interpolates between both ends of the
-    step or extrapolates from its beginning, as the algorithm has it. Its degree follows from the derivatives that
-    source and target can handle.
+    Over a step an input follows the polynomial that its source predicts, if it does; else the algorithm interpolates it
+    between both ends of the step or extrapolates it from the beginning. The degree of the polynomial follows from the
+    derivatives that the source gives and the target takes.
 
-    Every run ends by terminating the slaves. A failing slave doesn't raise: the outcome says so, and the recording has
-    everything up to the last completed step.
+    Every run ends by terminating the slaves. A failing slave doesn't raise an exception: see `Simulation.outcome`; the
+    recording ends with the last completed step.
 
     Args:
         system: slaves and connections.
         stop, start: [s].
-        step: communication step [s]; with step control the first one.
+        step: communication step [s]; with step control the length of the first one.
         tolerance: relative tolerance for the slaves' own integrators; None for their default.
-        progress: called now and then with the simulated fraction.
+        progress: called during the run with the simulated fraction, 0..1.
         algorithm: how slaves are coupled over a step: `GaussSeidel` (when None), `Jacobi` or `Implicit`.
         step_control: chooses the communication steps; None for a constant step.
-        compiled: True or None to run the loop over the points in C where the system allows it (no steps are repeated)
-            and there is a C compiler, False for Python; the numbers are the same.
+        compiled: True or None to run the loop over the points in C if the system allows it (no step control, no loops
+            to iterate) and there is a C compiler, False for Python; the results are the same.
         record: which outputs to record, with how many derivatives.
-        isolation: for a run in a child process: a slave that crashes, exits or hangs ends the run alone; what slaves change
-            in themselves stays there. None for this process.
+        isolation: settings of a run in a child process, where a slave that crashes, exits or hangs ends only the run;
+            what slaves change in their own attributes stays there. None for this process.
+
+    Returns:
+        Recording, outcome, message and delays.
 
     Raises:
-        InputError: the time grid makes no sense, a sample time doesn't fit it, a slave would have to be taken back to an
-            earlier state but can't, or there is no such signal to record.
+        InputError: the time grid is invalid, a sample time doesn't fit it, a slave needs equal steps but doesn't get
+            them, a slave would have to be rolled back but can't save its state, or a signal to record doesn't exist.
     """
     simulator = Simulator(
         system,

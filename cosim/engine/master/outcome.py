@@ -1,4 +1,4 @@
-"""How a simulation ends: its outcome, what it was in one line, and what it leaves."""
+"""The result of a simulation: its outcome, a message in one line, and the recording."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ class Outcome(Enum):
 
     @property
     def is_failure(self) -> bool:
-        """Whether the run came to no normal end."""
+        """Whether the run failed: neither its stop time nor a slave ended it."""
         return self not in (Outcome.COMPLETED, Outcome.ENDED_BY_SLAVE)
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """What a run gave.
+    """Result of a run.
 
     Attributes:
-        recording: all outputs, named ``slave.variable``, up to where the run came.
-        outcome: how it ended.
-        message: what happened, in one line: which slave, when, and its own words.
-        error: the exception that ended the run; None when it came to its stop time, or a slave asked to end it.
-        steps: completed communication steps.
-        rejected: steps that step control took back and repeated with a smaller one.
-        delays: for each connection how late its signals arrive.
+        recording: the recorded outputs, named ``slave.variable``, up to the time that the run reached.
+        outcome: how the run ended.
+        message: what happened, in one line: the slave, the time, and the slave's message.
+        error: the exception that ended the run; None if it reached its stop time or a slave asked to end it.
+        steps: number of completed communication steps.
+        rejected: number of steps that step control rolled back and repeated with a smaller length.
+        delays: the delay of each connection.
     """
 
     recording: Recording
@@ -62,7 +62,12 @@ class Simulation:
 
 
 def outcome_of(error: BaseException | None, initialized: bool) -> Outcome:
-    """How the run ended."""
+    """The outcome of a run that ended with this error.
+
+    Args:
+        error: the exception; None if the run reached its stop time.
+        initialized: whether all slaves had been initialised.
+    """
     if error is None:
         return Outcome.COMPLETED
     if isinstance(error, KeyboardInterrupt):
@@ -74,13 +79,20 @@ def outcome_of(error: BaseException | None, initialized: bool) -> Outcome:
         NotFiniteError: Outcome.NOT_FINITE,
         SlaveEnded: Outcome.ENDED_BY_SLAVE,
     }
-    # any other error, and any before the first step, by when it came
+    # any other error, and any during initialisation
     other = Outcome.STEP_FAILED if initialized else Outcome.INITIALISATION_FAILED
     return next((kind for error_type, kind in kinds.items() if isinstance(error, error_type) and initialized), other)
 
 
 def message_of(error: BaseException | None, outcome: Outcome, active: str, reached: float) -> str:
-    """What happened, in one line."""
+    """What happened, in one line.
+
+    Args:
+        error: the exception that ended the run, if any.
+        outcome: of the run.
+        active: name of the slave that was called last.
+        reached: time that the run reached [s].
+    """
     if error is None or isinstance(error, KeyboardInterrupt):
         return outcome.value
     if isinstance(error, LoopError | StepSizeError | WorkError):
@@ -91,7 +103,7 @@ def message_of(error: BaseException | None, outcome: Outcome, active: str, reach
         reason = (
             f"it called sys.exit({'' if error.code is None else repr(error.code)}); raise an exception to end a run"
         )
-    # the slave's own time, if it knows it better
+    # the slave's own time, if it reports one
     known: float | None = getattr(error, "time", None)
     when = f" at {reached if known is None else known:.9g} s"
     if outcome is Outcome.ENDED_BY_SLAVE:
@@ -100,7 +112,7 @@ def message_of(error: BaseException | None, outcome: Outcome, active: str, reach
 
 
 def blown_up(found: Instability, ending: str) -> str:
-    """What happened, in one line."""
+    """Message about a growing signal, in one line; ``ending`` is the message of the run's end, or empty."""
     return (
         f"{found.signal} grows {found.growth:.3g}-fold from step to step since {found.since:.9g} s: the coupling is unstable "
         f"(or the step far too coarse for the system); take a smaller communication step, Implicit() coupling, or slaves "
@@ -109,12 +121,12 @@ def blown_up(found: Instability, ending: str) -> str:
 
 
 def overshot(found: Instability, fed: Iterable[str], ending: str) -> str:
-    """What happened, in one line.
+    """Message about an alternating signal, in one line.
 
     Args:
         found: the signal.
-        fed: names of the slaves that it goes to.
-        ending: how the run ended; empty if it came to its stop time.
+        fed: names of the slaves that it feeds.
+        ending: message of the run's end; empty if it reached its stop time.
     """
     return (
         f"{found.signal}, which goes to {', '.join(fed)}, jumps up and down {found.growth:.3g} times as far from step to step "

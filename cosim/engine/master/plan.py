@@ -1,11 +1,11 @@
-"""The plan of a run: which slave is initialised, announced, set, sampled, read and stepped, in which order.
+"""The plan of a run: the order in which slaves are initialised, set, sampled, read and stepped.
 
-A run alternates between steps and exchanges. Over a step all slaves are advanced to the next communication point. There the
-exchange makes them ready for the next step: slaves that predict their outputs announce them, signals are passed on in the order
-of direct feedthrough while sampled slaves sample, and derivatives go round closed loops once more where signals jump.
+A run alternates between steps and exchanges. A step takes all slaves to the next communication point. The exchange
+there prepares the next step: slaves that predict their outputs announce them, signals are passed on in the order of
+direct feedthrough while sampled slaves sample, and where signals jump, derivatives are passed round closed loops again.
 
 The plan is data. `flexfmu.cosim.engine.master.schedule` binds each operation to a Python call;
-`flexfmu.cosim.engine.master.program` translates the same operations for the loop in C.
+`flexfmu.cosim.engine.master.program` translates the same operations into instructions for the loop in C.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from flexfmu.cosim.engine.slave import PredictsOutputs, Sampled, SamplesInTwoPha
 
 
 class Action(Enum):
-    """What is done to a slave."""
+    """Kind of an operation on a slave."""
 
     ANNOUNCE = auto()
-    """It changes over to its polynomials of the coming step, which are read."""
+    """It announces the polynomials of its outputs over the next step, which are read."""
     FEED = auto()
-    """Its inputs are set from the outputs at the current instant."""
+    """Its inputs are set to the connected outputs at the current instant."""
     SAMPLE = auto()
-    """It samples: new outputs, and on to its next state."""
+    """It samples in one call: new outputs and new state."""
     OUTPUT = auto()
-    """It calculates the outputs of a sample; its state stays."""
+    """It calculates the outputs of a sample, without changing its state."""
     UPDATE = auto()
-    """It moves on to the next state of a sample."""
+    """It calculates the new state of a sample, without changing its outputs."""
     READ = auto()
-    """Its outputs are read and checked."""
+    """Its outputs are read and checked to be finite."""
     REMEMBER = auto()
-    """The signals at the beginning of the step are kept, for interpolation."""
+    """The signals that feed it are kept at the beginning of the step, for interpolation."""
     INTERPOLATE = auto()
-    """Its inputs are set to polynomials between both ends of the step."""
+    """Its inputs are set to polynomials that interpolate between both ends of the step."""
     STEP = auto()
     """It is stepped."""
     SOLVE = auto()
-    """The operations of a loop are repeated until its signals agree."""
+    """The operations of a loop are iterated until its signals agree."""
 
 
 class When(IntEnum):
-    """When an operation is carried out; the numbers of ``master.h``."""
+    """At which points an operation is executed; the numbers of ``master.h``."""
 
     ALWAYS = 0
     AT_JUMPS = 1
@@ -57,14 +57,14 @@ class When(IntEnum):
 
 
 class Operation(NamedTuple):
-    """One call, or a loop of calls.
+    """One operation on a slave, or the iteration of a loop.
 
     Attributes:
-        action: what is done.
-        slave: to which slave, by its index; of a loop the first one.
-        when: under which condition.
-        loop: what is solved, at an instant or over a step.
-        body: the operations that are repeated to solve it.
+        action: kind of operation.
+        slave: index of the slave; of a loop the first one.
+        when: at which points it is executed.
+        loop: the loop to solve, at an instant or over a step; None for other operations.
+        body: the operations of one round of the loop.
     """
 
     action: Action
@@ -82,10 +82,11 @@ class Plan:
     """All operations of a run, in order.
 
     Attributes:
-        start: slaves in the order in which they are initialised and read, each with outputs of those before it.
-        step: from one communication point to the next.
-        passing: signals go from output to input, once, at an instant.
-        exchange: at a communication point.
+        start: indices of the slaves in the order in which they are initialised and read; the inputs of each are set to
+            the outputs of those before it.
+        step: operations from one communication point to the next.
+        passing: operations that pass all signals from outputs to inputs at an instant, and sample.
+        exchange: operations at a communication point; they contain ``passing``.
     """
 
     start: tuple[int, ...]
@@ -95,7 +96,7 @@ class Plan:
 
     @property
     def has_loops(self) -> bool:
-        """Whether operations are repeated until signals agree."""
+        """Whether a loop is iterated."""
         return any(each.action is Action.SOLVE for each in (*self.step, *self.exchange))
 
 
@@ -104,10 +105,10 @@ def make_plan(system: System, couplings: Couplings, algorithm: Algorithm) -> Pla
 
     Args:
         system: slaves and connections.
-        couplings: (source, target) → how its signals get there.
+        couplings: (source, target) → their coupling.
         algorithm: how slaves are coupled over a step.
     """
-    # what a slave does at its sample instants: all in one call, or outputs first
+    # sampled slaves: in one call, or in two phases with the outputs first
     sampling = {
         i: Action.OUTPUT if isinstance(slave, SamplesInTwoPhases) else Action.SAMPLE
         for i, slave in enumerate(system.slaves)
@@ -115,21 +116,21 @@ def make_plan(system: System, couplings: Couplings, algorithm: Algorithm) -> Pla
     }
     positions = sampling_positions(system)
     passing = _passing(system, stale_after_step(system, couplings), sampling, positions)
-    # at a communication point: polynomials of the coming step first, since what is passed on depends on them
+    # exchange: polynomials of the next step first, since the signals passed on depend on them
     exchange = [
         Operation(Action.ANNOUNCE, i) for i, slave in enumerate(system.slaves) if isinstance(slave, PredictsOutputs)
     ]
     exchange += passing
-    # the k-th derivative of an output depends on derivatives of the inputs up to the k-th: in closed loops one more of
-    # them is right after each further round
+    # the k-th derivative of an output depends on derivatives of the inputs up to the k-th: in closed loops each further
+    # round makes one more derivative correct
     exchange += _without_samples(passing) * loop_order(system, couplings)
-    # all slaves have sampled: those that sample in two phases may move on to their next states
+    # after all outputs: new states of the slaves that sample in two phases
     exchange += [
         Operation(Action.UPDATE, i, When.WHEN_DUE)
         for i in sorted(positions, key=lambda i: positions[i])
         if sampling.get(i) is Action.OUTPUT
     ]
-    # slaves are initialised in the order of the exchange, so that each finds the outputs of those before it
+    # slaves are initialised in the order of the exchange, so that their inputs can be set from those before
     start = tuple(dict.fromkeys([*system.exchange_steps, *range(len(system.slaves))]))
     return Plan(start, _step(system, couplings, algorithm), passing, tuple(exchange))
 
@@ -137,28 +138,29 @@ def make_plan(system: System, couplings: Couplings, algorithm: Algorithm) -> Pla
 def _passing(
     system: System, stale: frozenset[int], sampling: Mapping[int, Action], positions: Mapping[int, int]
 ) -> Operations:
-    """Set, sample and read one slave after the other, loops in their place.
+    """Operations that set, sample and read one slave after the other; loops are solved in their place.
 
     Args:
         system: slaves and connections.
-        stale: slaves whose outputs must be read anew even where nothing jumps.
-        sampling: what slaves do at their sample instants.
-        positions: exchange step of each slave in which it samples in one call; outputs alone are calculated in all of its.
+        stale: slaves whose outputs must be read again even where nothing jumps.
+        sampling: sampled slave → `Action.SAMPLE` or `Action.OUTPUT`.
+        positions: slave → exchange step in which it samples in one call; in two phases it calculates its outputs in
+            each of its exchange steps.
     """
     operations: list[Operation] = []
-    # each exchange step in its place, and which number it has
+    # exchange steps in order; position is the number of the step
     connected = {each.target for each in system.connections}
     position = 0
     for each in system.exchange_order:
         members = each.slaves if isinstance(each, AlgebraicLoop) else (each,)
         body: list[Operation] = []
         for i in members:
-            # which samples belong to this exchange step
+            # a sample, if it belongs to this exchange step
             samples: list[Operation] = []
             if i in sampling and (sampling[i] is Action.OUTPUT or positions[i] == position):
                 samples = [Operation(sampling[i], i, When.WHEN_DUE)]
             position += 1
-            # without inputs and samples there is nothing to do
+            # slaves without connected inputs and samples need no operation
             if i in connected or samples:
                 read = When.ALWAYS if i in stale or isinstance(each, AlgebraicLoop) else When.AT_JUMPS
                 body += [Operation(Action.FEED, i), *samples, Operation(Action.READ, i, read)]
@@ -169,7 +171,7 @@ def _passing(
 
 
 def _without_samples(operations: Iterable[Operation]) -> Operations:
-    """The same operations for a further round where signals jump: no slave samples again."""
+    """The same operations without samples, for a further round where signals jump."""
     return tuple(
         each._replace(when=When.AT_JUMPS, body=_without_samples(each.body))
         for each in operations
@@ -178,19 +180,19 @@ def _without_samples(operations: Iterable[Operation]) -> Operations:
 
 
 def _step(system: System, couplings: Couplings, algorithm: Algorithm) -> Operations:
-    """Advance all slaves that are stepped, sources first; those that feed each other are repeated on demand."""
+    """Operations of a step: all stepped slaves, sources first; closed loops are iterated if the algorithm says so."""
     groups = step_groups(system, algorithm)
     interpolating = {target for (_, target), coupling in couplings.items() if coupling.ends is not None}
-    # all signals at the beginning of the step, before any of them moves on
+    # keep all signals at the beginning of the step, before any slave is stepped
     operations = [Operation(Action.REMEMBER, i) for group in groups for i in group.slaves if i in interpolating]
     for group in groups:
         body: list[Operation] = []
         for i in group.slaves:
-            # inputs whose sources are at the end already, then the step
+            # interpolate the inputs whose sources are at the end already, then step
             if i in interpolating:
                 body.append(Operation(Action.INTERPOLATE, i))
             body += [Operation(Action.STEP, i), Operation(Action.READ, i)]
-        # a group that is repeated is one operation
+        # an iterated group is one operation
         if group.solver is not None:
             body = [Operation(Action.SOLVE, group.slaves[0], loop=group, body=tuple(body))]
         operations += body
@@ -198,7 +200,7 @@ def _step(system: System, couplings: Couplings, algorithm: Algorithm) -> Operati
 
 
 def sampling_positions(system: System) -> Mapping[int, int]:
-    """Slave → position in `System.exchange_steps` at which all inputs are up to date that it samples in one call."""
+    """Slave → index in `System.exchange_steps` at which all inputs for a sample in one call are up to date."""
     positions: dict[int, int] = {}
     in_loop: dict[int, int] = {}
     position = 0
@@ -208,5 +210,5 @@ def sampling_positions(system: System) -> Mapping[int, int]:
             if isinstance(each, AlgebraicLoop):
                 in_loop[slave] = position
             position += 1
-    # a slave in a loop samples there: the loop is solved with its output
+    # a slave in an algebraic loop samples within the loop, which is solved with its outputs
     return positions | in_loop
