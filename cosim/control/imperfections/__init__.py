@@ -1,1 +1,1 @@
-"""What real drives and sensors do to signals: delay, lag, noise, quantisation, jitter, limits."""
+"""Imperfections of drives and sensors: delay, lag, noise, quantisation, jitter, limits, payload error."""

@@ -1,4 +1,4 @@
-"""The signals that pass through an imperfection, and wiring by their names."""
+"""The signals that pass through an imperfection, their connections, and the memory of their past values."""
 
 from __future__ import annotations
 
@@ -22,18 +22,21 @@ from flexfmu.fmu_build.units import unit_exponents
 from flexfmu.model.scene.imperfections import EncoderSection, SignalSection
 
 JOINT_UNITS: dict[str, str] = {str(kind): unit for kind, unit in UNITS.items()} | {"torque": "N.m"}
-"""What a joint has: kind of signal → unit."""
+"""Kind of a joint's signal → unit."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A signal that passes through a block: output ``name``, as the signal's receiver knows it, and input ``name.input``.
+    """A signal that passes through a block: the block's input is ``name.input``, its output ``name``, as the receiver's input.
 
     Attributes:
         name: the signal's name, for example ``joint1.position``.
         unit: its unit, for example ``rad``; ``1`` for none.
-        initial: the signal before the first sample, in ``unit``; a parameter ``name.initial`` of the block. None for
-            blocks that pass the first sample on at once: they start with its value.
+        initial: value before the first sample, in ``unit``; a parameter ``name.initial`` of the block. None takes the value
+            of the first sample, in blocks with direct feedthrough.
+
+    Raises:
+        InputError: the name is empty, the unit unknown, or the initial value not finite.
     """
 
     name: str
@@ -59,11 +62,11 @@ class Channel:
 def joint_channels(
     kind: str, initial: Sequence[float | None] | NDArray[np.float64] = (), joints: Sequence[str] = JOINTS
 ) -> tuple[Channel, ...]:
-    """The joints' channels ``joint1.<kind>``, ``joint2.<kind>``.
+    """Return the joints' channels ``joint1.<kind>``, ``joint2.<kind>``.
 
     Args:
         kind: position [rad], velocity [rad/s], acceleration [rad/s2] or torque [N.m].
-        initial: value before the first sample for each joint, a list or an array; empty for none.
+        initial: value before the first sample for each joint (joints,); empty for none.
         joints: names of the joints.
 
     Raises:
@@ -71,30 +74,30 @@ def joint_channels(
     """
     if kind not in JOINT_UNITS:
         raise InputError(f"joints have {', '.join(JOINT_UNITS)}; got {kind!r}")
-    # a list or an array with one number for each joint; empty for none
+    # one number for each joint, or none at all
     starts = list(initial) if isinstance(initial, Sequence | np.ndarray) and np.ndim(np.asarray(initial)) == 1 else [""]
     numbers = all(each is None or isinstance(each, Real) for each in starts)
     if not numbers or len(starts) not in (0, len(joints)):
         raise InputError(f"initial must be one number for each of {', '.join(joints)}, got {initial!r}")
-    # no initial values leave the channels without any
+    # empty: channels without initial values
     values = [None if each is None else float(each) for each in starts] or [None] * len(joints)
     unit = JOINT_UNITS[kind]
     return tuple(Channel(f"{joint}.{kind}", unit, value) for joint, value in zip(joints, values, strict=True))
 
 
 REFERENCE_KINDS = ("position", "velocity", "acceleration")
-"""All of a reference, for an imperfection that delays it."""
+"""Kinds of a reference that a delaying imperfection acts on: all of them."""
 
 
 def section_channels(
     section: SignalSection, context: LoopContext, kinds: Sequence[str] = ("position",)
 ) -> tuple[Channel, ...]:
-    """The signals of a section of the scene file, with their values before the start.
+    """Return the channels of a section of the scene file, with their values before the first sample.
 
     Args:
         section: the section.
-        context: knows the values.
-        kinds: which signals of a reference the imperfection acts on.
+        context: has the values before the first sample.
+        kinds: kinds that the imperfection acts on, where its signal is the reference.
     """
     if section.signal != "reference":
         return joint_channels(section.signal, context.before(section.signal))
@@ -110,19 +113,19 @@ class Sampling(TypedDict):
 
 
 def sampling(section: SignalSection | EncoderSection, context: LoopContext) -> Sampling:
-    """Sample time and offset [s] of a section's block."""
+    """Return sample time and offset [s] of a section's block."""
     return Sampling(sample_time=section.sample_time or context.sample_time, offset=section.offset)
 
 
 def chain(channels: Sequence[Channel], *slaves: str) -> list[tuple[str, str]]:
-    """Connections that lead channels from the first slave through imperfections to the last.
+    """Return the connections of channels from the first slave through imperfections to the last.
 
     ``chain(channels, "plant", "encoder", "noise", "pd")`` connects ``plant.joint1.position`` to
     ``encoder.joint1.position.input``, ..., ``noise.joint1.position`` to ``pd.joint1.position``.
 
     Args:
-        channels: the channels; only names count.
-        slaves: names of source, imperfections in order, receiver.
+        channels: the channels; only their names matter.
+        slaves: names of the source, the imperfections in order, and the receiver.
 
     Returns:
         Pairs for `flexfmu.cosim.engine.master.system.connect`.
@@ -140,19 +143,19 @@ def chain(channels: Sequence[Channel], *slaves: str) -> list[tuple[str, str]]:
 
 
 def empty(size: int) -> list[float]:
-    """Start states of a memory of ``size`` numbers."""
+    """Return the start states of an empty memory of ``size`` numbers: a flag, 1 after the first sample, then the numbers."""
     return [0.0] * (1 + size)
 
 
 def repeated(values: Vector, times: int) -> Vector:
-    """A vector (n,) several times, (times * n,); a row of copies is one operation in CasADi, a column isn't."""
+    """Return copies of a vector (n,) one below the other, (times * n,), by a single operation of CasADi."""
     return casadi.vec(casadi.repmat(values, 1, times))
 
 
 def cut(vector: Vector, *sizes: int) -> list[Vector]:
-    """A column vector in pieces of these sizes, which may be zero; what remains is left out.
+    """Split a column vector into pieces of these sizes, which may be zero; what remains is dropped.
 
-    A slice of a vector of length one that takes nothing would be an empty row, which counts when vectors are stacked.
+    Slices won't do: an empty slice of a vector of length one has the shape (1, 0), which `vertcat` doesn't drop.
     """
     edges = list(accumulate(sizes, initial=0))
     pieces: list[Vector] = casadi.vertsplit(vector, [*edges, vector.numel()])
@@ -160,10 +163,10 @@ def cut(vector: Vector, *sizes: int) -> list[Vector]:
 
 
 def recall(x: Vector, start: Vector) -> Vector:
-    """The memory (size,), or ``start`` (size,) at the first sample."""
+    """Return the memory (size,) from the states, or ``start`` (size,) at the first sample."""
     return casadi.if_else(x[0], x[1:], start)
 
 
 def remember(*values: Vector) -> Vector:
-    """The states that hold some vectors until the next sample."""
+    """Return the next states, which store these vectors until the next sample."""
     return casadi.vertcat(1.0, *values)

@@ -1,4 +1,4 @@
-"""Delay of signals by whole samples or parts of them."""
+"""Delay of signals by whole samples or fractions of them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from flexfmu.model.scene import imperfections as scene
 from flexfmu.model.symbolic import SymbolicBlock
 
 VECTORISED_FROM = 100
-"""Memories of at least this size move in one piece; below, single scalar operations are faster."""
+"""Size of the memory from which vector operations (MX) are faster than scalar ones (SX)."""
 
 
 def whole_delay(
@@ -50,10 +50,10 @@ def whole_delay(
     offset: float = 0.0,
     name: str = "delay",
 ) -> SymbolicBlock:
-    """y_k = u_k-n, exactly; the channels' initial values up to then. n = 0 passes everything on.
+    """Build the block y_k = u_k-n, exact; the first n outputs are the channels' initial values.
 
     Args:
-        channels: what is delayed, with initial values (needless for n = 0).
+        channels: signals to delay, with initial values unless n = 0.
         samples: n, zero or positive.
         sample_time, offset: [s].
         name: name of the block.
@@ -75,13 +75,14 @@ def delay(
     interpolation: Interpolation = LINEAR,
     name: str = "delay",
 ) -> SymbolicBlock:
-    """y(t_k) = u(t_k - time) with the signal between the samples interpolated; a whole number of samples is exact.
+    """Build the block y(t_k) = u(t_k - time), interpolated between the samples; a whole number of samples is exact.
 
-    Delays of one sample and more don't depend on the input of the same instant and break algebraic loops. Before the
-    first sample signals are at the channels' initial values, or at the first input where a delay passes that on at once.
+    A delay of whole samples before the filter leaves no direct feedthrough and breaks algebraic loops; with `LINEAR`
+    these are delays of one sample and more. Before the first sample signals have the channels' initial values, or
+    without these the value of the first sample.
 
     Args:
-        channels: what is delayed, with initial values for a delay of whole samples and more.
+        channels: signals to delay, with initial values where the block has no direct feedthrough.
         time: the delay [s], zero or positive.
         sample_time, offset: [s].
         interpolation: `Lagrange` of any order, `LINEAR` being the first, or the all-pass `Thiran`.
@@ -98,9 +99,9 @@ def delay(
 def _delay_line(
     channels: Sequence[Channel], design: DelayFilter, sample_time: float, offset: float, name: str
 ) -> SymbolicBlock:
-    """A filter behind a delay line, for every channel.
+    """Build the block of a delay line and a filter behind it, for every channel.
 
-    The last tap is taken out of all terms, so that a constant signal stays what it is to the last bit.
+    The filter acts on differences from the oldest sample, so that it passes a constant signal unchanged to the last bit.
     """
     ports = inputs(channels)
     if design.whole:
@@ -110,11 +111,11 @@ def _delay_line(
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         memory = recall(x, repeated(start_values(channels, p, u), depth + order)) if depth else x
         past, response = cut(memory, n * depth, n * order)
-        # the filter acts on differences to the oldest sample, so that a constant passes unchanged
+        # differences from the oldest sample
         signal: Vector = casadi.vertcat(u, past)
         last = signal[n * depth :]
         y = last
-        # feedforward part of the filter, then its feedback part
+        # numerator of the filter, then its denominator
         for i, weight in enumerate(design.numerator[:-1], start=design.whole):
             y += weight * (signal[n * i : n * (i + 1)] - last)
         for i, weight in enumerate(design.denominator):
@@ -141,7 +142,7 @@ def _delay_line(
 
 @builds(scene.DelaySection)
 def _from_section(section: scene.DelaySection, context: LoopContext) -> SymbolicBlock:
-    # the interpolation that the section names
+    # the interpolation of the section
     interpolation: Interpolation
     match section.interpolation:
         case scene.LagrangeSection(order=order):

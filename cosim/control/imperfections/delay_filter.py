@@ -15,20 +15,20 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import check_sampling
 
 WHOLE = 1e-12
-"""Relative distance within which a delay counts as a whole number of samples: time / sample time is rounded."""
+"""Relative tolerance within which a delay is a whole number of samples: time / sample time is rounded."""
 
 HIGHEST_ORDER = 10
-"""Highest order; above it nothing is gained for the signals of a machine."""
+"""Highest order; higher ones don't improve signals of machines."""
 
 
 @dataclass(frozen=True)
 class DelayFilter:
-    """y_k = sum_i b_i u_k-whole-i - sum_i a_i y_k-i with i from 0 in the first sum and from 1 in the second.
+    """The filter y_k = sum_i b_i u_k-whole-i - sum_i a_i y_k-i; i starts from 0 in the first sum and from 1 in the second.
 
     Attributes:
-        whole: samples that the signal is delayed before the filter.
-        numerator: b_0, b_1, ..., with neither first nor last one zero.
-        denominator: a_1, a_2, ...; sum b = 1 + sum a, so that a constant stays what it is.
+        whole: delay before the filter, in samples.
+        numerator: b_0, b_1, ...; neither the first nor the last one is zero.
+        denominator: a_1, a_2, ...; sum b = 1 + sum a, so the gain at zero frequency is 1.
     """
 
     whole: int
@@ -37,7 +37,7 @@ class DelayFilter:
 
     @property
     def depth(self) -> int:
-        """How many past inputs it needs."""
+        """Number of past inputs that the filter needs."""
         return self.whole + len(self.numerator) - 1
 
     @property
@@ -49,10 +49,10 @@ class DelayFilter:
 
 
 class Interpolation(Protocol):
-    """A rule for the values of a signal between its samples."""
+    """A rule that interpolates a signal between its samples."""
 
     def design(self, samples: float) -> DelayFilter:
-        """The filter of a delay.
+        """Return the filter of a delay.
 
         Args:
             samples: delay in samples, zero or positive, not necessarily whole.
@@ -64,13 +64,16 @@ class Interpolation(Protocol):
 
 @dataclass(frozen=True)
 class Lagrange:
-    """The polynomial through order + 1 samples, about the point where it is read: h_k = prod_{i != k} (D - i) / (k - i).
+    """Lagrange interpolation, the polynomial through order + 1 samples: h_k = prod_{i != k} (D - i) / (k - i) for a delay D.
 
     The frequency response is maximally flat at zero frequency, and its magnitude nowhere exceeds 1 (Laakso et al. 1996, on
     maximally flat FIR filters). The shortest delay is (order - 1) / 2 samples.
 
     Attributes:
-        order: N, from 1, which is linear interpolation.
+        order: N, from 1 (linear interpolation) to `HIGHEST_ORDER`.
+
+    Raises:
+        InputError: the order is no whole number or is out of range.
     """
 
     order: int
@@ -79,32 +82,36 @@ class Lagrange:
         whole_number("the order of Lagrange interpolation", self.order, 1, HIGHEST_ORDER)
 
     def design(self, samples: float) -> DelayFilter:
-        """The filter, with the delay within its middle interval.
+        """Return the filter whose delay lies in the middle interval between its samples.
 
         Raises:
             InputError: the delay is below (order - 1) / 2 samples.
         """
+        # whole samples before the filter
         nodes = range(self.order + 1)
         middle = (self.order - 1) / 2
         _check_shortest(samples, middle, f"Lagrange interpolation of order {self.order}")
         whole = floor(samples - middle)
         rest = samples - whole
         weights = tuple(prod((rest - i) / (k - i) for i in nodes if i != k) for k in nodes)
-        # zeros at both ends need no memory
+        # weights of zero at both ends need no memory
         used = [i for i, weight in enumerate(weights) if weight]
         return DelayFilter(whole + used[0], weights[used[0] : used[-1] + 1])
 
 
 @dataclass(frozen=True)
 class Thiran:
-    """The all-pass whose group delay is maximally flat at zero frequency: a_k = (-1)^k C(N, k) prod_i (D - N + i) / (D - N + k + i).
+    """Thiran's all-pass, maximally flat group delay D: a_k = (-1)^k C(N, k) prod_{i=0..N} (D - N + i) / (D - N + k + i).
 
-    It changes no amplitude at any frequency, but answers a step with ripples. J.-P. Thiran, Recursive digital filters with
+    Its gain is 1 at all frequencies, but its step response ripples. J.-P. Thiran, Recursive digital filters with
     maximally flat group delay, IEEE Transactions on Circuit Theory 18(6), 1971, pp. 659-664; as an all-pass in
-    Laakso et al. 1996. The delay in the filter is N - 1/2 to N + 1/2 samples, where it is stable and at its best.
+    Laakso et al. 1996. The filter's delay D is N - 1/2 to N + 1/2 samples, where it is stable and most accurate.
 
     Attributes:
-        order: N, from 1.
+        order: N, from 1 to `HIGHEST_ORDER`.
+
+    Raises:
+        InputError: the order is no whole number or is out of range.
     """
 
     order: int
@@ -113,15 +120,17 @@ class Thiran:
         whole_number("the order of Thiran's all-pass", self.order, 1, HIGHEST_ORDER)
 
     def design(self, samples: float) -> DelayFilter:
-        """The filter, with a delay of about its order.
+        """Return the filter whose delay is closest to its order.
 
         Raises:
             InputError: the delay is below order - 1/2 samples.
         """
+        # whole samples before the filter
         n = self.order
         _check_shortest(samples, n - 0.5, f"Thiran's all-pass of order {n}")
         whole = floor(samples - n + 0.5)
         excess = samples - whole - n
+        # coefficients of the denominator; the numerator has them in reverse order
         a = [
             (-1) ** k * comb(n, k) * prod((excess + i) / (excess + k + i) for i in range(n + 1))
             for k in range(1, n + 1)
@@ -132,11 +141,11 @@ class Thiran:
 
 
 def delay_in_samples(time: float, sample_time: float, where: str) -> float:
-    """A delay in samples, a whole number where only rounding separates it from one.
+    """Return a delay in samples, a whole number where it is one within `WHOLE`.
 
     Args:
         time, sample_time: [s].
-        where: who asks, for messages.
+        where: name of the block, for messages.
 
     Raises:
         InputError: the delay is negative or not finite, or the sample time isn't positive.
@@ -157,4 +166,4 @@ def _check_shortest(samples: float, shortest: float, what: str) -> None:
 
 
 LINEAR = Lagrange(1)
-"""The straight line through two samples."""
+"""Linear interpolation."""

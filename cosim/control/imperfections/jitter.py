@@ -1,4 +1,4 @@
-"""Sample jitter: the clock of a converter is not quite regular."""
+"""Sample jitter: random variation of a converter's sample instants."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ def jitter(
     offset: float = 0.0,
     name: str = "jitter",
 ) -> SymbolicBlock:
-    """Samples come late: what is used at t_k is up to ``time`` old, at random, the same for all channels.
+    """Build the block: the sample at t_k is up to ``time`` old, at random; the same for all channels.
 
     With sample time h and U uniform in (0, 1)::
 
         y_k = u_k - U_k time / h (u_k - u_k-1)  ≈  u(t_k - U_k time)
 
-    by linear interpolation between this sample and the last one; the mean delay is time / 2. Channels that have clocks of
-    their own get blocks of their own, with other names. Before the first sample a signal has the channel's initial value,
-    or its first one. Parameters: ``largest_delay``, tunable, and ``seed``, fixed.
+    by linear interpolation between this sample and the last one; the mean delay is time / 2. Channels with separate clocks
+    need separate blocks with different names. Before the first sample a signal has the channel's initial value, or
+    without one the value of the first sample. Parameters: ``largest_delay``, tunable, and ``seed``, fixed.
 
     Args:
-        channels: what is sampled.
-        time: largest delay [s], zero to the sample time.
-        seed: number of the experiment, from 0 to 2^20 - 1.
+        channels: signals to sample.
+        time: largest delay [s], from zero to the sample time.
+        seed: whole number from 0 to 2^20 - 1.
         sample_time, offset: [s].
         name: name of the block.
 
     Raises:
-        InputError: the time is out of range, the seed is no such number, or the sample time isn't positive.
+        InputError: the time or the seed is out of range, or the sample time isn't positive.
     """
     check_sampling(sample_time, offset, name)
     if not (isfinite(time) and 0.0 <= time <= sample_time):
@@ -62,12 +62,12 @@ def jitter(
     largest = Variable("largest_delay", "s", "Largest delay", "parameter", time, 0.0, sample_time, tunable=True)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        # states: the last sample, and the streams of random numbers
+        # memory: the last sample (n,) and the random stream
         late, chosen, initial = p[0] / sample_time, p[1], p[2:]
         start = casadi.vertcat(start_values(channels, initial, u), seeded([name], chosen).states)
         last, states = split(recall(x, start), n, 2)
         value, streams = draw(Streams.of(states))
-        # the signal at a random time before the sample instant, by linear interpolation
+        # linear interpolation at a random time before the sample instant
         return u - late * value * (u - last), remember(u, streams.states)
 
     return block(

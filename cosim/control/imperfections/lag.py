@@ -1,4 +1,4 @@
-"""First-order lag: what a current loop or an amplifier does to its command, in continuous time or sampled."""
+"""First-order lag, as of a current loop or an amplifier, in continuous time or sampled."""
 
 from __future__ import annotations
 
@@ -35,28 +35,28 @@ from flexfmu.model.scene.imperfections import LagSection
 from flexfmu.model.symbolic import SymbolicBlock
 
 SAMPLES = 10
-"""Samples per time constant where a continuous lag is exported as a sampled block."""
+"""Least number of samples per time constant where a continuous lag is exported as a sampled block."""
 
 
 class Lag:
-    """T y' + y = u in continuous time, solved exactly for inputs that are polynomials over a step, as held ones are.
+    """Slave T y' + y = u in continuous time, exact for inputs that are polynomials over a communication step.
 
     With z = h / T and phi_k(x) = sum of x^j / (j + k)! (M. Hochbruck, A. Ostermann, Exponential integrators, Acta Numerica
     19, 2010, section 2.1)::
 
         y(t + h) = exp(-z) y(t) + sum of u_k h^k z phi_k+1(-z)        u(t + s) = sum of u_k s^k / k!
 
-    Its derivatives y' = (u - y) / T, y'' = (u' - y') / T .. go with it, so that the robot gets a polynomial that meets five
-    of them at both ends of a step; for steps up to T its error is 3e-10 of a jump of the input. Outputs depend on no input of the same
-    instant, which breaks algebraic loops.
+    It offers the output derivatives y' = (u - y) / T, y'' = (u' - y') / T .., from which the robot's input polynomial over a
+    step is made; for steps up to T the polynomial's error is 3e-10 of a jump of the input. No output has direct
+    feedthrough, which breaks algebraic loops.
 
     Args:
         channels: the commands, usually torques, with initial values.
-        time_constant: T [s], above zero: 1 / (2 pi f) for a bandwidth f [Hz]; one for all or one for each channel.
+        time_constant: T [s], positive, 1 / (2 pi f) for a bandwidth f [Hz]; one for all channels or one for each.
         name: name of the slave.
 
     Attributes:
-        largest_step: the shortest time constant [s].
+        largest_step: largest communication step, the shortest time constant [s].
         latency: output → its time constant [s].
 
     Raises:
@@ -77,7 +77,7 @@ class Lag:
         self.feedthrough: dict[str, tuple[str, ...]] = {each.name: () for each in ends}
         self._channels = tuple(channels)
         self._initial = np.array([each.initial or 0.0 for each in channels])
-        # inputs with their derivatives (orders + 1, n), and outputs (n,)
+        # inputs with their derivatives (1 + orders, n), and outputs (n,)
         self._u = np.zeros((1 + MAX_INPUT_ORDER, len(channels)))
         self._u[0] = self._y = self._initial.copy()
         self._order = 0
@@ -85,7 +85,7 @@ class Lag:
         self._set_times(np.array([each.start or 0.0 for each in times]))
 
     def _set_times(self, times: RealArray) -> None:
-        """Change the time constants.
+        """Set the time constants (n,) [s].
 
         Raises:
             InputError: one isn't positive and finite.
@@ -100,16 +100,16 @@ class Lag:
         self.latency = {each.name: time for each, time in zip(self._channels, times.tolist(), strict=True)}
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Begin with the initial values."""
+        """Set the outputs to their initial values."""
         self._y = self._initial.copy()
 
     def terminate(self) -> None:
-        """End the run: the inputs go back to their starts."""
+        """Reset the inputs to their start values."""
         self._u[:] = 0.0
         self._u[0] = self._initial
 
     def set(self, indices: Indices, values: RealArray) -> None:
-        """Set inputs, which are held unless derivatives follow, and time constants.
+        """Set inputs, which are constant unless their derivatives are set next, and time constants.
 
         Raises:
             InputError: a variable is an output, or a time constant isn't positive.
@@ -117,11 +117,11 @@ class Lag:
         n = len(self._channels)
         if (indices >= 2 * n).any():
             raise InputError(f"{self.name}: only inputs and time constants can be set")
-        # a value without derivatives is held
+        # an input without derivatives is constant
         fed = indices < n
         self._u[0, indices[fed]] = values[fed]
         self._u[1 : self._order + 1, indices[fed]] = 0.0
-        # the others are time constants
+        # time constants
         if not fed.all():
             times = self._times.copy()
             times[indices[~fed] - n] = values[~fed]
@@ -133,38 +133,38 @@ class Lag:
         self._u[1 : len(derivatives) + 1, indices] = derivatives
 
     def get(self, indices: Indices, values: RealArray) -> None:
-        """Current values of variables."""
+        """Write the variables' values into ``values`` (k,)."""
         values[:] = np.concatenate((self._u[0], self._times, self._y))[indices]
 
     def get_derivatives(self, indices: Indices, derivatives: RealArray) -> None:
-        """Derivatives (orders, n) of outputs: y^(k+1) = (u^(k) - y^(k)) / T."""
+        """Write the derivatives (orders, n) of outputs: y^(k+1) = (u^(k) - y^(k)) / T."""
         columns = indices - 2 * len(self._channels)
         times, last = self._times[columns], self._y[columns]
         for k in range(len(derivatives)):
             last = derivatives[k] = (self._u[k, columns] - last) / times
 
     def step(self, time: float, step: float) -> None:
-        """Advance exactly, and the input's polynomial to the end of the step."""
+        """Advance the outputs exactly, and shift the input polynomials to the end of the step."""
         z, order = step / self._times, self._order
-        # held inputs
+        # constant inputs
         if not order:
             self._y = self._u[0] + (self._y - self._u[0]) * np.exp(-z)
             return
-        # inputs that are polynomials: the class's formula
+        # polynomial inputs: formula of the class
         powers = step ** np.arange(order + 1.0)
         weights = np.array([_phi(-each, order + 1) for each in z.tolist()]).T
         self._y = weights[0] * self._y + z * ((powers[:, None] * self._u[: order + 1]) * weights[1:]).sum(axis=0)
-        # Taylor shift of the polynomials to the end of the step
+        # Taylor shift of the input polynomials to the end of the step
         for k in range(order):
             terms = [powers[j] / factorial(j) for j in range(order + 1 - k)]
             self._u[k] = terms @ self._u[k : order + 1]
 
     def save(self) -> object:
-        """Inputs and outputs."""
+        """Return inputs with their derivatives, outputs and order."""
         return self._u.copy(), self._y.copy(), self._order
 
     def restore(self, state: object) -> None:
-        """Go back to what `save` gave.
+        """Set the state that `save` returned.
 
         Raises:
             InputError: the state belongs to another slave.
@@ -174,14 +174,16 @@ class Lag:
         self._u[:], self._y, self._order = state[0], state[1].copy(), state[2]
 
     def sampled(self, step: float) -> SymbolicBlock:
-        """The lag as a block with `SAMPLES` or more samples in a time constant, a whole number of them in ``step`` [s]."""
+        """Return the lag as a block with at least `SAMPLES` samples per time constant and a whole number per ``step`` [s]."""
         sample_time = step / ceil(SAMPLES * step / self.largest_step - 1e-9)
         return lag(self._channels, self._times.tolist(), sample_time=sample_time, name=self.name)
 
 
 def _phi(x: float, highest: int) -> list[float]:
-    """phi_0 .. phi_highest at x <= 0; phi_k = 1 / k! + x phi_k+1, upwards where that divides by a large number, downwards
-    from a series where it multiplies by a small one."""
+    """Return phi_0 .. phi_highest at x <= 0 by the recurrence phi_k = 1 / k! + x phi_k+1.
+
+    It runs upwards, dividing by x, for large |x|, and downwards, multiplying by x, for small |x|.
+    """
     # upwards from phi_0
     if x < -1.0:
         found = [exp(x)]
@@ -204,21 +206,20 @@ def lag(
     offset: float = 0.0,
     name: str = "lag",
 ) -> SymbolicBlock:
-    """T y' + y = u at the sample instants, exact for an input that is held between them.
+    """Build the block T y' + y = u, exact for inputs that are constant between the samples.
 
     With sample time h and a = exp(-h / T)::
 
         y_k+1 = a y_k + (1 - a) u_k
 
     (zero-order-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed.
-    1998, section 4.3). The output is a staircase, half a sample late on average; a sample time of T / 10 makes it a good
-    current loop, `Lag` is one in continuous time. It doesn't depend on the input of the same instant, so it breaks
-    algebraic loops. T = 0 is a delay of
-    one sample. The time constant is a tunable parameter ``<channel>.time_constant``.
+    1998, section 4.3). The output is a staircase, half a sample late on average; a sample time of T / 10 models a current
+    loop well, `Lag` models it in continuous time. The block has no direct feedthrough, which breaks algebraic loops.
+    T = 0 is a delay of one sample. The time constant is a tunable parameter ``<channel>.time_constant``.
 
     Args:
         channels: the commands, usually torques, with initial values.
-        time_constant: T [s], zero or positive: 1 / (2 pi f) for a bandwidth f [Hz].
+        time_constant: T [s], zero or positive, 1 / (2 pi f) for a bandwidth f [Hz].
         sample_time, offset: [s].
         name: name of the block.
 
@@ -249,7 +250,7 @@ def lag(
             *initial_parameters(channels),
         ],
         states=empty(n),
-        # the sum of the impulse response's delays
+        # mean delay of the impulse response
         latency={c.name: h / -expm1(-h / t.start) if t.start else h for c, t in zip(channels, times, strict=True)},
     )
 

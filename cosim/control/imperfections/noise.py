@@ -1,4 +1,4 @@
-"""Seeded noise: the same numbers in every run with the same seed, in Python and in an exported FMU."""
+"""Seeded noise: the same random numbers in every run with the same seed, in Python and in an exported FMU."""
 
 from __future__ import annotations
 
@@ -28,24 +28,25 @@ def gaussian_noise(
     offset: float = 0.0,
     name: str = "noise",
 ) -> SymbolicBlock:
-    """y = u + white Gaussian noise, for every channel its own.
+    """Build the block y = u + white Gaussian noise, independent for every channel.
 
-    Normal numbers are made of two uniform ones each, sqrt(-2 ln U) cos(2 pi V) (G. E. P. Box, M. E. Muller, A note on the
-    generation of random normal deviates, Annals of Mathematical Statistics 29(2), 1958, pp. 610-611); with 31 bits
-    they end at 6.56 standard deviations. The one-sided spectral density is 2 h standard_deviation² with the sample time h.
+    A normal number is made of two uniform ones, sqrt(-2 ln U) cos(2 pi V) (G. E. P. Box, M. E. Muller, A note on the
+    generation of random normal deviates, Annals of Mathematical Statistics 29(2), 1958, pp. 610-611); with
+    31 bits its magnitude is at most 6.56. The one-sided power spectral density is 2 h standard_deviation² at sample
+    time h.
 
     A channel's noise depends on its name, the block's name and the seed alone. The standard deviation is a tunable
     parameter ``<channel>.standard_deviation``, the seed a fixed parameter ``seed``.
 
     Args:
-        channels: what is disturbed.
+        channels: signals to disturb.
         standard_deviation: in the channels' units, zero or positive.
-        seed: number of the experiment, from 0 to 2^20 - 1.
+        seed: whole number from 0 to 2^20 - 1.
         sample_time, offset: [s].
         name: name of the block.
 
     Raises:
-        InputError: a standard deviation is negative or not finite, the seed is no such number, or the sample time isn't
+        InputError: a standard deviation is negative or not finite, the seed is out of range, or the sample time isn't
             positive.
     """
     what = "the standard deviation"
@@ -62,34 +63,34 @@ def uniform_noise(
     offset: float = 0.0,
     name: str = "noise",
 ) -> SymbolicBlock:
-    """y = u + white noise, uniform in ±half_width, of variance half_width² / 3, for every channel its own.
+    """Build the block y = u + white noise, uniform in ±half_width, variance half_width² / 3, independent for every channel.
 
     A channel's noise depends on its name, the block's name and the seed alone. The half width is a tunable parameter
     ``<channel>.half_width``, the seed a fixed parameter ``seed``.
 
     Args:
-        channels: what is disturbed.
+        channels: signals to disturb.
         half_width: in the channels' units, zero or positive.
-        seed: number of the experiment, from 0 to 2^20 - 1.
+        seed: whole number from 0 to 2^20 - 1.
         sample_time, offset: [s].
         name: name of the block.
 
     Raises:
-        InputError: a half width is negative or not finite, the seed is no such number, or the sample time isn't positive.
+        InputError: a half width is negative or not finite, the seed is out of range, or the sample time isn't positive.
     """
     scales = parameters(channels, "half_width", half_width, units(channels), "the half width", minimum=0.0)
     return _noise(channels, scales, seed, symmetric, "Uniform noise", sample_time, offset, name)
 
 
 def normal(streams: Streams) -> tuple[Vector, Streams]:
-    """Normal random numbers of mean 0 and variance 1."""
+    """Draw normal random numbers (n,) of mean 0 and variance 1; return them and the advanced streams."""
     radius, streams = draw(streams)
     angle, streams = draw(streams)
     return casadi.sqrt(-2.0 * casadi.log(radius)) * casadi.cos(2.0 * pi * angle), streams
 
 
 def symmetric(streams: Streams) -> tuple[Vector, Streams]:
-    """Uniform random numbers in (-1, 1)."""
+    """Draw uniform random numbers (n,) in (-1, 1); return them and the advanced streams."""
     value, streams = draw(streams)
     return 2.0 * value - 1.0, streams
 
@@ -104,13 +105,13 @@ def _noise(
     offset: float,
     name: str,
 ) -> SymbolicBlock:
-    """Inputs plus scaled random numbers."""
+    """Build the block: inputs plus scaled random numbers."""
     ports, n = inputs(channels), len(channels)
     streams = [f"{name}/{channel.name}" for channel in channels]
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         scale, chosen = split(p, n, 1)
-        # the next random number of each signal's stream
+        # next random number of each channel's stream
         values, following = numbers(Streams.of(recall(x, seeded(streams, chosen).states)))
         return u + scale * values, remember(following.states)
 

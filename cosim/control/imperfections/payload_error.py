@@ -1,4 +1,4 @@
-"""Payload error: the robot carries another mass than its controllers and shapers are designed for."""
+"""Payload error: the robot carries another mass than its controllers and shapers assume."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class PayloadError:
 
 
 def with_payload_error(scene: Scene, relative: float) -> Scene:
-    """The scene with (1 + relative) times its payload.
+    """Return the scene with (1 + relative) times its payload.
 
-    Build the plant from it and everything else from the scene itself, or the other way round.
+    Build the plant from this scene, controllers and shapers from the original one, or the other way round.
 
     Args:
         scene: the scene.
-        relative: relative error of the mass: -0.3 for 30 % less.
+        relative: relative error of the mass, for example -0.3 for 30 % less.
 
     Raises:
         InputError: the error isn't finite or is below -1, or the scene has no payload.

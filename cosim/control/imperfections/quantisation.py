@@ -1,4 +1,4 @@
-"""Quantisation: converters and encoders resolve a signal in steps only."""
+"""Quantisation of signals by converters and encoders."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def quantisation(
     offset: float = 0.0,
     name: str = "quantisation",
 ) -> SymbolicBlock:
-    """y = q floor(u / q + 1/2): the nearest multiple of the resolution q, at most q/2 away. It has no state.
+    """Build the block y = q floor(u / q + 1/2), the nearest multiple of the resolution q, without states.
 
-    For a signal that crosses many steps the error is about uniform, of variance q²/12 and white (B. Widrow, I. Kollár,
-    Quantization Noise, 2008, on pseudo-quantization noise). The resolution is a tunable parameter ``<channel>.resolution``; zero switches
-    the quantisation off.
+    The error is at most q/2. For a signal that crosses many steps it is approximately white and uniform, of variance
+    q²/12 (B. Widrow, I. Kollár, Quantization Noise, 2008, on pseudo-quantization noise). The resolution is a tunable
+    parameter ``<channel>.resolution``; zero switches the quantisation off.
 
     Args:
-        channels: what is quantised.
+        channels: signals to quantise.
         resolution: q in the channels' units, zero or positive.
         sample_time, offset: [s].
         name: name of the block.
@@ -51,7 +51,7 @@ def quantisation(
     """
     ports = inputs(channels)
 
-    # a resolution of zero passes the signal as it is
+    # a resolution of zero passes the signal unchanged
     def equations(x: Vector, u: Vector, q: Vector) -> tuple[Vector, Vector]:
         return casadi.if_else(q > 0.0, q * nearest(u / q), u), x
 
@@ -76,21 +76,21 @@ def encoder(
     joints: Sequence[str] = JOINTS,
     name: str = "encoder",
 ) -> SymbolicBlock:
-    """Angle and rate of joints from incremental encoders: the angle to the nearest count, the rate by difference.
+    """Build the block of incremental encoders: angles to the nearest count, rates by difference.
 
     With q = 2 pi / counts_per_turn, sample time h and window w::
 
         c_k = floor(q_k / q + 1/2),  position = q c_k,  velocity = q (c_k - c_k-w) / (w h)
 
-    so the rate comes in steps of q / (w h) and w h / 2 late. Before the first sample the joints are taken to stand still.
+    so the rate has a resolution of q / (w h) and a delay of w h / 2. Before the first sample the joints are assumed at rest.
     Inputs: ``joint1.position.input``; outputs ``joint1.position`` and ``joint1.velocity``; parameter
     ``joint1.position.counts_per_turn``.
 
     Args:
-        counts_per_turn: counts after the evaluation of edges, four for each line, and per turn of the joint, gear
-            included; at least 1.
+        counts_per_turn: counts per turn of the joint, gear ratio and fourfold evaluation of the lines included; at
+            least 1.
         sample_time, offset: [s].
-        window: w, samples that the difference spans, at least 1.
+        window: w, number of sample times that the difference spans, at least 1.
         joints: names of the joints.
         name: name of the block.
 
@@ -103,7 +103,7 @@ def encoder(
     ports, n = inputs(angles), len(angles)
 
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        # whole counts
+        # angle in whole counts
         resolution = 2.0 * pi / p
         counts = nearest(u / resolution)
         # velocity from the difference over the window
@@ -128,7 +128,7 @@ def encoder(
 
 
 def nearest(value: Vector) -> Vector:
-    """The nearest whole number, the upper one of two."""
+    """Return the nearest whole number; a half is rounded up."""
     return casadi.floor(value + 0.5)
 
 

@@ -1,13 +1,13 @@
-"""Random numbers that are the same in Python and in exported C, to the last bit, because every operation on them is exact.
+"""Uniform random numbers that are the same in Python and in exported C to the last bit: their integers are exact.
 
-The generator combines two multiplicative congruential ones with moduli below 2^31, of period 2.3e18: P. L'Ecuyer, Efficient
+The generator combines two multiplicative congruential generators with moduli below 2^31; its period is 2.3e18: P. L'Ecuyer, Efficient
 and portable combined random number generators, Communications of the ACM 31(6), 1988, pp. 742-751. Products stay
 below 2^48, so doubles hold them exactly.
 
-Every stream has a name, whose hash is where it starts, and a seed, which jumps ahead by seed * 2^40 numbers (P. L'Ecuyer,
+Every stream has a name, whose hash is its start state, and a seed, which skips seed * 2^40 numbers (P. L'Ecuyer,
 S. Côté, Implementing a random number package with splitting facilities, ACM Transactions on Mathematical Software 17(1),
-1991, pp. 98-111). So a signal keeps its random numbers whatever other signals a block has, seeds never overlap, and
-signals of different names have nothing in common.
+1991, pp. 98-111). So a signal's random numbers don't depend on the other signals of its block, different seeds use
+disjoint parts of a stream, and differently named streams start at unrelated states.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MODULI = (2147483563, 2147483399)
 MULTIPLIERS = (40014, 40692)
 
 JUMP = 2**40
-"""Random numbers between one seed and the next: a hundred days at 100 kHz."""
+"""Uniform random numbers from one seed to the next: 127 days at 100 kHz."""
 
 SEED_BITS = 20
 LARGEST_SEED = 2**SEED_BITS - 1
@@ -38,24 +38,24 @@ _HALF = 2**16
 
 @dataclass(frozen=True)
 class Streams:
-    """States of n generators: the first and the second congruential one of each, (n,) whole numbers."""
+    """States of n generators: those of their first and of their second congruential generator, whole numbers (n,) each."""
 
     first: Vector
     second: Vector
 
     @classmethod
     def of(cls, states: Vector) -> Streams:
-        """From one vector (2 n,)."""
+        """Split one vector (2 n,) into streams."""
         return cls(*casadi.vertsplit(states, states.numel() // 2))
 
     @property
     def states(self) -> Vector:
-        """As one vector (2 n,)."""
+        """Both states as one vector (2 n,)."""
         return casadi.vertcat(self.first, self.second)
 
 
 def start_states(name: str) -> tuple[int, int]:
-    """Where the stream of a name starts with seed 0."""
+    """Return the start states of a named stream with seed 0."""
     digest = sha256(name.encode()).digest()
     first, second = (
         1 + int.from_bytes(digest[8 * i : 8 * i + 8], "big") % (modulus - 1) for i, modulus in enumerate(MODULI)
@@ -64,7 +64,7 @@ def start_states(name: str) -> tuple[int, int]:
 
 
 def seeded(names: Sequence[str], seed: Vector) -> Streams:
-    """The streams of n names for a seed (scalar), a whole number from 0 to `LARGEST_SEED`."""
+    """Return the streams of n names for a seed (scalar), a whole number from 0 to `LARGEST_SEED`."""
     starts = np.array([start_states(name) for name in names], dtype=float).T
     return Streams(
         *(
@@ -75,7 +75,7 @@ def seeded(names: Sequence[str], seed: Vector) -> Streams:
 
 
 def draw(streams: Streams) -> tuple[Vector, Streams]:
-    """One number of each stream, uniform in (0, 1), and the advanced streams."""
+    """Draw one number of each stream, uniform in (0, 1); return the numbers (n,) and the advanced streams."""
     first, second = (
         _remainder(multiplier * state, modulus)
         for state, multiplier, modulus in zip((streams.first, streams.second), MULTIPLIERS, MODULI, strict=True)
@@ -86,7 +86,7 @@ def draw(streams: Streams) -> tuple[Vector, Streams]:
 
 
 def seed_parameter(seed: int, block: str) -> Variable:
-    """The fixed parameter ``seed``.
+    """Return the fixed parameter ``seed``.
 
     Raises:
         InputError: the seed isn't a whole number or is out of range.
@@ -96,7 +96,7 @@ def seed_parameter(seed: int, block: str) -> Variable:
 
 
 def _jump(seed: Vector, multiplier: int, modulus: int) -> Vector:
-    """multiplier^(JUMP seed) modulo the modulus, by the seed's binary digits."""
+    """Return multiplier^(JUMP seed) modulo the modulus, by the seed's binary digits."""
     result: Any = 1.0
     rest = casadi.floor(seed)
     # square-and-multiply: the powers are constants, the digits select among them
@@ -110,16 +110,16 @@ def _jump(seed: Vector, multiplier: int, modulus: int) -> Vector:
 
 
 def _long_product(a: Vector, b: Vector, modulus: int) -> Vector:
-    """a b modulo the modulus, for whole a and b below it; b in two halves, so that no product exceeds 2^48."""
+    """Return a b modulo the modulus for whole a and b below it; b is split in two, so that no product exceeds 2^48."""
     upper = casadi.floor(b / _HALF)
     lower = b - _HALF * upper
     return _remainder(_HALF * _remainder(a * upper, modulus) + a * lower, modulus)
 
 
 def _remainder(value: Vector, modulus: int) -> Vector:
-    """The remainder of whole numbers below 2^48 and a modulus above 2^30, exactly.
+    """Return the exact remainder of whole numbers below 2^48 divided by a modulus between 2^30 and 2^31.
 
-    The quotient is below 2^18, so it is rounded by less than 2^-35, and unless it is whole it is at least 2^-31 away from
-    a whole number: it is rounded down to the right one.
+    The quotient is below 2^18, so its rounding error is below 2^-35. Unless it is whole, it is more than 2^-31 away from
+    a whole number, so `floor` finds the right one.
     """
     return value - modulus * casadi.floor(value / modulus)

@@ -1,4 +1,4 @@
-"""Rate limit: a signal that changes no faster than it can."""
+"""Limits the rate of change of signals."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ def rate_limit(
     offset: float = 0.0,
     name: str = "rate_limit",
 ) -> SymbolicBlock:
-    """y_k = u_k where |u_k - y_k-1| allows it, else y_k-1 + rising h or y_k-1 - falling h, with the sample time h.
+    """Build the block y_k = u_k, limited to y_k-1 - falling h .. y_k-1 + rising h with the sample time h.
 
-    Before the first sample y is the channel's initial value, or the first input. The limits are tunable parameters
+    Before the first sample y is the channel's initial value, or without one the first input. The limits are tunable parameters
     ``<channel>.rising_rate`` and ``<channel>.falling_rate``.
 
     Args:
-        channels: what is limited.
-        rising: fastest rise, in the channels' units per second, zero or positive.
-        falling: fastest fall, likewise; None for that of the rise.
+        channels: signals to limit.
+        rising: largest rising rate in the channels' units per second, zero or positive.
+        falling: largest falling rate, likewise; None for the rising rate.
         sample_time, offset: [s].
         name: name of the block.
 
@@ -54,7 +54,7 @@ def rate_limit(
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         (up, down), initial = split(h * p[: 2 * n], n), p[2 * n :]
         last = recall(x, start_values(channels, initial, u))
-        # follow the signal as fast as both rates allow
+        # limit the change since the last sample
         change = u - last
         y = casadi.if_else(change > up, last + up, casadi.if_else(change < -down, last - down, u))
         return y, remember(y)

@@ -1,4 +1,4 @@
-"""Saturation: a signal that stays within limits."""
+"""Limits signals to a range."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def saturation(
     offset: float = 0.0,
     name: str = "saturation",
 ) -> SymbolicBlock:
-    """y = u within [lower, upper], the nearer limit elsewhere. It has no state.
+    """Build the block y = sat(u): u within [lower, upper], otherwise the nearer limit; without states.
 
     The limits are tunable parameters ``<channel>.minimum`` and ``<channel>.maximum``.
 
     Args:
-        channels: what is limited, usually torques.
+        channels: signals to limit, usually torques.
         lower, upper: limits in the channels' units.
         sample_time, offset: [s].
         name: name of the block.
@@ -36,7 +36,7 @@ def saturation(
     Raises:
         InputError: a limit isn't finite, the lower one is above the upper one, or the sample time isn't positive.
     """
-    # limits of every channel, in order
+    # lower limit not above upper limit for every channel
     ports = inputs(channels)
     minima = parameters(channels, "minimum", lower, units(channels), "the lower limit")
     maxima = parameters(channels, "maximum", upper, units(channels), "the upper limit")
@@ -47,7 +47,7 @@ def saturation(
                 f"{high.start} {high.unit}; swap them"
             )
 
-    # the output follows from the input alone
+    # a function of the input alone, without states
     def equations(x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
         return saturate(u, *split(p, len(channels))), x
 

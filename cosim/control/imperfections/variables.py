@@ -1,4 +1,4 @@
-"""From channels to a block's variables: inputs, outputs, and parameters with their checks."""
+"""Inputs, outputs and parameters of a block, made from its channels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PerChannel = float | Sequence[float]
 
 
 def inputs(channels: Sequence[Channel]) -> list[Variable]:
-    """Inputs of a block, one for each channel.
+    """Return the inputs of a block, one for each channel.
 
     Raises:
         InputError: there is no channel.
@@ -33,17 +33,17 @@ def inputs(channels: Sequence[Channel]) -> list[Variable]:
 
 
 def outputs(channels: Sequence[Channel]) -> list[Variable]:
-    """Outputs of a block, one for each channel."""
+    """Return the outputs of a block, one for each channel."""
     return [Variable(each.name, each.unit, f"Signal {each.name}, imperfect", "output") for each in channels]
 
 
 def units(channels: Sequence[Channel]) -> list[str]:
-    """Unit of each channel."""
+    """Return the unit of each channel."""
     return [each.unit for each in channels]
 
 
 def per_second(unit: str) -> str:
-    """Unit of the time derivative of a signal: ``rad`` → ``rad/s`` → ``rad/s2``."""
+    """Return the unit of a signal's time derivative: ``rad`` → ``rad/s`` → ``rad/s2``."""
     found = re.fullmatch(r"(?P<head>.+)/s(?P<power>\d*)", unit)
     return f"{found['head']}/s{int(found['power'] or 1) + 1}" if found else f"{unit}/s"
 
@@ -57,21 +57,21 @@ def parameters(
     *,
     minimum: float | None = None,
 ) -> list[Variable]:
-    """Tunable parameters ``<channel>.<key>``.
+    """Return the tunable parameters ``<channel>.<key>``.
 
     Args:
         channels: the channels.
         key: last part of the parameters' names.
         values: their start values.
         units: unit for each channel.
-        what: the quantity in words.
-        minimum: smallest admissible value.
+        what: the quantity in words, for descriptions and messages.
+        minimum: smallest admissible value; None for none.
 
     Raises:
-        InputError: a value isn't finite or is too small, their number doesn't fit, or one number is given for
-            different units.
+        InputError: a value isn't finite or is below the minimum, their number doesn't fit, or a single number stands
+            for different units.
     """
-    # one number for each channel, all of them admissible
+    # one finite number for each channel, not below the minimum
     what_in = f"{what} [{', '.join(dict.fromkeys(units))}]"
     try:
         array = np.asarray(values, dtype=float)
@@ -96,7 +96,7 @@ def parameters(
 
 
 def initial_parameters(channels: Sequence[Channel]) -> list[Variable]:
-    """Parameters ``<channel>.initial`` of those channels that have an initial value."""
+    """Return the parameters ``<channel>.initial`` of the channels that have an initial value."""
     return [
         Variable(f"{each.name}.initial", each.unit, f"{each.name} before the first sample", "parameter", each.initial)
         for each in channels
@@ -105,7 +105,7 @@ def initial_parameters(channels: Sequence[Channel]) -> list[Variable]:
 
 
 def require_initial(channels: Sequence[Channel], block: str) -> None:
-    """Make sure that every channel has an initial value.
+    """Check that every channel has an initial value.
 
     Raises:
         InputError: one has none.
@@ -119,11 +119,11 @@ def require_initial(channels: Sequence[Channel], block: str) -> None:
 
 
 def start_values(channels: Sequence[Channel], initial: Vector, u: Vector) -> Vector:
-    """What each channel was before the first sample: its initial value, or else the first sample's.
+    """Return each channel's value before the first sample (n,): its initial value, or without one that of the first sample.
 
     Args:
         channels: n channels.
-        initial: the `initial_parameters`.
+        initial: values of the `initial_parameters`.
         u: inputs of the first sample (n,).
     """
     given = iter(casadi.vertsplit(initial)) if initial.numel() else iter(())
@@ -131,13 +131,13 @@ def start_values(channels: Sequence[Channel], initial: Vector, u: Vector) -> Vec
 
 
 def whole_number(what: str, value: int, lowest: int, highest: int | None = None, hint: str = "") -> int:
-    """Check a whole number.
+    """Check a whole number and return it.
 
     Args:
-        what: the quantity in words.
-        value: what has been given.
-        lowest, highest: admissible range; None for no end.
-        hint: what else to do, for the message.
+        what: the quantity in words, for the message.
+        value: the number.
+        lowest, highest: admissible range; None for no upper limit.
+        hint: a remedy, for the message.
 
     Raises:
         InputError: it is no whole number or is out of range.
