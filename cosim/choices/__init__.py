@@ -1,1 +1,1 @@
-"""Effects and input shapers, chosen by what runs show."""
+"""Choice of elastic effects and of input shapers, verified by co-simulation."""

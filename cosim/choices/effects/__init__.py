@@ -1,1 +1,1 @@
-"""The fewest effects that keep the metrics within a tolerance, verified by runs."""
+"""Chooses the cheapest set of effects that keeps the metrics within a tolerance, verified by runs."""

@@ -1,5 +1,7 @@
-"""A choice of effects that runs have confirmed: what is required, and the chosen set's FMU beside the estimates, and beside the
-richest FMU in doubt."""
+"""Chooses a scene's effects by estimates and verifies the choice by runs.
+
+A run of the chosen set's FMU is compared with the estimates, and where these leave doubt with a run of the richest set's FMU.
+"""
 
 from __future__ import annotations
 
@@ -30,23 +32,23 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.motion_grid import JointMotion
 
 MEASURED: tuple[MeasureName, ...] = ("peak_position_error", "peak_torque_1", "residual_vibration_amplitude")
-"""Metrics that are looked at where neither scene nor command names any; the last one needs a dwell."""
+"""Metrics of a choice where neither scene nor command line names any; the last one needs a dwell."""
 
 ShowProgress = Callable[[str, float | None], None]
-"""Called with what is being done and the finished fraction, 0..1; None where it isn't known."""
+"""Called with the current activity and the finished fraction, 0..1; None where it isn't known."""
 
 
 def quiet(text: str, fraction: float | None) -> None:
-    """No progress."""
+    """Show no progress."""
 
 
 def requirements(
     scene: Scene, tolerance: float | None = None, of: tuple[str, ...] = ()
 ) -> tuple[float, tuple[MeasureName, ...]]:
-    """Tolerance and metrics of a choice: the arguments, or the scene's, or the defaults.
+    """Return tolerance and metrics of a choice: the arguments, else the scene's, else the defaults.
 
     Raises:
-        SceneError: a metric can't be estimated, needs a dwell, or the tolerance is out of range.
+        SceneError: a metric can't be estimated or needs a dwell, or the tolerance is out of range.
     """
     dwells = scene.trajectory.dwell > 0.0
     usual = tuple(name for name in MEASURED if dwells or not name.startswith("residual"))
@@ -58,11 +60,16 @@ def requirements(
 
 
 def named_metrics(scene: Scene, of: tuple[str, ...] = ()) -> tuple[MeasureName, ...]:
-    """The metrics that the user has named: the arguments, or the scene's; none where the defaults hold."""
+    """Return the metrics that the user has named: the arguments, else the scene's; none where the defaults apply."""
     return requirements(scene, of=of)[1] if of or scene.effects.of else ()
 
 
 def _measure(name: str, dwells: bool) -> MeasureName:
+    """Check the name of a metric and return it.
+
+    Raises:
+        SceneError: the metric can't be estimated, or needs a dwell.
+    """
     for known in MEASURES:
         if name == known and (dwells or not name.startswith("residual")):
             return known
@@ -72,35 +79,36 @@ def _measure(name: str, dwells: bool) -> MeasureName:
 
 
 FmuOf = Callable[[Scene], Path]
-"""Scene → an FMU with its effects."""
+"""Scene → path of an FMU with its effects."""
 
 EXACT = 1e-9
-"""Tolerance of the FMUs in comparisons, so that the effects alone make the difference."""
+"""Tolerance of the FMUs in comparisons, small enough that only the effects differ."""
 
 ALLOWED = 0.8
-"""Largest observed error in tolerances: the richest set itself may be a tenth off."""
+"""Largest observed error in units of the tolerance; the rest is a margin for the error of the richest set, `CONVERGED`."""
 
 ROUNDS = 6
-"""Choices, each more careful than the one before, until the richest set is taken."""
+"""Largest number of choices, each with larger safety factors than the one before; then the richest set is taken."""
 
 
 @dataclass(frozen=True)
 class Observed:
-    """Metrics of a run, and the run, to be repeated."""
+    """Metrics of a run, and a function that repeats the run."""
 
     metrics: Mapping[MeasureName, float]
     run: Callable[[], object]
 
 
 def resolved(scene: Scene, show: ShowProgress = quiet) -> Scene:
-    """The scene with its effects chosen, if it says ``select = "auto"``; otherwise the scene as it is.
+    """Return the scene with chosen effects if it has ``select = "auto"``, otherwise the scene itself.
 
-    The choice is made along the scene's own motion, before any shaping, with motors that follow it exactly.
+    The choice is made for the scene's unshaped motion, which the motors follow exactly.
 
     Raises:
-        BuildError: an FMU that the choice is verified by can't be built.
-        ResultsError: its run failed.
-        TrajectoryError: that motion isn't feasible.
+        BuildError: an FMU for the verification can't be built.
+        ResultsError: a run failed.
+        SceneError: the tolerance or a metric is impossible.
+        TrajectoryError: the motion isn't feasible.
     """
     if scene.effects.select is None:
         return scene
@@ -117,20 +125,20 @@ def choose_verified(
     show: ShowProgress = quiet,
     fmu_of: FmuOf | None = None,
 ) -> tuple[Scene, Estimator]:
-    """The scene with the cheapest set of effects whose error is within the tolerance, and the estimator.
+    """Return the scene with the cheapest set of effects whose error is within the tolerance, and the estimator.
 
-    A run of the chosen set shows how far its metrics are from the estimates. Where that leaves doubt, a run of the richest set
-    decides; and where that one contradicts, the choice is made again with estimates that are as much more careful. An integrator's
-    tolerance that the choice itself has set is tightened where it is to blame.
+    A run of the chosen set is compared with the estimates. Where they leave doubt, a run of the richest set decides. Where its
+    metrics contradict the estimates, the choice is repeated with larger safety factors. Where only the integrator's error is
+    too large, its tolerance is tightened, if the choice has set it.
 
     Args:
-        scene: robot, loads and motion; its own choice of elastic effects doesn't matter.
+        scene: robot, loads and motion; its own elastic effects are ignored.
         motion: the planned motion of its motors.
         tolerance: largest relative error of the metrics.
         of: the metrics.
-        named: those of them that the user named, which are judged relative to themselves.
-        show: called with what is being done and the finished fraction.
-        fmu_of: where the FMUs come from; built, or taken from the cache, when None.
+        named: metrics that the user named, whose errors are relative to their own values, see `scales`.
+        show: called with the current activity and the finished fraction.
+        fmu_of: function that returns the FMUs; None builds them or takes them from the cache.
 
     Raises:
         BuildError: an FMU can't be built.
@@ -138,7 +146,7 @@ def choose_verified(
     """
     show("choosing the effects", None)
     estimator = Estimator(scene, motion, of, named, rich_enough(scene, motion, tolerance, of, named))
-    # runs judge the estimates, which become more careful where they were wrong
+    # choose, verify by runs, and increase the safety factors of metrics whose estimates were wrong
     runs, safety = _Runs(estimator, of, show, fmu_of), dict.fromkeys(of, SAFETY)
     for _ in range(ROUNDS):
         chosen = choose_effects(scene, motion, tolerance, of, estimator, safety)
@@ -154,7 +162,7 @@ def choose_verified(
 
 
 def _tightened(scene: Scene, tolerance: float, runs: _Runs) -> Scene:
-    """The scene with an integrator's tolerance that keeps the errors within the tolerance, where the choice may set it."""
+    """Tighten the integrator's tolerance until the errors are within the tolerance; keep one that the user has set."""
     automatic = scene.cosimulation.tolerance == integrator_tolerance(tolerance)
     while automatic and scene.cosimulation.tolerance > LEAST_TOLERANCE:
         tighter = max(0.1 * scene.cosimulation.tolerance, LEAST_TOLERANCE)
@@ -165,7 +173,7 @@ def _tightened(scene: Scene, tolerance: float, runs: _Runs) -> Scene:
 
 
 class _Runs:
-    """Runs of sets of effects beside estimates, and beside the richest set's, which is run when first needed."""
+    """Compares runs of sets of effects with estimates and with the richest set's run, which is made when first needed."""
 
     def __init__(
         self, estimator: Estimator, of: tuple[MeasureName, ...], show: ShowProgress, fmu_of: FmuOf | None
@@ -173,19 +181,19 @@ class _Runs:
         self._estimator, self._of, self._show, self._fmu_of = estimator, of, show, fmu_of
 
     def agree(self, scene: Scene, limit: float) -> bool:
-        """Whether a set's errors are within a limit, by its run and the estimates where these leave no doubt."""
+        """Whether a set's errors are within a limit, by its run and the estimates, in doubt by the richest set's run."""
         self._show("running the chosen set", None)
         own, estimator = observe(scene, self._of, self._fmu_of).metrics, self._estimator
         beside = [
             _errors(own, each, estimator.scales) for each in (estimator.metrics(scene.effects), estimator.reference)
         ]
-        # the richest set's estimate may be as wrong as the chosen one's
+        # the estimate of the richest set may be as wrong as that of the chosen one, so both differences count
         if all(beside[0][name] + beside[1][name] <= limit for name in self._of):
             return True
         return max(_errors(own, self._richest, self._scales).values()) <= limit
 
     def errors(self, scene: Scene, tolerance: float | None = None) -> MetricValues:
-        """Values of a set, beside the richest one, with the FMU's tolerance or the scene's own."""
+        """Return a set's errors against the richest set's run, with a tolerance of the FMU or the scene's own."""
         own = observe(scene, self._of, self._fmu_of, tolerance).metrics
         return _errors(own, self._richest, self._scales)
 
@@ -200,23 +208,23 @@ class _Runs:
 
 
 def _errors(metrics: MetricValues, other: MetricValues, units: MetricValues) -> MetricValues:
-    """Differences of metrics relative to their scales."""
+    """Return the differences of metrics relative to their scales."""
     return {name: abs(value - other[name]) / units[name] for name, value in metrics.items()}
 
 
 def observe(
     scene: Scene, of: tuple[MeasureName, ...], fmu_of: FmuOf | None = None, tolerance: float | None = None
 ) -> Observed:
-    """Metrics of a scene's run without its controllers, shapers and imperfections, as the estimates are made.
+    """Run a scene without its controllers, shapers and imperfections, as the estimates assume, and return the metrics.
 
     Args:
-        scene: with its effects chosen.
+        scene: with chosen effects.
         of: the metrics.
-        fmu_of: where its FMU comes from; built, or taken from the cache, when None.
+        fmu_of: function that returns its FMU; None builds it or takes it from the cache.
         tolerance: of the FMU; the scene's own when None.
 
     Raises:
-        ResultsError: the run failed, or a metric doesn't exist.
+        ResultsError: the run failed.
     """
     bare = scene.replace({"controller": [], "shaper": [], "imperfection": [], "cosimulation.drive": "motion"})
     path = (fmu_of or _built)(bare)
@@ -230,5 +238,5 @@ def observe(
 
 
 def _built(scene: Scene) -> Path:
-    """The scene's FMU; what was estimated isn't part of it, and payloads are parameters: all choices of one set share it."""
+    """Build the FMU that all scenes with the same set share: without estimates, and with the payload as a parameter."""
     return build_scene(scene.replace({"effects.choice": None, "payload.mass": 1.0})).path

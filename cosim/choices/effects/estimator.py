@@ -1,11 +1,11 @@
-"""How each set of effects changes a scene's motion, estimated from the equations alone, without building an FMU.
+"""Estimates the metrics of a scene's motion for any set of effects from the equations, without an FMU.
 
-A set of effects is the richest robot with coordinates left out: its small elastic motions follow from rows and columns of the
-richest one's matrices, evaluated once along the motion. Their response to the loads of the rigid motion (Duhamel's integral, done by
-steps) is put into the exact nonlinear outputs. A sharp estimate adds the linear response to the forces that the linear motion
-leaves unbalanced: one step of Newton's method for the whole motion at once (waveform Newton; White and Sangiovanni-Vincentelli,
-Relaxation Techniques for the Simulation of VLSI Circuits, 1987). Families that deflect statically get the mode acceleration
-method's correction.
+A set of effects is the richest robot without some of its coordinates, so its small elastic motions follow from rows and columns of
+the richest robot's matrices, which are evaluated once along the motion. Their response to the loads of the rigid motion (Duhamel's
+integral, step by step) enters the exact nonlinear outputs. A sharp estimate adds the linear response to the residual forces of the
+linear motion: one Newton iteration for the whole motion at once (waveform Newton; White and Sangiovanni-Vincentelli,
+Relaxation Techniques for the Simulation of VLSI Circuits, 1987). Families that deflect statically are added by the mode
+acceleration method.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from flexfmu.model.selection.response import Response
 from flexfmu.trajectories.jets import RealArray
 
 MetricValues = Mapping[MeasureName, float]
-"""Values in SI units, or errors relative to the metrics' scales."""
+"""Metric → value in SI units, or error relative to the metric's scale."""
 
 
 RICHEST: Mapping[str, Any] = {
@@ -40,32 +40,32 @@ RICHEST: Mapping[str, Any] = {
     "foreshortening": True,
     "quasi_static": [],
 }
-"""Values of the keys below `effects`. One shape more of each family changes no metric of the paper's scenes by 1e-3, see
-``tests/model/selection/test_selection.py``."""
+"""Richest set of effects, as keys of the scene's `effects`. One more mode of each family changes no metric of the paper's
+scenes by 1e-3, see ``tests/model/selection/test_selection.py``."""
 
 _REQUEST: Mapping[str, Any] = {"select": None, "tolerance": None, "of": None, "choice": None}
 
 
 def with_set(scene: Scene, chosen: Mapping[str, Any]) -> Scene:
-    """The scene with values of the keys that are a matter of choice, without the request to choose them."""
+    """Return the scene with this set of effects, other choosable keys at their defaults, and without a request to choose."""
     values = {key: type(scene.effects).model_fields[key].default for key in CHOOSABLE} | dict(chosen)
     changes = {**values, "basis": "craig-bampton", **_REQUEST}
     return scene.replace({f"effects.{key}": value for key, value in changes.items()})
 
 
 def richest(scene: Scene) -> Scene:
-    """The scene with all elastic effects."""
+    """Return the scene with the set `RICHEST`."""
     return with_set(scene, RICHEST)
 
 
 FLOOR, NAMED_FLOOR = 0.1, 1e-4
-"""Where a metric is near zero, errors are relative to this fraction of the largest deviation that elasticity causes; the second one
-holds where the user named the metric: what is smaller, no run resolves."""
+"""Smallest scale of a position metric, as a fraction of the peak position error; the second one applies to metrics that the user
+named, since no run resolves smaller values."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampledSignal:
-    """A signal at the instants of a motion; see `flexfmu.cosim.metrics.metric_table.TimeSignal`.
+    """A sampled signal of a motion; see `flexfmu.cosim.metrics.metric_table.TimeSignal`.
 
     Attributes:
         time: (N,) instants [s]; the time of a jump appears twice.
@@ -76,28 +76,28 @@ class SampledSignal:
     derivatives: Mapping[int, RealArray]
 
     def peak(self) -> Measurement:
-        """Largest norm."""
+        """Largest norm at the instants."""
         return Measurement(float(np.linalg.norm(self.derivatives[0], axis=1).max()))
 
     def root_mean_square(self, order: int = 0) -> Measurement:
-        """By the trapezoidal rule."""
+        """Root mean square by the trapezoidal rule."""
         squares = np.sum(self.derivatives[order] ** 2, axis=1)
         return Measurement(float(np.sqrt(trapezoid(squares, self.time) / (self.time[-1] - self.time[0]))))
 
     def final(self, order: int = 0) -> Measurement:
-        """At the last instant."""
+        """Norm at the last instant."""
         return Measurement(float(np.linalg.norm(self.derivatives[order], axis=1)[-1]))
 
 
 @dataclass(frozen=True, eq=False)
 class EstimatedSolution(Solution):
-    """What a set of effects makes of a motion, at its instants; methods as in `Solution`.
+    """Estimated motion with a set of effects; methods as in `Solution`.
 
     Attributes:
         grid: the instants.
-        outputs: what the robot does at them.
-        rigid: what it would do if it were rigid.
-        rest: end effector at the end pose's static equilibrium, (2,) [m].
+        outputs: outputs of the robot at them.
+        rigid: outputs of the rigid robot at them.
+        rest: end-effector position of the static equilibrium at the end pose, (2,) [m].
     """
 
     grid: MotionGrid
@@ -126,10 +126,10 @@ class EstimatedSolution(Solution):
         return SampledSignal(self.grid.time[dwelling], {0: distance})
 
     def metrics(self, of: Iterable[MeasureName]) -> dict[MeasureName, float]:
-        """Metrics in SI units.
+        """Return metrics in SI units.
 
         Raises:
-            ValueError: one of them has no value, since it needs a dwell.
+            ValueError: a metric has no value because there is no dwell.
         """
         found: dict[MeasureName, float] = {}
         for name in of:
@@ -141,29 +141,29 @@ class EstimatedSolution(Solution):
 
 
 def scales(reference: Mapping[MeasureName, float], named: Collection[MeasureName] = ()) -> dict[MeasureName, float]:
-    """What errors of each metric are relative to, in the metric's unit.
+    """Return the scale of each metric, to which its errors are relative, in the metric's unit.
 
-    This is the metric itself, but for positions at least `FLOOR` times the peak position error, which must be among the
-    metrics of the reference: a residual vibration that has died out is no scale for anything.
+    The scale is the metric's magnitude, for positions at least `FLOOR` times the peak position error, which the reference
+    must contain: a decayed residual vibration is near zero and no useful scale.
 
     Args:
         reference: metrics of the richest set.
-        named: metrics that the user named, which are judged relative to themselves (down to `NAMED_FLOOR`).
+        named: metrics that the user named, for which `NAMED_FLOOR` replaces `FLOOR`.
     """
-    # positions share a floor, other metrics are their own scale
+    # positions have a smallest scale, other metrics have none
     peak = reference["peak_position_error"]
     floors = {name: peak * (NAMED_FLOOR if name in named else FLOOR) for name in reference if METRICS[name].unit == "m"}
     return {name: max(abs(value), floors.get(name, 0.0)) for name, value in reference.items()}
 
 
 class Estimator:
-    """Metrics of a scene's motion for any set of effects.
+    """Estimates the metrics of a scene's motion for any set of effects.
 
     Args:
-        scene: robot and loads; its choice of elastic effects doesn't matter.
+        scene: robot and loads; its own elastic effects are ignored.
         motion: the planned motion of its motors.
         of: the metrics.
-        named: those of them that the user named, see `scales`.
+        named: metrics that the user named, see `scales`.
         most: the scene with the richest set, `richest(scene)` when None.
 
     Attributes:
@@ -184,51 +184,51 @@ class Estimator:
         self._static_start = scene.cosimulation.initial == "static"
         self._robots: dict[tuple[str, bool], LinearizedMotion] = {}
         self._known: dict[tuple[str, bool], MetricValues] = {}
-        # what the robot would do if it were rigid
+        # outputs of the rigid robot
         robot = self._robot(self.richest.effects)
         rest = np.zeros(robot.load.shape)
         self._rigid = robot.outputs(Response(rest, rest, rest))
 
     @cached_property
     def reference(self) -> MetricValues:
-        """Metrics with the richest set."""
+        """Metrics with the richest set, in SI units."""
         return {name: self._full[name] for name in self._of}
 
     @cached_property
     def scales(self) -> MetricValues:
-        """What errors are relative to, see `scales`."""
+        """Scale of each metric, see the function `scales`."""
         units = scales(self._full, self.named)
         return {name: units[name] for name in self._of}
 
     @cached_property
     def _full(self) -> MetricValues:
-        """What the reference and its scales need."""
+        """Metrics with the richest set, those that the scales need included."""
         needed = tuple(dict.fromkeys(("peak_position_error", *self._of)))
         return self._solution(self.richest.effects, sharp=True).metrics(needed)
 
     def metrics(self, effects: Effects, *, sharp: bool = True) -> MetricValues:
-        """The metrics with a set of effects, in SI units."""
+        """Return the metrics with a set of effects, in SI units; ``sharp`` adds the Newton iteration."""
         key = effects.model_dump_json(), sharp
         if key not in self._known:
             self._known[key] = self._solution(effects, sharp).metrics(self._of)
         return self._known[key]
 
     def covers(self, effects: Effects) -> bool:
-        """Whether the richest set contains this one."""
+        """Whether the richest set has at least as many modes of every family."""
         most = self.richest.effects
         return all(getattr(effects, family) <= getattr(most, family) for family in get_args(FamilyName))
 
     def changes(self, effects: Effects, other: Effects, *, sharp: bool = True) -> MetricValues:
-        """By how much the metrics differ between two sets, relative to their scales."""
+        """Return the differences of the metrics between two sets, relative to their scales."""
         first, second = self.metrics(effects, sharp=sharp), self.metrics(other, sharp=sharp)
         return {name: abs(first[name] - second[name]) / self.scales[name] for name in self._of}
 
     def errors(self, effects: Effects, *, sharp: bool = True) -> MetricValues:
-        """By how much the metrics differ from those of the richest set, relative to their scales."""
+        """Return the differences of the metrics from the richest set's, relative to their scales."""
         return self.changes(effects, self.richest.effects, sharp=sharp)
 
     def _robot(self, effects: Effects) -> LinearizedMotion:
-        """The richest robot with the beam theory of a set of effects."""
+        """Return the richest robot with beam theory and foreshortening of a set of effects."""
         key = effects.beam, effects.foreshortening
         if key not in self._robots:
             theory = {"effects.beam": effects.beam, "effects.foreshortening": effects.foreshortening}
@@ -236,15 +236,15 @@ class Estimator:
         return self._robots[key]
 
     def _solution(self, effects: Effects, sharp: bool) -> EstimatedSolution:
-        # which coordinates of the richest robot move, and which deflect statically
+        # coordinates of the richest robot that are states of the set, and those that deflect statically
         robot = self._robot(effects)
         states, statics = (robot.coordinates(effects, static=wanted) for wanted in (False, True))
-        # linear response, with one Newton step for the whole motion where the estimate is to be sharp
+        # linear response; a sharp estimate adds one Newton iteration for the whole motion
         start = robot.equilibrium(self._grid.rests[0], states) if self._static_start else np.zeros(states.size)
         motion = robot.response(states, start)
         if sharp and states.size:
             motion = robot.corrected(motion, states)
-        # exact outputs of that motion; static deflections move the end effector alone
+        # exact outputs of that motion; static deflections change the end-effector position only
         outputs = robot.outputs(motion)
         if statics.size:
             deflected = replace(motion, position=motion.position + robot.deflections(motion, statics))

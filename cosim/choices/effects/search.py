@@ -1,7 +1,7 @@
-"""The choice itself: the cheapest set of effects for a scene, with what each effect is estimated to be worth.
+"""Searches the cheapest set of effects for a scene and estimates the contribution of each effect.
 
-The search is a backward elimination: it starts with all effects and leaves out what is worth least, alone or in pairs, as long as
-the estimated errors allow it. Loads of the robot, gravity for example, are never left out; their worth is estimated too.
+The search is a backward elimination: it starts with all effects and leaves out those that contribute least, alone or in pairs, while
+the estimated errors are within the limit. Loads such as gravity are never left out; their contributions are estimated too.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.motion_grid import JointMotion
 
 SAFETY = 1.5
-"""Factor on estimated errors: one step of Newton's method and finite time steps leave a few percent."""
+"""Safety factor on estimated errors: one Newton iteration and finite time steps leave an error of some percent."""
 
 CONVERGED = 0.1
-"""By how many tolerances the richest set may differ from the next richer one."""
+"""Largest difference of the richest set from the next richer one, in units of the tolerance."""
 
 MOST_MODES = 8
-"""Of a family in the richest set."""
+"""Largest number of modes of a family in the richest set."""
 
 
 def rich_enough(
@@ -33,27 +33,27 @@ def rich_enough(
     of: tuple[MeasureName, ...],
     named: Collection[MeasureName] = (),
 ) -> Scene:
-    """The scene with a richest set that one mode more in every family changes by less than `CONVERGED` of the tolerance.
+    """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED` tolerances.
 
-    It starts as `RICHEST` and grows by the modes that are worth most. Foreshortening hardly depends on the number of modes and is left
-    out while they are counted.
+    The set starts as `RICHEST`; modes are added by the size of their contribution. Foreshortening hardly depends on the number of
+    modes and is left out meanwhile.
 
-    Args and errors: as for `choose_effects`; `named` as for `Estimator`.
+    Arguments as for `choose_effects`; `named` as for `Estimator`.
     """
     most = richest(scene)
     while True:
-        # compare with one mode more of every family
+        # compare with one more mode of every family
         grown_most = one_more(most, get_args(FamilyName))
         plain, grown = (each.replace({"effects.foreshortening": False}) for each in (most, grown_most))
         estimator = Estimator(scene, motion, of, named, grown)
-        # add the mode that is worth most until the rest is negligible
+        # add the mode with the largest contribution until the rest is negligible
         while max(estimator.errors(plain.effects).values()) > CONVERGED * tolerance:
             steps = [one_more(plain, [family]) for family in get_args(FamilyName)]
             plain = min(
                 (each for each in steps if estimator.covers(each.effects) and each != plain),
                 key=lambda each: max(estimator.errors(each.effects).values()),
             )
-        # done where nothing was added, or nothing can be
+        # done when no mode was added, or none can be
         found = plain.replace({"effects.foreshortening": True})
         if found == most or grown_most == most:
             return most
@@ -61,7 +61,7 @@ def rich_enough(
 
 
 def one_more(scene: Scene, families: Sequence[str]) -> Scene:
-    """The scene with one mode more of some families, as far as `MOST_MODES`."""
+    """Return the scene with one more mode of these families, up to `MOST_MODES`."""
     return scene.replace({f"effects.{key}": min(getattr(scene.effects, key) + 1, MOST_MODES) for key in families})
 
 
@@ -73,17 +73,17 @@ def choose_effects(
     estimator: Estimator | None = None,
     safety: Mapping[MeasureName, float] | None = None,
 ) -> Scene:
-    """The scene with the cheapest set of effects whose estimated errors are within half the tolerance.
+    """Return the scene with the cheapest set of effects whose estimated errors are within the effects' share of the tolerance.
 
-    What was estimated stands in the scene's ``effects.choice``. The other half of the tolerance is the integrator's.
+    The other share is the integrator's, `INTEGRATOR_SHARE`. The scene's ``effects.choice`` has the estimates.
 
     Args:
-        scene: robot, loads and motion; its own choice of elastic effects doesn't matter.
+        scene: robot, loads and motion; its own elastic effects are ignored.
         motion: the planned motion of its motors.
         tolerance: largest relative error of the metrics.
         of: the metrics.
-        estimator: for this scene, motion and metrics, where there is one.
-        safety: by what the estimates of each metric are multiplied; `SAFETY` when None.
+        estimator: of this scene, motion and metrics; a new one when None.
+        safety: safety factor on the estimated errors of each metric; `SAFETY` when None.
     """
     estimates = estimator or Estimator(scene, motion, of, most=rich_enough(scene, motion, tolerance, of))
     limit, factor = (1.0 - INTEGRATOR_SHARE) * tolerance, safety or dict.fromkeys(of, SAFETY)
@@ -94,7 +94,7 @@ def choose_effects(
     chosen = cheapest(
         estimates.richest, with_set(scene, {}), lambda each: error(each, False), lambda each: error(each, True), limit
     )
-    # every effect, in the set or not, with what the metrics change without it, or with it
+    # contribution of every effect: change of the metrics without it, or with it where it is not in the set
     worth = tuple(
         EstimatedEffect(
             effect=each.effect,
@@ -112,12 +112,12 @@ def choose_effects(
 
 
 def estimated_errors(estimator: Estimator, scene: Scene) -> Mapping[MeasureName, float]:
-    """Errors of a scene's set of effects because of what it leaves out, `SAFETY` included, relative to the metrics' scales."""
+    """Return the estimated errors of a scene's set of effects relative to the metrics' scales, `SAFETY` included."""
     return {name: SAFETY * value for name, value in estimator.errors(scene.effects).items()}
 
 
 def neighbours(estimator: Estimator, chosen: Scene) -> list[tuple[Neighbour, bool]]:
-    """Scenes with one effect less, True, and with one more, False, as far as the richest set goes."""
+    """Return the scenes with one effect less (True) and with one effect more (False), within the richest set."""
     found = [(each, True) for each in poorer(chosen)] + [(each, False) for each in richer(chosen)]
     return [pair for pair in found if estimator.covers(pair[0].scene.effects)]
 
@@ -126,22 +126,22 @@ Error = Callable[[Scene], float]
 """Scene → error of its set of effects, the largest over all metrics."""
 
 HOPELESS = 3.0
-"""Error of a quick estimate, in units of the limit, from which no sharp estimate is made."""
+"""Error of a quick estimate, in units of the limit, above which no sharp estimate is made."""
 
 
 def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: float) -> Scene:
-    """A scene whose error is within the limit and from which nothing more can be left out, neither one effect nor two at once.
+    """Return a scene with an error within the limit, from which neither one effect nor two at once can be left out.
 
-    Rigid links are tried first. Otherwise in each round, of the reductions that are within the limit, the one with the smallest
-    quick estimate is taken. Errors of opposite sign make up for each other, so that two effects may be left out together where
-    neither may go alone: such pairs are looked at where no single one is left.
+    Rigid links are tried first. Otherwise each round takes, of the reductions within the limit, the one with the smallest
+    quick estimate. Errors of opposite sign compensate, so two effects may be left out together where neither may be left out
+    alone: pairs are tried where no single effect can be left out.
 
     Args:
-        richest, rigid: with all effects and with none.
+        richest, rigid: the scene with all effects and with none.
         quick, sharp: estimates of the error of a scene's set; the second one decides.
         limit: largest error.
     """
-    # nothing is cheaper than rigid links
+    # rigid links are cheapest
     if quick(rigid) <= HOPELESS * limit and sharp(rigid) <= limit:
         return rigid
 
@@ -151,11 +151,11 @@ def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: fl
         return next((each for each in promising if sharp(each) <= limit), None)
 
     def two_poorer(scene: Scene) -> Iterable[Scene]:
-        """All scenes with two effects or modes less, each once."""
+        """Return all scenes with two effects or modes less, each once."""
         pairs = [second.scene for first in poorer(scene) for second in poorer(first.scene)]
         return {each.effects.model_dump_json(): each for each in pairs}.values()
 
-    # leave out one effect after another, or two at once, until nothing more can go
+    # leave out one effect after another, or two at once, while the error allows it
     scene: Scene | None = richest
     while scene is not None:
         found = scene
@@ -164,24 +164,24 @@ def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: fl
 
 
 def poorer(scene: Scene) -> Iterator[Neighbour]:
-    """All scenes with one effect or mode less."""
+    """Return all scenes with one effect or mode less."""
     return (neighbour for neighbour in reductions(scene) if neighbour.effect in CHOOSABLE)
 
 
 def richer(scene: Scene) -> Iterator[Neighbour]:
-    """All scenes with one effect or mode more."""
+    """Return all scenes with one effect or mode more."""
     return (neighbour for neighbour in enrichments(scene) if neighbour.effect in CHOOSABLE)
 
 
 def effects_of_loads(
     estimator: Estimator, chosen: Scene, motion: JointMotion
 ) -> Iterator[tuple[Neighbour, EstimatedEffect]]:
-    """Each load of the robot, as the scene without it and what that would change in the metrics.
+    """Yield, for each load of the robot, the scene without it and the change of the metrics.
 
     Args:
         estimator: of the scene.
         chosen: the scene with a set of effects.
-        motion: of its motors.
+        motion: the planned motion of its motors.
     """
     metrics, scales = estimator.metrics(chosen.effects), estimator.scales
     for without in (each for each in reductions(chosen) if each.effect in LOADS):
@@ -194,5 +194,5 @@ def effects_of_loads(
 
 
 def absent_effects(scene: Scene) -> tuple[str, ...]:
-    """Keys of loads that the robot doesn't have."""
+    """Return the keys of loads that the robot doesn't have."""
     return tuple(key for key in LOADS if key not in scene.loads)

@@ -1,5 +1,5 @@
-"""A choice of effects with everything that was looked at: what each effect is worth, what it costs, frequencies, and runs of the
-chosen set beside the next richer ones; as data and as tables."""
+"""Effect study: the choice of effects with contribution, cost and natural frequencies of each effect, and runs of the chosen set
+beside richer sets; as data and as tables."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.model.selection.cost import Cost, costs
 
 POSES = 3
-"""Poses of the frequencies: start, middle and end of the path."""
+"""Number of poses for natural frequencies: start, middle and end of the path."""
 
 Place = Literal["in", "out", "given"]
-"""Where an effect is: in the chosen set or out of it, or given by the robot and not a matter of choice."""
+"""In the chosen set, out of it, or given: a load of the robot, which can't be chosen."""
 
 
 @dataclass(frozen=True)
 class EffectRow:
-    """One effect, in the set or not, or given by the robot.
+    """An effect and the neighbouring set: the chosen set without the effect, or with it where it is out of the set.
 
     Attributes:
-        place: where it is.
-        estimate: what it is and what it changes in each metric.
-        cost: of the set without it, or with it.
-        poses: natural frequencies of that set along the path.
+        place: in the chosen set, out of it, or given.
+        estimate: the effect and its contribution to each metric.
+        cost: of the neighbouring set.
+        poses: natural frequencies of the neighbouring set along the path.
     """
 
     place: Place
@@ -67,14 +67,14 @@ class EffectRow:
 
 @dataclass(frozen=True)
 class EffectStudy:
-    """A choice of effects with everything that was looked at.
+    """A choice of effects, with contribution, cost and natural frequencies of each effect.
 
     Attributes:
-        scene: with the chosen set; ``scene.effects.choice`` says what was estimated.
-        estimator: for further sets.
+        scene: with the chosen set; ``scene.effects.choice`` has the estimates.
+        estimator: of the scene.
         cost: of the chosen set.
-        poses: its natural frequencies along the path.
-        rows: every effect, those in the set first, those that the robot gives last.
+        poses: natural frequencies of the chosen set along the path.
+        rows: every effect: those in the set, those out of it, then the loads.
     """
 
     scene: Scene
@@ -87,19 +87,19 @@ class EffectStudy:
     def choice(self) -> ChoiceSection:
         """How the effects were chosen: tolerance, metrics, estimated errors and contributions."""
         choice = self.scene.effects.choice
-        assert choice is not None  # that is what `choose_effects` gives
+        assert choice is not None  # `choose_effects` sets it
         return choice
 
 
 def study_effects(
     scene: Scene, tolerance: float | None = None, of: tuple[str, ...] = (), show: ShowProgress = quiet
 ) -> EffectStudy:
-    """Choose a scene's effects and look at each of them.
+    """Choose a scene's effects and study each of them.
 
     Args:
-        scene: any scene; its own choice of elastic effects doesn't matter.
-        tolerance, of: as in the scene file; the scene's own, or `flexfmu.model.scene.choice.DEFAULT_TOLERANCE` and `flexfmu.cosim.choices.effects.choice.MEASURED`.
-        show: called with what is being done and the finished fraction.
+        scene: any scene; its own elastic effects are ignored.
+        tolerance, of: tolerance and metrics, defaults as for `requirements`.
+        show: called with the current activity and the finished fraction.
 
     Raises:
         BuildError, ResultsError: as for `resolved`.
@@ -109,12 +109,14 @@ def study_effects(
     limit, names = requirements(scene, tolerance, of)
     stated = scene.effects.tolerance
     if stated is None or scene.cosimulation.tolerance == integrator_tolerance(stated):
-        # the integrator's tolerance belongs to other effects, or to none
+        # an integrator's tolerance that belongs to another choice, or to none, is replaced
         scene = scene.replace({"cosimulation.tolerance": integrator_tolerance(limit)})
+    # the choice, and every set that differs by one effect or load
     motion = plan(scene)
     chosen, estimator = choose_verified(scene, motion.joints, limit, names, named_metrics(scene, of), show)
     show("looking at what the robot gives", None)
     found = _changes(estimator, chosen, motion)
+    # their costs and natural frequencies
     show("timing the equations", None)
     own, *theirs = costs((chosen, *(other for _, other, _ in found)))
     rows: list[EffectRow] = []
@@ -127,8 +129,8 @@ def study_effects(
 def _changes(
     estimator: Estimator, chosen: Scene, motion: MotionPlan
 ) -> tuple[tuple[Place, Scene, EstimatedEffect], ...]:
-    """All single changes of a chosen set, and of what the robot gives."""
-    assert chosen.effects.choice is not None  # that is what `choose_effects` gives
+    """Return the scenes that differ from the chosen one by one effect or load, with their estimates."""
+    assert chosen.effects.choice is not None  # `choose_effects` sets it
     elastic = zip(neighbours(estimator, chosen), chosen.effects.choice.effects, strict=True)
     loads = effects_of_loads(estimator, chosen, motion.joints)
     return (
@@ -138,18 +140,19 @@ def _changes(
 
 
 def _frequencies(motion: MotionPlan, scene: Scene) -> list[ModalPose]:
+    """Return a scene's natural frequencies at `POSES` poses along the path."""
     return modes_along_path(replace(motion, scene=scene), POSES)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A chosen set beside a richer one; changes of the metrics are relative to their scales.
+    """The chosen set compared with a richer one; changes of the metrics are relative to their scales.
 
     Attributes:
-        effect, change: what the richer set has more.
-        estimated: change of each metric without a run.
-        observed: change of each metric between two runs.
-        slower: processor time of the richer set's run over that of the chosen one's.
+        effect, change: effect that the richer set adds, and how.
+        estimated: estimated change of each metric.
+        observed: change of each metric between the two runs.
+        slower: processor time of the richer set's run divided by that of the chosen set's.
     """
 
     effect: str
@@ -160,31 +163,31 @@ class Comparison:
 
     @property
     def effectivity(self) -> float | None:
-        """Largest estimated over largest observed change; None where nothing was observed."""
+        """Largest estimated change divided by the largest observed one; None where none was observed."""
         return effectivity(max(self.estimated.values()), max(self.observed.values()))
 
 
 def effectivity(estimated: float, observed: float) -> float | None:
-    """An estimate over what was observed; None where nothing was observed, beside which no estimate has a size."""
+    """Return the effectivity index, estimated divided by observed change; None where the observed change is zero."""
     return estimated / observed if observed else None
 
 
 EVERYTHING = "everything"
-"""Effect of the comparison with the richest set, whose estimate is that of the choice, safety included."""
+"""Effect in the comparison with the richest set; its estimated change includes the safety factor."""
 
 
 def check_choice(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgress = quiet) -> tuple[Comparison, ...]:
-    """Run the chosen set, the richest one and each next richer one; all of `comparisons`."""
+    """Return all `comparisons` at once."""
     return tuple(comparisons(study, fmu_of, show))
 
 
 def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgress = quiet) -> Iterator[Comparison]:
-    """The chosen set beside the richest one, then beside each next richer one, each run when the iterator reaches it.
+    """Compare runs of the chosen set with the richest one, then with each next richer one; runs are made on demand.
 
     Args:
         study: the choice.
-        fmu_of: where the FMUs come from; built, or taken from the cache, when None.
-        show: called with what is being done and the finished fraction.
+        fmu_of: function that returns the FMUs; None builds them or takes them from the cache.
+        show: called with the current activity and the finished fraction.
 
     Raises:
         BuildError: an FMU can't be built.
@@ -205,7 +208,7 @@ def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgr
         return Comparison(effect, change, estimated, observed, longer / own)
 
     yield compare(EVERYTHING, "the richest set", estimated_errors(estimator, chosen), full)
-    # one more of each effect, where the estimates know it
+    # one more of each effect within the estimator's richest set
     for each in richer(chosen):
         if estimator.covers(each.scene.effects):
             show(f"running with {each.effect}: {each.change}", None)
@@ -214,20 +217,20 @@ def comparisons(study: EffectStudy, fmu_of: FmuOf | None = None, show: ShowProgr
 
 
 SHOWN_FREQUENCIES = 3
-"""Lowest frequencies of each pose in the table; all of them are in the JSON."""
+"""Number of lowest frequencies of each pose in the table; the JSON file has all."""
 
 LONGEST_WORD = len("foreshortening")
 
 
 def contribution_table(study: EffectStudy) -> Table:
-    """Every effect, in or out, with its contribution to each metric and its cost."""
+    """Tabulate every effect with its contribution to each metric and its cost."""
     metrics = [METRICS[name].label for name in study.choice.of]
     table = _table(
         f"{study.scene.name}: what each effect is worth, as relative change of each metric, and what it costs",
         (" ", "Effect", "Change"),
         (*metrics, "states", "operations", "time"),
     )
-    # the set itself, then what each single change of it costs beside it
+    # the chosen set, then the extra cost of each neighbouring set
     cost = study.cost
     own = f"{cost.states}", f"{cost.operations}", f"{1e6 * cost.time:.3g} µs"
     table.add_row("", "the set itself", "", *("" for _ in metrics), *own)
@@ -240,13 +243,15 @@ def contribution_table(study: EffectStudy) -> Table:
 
 
 def frequency_table(study: EffectStudy) -> Table:
-    """Natural frequencies along the path, of the set and with each single change."""
+    """Tabulate the natural frequencies along the path of the chosen set and of each neighbouring set."""
+    # a column for each pose
     places = [f"s = {pose.s:g}" for pose in study.poses]
     table = _table(
         f"lowest {SHOWN_FREQUENCIES} natural frequencies along the path [Hz], motors locked",
         (" ", "Effect", "Change"),
         places,
     )
+    # the chosen set, then each neighbouring set
     table.add_row("", "the set itself", "", *_lowest(study.poses))
     for row in study.rows:
         table.add_row(*_named(row), *_lowest(row.poses))
@@ -254,12 +259,13 @@ def frequency_table(study: EffectStudy) -> Table:
 
 
 def comparison_table(comparisons: Iterable[Comparison]) -> Table:
-    """Estimates beside what runs of the FMUs show."""
+    """Tabulate estimated and observed changes of the metrics."""
     table = _table(
         "the chosen set beside richer ones: largest change over the metrics",
         ("Effect", "Change"),
         ("estimated", "observed", "effectivity", "time of a run"),
     )
+    # the largest change over the metrics of each comparison
     for each in comparisons:
         estimated, observed = max(each.estimated.values()), max(each.observed.values())
         ratio = "–" if each.effectivity is None else f"{each.effectivity:.2f}"
@@ -272,7 +278,7 @@ def _named(row: EffectRow) -> tuple[str, str, str]:
 
 
 def _lowest(poses: Iterable[ModalPose]) -> Iterator[str]:
-    """The lowest frequencies of each pose."""
+    """Format the lowest frequencies of each pose [Hz]."""
     for pose in poses:
         yield "  ".join(f"{frequency:.1f}" for frequency in pose.frequencies[:SHOWN_FREQUENCIES]) or "–"
 
@@ -286,7 +292,7 @@ def _table(title: str, texts: Iterable[str], numbers: Iterable[str]) -> Table:
 
 
 def study_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[str, Any]:
-    """Everything as plain data in SI units; errors and contributions are relative to `scales`."""
+    """Return study and comparisons as plain data in SI units; errors and contributions are relative to `scales`."""
     choice = study.choice
     data: dict[str, Any] = {
         "scene": study.scene.name,
@@ -308,7 +314,7 @@ def study_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[st
             for row in study.rows
         ],
     }
-    # runs beside richer sets, where there were any
+    # comparisons with richer sets, where there are any
     found = [
         {
             "effect": each.effect,
@@ -324,12 +330,14 @@ def study_data(study: EffectStudy, comparisons: Iterable[Comparison]) -> dict[st
 
 
 def report(study: EffectStudy) -> list[RenderableType]:
-    """The tables of all effects, and the choice in words."""
+    """Return the tables of all effects, and the choice in sentences."""
+    # values for the sentences
     choice, absent = study.choice, ", ".join(absent_effects(study.scene))
     worst = ", ".join(
         f"{METRICS[name].label.lower()} {percent(value)}" for name, value in zip(choice.of, choice.error, strict=True)
     )
     limit = (1.0 - INTEGRATOR_SHARE) * choice.tolerance
+    # tables, then sentences
     lines = [
         *([f"the scene has no {absent}: it alone could say how large they are"] if absent else []),
         f"chosen for {percent(choice.tolerance)}: {set_text(study.scene)}",

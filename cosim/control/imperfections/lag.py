@@ -56,7 +56,7 @@ class Lag:
         name: name of the slave.
 
     Attributes:
-        largest_step: largest communication step, the shortest time constant [s].
+        largest_step: largest admissible step, the shortest time constant [s].
         latency: output → its time constant [s].
 
     Raises:
