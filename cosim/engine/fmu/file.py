@@ -1,7 +1,7 @@
 """FMU files: unpacked once per content, parsed, and checked for use as a slave.
 
-Vendor annotations of our own FMUs state what FMI 2.0 can't: sample times, breakpoints, structured names, and the names of
-numbered choices.
+Vendor annotations of our own FMUs state what FMI 2.0 can't: sample times, breakpoints, structured names, and the
+names of numbered choices.
 """
 
 from __future__ import annotations

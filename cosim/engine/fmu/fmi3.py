@@ -1,8 +1,8 @@
 """Instances of an FMI 3.0 co-simulation FMU: configured, initialised, stepped from event to event, and freed.
 
-Event mode is used if the FMU supports it (hasEventMode): fmi3DoStep may return early at an event, which is handled before
-the step goes on; steps end at announced time events, and discrete inputs change at events. Intermediate update and clocks
-are not used.
+Event mode is used if the FMU supports it (hasEventMode): fmi3DoStep may return early at an event, which is handled
+before the step goes on; steps end at announced time events, and discrete inputs change at events. Intermediate update
+and clocks are not used.
 """
 
 from __future__ import annotations

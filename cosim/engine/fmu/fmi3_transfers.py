@@ -55,7 +55,7 @@ class Fmi3Transfers:
         return call
 
     def set(self, handles: Sequence[Handle], values: RealArray) -> StatusCall:
-        """Return a call that sets the variables from ``values`` (n,); in event mode discrete ones only if they change."""
+        """Return a call that sets the variables from ``values`` (n,); at events discrete ones only if they change."""
         groups = [_Group(each, columns) for each, columns in _groups(handles, by_event=True)]
         # continuous variables are set in step mode, discrete ones at an event
         continuous, discrete = ([each for each in groups if each.discrete is kind] for kind in (False, True))

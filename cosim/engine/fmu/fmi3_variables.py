@@ -1,6 +1,6 @@
-"""Model descriptions of FMI 3.0 as those of FMI 2.0 are: arrays element by element, ``y[1]`` and ``A[1,2]``, row by row.
+"""Model descriptions of FMI 3.0 in the form of FMI 2.0: arrays as scalar elements ``y[1]`` and ``A[1,2]``, row by row.
 
-Structural parameters, which sizes of arrays depend on, count as parameters; variables of type Binary are left out.
+Structural parameters (they set the sizes of arrays) count as parameters; variables of type Binary are left out.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _KINDS = {"Float32": "Real", "Float64": "Real", "Enumeration": "Enumeration", "B
 
 @dataclass(frozen=True)
 class ElementHandle(Handle):
-    """How the FMI 3.0 functions reach a variable, or an element of one.
+    """Address of a scalar variable, or of an element of an array, for the FMI 3.0 functions.
 
     Attributes:
-        name: for messages.
-        type: whose functions, ``Float64`` for example.
-        place: where it is among its variable's values.
-        size: how many values its variable has.
-        start: the variable's start values, where all are known.
-        discrete: whether it changes at events alone.
+        name: name for messages.
+        type: type whose functions transfer it, ``Float64`` for example.
+        place: index of the element in its array, row by row; 0 for a scalar.
+        size: number of elements of the array; 1 for a scalar.
+        start: start values of the whole variable; None if unknown.
+        discrete: whether it changes only at events.
         structural: whether it is a structural parameter.
     """
 
@@ -49,25 +49,25 @@ class ElementHandle(Handle):
 
 @define(eq=False)
 class Element(ModelVariable):  # type: ignore[misc]
-    """A variable or an element of one, with types as in FMI 2.0."""
+    """A scalar variable or an element of an array, with the types of FMI 2.0."""
 
     handle: ElementHandle | None = None
     array: str = ""
-    """Name of the array that it belongs to; empty for a scalar."""
+    """Name of its array; empty for a scalar."""
 
 
 def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
-    """The model description with a scalar variable for each element.
+    """Return the model description with one scalar variable per element.
 
     Args:
-        description: as fmpy reads it.
-        folder: of the unpacked FMU.
-        sizes: structural parameters that are others than the description's.
+        description: model description as fmpy reads it; ranges of integers are added to it.
+        folder: folder of the unpacked FMU.
+        sizes: structural parameter → value, if it isn't the start value of the description.
     """
     _add_ranges(description, folder)
     elements: dict[int, list[Element]] = {}
     variables: list[Element] = []
-    # signals, and what may be set before initialisation
+    # inputs, outputs, parameters, and variables that may be set before initialisation
     for variable in description.modelVariables:
         shown = variable.causality in ("input", "output", "parameter", "structuralParameter")
         used = shown or (variable.initial in ("exact", "approx") and variable.variability != "constant")
@@ -79,7 +79,7 @@ def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
     def known(variables: Sequence[Any] | None) -> list[Element] | None:
         return None if variables is None else [e for v in variables for e in elements.get(v.valueReference, [])]
 
-    # each element of an output depends on all elements of what the output depends on
+    # each element of an output depends on all elements of the output's dependencies
     outputs = [
         Unknown(variable=element, dependencies=known(unknown.dependencies))
         for unknown in description.outputs
@@ -89,10 +89,10 @@ def flattened(description: Any, folder: Path, sizes: Mapping[str, int]) -> Any:
 
 
 def structural_sizes(description: Any, parameters: Mapping[str, Any]) -> dict[str, int]:
-    """The structural parameters among these start values.
+    """Return the structural parameters among these start values: name → value.
 
     Raises:
-        InputError: one has a value that doesn't suit its type or range.
+        InputError: a value doesn't fit its type or range.
     """
     known = settable_variables(description)
     given = {n: value for n, value in parameters.items() if n in known and _structural(known[n])}
@@ -100,10 +100,10 @@ def structural_sizes(description: Any, parameters: Mapping[str, Any]) -> dict[st
 
 
 def by_elements(description: Any, parameters: Mapping[str, Any]) -> dict[str, Value]:
-    """Start values, arrays that are given as a whole element by element, structural parameters first; as they are for FMI 2.0.
+    """Return start values by element, structural parameters first; unchanged for an FMU of FMI 2.0.
 
     Raises:
-        InputError: an array is given another number of values than it has elements.
+        InputError: the number of values for an array isn't its number of elements.
     """
     elements = {each.name: each for each in description.modelVariables if isinstance(each, Element)}
     if not elements:
@@ -124,7 +124,7 @@ def by_elements(description: Any, parameters: Mapping[str, Any]) -> dict[str, Va
                 f"got {len(values)}"
             )
         single |= zip(names, values, strict=True)
-    # numbers of single precision as they will be read back
+    # single-precision values as they will be read back
     short = {name for name, each in elements.items() if each.handle is not None and each.handle.type == "Float32"}
     return {
         name: float(np.float32(value)) if name in short and isinstance(value, int | float) else value
@@ -133,19 +133,19 @@ def by_elements(description: Any, parameters: Mapping[str, Any]) -> dict[str, Va
 
 
 def _structural(variable: Any) -> bool:
-    """Whether it is a structural parameter."""
+    """Return whether the variable is a structural parameter."""
     return isinstance(variable, Element) and variable.handle is not None and variable.handle.structural
 
 
 def _add_ranges(description: Any, folder: Path) -> None:
-    """Ranges of unsigned integers, which fmpy leaves out, and those of the types of all integers."""
+    """Add the ranges of unsigned integers, which fmpy doesn't read, and the limits of the C types of all integers."""
     root = ElementTree.parse(folder / "modelDescription.xml").getroot()
     unsigned = {each.get("name"): each for each in root.iterfind("ModelVariables/*") if each.tag.startswith("UInt")}
     for variable in description.modelVariables:
-        # fmpy leaves these out
+        # the ranges that fmpy doesn't read
         if variable.name in unsigned:
             variable.min, variable.max = (unsigned[variable.name].get(bound) for bound in ("min", "max"))
-        # neither its own nor its type's: what the C type can take
+        # no limit of its own or of its declared type: the limit of the C type
         if "Int" in variable.type:
             limits, stated = np.iinfo(DTYPES[variable.type]), (variable, variable.declaredType)
             for bound, limit in (("min", limits.min), ("max", limits.max)):
@@ -154,8 +154,8 @@ def _add_ranges(description: Any, folder: Path) -> None:
 
 
 def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
-    """The variable, or one for each element of an array."""
-    # size in each dimension, a number or a structural parameter; () for a scalar
+    """Yield a scalar variable as it is, an array element by element."""
+    # sizes of the dimensions, numbers or structural parameters; () for a scalar
     shape = tuple(
         int(each.start if each.start is not None else sizes.get(each.variable.name, each.variable.start))
         for each in variable.dimensions
@@ -172,7 +172,7 @@ def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
         discrete=_KINDS.get(variable.type) != "Real" or variable.variability == "discrete",
         structural=variable.causality == "structuralParameter",
     )
-    # all that fmpy has read, with names and types as in FMI 2.0
+    # all attributes read by fmpy, with names and types as in FMI 2.0
     causality = "parameter" if handle.structural else variable.causality
     plain = asdict(variable, recurse=False) | {"type": _KINDS.get(variable.type, "Integer"), "causality": causality}
     plain["python_type"] = plain.pop("_python_type")
@@ -185,12 +185,12 @@ def _elements(variable: Any, sizes: Mapping[str, int]) -> Iterator[Element]:
 
 
 def element_names(name: str, shape: tuple[int, ...]) -> list[str]:
-    """Names of all elements, row by row; of a scalar its own."""
+    """Return the names of all elements, row by row; of a scalar its own name."""
     return [f"{name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(shape)] if shape else [name]
 
 
 def _starts(variable: Any, size: int) -> list[str] | None:
-    """Start values of all elements, one for all if there is only one; None where they aren't known."""
+    """Return the start values of all elements; a single one applies to all. None if unknown."""
     if variable.start is None:
         return None
     texts = variable.start.split() if variable.dimensions and variable.type != "String" else [variable.start]
@@ -199,7 +199,7 @@ def _starts(variable: Any, size: int) -> list[str] | None:
 
 
 def _numbers(variable: Any, texts: Sequence[str] | None) -> tuple[float, ...] | None:
-    """Start values as numbers."""
+    """Return start values as numbers; None for texts or if unknown."""
     if texts is None or variable.type == "String":
         return None
     spelt = {"true": 1, "false": 0}

@@ -1,4 +1,4 @@
-"""The life of an FMU's instances, one at a time: made, checked at every call, and always freed."""
+"""Instances of an FMU, one at a time: instantiated, the status of every call checked, and always freed."""
 
 from __future__ import annotations
 
@@ -22,37 +22,38 @@ from flexfmu.cosim.engine.fmu.log import FmuLog
 from flexfmu.cosim.engine.slave import Call
 
 StatusCall = Callable[[], int]
-"""An FMI call with all its arguments bound; gives an fmi2Status."""
+"""An FMI call with all arguments bound; returns an fmi2Status or fmi3Status."""
 
 BoundStep = tuple["partial[int]", Callable[[int, float, float], BaseException]]
-"""fmi2DoStep with its component bound, and what makes the error of a status, time and step."""
+"""fmi2DoStep bound to its component, and a function (status, time, step) → error."""
 
 POLL = 1e-4
-"""How long to wait until an FMU is asked again whether its step is done [s]."""
+"""Interval at which an FMU is polled for the end of an asynchronous step [s]."""
 
 UNCLAIMED = (
     "fmi2DoStep returned fmi2Pending, which takes canRunAsynchronuously = true in the model description (FMI 2.0.4, section "
     "4.2.2); state it there, or export the FMU so that it completes its steps"
 )
-"""Why a step that goes on in the background isn't waited for."""
+"""Message for fmi2Pending from an FMU that doesn't state canRunAsynchronuously."""
 
 _STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-"""Of FMI 2.0; those of FMI 3.0 are the same but for the last."""
+"""Names of the values of fmi2Status; fmi3Status lacks the last."""
 
 _alive: dict[Path, str] = {}
-"""Folder of an FMU that can be instantiated only once per process → name of its instance."""
+"""Folder of an FMU that can be instantiated only once per process → name of its present instance."""
 
 _serial = count(1)
-"""Instance names must differ within a process for FMUs that keep a table of them."""
+"""Serial numbers of instance names, which must differ within a process: some FMUs keep a table of them."""
 
 
 @cache
 def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
-    """Load the FMU's library with fmpy, which stays loaded, and take its functions.
+    """Load the FMU's library with fmpy and return its functions; the library stays loaded.
+
+    A library of another tool is loaded in a child process first, in case it crashes.
 
     Raises:
-        FmuFileError: the library can't be loaded or lacks a function of its FMI version; or it ends the process that loads it, which
-            another tool's library tries in a child process first.
+        FmuFileError: the library can't be loaded, crashes, or lacks a function of its FMI version.
     """
     description = fmu.description
     arguments = {
@@ -61,7 +62,7 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
         "unzipDirectory": str(fmu.folder),
     }
     if fmu.is_fmi3:
-        # fmpy's class for FMI 3.0 asks for the functions of all interfaces
+        # fmpy's class for FMI 3.0 requires the functions of all interface types; its base class does not
         arguments["libraryPath"] = str(fmu.library)
     if AVAILABLE and not fmu.is_ours:
         try:
@@ -74,15 +75,15 @@ def load_calls(fmu: UnpackedFmu) -> fmi2.Calls:
 
 
 def _loaded(fmu: UnpackedFmu, arguments: Mapping[str, str]) -> Any:
-    """The library as fmpy loads it.
+    """Return the library loaded by fmpy.
 
     Raises:
-        FmuFileError: it can't be loaded, with the system's reason.
+        FmuFileError: the library can't be loaded, with the system's reason.
     """
     try:
         return _FMU(**arguments).dll
     except Exception as error:
-        # fmpy puts the library's temporary place before the reason
+        # fmpy's message has the library's temporary path before the reason
         reason = " ".join(str(error).replace(f"{fmu.folder}/", "").split()).partition(" shared library ")[2] or str(
             error
         )
@@ -93,14 +94,14 @@ def _loaded(fmu: UnpackedFmu, arguments: Mapping[str, str]) -> Any:
 
 
 class Instance(ABC):
-    """The instance of an FMU that is in use, and after it the next one, of either FMI version.
+    """Current instance of an FMU of either FMI version; successive instances share this object.
 
     Attributes:
-        component: place of the instance's handle; empty where there is none. A call that is bound to it reaches whichever
-            instance there is when it is made.
+        component: pointer to the instance; null if there is none. Calls bound to it use the instance that exists when
+            they are made.
         fmi: the FMI functions.
-        log: what the FMU says, or said in its last life.
-        name: of the slave.
+        log: messages of the current or last instance.
+        name: name of the slave.
     """
 
     prefix: str
@@ -115,10 +116,10 @@ class Instance(ABC):
         self._initialized = self._fatal = False
 
     def instantiate(self, name: str) -> None:
-        """Make the instance; the one before has been freed.
+        """Instantiate the FMU; the last instance must have been freed.
 
         Raises:
-            SlaveError: the FMU refuses.
+            SlaveError: the FMU refuses, or has an instance and allows only one per process.
         """
         self.name, self._initialized, self._fatal = name, False, False
         if (sole := self._fmu.folder if only_once_per_process(self._fmu) else None) in _alive:
@@ -127,7 +128,7 @@ class Instance(ABC):
                 f"{self._fmu.path.name} can be instantiated only once per process (canBeInstantiatedOnlyOncePerProcess = "
                 f"true), and {_alive[sole]} is its instance; run one after the other, or export it for several instances",
             )
-        # each name once in a process; what the FMU says goes into its log
+        # a name that is unique in this process; the log receives the messages
         self.log.open()
         self.component.value = self._created(f"{name} {next(_serial)}".encode())
         if self.component.value is None:
@@ -139,7 +140,7 @@ class Instance(ABC):
 
     @abstractmethod
     def _created(self, name: bytes) -> int | None:
-        """The handle of a new instance; None where the FMU refuses."""
+        """Return a new instance; None if the FMU refuses."""
 
     @abstractmethod
     def set_up(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
@@ -147,61 +148,65 @@ class Instance(ABC):
 
     @abstractmethod
     def initialize(self, meanwhile: Call) -> None:
-        """Go through initialisation mode, and do something in it."""
+        """Enter initialisation mode, call ``meanwhile``, and exit initialisation mode."""
 
     @abstractmethod
     def step(self, time: float, step: float, no_rollback: int) -> None:
-        """Advance from ``time`` by ``step`` [s]; without rollback no earlier state is restored.
+        """Advance from ``time`` by ``step`` [s]; ``no_rollback`` = 1 if no earlier state will be restored.
 
         Raises:
-            SlaveError: the FMU fails or gets through only a part of the step; carries the last time that it reached.
-            SlaveEnded: it asks to end the simulation.
+            SlaveError: the FMU fails or completes only part of the step; its ``time`` is the last time reached.
+            SlaveEnded: the FMU requests the end of the simulation.
         """
 
     def bound_step(self) -> BoundStep | None:
-        """Its function with its component bound, and what makes the error of a failed step; None where `step` has more to
-        do than to call it."""
+        """Return fmi2DoStep bound to the component and a function for the error of a failed step; None if `step` does
+        more than one call."""
         return None
 
     @abstractmethod
     def get_state(self, state: c_void_p) -> int:
-        """Save the state; the status."""
+        """Save the state; return the status."""
 
     @abstractmethod
     def set_state(self, state: c_void_p) -> int:
-        """Go back to a state; the status."""
+        """Restore a state; return the status."""
 
     @abstractmethod
     def free_state(self, state: c_void_p) -> int:
-        """Free a saved state; the status."""
+        """Free a saved state; return the status."""
 
     def accepts(self, call: StatusCall) -> bool:
-        """Whether the FMU goes along with a call that it may refuse.
+        """Make a call that the FMU may refuse; return whether it succeeded.
 
         Raises:
-            SlaveError: it ends with a fatal error.
+            SlaveError: the call failed with a fatal error.
         """
         if (status := call()) == fmi2.FATAL:
             raise self.error("a call", status)
         return status <= fmi2.WARNING
 
     def check(self, what: str, call: StatusCall) -> None:
-        """Do something and raise what the FMU says if it fails."""
+        """Make a call; ``what`` names it in errors.
+
+        Raises:
+            SlaveError: the call failed, with the FMU's message.
+        """
         if (status := call()) > fmi2.WARNING:
             raise self.error(what, status)
 
     def checked(self, what: str, call: StatusCall) -> Checked:
-        """The call as one that raises what the FMU says if it fails."""
+        """Return the call as one that raises `SlaveError` with the FMU's message if it fails."""
         return Checked(self, what, call)
 
     def error(self, what: str, status: int, time: float | None = None) -> SlaveError:
-        """The error with the FMU's own words, or what there is without any."""
+        """Return the error with the FMU's message, or with the status if it gave none."""
         self._fatal = self._fatal or status == fmi2.FATAL
         name = f"{self.prefix}{_STATUS[status]}" if 0 <= status < len(_STATUS) else f"status {status}"
         return SlaveError(self.name, self.log.complaint() or f"{what} failed with {name}; the FMU gave no reason", time)
 
     def free(self) -> None:
-        """Terminate and free; after a fatal error nothing may be called any more, and the instance is left alone."""
+        """Terminate and free the instance; after a fatal error no FMI function may be called, so it isn't freed."""
         if not self._fatal:
             if self._initialized:
                 self.fmi[f"{self.prefix}Terminate"](self.component)
@@ -212,17 +217,17 @@ class Instance(ABC):
 
     @property
     def alive(self) -> bool:
-        """Whether functions may still be called."""
+        """Whether FMI functions may be called: there was no fatal error."""
         return not self._fatal
 
     @property
     def initialized(self) -> bool:
-        """Whether the FMU has been initialised and may still be called."""
+        """Whether the FMU has been initialised, without a fatal error since."""
         return self._initialized and not self._fatal
 
 
 class FmuInstance(Instance):
-    """The instance of an FMI 2.0 FMU; see `Instance`."""
+    """Current instance of an FMI 2.0 FMU; see `Instance`."""
 
     prefix = "fmi2"
 
@@ -246,7 +251,7 @@ class FmuInstance(Instance):
         self.check("fmi2SetupExperiment", lambda: setup(self.component, given, relative, start_time, 1, stop_time))
 
     def initialize(self, meanwhile: Call) -> None:
-        """Go through initialisation mode, and do something in it."""
+        """Enter initialisation mode, call ``meanwhile``, and exit initialisation mode."""
         self.check("initialisation", lambda: self.fmi["fmi2EnterInitializationMode"](self.component))
         meanwhile()
         self.check("initialisation", lambda: self.fmi["fmi2ExitInitializationMode"](self.component))
@@ -263,7 +268,7 @@ class FmuInstance(Instance):
         return None if self._asynchronous else (self._do_step, self.step_error)
 
     def step_error(self, status: int, time: float, step: float) -> SlaveError:
-        """What a failed step has to say, with the last time that the FMU reached."""
+        """Return the error of a failed step, with the last time that the FMU reached."""
         reached, terminated = c_double(time), c_int(0)
         component, fmi = self.component, self.fmi
         error = self.error(f"the step from {time:.9g} s by {step:.9g} s", status, time)
@@ -278,14 +283,14 @@ class FmuInstance(Instance):
             return SlaveEnded(error.slave, self.log.complaint() or "fmi2Terminated", reached.value)
         if self._fmu.is_ours:
             return SlaveError(error.slave, error.reason, reached.value)
-        # FMI 2.0, 4.2.2: a shorter step may do, but from a state saved before the one that was discarded
+        # FMI 2.0, 4.2.2: a shorter step may succeed, from a state saved before the discarded step
         remedy = "step_control, which goes back and tries smaller steps"
         done = f"{reached.value - time:.9g} s of the step of {step:.9g} s are done (fmi2Discard)"
         reason = f"{error.reason}; {done}, take {remedy if self._can_go_back else 'a smaller communication step'}"
         return SlaveError(error.slave, reason, reached.value)
 
     def awaited(self, status: int) -> int:
-        """The status of fmi2DoStep when its step is done, which goes on in the FMU after fmi2Pending."""
+        """Wait until a step that returned fmi2Pending is done; return its status."""
         pending = c_int(status)
         while pending.value == fmi2.PENDING:
             sleep(POLL)
@@ -304,10 +309,10 @@ class FmuInstance(Instance):
 
 
 class Checked:
-    """A call that raises what the FMU says if it fails.
+    """An FMI call that raises `SlaveError` with the FMU's message if it fails.
 
     Attributes:
-        call: the FMI call.
+        call: the FMI call; returns its status.
     """
 
     __slots__ = ("_instance", "_what", "call")
@@ -321,12 +326,17 @@ class Checked:
             raise self.error(status)
 
     def error(self, status: int) -> SlaveError:
-        """What the FMU says about a failure."""
+        """Return the error of a failed call."""
         return self._instance.error(self._what, status)
 
 
 class FmuStates:
-    """Saved states of an instance: their memory is used again, and freed with the instance at the end of a run."""
+    """Saved states of an instance: their memory is reused, and freed with the instance at the end of a run.
+
+    Attributes:
+        instance: the instance.
+        no_rollback: 1 until a state is saved, then 0; argument of fmi2DoStep.
+    """
 
     def __init__(self, instance: Instance) -> None:
         self.instance = instance
@@ -335,29 +345,29 @@ class FmuStates:
         self._spare: list[c_void_p] = []
 
     def save(self) -> object:
-        """The complete state, in the memory of a released one where there is any."""
+        """Return the complete state, in the memory of a released state if there is one."""
         state = self._spare.pop() if self._spare else c_void_p()
         try:
             self.instance.check("saving the state", lambda: self.instance.get_state(state))
         finally:
-            # whatever it points to now must be freed at the end
+            # even after a failure, its memory must be freed at the end
             if state.value is not None and not any(each is state for each in self._states):
                 self._states.append(state)
         self.no_rollback = 0
         return state
 
     def release(self, state: object) -> None:
-        """Keep the memory of a saved state for the next one."""
+        """Keep the memory of a saved state for the next one to be saved."""
         if isinstance(state, c_void_p) and not any(each is state for each in self._spare):
             self._spare.append(state)
 
     def restore(self, state: object) -> None:
-        """Go back to a saved state."""
+        """Restore a saved state."""
         saved = cast(c_void_p, state)
         self.instance.check("restoring a state", lambda: self.instance.set_state(saved))
 
     def free(self) -> None:
-        """Free states and instance; to be called once."""
+        """Free all states and the instance; must be called only once."""
         if self.instance.alive:
             for state in self._states:
                 self.instance.free_state(state)

@@ -1,4 +1,4 @@
-"""Variables of an FMU as slaves show them, with what the FMI functions need to reach them."""
+"""Variables of an FMU as slave variables, with their value references, and start values with their checks."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import TEXTS, Causality, SlaveVariable
 
 FmiType = Literal["Real", "Integer", "Boolean", "String"]
-"""Which family of FMI functions reaches a variable; enumerations are reached like integers."""
+"""Type in the names of the FMI functions that transfer a variable; enumerations use those of Integer."""
 
 Value = float | int | bool | str
-"""Value of a parameter; the item's name will do for an enumeration or a numbered choice."""
+"""Value of a parameter; for an enumeration or a numbered choice also the item's name."""
 
 
 _BOOLEANS = {"true": True, "false": False}
-"""As FMI spells them."""
+"""Booleans as FMI spells them."""
 
 ROUNDING = 1e-12
-"""Relative; FMUs that convert units on the way may give back what they were given with a few roundings."""
+"""Relative tolerance of values read back: an FMU that converts units may round them a few times."""
 
 
 @dataclass(frozen=True)
 class Handle:
-    """How the FMI functions reach a variable."""
+    """Address of a variable for the FMI functions: type of the functions and value reference."""
 
     kind: FmiType
     reference: int
@@ -37,13 +37,14 @@ class Handle:
 
 @dataclass(frozen=True)
 class FmuVariables:
-    """All that a model description says about variables.
+    """Variables of a model description.
 
     Attributes:
         connectable: inputs, outputs and numeric parameters, in the order of the model description.
-        handles: how to reach each of them.
-        others: name → handle of all further variables (locals).
-        feedthrough: output → inputs that it depends on at the same instant; outputs without a statement are left out.
+        handles: handle of each of them.
+        others: name → handle of all other variables.
+        feedthrough: output → inputs that it depends on at the same instant; outputs without stated dependencies are
+            left out.
     """
 
     connectable: tuple[SlaveVariable, ...]
@@ -53,17 +54,17 @@ class FmuVariables:
 
 
 def read_variables(description: Any) -> FmuVariables:
-    """Sort the variables of a model description that fmpy has read."""
+    """Return the variables of a model description read by fmpy."""
     connectable = [
         v
         for v in description.modelVariables
         if v.causality in ("input", "output") or (v.causality == "parameter" and v.type != "String")
     ]
-    # all others are read for statistics alone
+    # of all others only statistics are read
     names = {v.name for v in connectable}
     others = {v.name: _handle(v) for v in description.modelVariables if v.name not in names}
     inputs = {v.name for v in connectable if v.causality == "input"}
-    # direct feedthrough, as far as it is stated
+    # direct feedthrough, where stated
     depends = {
         unknown.variable.name: tuple(v.name for v in unknown.dependencies if v.name in inputs)
         for unknown in description.outputs
@@ -73,7 +74,7 @@ def read_variables(description: Any) -> FmuVariables:
 
 
 def _variable(variable: Any) -> SlaveVariable:
-    """The variable as the master sees it."""
+    """Return the variable for the master."""
     text = variable.type == "String"
     start = None if variable.start is None else TEXTS.code(variable.start) if text else _number(variable.start)
     discrete = variable.type != "Real" or variable.variability == "discrete"
@@ -83,19 +84,19 @@ def _variable(variable: Any) -> SlaveVariable:
 
 
 def _number(text: str) -> float:
-    """A start value; booleans are spelt in two ways."""
+    """Return a start value as a number; booleans may be true and false or 1 and 0."""
     return float({"true": 1.0, "false": 0.0}.get(text, text))
 
 
 def _handle(variable: Any) -> Handle:
-    """How to reach the variable; elements of arrays know."""
+    """Return the handle of the variable; variables of FMI 3.0 have their own."""
     return getattr(variable, "handle", None) or Handle(
         "Integer" if variable.type == "Enumeration" else variable.type, variable.valueReference
     )
 
 
 def parameter_names(description: Any) -> frozenset[str]:
-    """Names of all parameters."""
+    """Return the names of all parameters."""
     return frozenset(v.name for v in description.modelVariables if v.causality == "parameter")
 
 
@@ -104,9 +105,10 @@ class Setting:
     """A start value.
 
     Attributes:
-        name, handle: of the variable.
-        value: what it shall be.
-        lasting: whether it is still that after initialisation, and may be set in initialisation mode: not a mere guess.
+        name, handle: name and handle of the variable.
+        value: start value.
+        lasting: whether the value holds after initialisation and may be set in initialisation mode; False for a guess
+            (initial = approx).
     """
 
     name: str
@@ -116,7 +118,7 @@ class Setting:
 
 
 def settable_variables(description: Any) -> Mapping[str, Any]:
-    """Name → what fmpy has read of each variable that may be set before initialisation (FMI 2.0.4, section 2.2.7)."""
+    """Return name → fmpy's variable for all that may be set before initialisation (FMI 2.0.4, section 2.2.7)."""
     return {
         v.name: v
         for v in description.modelVariables
@@ -125,19 +127,19 @@ def settable_variables(description: Any) -> Mapping[str, Any]:
 
 
 def settings(known: Mapping[str, Any], parameters: Mapping[str, Value]) -> Sequence[Setting]:
-    """Look up parameters by name and translate the names of numbered values.
+    """Return start values for parameters by name, with names of items replaced by their numbers.
 
     Args:
-        known: see `settable_variables`.
+        known: variables from `settable_variables`.
         parameters: name → value.
 
     Raises:
-        InputError: there is no such parameter, or the value doesn't suit its type or range.
+        InputError: a parameter doesn't exist, or its value doesn't fit its type or range.
     """
     result = []
     for name, value in parameters.items():
         if name not in known:
-            # the name that may have been meant, or all parameters
+            # suggest the closest name, or list all parameters
             near = get_close_matches(name, known, n=1)
             names = ", ".join(name for name, v in known.items() if v.causality == "parameter") or "none"
             remedy = f"did you mean {near[0]!r}?" if near else f"it has: {names}"
@@ -149,7 +151,7 @@ def settings(known: Mapping[str, Any], parameters: Mapping[str, Value]) -> Seque
 
 
 def _number_for(variable: Any, value: Value) -> Value:
-    """The value, if it is one number: a whole one where the variable is no Real, one of an enumeration's items, 0 or 1."""
+    """Return the value if it is a number that fits the variable's type; raise `InputError` otherwise."""
     if not isinstance(value, Real):
         raise InputError(f"{variable.name} must be one number, got {value!r}")
     if variable.type == "Boolean" and value not in (0, 1):
@@ -164,20 +166,20 @@ def _number_for(variable: Any, value: Value) -> Value:
 
 
 def items(variable: Any) -> dict[str, int]:
-    """Name → number of the items of an enumeration or numbered choice; none of other variables."""
+    """Return the items of an enumeration or numbered choice (name → number); empty for other variables."""
     declared = variable.declaredType
     return {item.name: int(item.value) for item in declared.items or ()} if declared else {}
 
 
 def _in_range(variable: Any, value: Value) -> Value:
-    """The value, if the variable's type and range allow it."""
+    """Return the value if it is within the variable's range; raise `InputError` otherwise."""
     if variable.type not in ("Real", "Integer") or isinstance(value, str):
         return value
-    # limits of the variable, or of its type
+    # limits of the variable, or of its declared type
     low, high = (_bound(variable, bound) for bound in ("min", "max"))
     if (low is None or value >= low) and (high is None or value <= high) and abs(value) <= float_info.max:
         return value
-    # else say which values are possible
+    # otherwise state the possible values
     unit = _unit(variable)
     unit = "" if unit in ("", "1") else f" {unit}"
     limits = [f"at least {low:g}{unit}"] if low is not None else []
@@ -186,7 +188,7 @@ def _in_range(variable: Any, value: Value) -> Value:
 
 
 def _bound(variable: Any, name: str) -> float | None:
-    """A limit of the variable, or of its type where it has none itself."""
+    """Return a limit of the variable, or else of its declared type; None if neither has one."""
     for holder in (variable, variable.declaredType):
         text = getattr(holder, name, None)
         if text is not None:
@@ -195,15 +197,15 @@ def _bound(variable: Any, name: str) -> float | None:
 
 
 def _unit(variable: Any) -> str:
-    """Unit of the variable or of its type; empty when unknown."""
+    """Return the unit of the variable or of its declared type; empty if unknown."""
     return variable.unit or (variable.declaredType.unit if variable.declaredType else None) or ""
 
 
 def typed(variable: Any, value: Value) -> Value:
-    """The value as the variable's type has it: of enumerations and numbered choices the number.
+    """Return the value in the variable's type; names of items become numbers.
 
     Raises:
-        InputError: the value has no such name, the variable takes one number alone, or whole ones, items or 0 and 1.
+        InputError: the value doesn't fit the type: not a number, not whole, not 0 or 1, or not an item.
     """
     if variable.type == "String":
         return str(value)
@@ -220,7 +222,7 @@ def typed(variable: Any, value: Value) -> Value:
 
 
 def in_words(variable: Any, value: Value) -> str:
-    """A value of the variable for messages, with its unit or its name."""
+    """Return a value of the variable for messages, with its unit or as the name of its item."""
     if variable.type == "String":
         return repr(value)
     if variable.type == "Boolean":
@@ -233,7 +235,7 @@ def in_words(variable: Any, value: Value) -> str:
 
 
 def same(value: Value, found: Value) -> bool:
-    """Whether two values of a variable agree, but for roundings."""
+    """Return whether two values of a variable agree, except for rounding."""
     if isinstance(value, str) or isinstance(found, str):
         return value == found
     return isclose(value, found, rel_tol=ROUNDING, abs_tol=0.0)
