@@ -97,7 +97,7 @@ class ElasticFamily(Effect):
         thick: ThickBeam | None = None,
         quasi_static: bool = False,
     ) -> None:
-        """`thick` adds shear to the strain energy and rotary inertia to the modal masses; with `quasi_static` the modes deflect
+        """`thick` adds shear to the strain energy and rotary inertia to the modal masses; `quasi_static` modes deflect
         statically."""
         # stiffness and mass terms: factor and integrals over the shapes
         integrals = integrate_shapes(shapes)

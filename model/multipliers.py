@@ -1,4 +1,4 @@
-"""The second formulation: all coordinates with multipliers at acceleration level (index 1), Baumgarte-stabilised.
+"""Formulation in all coordinates: Lagrange multipliers at acceleration level (index 1), Baumgarte stabilisation.
 
 Coordinates q = [q_a, q_e, q_p] with q_p = [x12, y12, th12, x22, y22, th22, x, y], constraints f(q) = 0 of eq. (18) and
 their Jacobians C, B, A of eq. (19). The equations are ::
@@ -6,8 +6,8 @@ their Jacobians C, B, A of eq. (19). The equations are ::
     [ M   Psi' ] [ q''    ]   [ tau - h                       ]
     [ Psi  0   ] [ lambda ] = [ -Psi' q' - 2 a f' - a² f      ]
 
-It shares the energies with the minimal formulation, but neither the assembly nor the projection, so it checks both. The
-multipliers are the joint reaction forces.
+It has the energies in common with the formulation in independent coordinates, but neither assembly nor projection, so
+it checks both. The multipliers are the joint reaction forces.
 
 Source: Baumgarte, Stabilization of constraints and integrals of motion in dynamical systems, CMAME 1 (1972).
 """
@@ -38,9 +38,9 @@ class ConstrainedModel:
         constraints: q → f(q) (8, 1) [m].
         jacobian: q → Psi = [C, B, A] (8, 10 + n).
         mass_matrix: q → M (10 + n, 10 + n).
-        bias: (q, v) → h (10 + n, 1), the generalised forces that a motion with q'' = 0 needs.
+        bias: (q, v) → bias forces h (10 + n, 1): the generalised forces that a motion with q'' = 0 needs.
         curvature: (q, v) → (d Psi/dt) v (8, 1).
-        assembled: (q_a, q_e, v_a, v_e) → q, v that satisfy the constraints, (10 + n, 1) each.
+        assembled: (q_a, q_e, v_a, v_e) → consistent q and v, (10 + n, 1) each.
     """
 
     n: int
@@ -63,9 +63,9 @@ class ConstrainedMotion:
 
 @lru_cache(maxsize=8)
 def constrained_model(scene: Scene) -> ConstrainedModel:
-    """The index-1 form of a scene's five-bar, with its parameter values filled in.
+    """The index-1 form of a scene's five-bar with numeric parameter values.
 
-    Families that deflect statically have no part in the dynamics and are left out.
+    Quasi-static families are left out, as they have no part in the dynamics.
     """
     rigid = {f"effects.{family}": 0 for family in scene.effects.quasi_static}
     five_bar = assemble(scene.replace(rigid | {"effects.quasi_static": []}) if rigid else scene)
@@ -91,7 +91,7 @@ def constrained_model(scene: Scene) -> ConstrainedModel:
 def motion_driven_accelerations(
     model: ConstrainedModel, q: RealArray, v: RealArray, motor_acceleration: RealArray, baumgarte: float = 0.0
 ) -> ConstrainedMotion:
-    """Accelerations, reactions and torques where the motors' accelerations are prescribed.
+    """Accelerations, reactions and motor torques for prescribed motor accelerations.
 
     Args:
         model: the index-1 model.
@@ -102,13 +102,13 @@ def motion_driven_accelerations(
     # equations of motion and constraints at this state
     size, psi = 10 + model.n, model.jacobian(q).full()
     mass, bias = model.mass_matrix(q).full(), model.bias(q, v).full().ravel()
-    # Baumgarte's stabilisation pulls the constraints back to zero
+    # Baumgarte stabilisation drives the constraints back to zero
     drift = (
         model.curvature(q, v).full().ravel()
         + 2 * baumgarte * (psi @ v)
         + baumgarte**2 * model.constraints(q).full().ravel()
     )
-    # the motors move as prescribed: two more constraints
+    # prescribed motor accelerations: two more constraints
     prescribed = np.zeros((2, size))
     prescribed[:, :2] = np.eye(2)
     rows = np.vstack([psi, prescribed])
@@ -121,10 +121,10 @@ def motion_driven_accelerations(
 def torque_driven_accelerations(
     model: ConstrainedModel, q: RealArray, v: RealArray, torque: RealArray, baumgarte: float = 0.0
 ) -> ConstrainedMotion:
-    """Accelerations and reactions where the motor torques (2,) [N m] are given; arguments as above."""
+    """Accelerations and reactions for motor torques (2,) [N m]; arguments as in `motion_driven_accelerations`."""
     size, psi = 10 + model.n, model.jacobian(q).full()
     mass, bias = model.mass_matrix(q).full(), model.bias(q, v).full().ravel()
-    # Baumgarte's stabilisation pulls the constraints back to zero
+    # Baumgarte stabilisation drives the constraints back to zero
     drift = (
         model.curvature(q, v).full().ravel()
         + 2 * baumgarte * (psi @ v)
@@ -142,12 +142,12 @@ def _split(q: casadi.SX, n: int) -> tuple[casadi.SX, casadi.SX, casadi.SX]:
 
 
 def _constraints(five_bar: FiveBar, q: casadi.SX, d: casadi.DM) -> casadi.SX:
-    """f(q) of eq. (18): both distal tips are the end effector, both distal bases are the proximal tips."""
+    """Constraints f(q) of eq. (18): distal tips coincide with the end effector, distal bases with the proximal tips."""
     # angles of the proximal links, with the twists of the transmissions
     q_a, q_e, q_p = _split(q, five_bar.robot.q_e.numel())
     tips = TipMap(five_bar.robot)
     links = q_a + tips.twist.T @ q_e if q_e.numel() else q_a
-    # what is left between the tips of a leg's links and where they should be
+    # gaps of each leg at the end effector and at the elbow
     end = q_p[6:8]
     at_end, at_elbow = [], []
     for leg in (1, 2):
@@ -159,7 +159,7 @@ def _constraints(five_bar: FiveBar, q: casadi.SX, d: casadi.DM) -> casadi.SX:
 
 
 def _tip(five_bar: FiveBar, tips: TipMap, link: str, base: casadi.SX, angle: casadi.SX, q_e: casadi.SX) -> casadi.SX:
-    """Tip of a link by its base, angle and elastic coordinates, eq. (5) at xi = 1."""
+    """Tip (2, 1) [m] of a link for its base, angle and elastic coordinates, eq. (5) at xi = 1."""
     length = five_bar.registry.find_derived(f"{five_bar.robot.links[link].group}_length")
     along = length + tips.displacement(link, "axial", q_e)
     across = tips.displacement(link, "bending", q_e)
@@ -182,7 +182,7 @@ def _force(five_bar: FiveBar, q: casadi.SX, v: casadi.SX, a: casadi.SX, d: casad
         return casadi.vertcat(w_a + twist.T @ w_e if n else w_a, w_p[2], w_p[5], w_p[0:2], w_p[3:5], w_p[6:8], w_e)
 
     force = five_bar.dynamics.force(x, redundant(v), redundant(a), d)
-    # the redundant forces in the order of q; a twist turns the link without the motor
+    # redundant forces in the order of q; a twist rotates the link relative to the motor
     passive = casadi.vertcat(force[4:6], force[2], force[6:8], force[3], force[8:10])
     elastic = force[10:] + twist @ force[0:2] if n else force[10:]
     return casadi.vertcat(force[0:2], elastic, passive)
@@ -199,6 +199,6 @@ def _assembled(five_bar: FiveBar, d: casadi.DM) -> casadi.Function:
         rates += [closure.elbow_velocity[leg], closure.w_p[leg]]
     q = casadi.vertcat(m.q_a, m.q_e, *passive, closure.position)
     v = casadi.vertcat(m.v_a, m.v_e, *rates, closure.velocity)
-    # derived parameters become numbers
+    # numbers for the derived values
     filled = [casadi.substitute(expression, five_bar.registry.d, d) for expression in (q, v)]
     return casadi.Function("assembled", [m.q_a, m.q_e, m.v_a, m.v_e], filled)

@@ -1,4 +1,4 @@
-"""A scene's model evaluated with numbers: the flexible robot compiled once per set of effects, and the rigid inverse dynamics."""
+"""Functions of a scene's model with numeric parameter values: flexible robot and rigid inverse dynamics."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from flexfmu.trajectories.jets import RealArray
 
 @dataclass(frozen=True)
 class NumericModel:
-    """Functions of a scene's five-bar with its parameter values filled in.
+    """Functions of a scene's five-bar with numeric parameter values.
 
     Attributes:
-        n: number of elastic coordinates.
-        names: what they are called, like ``link11.bending[1]``.
+        n: number of elastic coordinates that are states.
+        names: names of these coordinates, like ``link11.bending[1]``.
         elastic_forces: (q_e, v_e, a_e, u) → forces on q_e (n, 1) [N]; u = [q_a, v_a, a_a] (6, 1).
         static_stiffness: (q_e, u) → Jacobian of the static elastic forces by q_e (n, n) [N/m].
         mass_matrix: (q_e, u) → (n, n) [kg].
         motion: (q_e, v_e, a_e, u) → position, velocity, acceleration of the end effector and torques, each (2, 1).
         energy: (q_e, v_e, u) → [kinetic, potential] [J].
-        hardening: q_e → forces (n, 1) [N] of the next order, which the model leaves out, see `bending_beyond`.
+        hardening: q_e → elastic forces (n, 1) [N] of the next order, which the model neglects, see `bending_beyond`.
     """
 
     n: int
@@ -42,7 +42,7 @@ class NumericModel:
 
 @lru_cache(maxsize=32)
 def numeric_model(scene: Scene) -> NumericModel:
-    """The numeric model of a scene, made once."""
+    """The numeric model of a scene, cached."""
     # the five-bar in symbols, and numbers for its derived values
     five_bar = assemble(scene)
     m, closure = five_bar.motion, five_bar.closure
@@ -82,7 +82,7 @@ def standstill(joints: tuple[float, float] | RealArray) -> RealArray:
 def inverse_dynamics(scene: Scene) -> casadi.Function:
     """Motor torques of the rigid robot: (q_a, v_a, a_a), each (2, 1) [rad, rad/s, rad/s²] → torque (2, 1) [N m].
 
-    Inertia of links, motors and payload, gravity and friction of the scene are in it, with the scene's numbers.
+    It contains inertia of links, motors and payload, gravity and friction, with the values of the scene.
     """
     # the scene with rigid links and rigid transmissions
     stiff = {f"effects.{group}_{direction}": 0 for group, direction in FAMILIES}

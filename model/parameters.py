@@ -1,6 +1,6 @@
-"""Parameters of the model in two layers: what a user sets (p), and derived values (d), computed once from p.
+"""Parameters of the model in two layers: FMI parameters p, and derived values d, computed once from p.
 
-Every robot has those of its mechanism, from which the links' properties follow; the others belong to effects.
+The parameters of the mechanism give the properties of the links; all others belong to effects.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ POSITIVE = 1e-9
 """Smallest admissible value of a length, density or modulus in its SI unit."""
 
 LARGEST = 1e9
-"""Upper limit of an effect's parameter in its SI unit, where it has no limit of its own."""
+"""Default upper limit of an effect's parameter, in its SI unit."""
 
 
 class ParameterRegistry:
-    """Collects the parameters of the chosen effects while a model is assembled.
+    """Parameters and derived values that the effects register while a model is assembled.
 
     Derived values are symbols in the equations of motion; their expressions go into the function ``derive(p) -> d``.
     """
@@ -34,7 +34,10 @@ class ParameterRegistry:
         self._derived: dict[str, tuple[casadi.SX, casadi.SX]] = {}
 
     def parameter(self, variable: Variable) -> casadi.SX:
-        """The symbol of an FMI parameter; the same variable registered twice is one parameter."""
+        """The symbol of an FMI parameter; a second registration of the same variable returns the same symbol.
+
+        Raises:
+            ValueError: the name is registered with other attributes."""
         known = self._variables.setdefault(variable.name, variable)
         if known != variable:
             raise ValueError(f"parameter `{variable.name}` is declared twice with different attributes")
@@ -43,14 +46,14 @@ class ParameterRegistry:
     def quantity(
         self, name: str, unit: str, text: str, start: float, minimum: float = 0.0, maximum: float = LARGEST
     ) -> casadi.SX:
-        """An effect's parameter, named like its key in the scene file, as a symbol among the derived values."""
+        """Register an effect's parameter, named like its scene key; returns its symbol among the derived values."""
         variable = Variable(name, unit, text, "parameter", start=start, minimum=minimum, maximum=maximum)
         return self.derived(name.replace(".", "_"), self.parameter(variable))
 
     def derived(self, name: str, expression: casadi.SX) -> casadi.SX:
-        """The symbol of a value that is computed once from the parameters and named for memoisation.
+        """The symbol of a value that is computed once from the parameters; a known name returns its first symbol.
 
-        A value that is constant (no parameter in it) stays a number.
+        A constant expression (without parameters) is returned as it is.
         """
         if casadi.SX(expression).is_constant():
             return casadi.SX(expression)
@@ -59,15 +62,15 @@ class ParameterRegistry:
         return self._derived[name][0]
 
     def switch(self, name: str) -> casadi.SX:
-        """The symbol of a value that is zero among the derived ones, and that the runtime sets while the model moves."""
+        """The symbol of a derived value that starts at zero; the runtime sets it during the simulation."""
         return self._derived.setdefault(name, (casadi.SX.sym(name), casadi.SX(0)))[0]
 
     def position(self, derived: casadi.SX) -> int:
-        """Index in d of the symbol of a derived value."""
+        """Index of a derived value's symbol in d."""
         return next(i for i, (symbol, _) in enumerate(self._derived.values()) if casadi.is_equal(symbol, derived))
 
     def find_derived(self, name: str) -> casadi.SX:
-        """The symbol of a derived value, zero where no effect has registered it."""
+        """The symbol of a derived value; zero if it isn't registered."""
         return self._derived[name][0] if name in self._derived else casadi.SX(0)
 
     @property
@@ -86,7 +89,7 @@ class ParameterRegistry:
         return casadi.vertcat(*(symbol for symbol, _ in self._derived.values()))
 
     def derived_at_start(self) -> casadi.DM:
-        """The derived values that follow from the parameters' start values, shape (n_derived, 1)."""
+        """The derived values at the parameters' start values, shape (n_derived, 1)."""
         derive = casadi.Function("derive", [self.p], [self.resolved()])
         return derive([float(v.start) for v in self._variables.values() if v.start is not None])
 
@@ -102,7 +105,7 @@ class ParameterRegistry:
 
 
 def mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> dict[str, casadi.SX]:
-    """The parameters that every scene has: lengths, diameters and material."""
+    """Register the parameters of the mechanism: lengths, diameters and material; returns name → symbol."""
     # lengths of the mechanism
     variables = [
         _positive(
@@ -131,18 +134,18 @@ def mechanism_parameters(registry: ParameterRegistry, mechanism: Mechanism) -> d
             "material.youngs_modulus", "Pa", "Young's modulus of the links", mechanism.material.youngs_modulus, 1e15
         ),
     ]
-    # as symbols, by name
+    # symbols by name
     return {variable.name: registry.parameter(variable) for variable in variables}
 
 
 def _positive(name: str, unit: str, description: str, start: float, maximum: float) -> Variable:
-    """A parameter that must be above zero; FMI knows closed ranges only, so the minimum is tiny instead."""
+    """A parameter above zero; FMI ranges are closed, so the minimum is tiny instead."""
     return Variable(name, unit, description, "parameter", start=start, minimum=POSITIVE, maximum=maximum)
 
 
 @dataclass(frozen=True)
 class LinkProperties:
-    """Mass [kg], length, outer and inner diameter [m], area [m²] and second moment of area [m⁴] of a link group, in symbols."""
+    """Mass [kg], length and diameters [m], area [m²], second moment of area [m⁴] and Young's modulus [Pa] of a group."""
 
     mass: casadi.SX
     length: casadi.SX
@@ -156,7 +159,7 @@ class LinkProperties:
 def link_properties(
     registry: ParameterRegistry, group: LinkGroup, parameters: Mapping[str, casadi.SX]
 ) -> LinkProperties:
-    """Mass, area and second moment of area of a round tube or rod, as derived symbols."""
+    """Properties of round rods or tubes; registers mass and length as derived values."""
     outer, inner, length = (parameters[f"{group}.{key}"] for key in ("diameter", "inner_diameter", "length"))
     area = math.pi / 4 * (outer**2 - inner**2)
     return LinkProperties(

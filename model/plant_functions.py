@@ -1,4 +1,4 @@
-"""What both plants have in common: outputs of the assembled robot, direct feedthrough, and the functions of the contract."""
+"""Common parts of both plants: outputs, direct feedthrough, error norm and the functions of `SymbolicModel`."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from flexfmu.model.symbolic import Friction, SymbolicModel, Variable
 from flexfmu.model.time_derivatives import MotionSymbols, acceleration_terms, forward, motion_forward, motion_rate2
 
 MINIMUM_SINE = 0.01
-"""Smallest |sine| of the angle between the distal links that is simulated: half of what planning accepts, and still two
-digits above where the elastic mass matrix loses its condition (3e5 at 0.026, 8e6 at 0.005)."""
+"""Smallest |sine| of the angle between the distal links in a simulation: half of the limit for planning.
+The condition number of the elastic mass matrix is 3e5 at 0.026 and 8e6 at 0.005."""
 
 MARGIN_NAME = "sine of the angle between the distal links (type-2 singularity)"
 
 MIDDLE = np.array([0.5])
-"""Position on a link, as a fraction of its length, at which shapes that don't move its tip are evaluated."""
+"""Position on a link (fraction of its length) for shapes without tip displacement."""
 
 POSE = ("end_effector.position.x", "end_effector.position.y")
-"""Outputs that say where the robot is, for messages."""
+"""Outputs that give the pose of the robot in messages."""
 
 OutputRow = tuple[Variable, casadi.SX]
 
 
 @dataclass(frozen=True)
 class PlantEquations:
-    """A plant before it is made into functions.
+    """The equations of a plant as expressions.
 
     Attributes:
         motion: unknowns y, their rates and accelerations, and inputs u.
         residual: r(y, v, a, u), (n, 1).
-        outputs: variables with their expressions.
-        initial_inputs: start values of u, as an expression of the parameters.
-        initial_coordinates: y at the start, undeformed, as an expression of the parameters.
-        error_scale: [kappa (n), mu (n), floor], as an expression of the derived values.
+        outputs: output variables with their expressions.
+        initial_inputs: start values of u, expression of the parameters.
+        initial_coordinates: start values of y, undeformed, expression of the parameters.
+        error_scale: weights [kappa (n), mu (n), floor] of the error norm, expression of the derived values.
     """
 
     motion: MotionSymbols
@@ -97,7 +97,7 @@ def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[
     # symbols of the motion, of the parameters p and of the derived values d
     motion, residual, outputs = equations.motion, equations.residual, equations.shown
     y, v, a, u, p, d = motion.y, motion.v, motion.a, motion.u, five_bar.registry.p, five_bar.registry.d
-    # what follows from the parameters at the start
+    # derived values and start values, from the parameters
     derived = five_bar.registry.resolved()
     start = casadi.vertcat(derived, equations.initial_coordinates)
     results = {
@@ -120,7 +120,7 @@ def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[
 
 
 def start_parameters(five_bar: FiveBar, scene: Scene) -> casadi.SX:
-    """Parameters start.x, start.y: the pose in which the plant starts."""
+    """Symbols (2, 1) of the parameters start.x and start.y: the start pose [m]."""
     return casadi.vertcat(
         *(
             five_bar.registry.parameter(
@@ -135,7 +135,7 @@ def start_parameters(five_bar: FiveBar, scene: Scene) -> casadi.SX:
 
 def start_angles(five_bar: FiveBar, start: casadi.SX, scene: Scene) -> casadi.SX:
     """Motor angles (2, 1) at the start pose by rigid inverse kinematics in the scene's working mode."""
-    # the parameters by name, not the derived values: the start is calculated before these
+    # parameters, not derived values, which are computed later
     p = {v.name: s for v, s in zip(five_bar.registry.variables, casadi.vertsplit(five_bar.registry.p), strict=True)}
     a, proximal, distal = p["base_half_distance"], p["proximal.length"], p["distal.length"]
     angles = []
@@ -154,7 +154,7 @@ def output(name: str, unit: str, description: str, of: str | None = None) -> Var
 
 
 def robot_outputs(five_bar: FiveBar) -> list[OutputRow]:
-    """End effector, the effects' scalars, and the elastic coordinates with their derivatives."""
+    """Outputs of the robot: end effector, effects, and elastic coordinates with their derivatives."""
     closure, motion = five_bar.closure, five_bar.motion
     rows: list[OutputRow] = []
     # motion of the end effector
@@ -188,7 +188,7 @@ def elastic_names(five_bar: FiveBar) -> tuple[str, ...]:
 
 
 def reaction_outputs(forces: ProjectedForces) -> list[OutputRow]:
-    """Joint reaction forces of both legs."""
+    """Outputs for the joint reaction forces of both legs."""
     rows: list[OutputRow] = []
     for leg in (1, 2):
         elbow, pull = forces.elbows[leg - 1], forces.pulls[leg - 1]
@@ -205,7 +205,7 @@ def _components(name: str, unit: str, text: str, vector: casadi.SX) -> list[Outp
 
 
 def _feedthrough(equations: PlantEquations, inputs: Sequence[Variable]) -> Mapping[str, tuple[str, ...]]:
-    """Inputs that each output depends on algebraically; accelerations follow from all inputs."""
+    """Output → inputs with direct feedthrough; accelerations depend on all inputs."""
     names, motion = [variable.name for variable in inputs], equations.motion
     table = {}
     for variable, expression in equations.outputs:
@@ -217,7 +217,7 @@ def _feedthrough(equations: PlantEquations, inputs: Sequence[Variable]) -> Mappi
 
 
 def elastic_scale(five_bar: FiveBar) -> tuple[list[casadi.SX], list[casadi.SX]]:
-    """Modal stiffnesses and masses of the elastic coordinates, (n, 1) in pieces, for the error norm."""
+    """Modal stiffnesses and masses of the elastic states, as lists of column vectors, for the error norm."""
     families = _vibrating(five_bar)
     kappa = [casadi.diag(family.stiffness) for family in families]
     mu = [casadi.diag(family.mass) for family in families]
@@ -228,12 +228,12 @@ def elastic_scale(five_bar: FiveBar) -> tuple[list[casadi.SX], list[casadi.SX]]:
 
 
 def _vibrating(five_bar: FiveBar) -> list[Family]:
-    """Family by family of every link, but for those that deflect statically."""
+    """The families of all links that are states, without the quasi-static ones."""
     return [part.family for _, part in five_bar.robot.elastic if not part.family.quasi_static]
 
 
 def compliance(five_bar: FiveBar) -> casadi.SX:
-    """Sum of the tips' static compliances [m/N], of the links' middles where no tip moves; zero for a rigid robot."""
+    """Sum of the modal compliances at the tips [m/N], or at mid-length where no tip moves; zero for a rigid robot."""
     families = _vibrating(five_bar)
     # compliance of the links
     moves = any(shape.tip for family in families for shape in family.shapes)

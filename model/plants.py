@@ -1,9 +1,9 @@
-"""The two plants of a scene, made from the same five-bar, with what their documentation shows.
+"""The two plants of a scene, built from the same five-bar, with drawing and notes for their documentation.
 
 The motion-driven plant is the inverse elastodynamic model, the paper's "perfect controller": inputs are the joint
-references, the unknowns are the elastic coordinates q_e, and the motor torques follow. The torque-driven plant is the
-direct elastodynamic model, what controllers act on: inputs are the motor torques and a force at the end effector, the
-unknowns are [q_a, q_e].
+references, unknowns are the elastic coordinates q_e, and the motor torques are outputs. The torque-driven plant is the
+direct elastodynamic model for control loops: inputs are the motor torques and a force at the end effector, unknowns are
+[q_a, q_e].
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ from flexfmu.model.symbolic import Bar, Drawing, Friction, Spot, SymbolicModel, 
 from flexfmu.model.time_derivatives import MotionSymbols
 
 REFERENCE_LOAD = 1.0
-"""Acceleration [m/s²] whose static deflection is the floor of the motion-driven error norm: smaller motions aren't resolved
-relative to themselves."""
+"""Acceleration [m/s²] whose static deflection is the floor of the motion-driven error norm: the tolerance of smaller
+motions is absolute."""
 
 REFERENCE_RATE = 0.1
 """Motor rate [rad/s] whose kinetic energy is the floor of the torque-driven error norm, for the same reason."""
 
 RIGID_BANDWIDTH = 100.0
-"""Rate [rad/s] that weighs a motor angle against its rate in the error norm of a robot without elasticity."""
+"""Angular frequency [rad/s] that weighs motor angles against their rates in the error norm where no tip bends."""
 
 
 def build_model(scene: Scene) -> SymbolicModel:
-    """The plant that a scene drives as equations and variables."""
+    """The plant of a scene, torque-driven or motion-driven, as equations and variables."""
     model = torque_driven_plant(scene) if scene.cosimulation.drive == "torque" else motion_driven_plant(scene)
     return replace(model, drawing=draw_five_bar(scene), effects=(*model.effects, *choice_notes(scene)))
 
 
 def draw_five_bar(scene: Scene) -> Drawing:
-    """Both legs with motors, elbows and end effector at the start of the path, undeformed."""
+    """Drawing of the undeformed robot at the start of the path."""
     mechanism, end = scene.mechanism, scene.trajectory.start
     bars: list[Bar] = []
     spots: list[Spot] = []
@@ -63,17 +63,17 @@ def draw_five_bar(scene: Scene) -> Drawing:
 
 
 def motion_driven_plant(scene: Scene) -> SymbolicModel:
-    """The motion-driven plant of a scene; its residual are the forces on the elastic coordinates."""
+    """The motion-driven plant of a scene; its residual is the force on the elastic coordinates."""
     five_bar = assemble(scene)
     start, m = start_parameters(five_bar, scene), five_bar.motion
-    # outputs: what the motion takes, then what the robot does
+    # outputs: motor torques, then the motion of the robot
     outputs: list[OutputRow] = [
         (output(f"joint{i + 1}.torque", "N.m", _TORQUE.format(i + 1)), five_bar.forces.motors[i]) for i in range(2)
     ]
     outputs += robot_outputs(five_bar)
     if scene.effects.reactions:
         outputs += reaction_outputs(five_bar.forces)
-    # error norm: elastic energy, with that under the reference load as its floor
+    # error norm: elastic energy; its floor is the energy under the reference load
     kappa, mu = elastic_scale(five_bar)
     mass = 2 * (five_bar.links["proximal"].mass + five_bar.links["distal"].mass) + five_bar.end_effector_mass
     floor = REFERENCE_LOAD * mass * casadi.sqrt(compliance(five_bar)) if kappa else casadi.SX(1)
@@ -97,7 +97,7 @@ def motion_driven_plant(scene: Scene) -> SymbolicModel:
 
 
 def _reference_inputs(scene: Scene) -> tuple[Variable, ...]:
-    """References of both joints; at rest only the positions aren't zero."""
+    """Inputs for the references of both joints, at rest in the start pose."""
     joints = motor_angles(scene.mechanism, scene.trajectory.start)
     return tuple(
         Variable(
@@ -116,11 +116,11 @@ _TORQUE = "Torque of motor {}, counter-clockwise"
 
 
 def torque_driven_plant(scene: Scene) -> SymbolicModel:
-    """The torque-driven plant of a scene; its residual are the forces on motor angles and elastic coordinates."""
+    """The torque-driven plant of a scene; its residual is the force on motor angles and elastic coordinates."""
     five_bar = assemble(scene)
     start, m = start_parameters(five_bar, scene), five_bar.motion
     torque, force = casadi.SX.sym("tau", 2), casadi.SX.sym("f", 2)
-    # the force at the end effector takes part of what the motion needs there
+    # the external force at the end effector reduces the required force there
     loaded = casadi.SX(five_bar.redundant_force)
     loaded[8:10] -= force
     five_bar = five_bar.with_forces(loaded)
@@ -158,7 +158,7 @@ def torque_driven_plant(scene: Scene) -> SymbolicModel:
 
 
 def _joint_outputs(five_bar: FiveBar, torque: casadi.SX) -> list[OutputRow]:
-    """Motion of the motors, and the dry friction that can hold them."""
+    """Outputs for the motion of the motors and their dry friction."""
     motion = five_bar.motion
     rows: list[OutputRow] = []
     for i in range(2):
@@ -175,7 +175,7 @@ def _joint_outputs(five_bar: FiveBar, torque: casadi.SX) -> list[OutputRow]:
 
 
 def _torque_inputs(scene: Scene) -> tuple[Variable, ...]:
-    """Torques, which balance the start pose unless they are set, and the force at the end effector."""
+    """Inputs for torques, by default those that hold the start pose, and for the force at the end effector."""
     holding = static_equilibrium(scene, motor_angles(scene.mechanism, scene.trajectory.start)).torque
     torques = [
         Variable(f"joint{i + 1}.torque", "N.m", _TORQUE.format(i + 1), "input", start=float(holding[i]))
@@ -186,13 +186,13 @@ def _torque_inputs(scene: Scene) -> tuple[Variable, ...]:
 
 
 def _torque_driven_scale(five_bar: FiveBar) -> casadi.SX:
-    """[kappa (2 + n), mu (2 + n), floor]: energy norm; a motor angle counts like the elbow's displacement that it makes."""
+    """Weights [kappa (2 + n), mu (2 + n), floor] of the energy norm; a motor angle counts as elbow displacement."""
     kappa, mu = elastic_scale(five_bar)
     # inertia of a motor angle: its proximal link, and a distal link with half of the payload at the elbow
     length, distal_mass = five_bar.links["proximal"].length, five_bar.links["distal"].mass
     proximal_inertia = five_bar.registry.find_derived("proximal_m_l2_3")
     inertia = proximal_inertia + (distal_mass + 0.5 * five_bar.end_effector_mass) * length**2
-    # stiffness: the first bending mode's at its tip, or a nominal bandwidth where no tip bends
+    # stiffness: that of the first bending mode at its tip, or from a nominal bandwidth where no tip bends
     bending = [part.family for _, part in five_bar.robot.elastic if part.family.direction == "bending"]
     stiffness = (
         bending[0].stiffness[0, 0] * (length / bending[0].shapes[0].tip) ** 2

@@ -1,8 +1,8 @@
-"""The robot in redundant coordinates: symbols of every link's floating frame, its elastic coordinates and the end effector.
+"""Symbols of the robot in redundant coordinates: floating frames, elastic coordinates and end effector.
 
 A link j of leg i has the base point P (fixed for a proximal link), the direction e = (cos theta, sin theta) with the
 normal n = (-sin theta, cos theta), and the displacement u = (u_x along e, u_y along n) of eq. (5) of Barnard, Briot and
-Caro (2012). The direction stands as a unit vector, not as an angle: the closed-form assembly yields it without atan2.
+Caro (2012). The direction is a unit vector, not an angle: the closed-form assembly gives it without atan2.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FAMILIES: tuple[tuple[LinkGroup, Direction], ...] = (
     ("distal", "axial"),
     ("distal", "bending"),
 )
-"""Which links may deflect, and how."""
+"""Elastic families: link group and direction of deflection."""
 
 LINK_ORDER: tuple[tuple[str, LinkGroup, int], ...] = (
     ("link11", "proximal", 1),
@@ -38,16 +38,15 @@ LINK_ORDER: tuple[tuple[str, LinkGroup, int], ...] = (
 
 @dataclass(frozen=True)
 class Family:
-    """The modes of one direction on one link group, with derived values that both legs share.
+    """The modes of one direction on one link group; both legs share the derived values.
 
     Attributes:
-        group: which links carry it.
+        group: links that have these modes.
         direction: axial (u_x) or bending (u_y).
-        shapes: K mode shapes.
+        shapes: mode shapes, K of them.
         stiffness: modal stiffness matrix K (K, K) [N/m].
         mass: modal mass matrix of the link alone (K, K) [kg].
-        compliance: inverse of the stiffness (K, K) [m/N] where the modes are no states, but deflect statically under the
-            present loads; None where they vibrate.
+        compliance: inverse of the stiffness (K, K) [m/N] if the modes deflect statically; None if they are states.
     """
 
     group: LinkGroup
@@ -64,7 +63,7 @@ class Family:
 
     @property
     def tips(self) -> casadi.DM:
-        """phi_k(1), shape (K, 1)."""
+        """Tip displacements phi_k(1), shape (K, 1)."""
         return casadi.DM([shape.tip for shape in self.shapes])
 
 
@@ -79,7 +78,7 @@ class ElasticSymbols:
 
 @dataclass(frozen=True)
 class Link:
-    """One link's symbols. Rates are zero numbers, not symbols, where the base point is fixed."""
+    """Symbols of one link; the base velocity is the number zero where the base point is fixed."""
 
     name: str
     group: LinkGroup
@@ -92,7 +91,7 @@ class Link:
 
     @property
     def normal(self) -> casadi.SX:
-        """n, shape (2, 1)."""
+        """Normal n, shape (2, 1)."""
         return casadi.vertcat(-self.direction[1], self.direction[0])
 
     def family(self, direction: Direction) -> ElasticSymbols | None:
@@ -128,7 +127,7 @@ class Robot:
 
     @property
     def motor_rates(self) -> tuple[casadi.SX, casadi.SX]:
-        """Turning rates of the motors [rad/s]."""
+        """Angular rates of the motors [rad/s]."""
         rates = [self.links[f"link{leg}1"].turning_rate for leg in LEGS]
         if self.twist.numel():
             rates = [rate - self.twist_rate[i] for i, rate in enumerate(rates)]
@@ -136,7 +135,7 @@ class Robot:
 
     @property
     def twist_selection(self) -> casadi.DM:
-        """Matrix (n, 2) with twist = selection' q_e; empty of entries where the transmissions are rigid."""
+        """Matrix (n, 2) with twist = selection' q_e; without entries where the transmissions are rigid."""
         n = self.q_e.numel()
         selection = casadi.DM(n, 2)
         for i in range(self.twist.numel()):
@@ -145,7 +144,7 @@ class Robot:
 
     @property
     def elastic(self) -> tuple[tuple[Link, ElasticSymbols], ...]:
-        """Every family of every link in the order of q_e."""
+        """Links and families in the order of q_e."""
         return tuple((link, part) for link in self.links.values() for part in link.elastic)
 
     @property
@@ -170,7 +169,7 @@ class Robot:
 
     @property
     def elastic_texts(self) -> tuple[str, ...]:
-        """What each elastic coordinate is."""
+        """Descriptions of the elastic coordinates."""
         modes = tuple(
             f"{part.family.direction.capitalize()} coordinate {k + 1} of {link.group} link {link.leg} ({link.name}): {shape.text}"
             for link, part in self.elastic
@@ -191,7 +190,7 @@ def make_robot(
     elastic_joints: bool,
     shortening: Mapping[LinkGroup, casadi.SX],
 ) -> Robot:
-    """Symbols of a robot whose links carry the given families, and whose transmissions twist if the joints are elastic."""
+    """Symbols of a robot with these families, and with twists of the transmissions if `elastic_joints`."""
     twists = 2 if elastic_joints else 0
     bases = {1: casadi.vertcat(-base_half_distance, 0.0), 2: casadi.vertcat(base_half_distance, 0.0)}
     links = {name: _make_link(name, group, leg, bases[leg], families) for name, group, leg in LINK_ORDER}
@@ -200,9 +199,9 @@ def make_robot(
 
 
 def _make_link(name: str, group: LinkGroup, leg: int, base: casadi.SX, families: Sequence[Family]) -> Link:
-    # proximal links turn about a fixed point
+    # the base point of a proximal link is fixed
     moves = group == "distal"
-    # symbols of the families that bend or stretch it
+    # symbols of its elastic families
     elastic = tuple(
         ElasticSymbols(
             family, casadi.SX.sym(f"q_{name}", len(family.shapes)), casadi.SX.sym(f"v_{name}", len(family.shapes))
@@ -223,12 +222,12 @@ def _make_link(name: str, group: LinkGroup, leg: int, base: casadi.SX, families:
 
 
 class TipMap:
-    """Displacements of link tips as functions of the elastic coordinates: linear, and less what bending takes away."""
+    """Tip displacements as functions of the elastic coordinates: linear terms minus the shortening by bending."""
 
     def __init__(self, robot: Robot) -> None:
         self._gains: dict[tuple[str, Direction], casadi.DM] = {}
         self._shortening: dict[str, tuple[int, casadi.SX]] = {}
-        # each family has its piece of the elastic coordinates
+        # slice of the elastic coordinates of each family
         n = robot.q_e.numel()
         start = 0
         for link, part in robot.elastic:
@@ -244,23 +243,23 @@ class TipMap:
         self.twist = robot.twist_selection
 
     def gain(self, link: str, direction: Direction, q_e: casadi.SX) -> casadi.DM | casadi.SX:
-        """Gradient (n, 1) of the tip's displacement by q_e: phi(1) of the link's family, less what shortens it."""
+        """Gradient (n, 1) of the tip displacement by q_e: phi(1) of the link's family, minus that of the shortening."""
         linear = self._gains.get((link, direction), self._none)
         return linear if direction != "axial" or link not in self._shortening else linear - self._bend(link, q_e)
 
     def displacement(self, link: str, direction: Direction, q_e: casadi.SX) -> casadi.SX:
-        """u(1) [m]."""
+        """Tip displacement u(1) [m]."""
         linear = self._product(self._gains.get((link, direction), self._none), q_e)
         return linear if direction == "bending" else linear + self._curvature(link, q_e) / 2
 
     def rate(self, link: str, direction: Direction, q_e: casadi.SX, v_e: casadi.SX) -> casadi.SX:
-        """u'(1) [m/s]."""
+        """Rate of the tip displacement [m/s]."""
         return self._product(self.gain(link, direction, q_e), v_e)
 
     def acceleration(
         self, link: str, direction: Direction, q_e: casadi.SX, v_e: casadi.SX, a_e: casadi.SX
     ) -> casadi.SX:
-        """u''(1) [m/s²]."""
+        """Second time derivative of the tip displacement [m/s²]."""
         linear = self._product(self.gain(link, direction, q_e), a_e)
         return linear if direction == "bending" else linear + self._curvature(link, v_e)
 
@@ -268,11 +267,11 @@ class TipMap:
         return casadi.dot(gain, coordinates) if coordinates.numel() else casadi.SX(0)
 
     def _bend(self, link: str, q_e: casadi.SX) -> casadi.SX:
-        """S q within q_e, shape (n, 1)."""
+        """S q at the rows of the link's bending coordinates, zero elsewhere, shape (n, 1)."""
         start, matrix = self._shortening[link]
         stop = start + matrix.shape[0]
         return casadi.vertcat(casadi.SX(start, 1), matrix @ q_e[start:stop], casadi.SX(q_e.numel() - stop, 1))
 
     def _curvature(self, link: str, coordinates: casadi.SX) -> casadi.SX:
-        """-c' S c of the link's bending coordinates c, zero where bending doesn't shorten it."""
+        """-c' S c for the link's bending coordinates c; zero without foreshortening."""
         return -casadi.dot(coordinates, self._bend(link, coordinates)) if link in self._shortening else casadi.SX(0)

@@ -1,4 +1,4 @@
-"""Timoshenko's beam theory as an effect: rotary inertia of all links, with the material's and the sections' properties."""
+"""Timoshenko beams as an effect: rotary inertia of all links, and their shear rigidity and radius of gyration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from flexfmu.trajectories.jets import RealArray
 
 @dataclass(frozen=True)
 class ThickBeam:
-    """What Timoshenko's theory needs of a link group beyond `LinkProperties`, in symbols.
+    """Properties of a link group that a Timoshenko beam needs in addition to `LinkProperties`, in symbols.
 
     Attributes:
         shear_rigidity: k G A / l [N/m].
@@ -32,8 +32,8 @@ class ThickBeam:
 
 
 def thick_beams(context: EffectContext) -> dict[LinkGroup, ThickBeam]:
-    """Shear and rotary inertia of both link groups, which registers Poisson's ratio; empty for slender beams."""
-    # slender beams have neither
+    """Shear rigidity and gyration of both link groups; empty for Euler-Bernoulli beams. Registers Poisson's ratio."""
+    # Euler-Bernoulli beams have neither shear nor rotary inertia
     if context.scene.effects.beam != "timoshenko":
         return {}
     nu = context.registry.parameter(
@@ -47,7 +47,7 @@ def thick_beams(context: EffectContext) -> dict[LinkGroup, ThickBeam]:
             maximum=0.5,
         )
     )
-    # the same for both links of a group
+    # properties of each link group
     beams: dict[LinkGroup, ThickBeam] = {}
     for group, part in context.links.items():
         shear_modulus = part.youngs_modulus / (2.0 * (1.0 + nu))
@@ -58,7 +58,7 @@ def thick_beams(context: EffectContext) -> dict[LinkGroup, ThickBeam]:
 
 
 def slenderness(mechanism: Mechanism, group: LinkGroup) -> Slenderness:
-    """The scene's numbers, for the mode shapes."""
+    """The slenderness of a link group with the values of the scene, for the mode shapes."""
     link: LinkKeys = getattr(mechanism, group)
     nu = mechanism.material.poissons_ratio
     rotary = (link.diameter**2 + link.inner_diameter**2) / (16.0 * link.length**2)
@@ -91,14 +91,14 @@ class RotaryInertia(Effect):
         self._registry, self._properties, self._beams = registry, properties, beams
 
     def kinetic_energy(self, robot: Robot) -> casadi.SX:
-        """Half of ∫ rho I (w + psi')² dx of each link, with the sections' turning psi against the link's frame."""
+        """½ ∫ rho I (w + psi')² dx, summed over the links; psi is the section rotation relative to the frame."""
         derived, total = self._registry.derived, casadi.SX(0)
         for link in robot.links.values():
-            # the frame's own turning
+            # rotation of the frame
             length, w, group = self._properties[link.group].length, link.turning_rate, link.group
             inertia = self._properties[group].mass * self._beams[group].gyration
             energy = 0.5 * derived(f"{group}_rotary", inertia * length**2) * w**2
-            # turning of the sections where the link bends, alone and together with the frame
+            # rotation of the sections due to bending: coupling with the frame, and its own energy
             bending = link.family("bending")
             if bending is not None:
                 products, means = (of(bending.family.shapes, lambda shape: shape.rotation) for of in (gram, mean))
@@ -109,7 +109,7 @@ class RotaryInertia(Effect):
         return total
 
     def _matrix(self, group: LinkGroup, inertia: casadi.SX, products: RealArray) -> casadi.SX:
-        """∫ rho I of the products of the shapes' rotations, (K, K)."""
+        """∫ rho I psi_j psi_k dx of the shapes' rotations, (K, K)."""
         return symmetric(
             len(products),
             lambda i, j: self._registry.derived(f"{group}_rotary_{i}_{j}", inertia * products[i, j]),

@@ -1,7 +1,7 @@
 """Static equilibrium of the flexible robot with locked motors, by Newton's method with step halving.
 
-The stiffness is exact, so that convergence is quadratic. Near the solution elastic forces of stiff families cancel to
-rounding; from there on a step needn't make the residual smaller.
+The stiffness matrix is exact, so convergence is quadratic. Near the solution the elastic forces of stiff families
+cancel to rounding; a step then needn't reduce the residual.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 
 MAXIMUM_ITERATIONS = 50
-"""Newton iterations; the deflections are small, so three are usual."""
+"""Largest number of Newton iterations; three are usual, as deflections are small."""
 
 RELATIVE_STEP = 1e-14
-"""The iteration has converged when a Newton step is this small against the coordinates, that is at rounding."""
+"""The iteration has converged when the norm of a Newton step is at most this fraction of that of the coordinates."""
 
 SMALLEST_DAMPING = 2.0**-20
-"""Fraction of a Newton step below which the iteration gives up."""
+"""Smallest fraction of a Newton step; below it the iteration fails."""
 
 
 @dataclass(frozen=True)
 class StaticState:
-    """Equilibrium at a pose.
+    """Static equilibrium at a pose.
 
     Attributes:
-        elastic: q_e (n,) [m].
+        elastic: elastic coordinates q_e (n,) [m, rad].
         position: end effector (2,) [m].
         torque: motor torques that hold the pose (2,) [N m].
     """
@@ -44,7 +44,7 @@ def static_equilibrium(scene: Scene, joints: tuple[float, float] | RealArray) ->
     """Equilibrium with the motors locked at the angles (q11, q21) [rad].
 
     Raises:
-        EquilibriumError: the iteration finds none; the message names pose and residual.
+        EquilibriumError: the iteration doesn't converge; the message gives pose and residual.
     """
     model, u = numeric_model(scene), standstill(joints)
     elastic = _newton(model, u)
@@ -54,11 +54,11 @@ def static_equilibrium(scene: Scene, joints: tuple[float, float] | RealArray) ->
 
 
 def _newton(model: NumericModel, u: RealArray) -> RealArray:
-    """Damped Newton iteration on the elastic forces at rest."""
+    """Elastic coordinates (n,) in equilibrium, by damped Newton iteration on the elastic forces at rest."""
     q = np.zeros(model.n)
     if model.n == 0:
         return q
-    # iterate until a full step is at rounding, or no part of it makes the residual smaller
+    # iterate until a full step is at rounding, or no fraction of it reduces the residual
     force = _static_force(model, q, u)
     for _ in range(MAXIMUM_ITERATIONS):
         step = np.linalg.solve(model.static_stiffness(q, u).full(), -force)
@@ -69,7 +69,7 @@ def _newton(model: NumericModel, u: RealArray) -> RealArray:
             break
         if np.linalg.norm(step) < np.finfo(float).eps * np.linalg.norm(q) or not np.any(force):
             return q
-    # a residual that is rounding of the forces that cancel is as good as zero
+    # a residual at the rounding level of the cancelling forces counts as zero
     if _at_rounding(model, u, q, force):
         return q
     raise EquilibriumError(
@@ -81,7 +81,7 @@ def _newton(model: NumericModel, u: RealArray) -> RealArray:
 def _damped_step(
     model: NumericModel, u: RealArray, q: RealArray, step: RealArray, force: RealArray
 ) -> tuple[RealArray, RealArray, float]:
-    """The longest halved step that makes the residual smaller, or any step at rounding level."""
+    """New coordinates, force and damping; halves the step until the residual falls or is at rounding level."""
     damping, norm = 1.0, np.linalg.norm(force)
     while damping >= SMALLEST_DAMPING:
         trial = q + damping * step
@@ -95,7 +95,7 @@ def _damped_step(
 
 
 def _at_rounding(model: NumericModel, u: RealArray, q: RealArray, force: RealArray) -> bool:
-    """True where the residual is only rounding of the elastic forces that cancel in it."""
+    """Whether the residual is only rounding of the elastic forces that cancel in it."""
     stiffness = np.abs(model.static_stiffness(q, u).full())
     load = np.abs(_static_force(model, np.zeros(model.n), u))
     scale = stiffness @ np.abs(q) + load

@@ -1,19 +1,19 @@
-"""What the code generator takes: a plant or a block as equations (CasADi functions) with the variables that a user sees.
+"""Input of the code generator: a plant or a block as equations (CasADi functions) and FMI variables.
 
 A plant is of second order in ``n`` unknown coordinates ``y`` (motion-driven plant: the elastic coordinates;
 torque-driven plant: actuated and elastic coordinates)::
 
     r(y, y', y'', u, d) = M(y, u, d) y'' + b(y, y', u, d) = 0
 
-with the inputs ``u`` and the derived values ``d``, which follow from the FMI parameters ``p`` once.
+with the inputs ``u`` and the derived values ``d``, computed once from the FMI parameters ``p``.
 
-A block is a discrete-time system: a controller, shaper or imperfection, from which both its Python slave and its FMU
-are made, so that they give the same numbers. At its sample instants t_k = offset + k * sample_time it reads its inputs
-u, outputs y and updates its states x::
+A block is a discrete-time system: a controller, shaper or imperfection. Its Python slave and its FMU have the same
+equations, so their results are the same. At its sample instants t_k = offset + k * sample_time it reads its inputs u,
+sets its outputs y and updates its states x::
 
     y_k = output(x_k, u_k, p)        x_{k+1} = update(x_k, u_k, p)
 
-and keeps y until the next instant.
+and holds y until the next instant.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
 
 @dataclass(frozen=True)
 class Variable:
-    """A scalar variable of the model as FMI shows it.
+    """A scalar FMI variable of the model.
 
     Attributes:
         name: structured FMI name, for example ``joint1.torque``.
@@ -57,7 +57,7 @@ class Variable:
         start: start value in ``unit`` (inputs and parameters; outputs are calculated and have none).
         minimum, maximum: admissible range in ``unit``; None where there is no limit.
         nominal: typical magnitude in ``unit``.
-        derivative_of: name of the output whose time derivative this output is; None otherwise.
+        derivative_of: name of the output whose time derivative this output is, or None.
         tunable: True for a parameter that may change between communication steps, False for one fixed after
             initialisation.
     """
@@ -78,14 +78,14 @@ class Variable:
 class Friction:
     """Dry friction that can hold an unknown.
 
-    While it slips, its generalised force is a term of the residual's row of that unknown, with its direction
-    d[direction]; while it sticks, the row is y'' = 0 instead.
+    In slip, its generalised force is a term of the unknown's row of the residual, with the direction d[direction]. In
+    stiction, y'' = 0 replaces this row.
 
     Attributes:
         unknown: index in ``y``.
         breakaway: index in ``d`` of the largest generalised force that holds the unknown.
-        direction: index in ``d`` of the direction of slip, 1 or -1, which the runtime sets; 0, as `derive` gives it, stands
-            for the sign of the rate.
+        direction: index in ``d`` of the direction of slip, 1 or -1, set by the runtime; 0, the value of `derive`,
+            stands for the sign of the rate.
     """
 
     unknown: int
@@ -95,13 +95,13 @@ class Friction:
 
 @dataclass(frozen=True)
 class EffectNote:
-    """What the documentation says of an effect.
+    """Documentation of an effect.
 
     Attributes:
-        title: what it is called.
-        sentence: what it is.
-        formula: its energy or dissipation as a person writes it; may be empty.
-        contributes: to which parts of the model.
+        title: name of the effect.
+        sentence: description in one sentence.
+        formula: energy or dissipation function as text; may be empty.
+        contributes: parts of the model that the effect contributes to.
     """
 
     title: str
@@ -115,13 +115,13 @@ Part = Literal["proximal", "distal", "motor", "joint", "end effector"]
 
 @dataclass(frozen=True)
 class Bar:
-    """A link.
+    """A link of a drawing.
 
     Attributes:
-        name: as the variables call it.
-        part: which kind of link.
-        start, end: its ends [m].
-        diameter: [m].
+        name: name of the link, as in the variables.
+        part: kind of link.
+        start, end: ends of the link [m].
+        diameter: outer diameter [m].
     """
 
     name: str
@@ -133,7 +133,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Spot:
-    """A point with a name, [m]."""
+    """A named point of a drawing; position in m."""
 
     name: str
     part: Part
@@ -142,7 +142,7 @@ class Spot:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A mechanism in its start pose, for pictures of it."""
+    """A mechanism in its start pose, for figures."""
 
     bars: tuple[Bar, ...]
     spots: tuple[Spot, ...]
@@ -150,7 +150,7 @@ class Drawing:
 
 @dataclass(frozen=True)
 class SymbolicModel:
-    """A plant as equations and variables; a pure value that `flexfmu.fmu_build` turns into C.
+    """A plant as equations and variables; immutable. `flexfmu.fmu_build` generates C from it.
 
     Attributes:
         name: model name, a C identifier after `flexfmu.fmu_build` has cleaned it.
@@ -159,19 +159,19 @@ class SymbolicModel:
         inputs, parameters, outputs: variables in the order of ``u``, ``p`` and ``o``.
         functions: one CasADi function for each entry of `FUNCTION_SIGNATURES`, all arguments and results dense.
         acceleration_terms: (output, unknown) of each entry of do/da, in the order in which `motion_forward` gives them.
-        feedthrough: for each output the names of the inputs that it depends on algebraically.
+        feedthrough: output → inputs that it depends on algebraically (direct feedthrough).
         static_start: start value of the FMI parameter ``initial``: True for static equilibrium, False for undeformed.
-        margin_name: what `singularity` measures, with its unit, for messages.
-        minimum_margin: smallest admissible value of that measure.
-        is_damped: whether any effect dissipates the energy of vibrations; where none does, the integrator must not either.
-        locked: number of leading unknowns that are actuated: they start at `initial_coordinates`, are held there while
-            the others find their static equilibrium, and each belongs to the input of the same index, a generalised
-            force that holds the equilibrium unless it is set.
-        rate_inputs: number of trailing inputs that are rates: zero at rest, so the static equilibrium doesn't see them.
-        frictions: dry friction that can hold unknowns; events within a motion change what it does.
-        effects: what the model contains, for documentation.
-        drawing: what the mechanism looks like; None where there is nothing to draw.
-        pose: names of the outputs that say where the mechanism is, for messages.
+        margin_name: quantity that `singularity` returns, for messages.
+        minimum_margin: smallest admissible value of that quantity.
+        is_damped: whether an effect damps vibrations; if none does, the integrator must not damp them either.
+        locked: number of leading unknowns that are actuated. They start at `initial_coordinates` and stay there in the
+            static equilibrium of the others. The input of the same index is their generalised force; by default it
+            holds the equilibrium.
+        rate_inputs: number of trailing inputs that are rates or accelerations; they are zero in the static equilibrium.
+        frictions: dry friction that can hold unknowns; events switch between stiction and slip.
+        effects: documentation of the effects in the model.
+        drawing: drawing of the mechanism, or None.
+        pose: names of the outputs that give the pose in messages.
     """
 
     name: str
@@ -202,19 +202,19 @@ class SymbolicModel:
 
 @dataclass(frozen=True)
 class SymbolicBlock:
-    """A block as equations and variables; a pure value.
+    """A block as equations and variables; immutable.
 
     Attributes:
         name: model name.
         description: one sentence.
-        sample_time: [s], above zero.
+        sample_time: sample time [s], above zero.
         offset: first sample instant [s], zero or positive.
         inputs, outputs, parameters: variables in the order of u, y and p.
         states: start values of the states x.
         output: CasADi function (x, u, p) → y, all dense column vectors.
         update: CasADi function (x, u, p) → next x.
-        feedthrough: for each output the names of the inputs that it depends on at the same instant.
-        latency: for outputs that are delayed on purpose by how much they lag at low frequency [s], without the hold.
+        feedthrough: output → inputs that it depends on at the same instant (direct feedthrough).
+        latency: output → its delay at low frequency [s], without the hold; outputs without a delay are left out.
     """
 
     name: str

@@ -23,8 +23,8 @@ def forward(arguments: Sequence[casadi.SX], expression: casadi.SX) -> tuple[list
     """The directional derivative of an expression in column vectors x1, x2, ...
 
     Returns:
-        arguments [x1, x2, ..., dx1, dx2, ...] and the derivative of `expression` along the seeds dx1, dx2, ...; along
-        a motion with constants, the seeds are the time derivatives of the arguments and the result is its rate.
+        arguments [x1, x2, ..., dx1, dx2, ...] and the derivative of `expression` along the seeds dx1, dx2, ... With the
+        time derivatives of the arguments as seeds, it is the time derivative of `expression`.
     """
     seeds = [casadi.SX.sym("seed", argument.numel()) for argument in arguments]
     return [*arguments, *seeds], casadi.jtimes(expression, casadi.vertcat(*arguments), casadi.vertcat(*seeds))
@@ -38,11 +38,11 @@ def acceleration_terms(motion: MotionSymbols, outputs: casadi.SX) -> tuple[tuple
 def motion_forward(
     motion: MotionSymbols, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
 ) -> tuple[list[casadi.SX], casadi.SX]:
-    """What changes of y, v, u and constants d make of residual r (n, 1) and outputs o (n_outputs, 1) while a is held.
+    """Directional derivatives of residual r (n, 1) and outputs o (n_outputs, 1) by y, v, u and d, for constant a.
 
     Returns:
-        arguments [y, v, a, u, d, dy, dv, du, dd], and dr, do and the entries of do/da, one after the other. Both belong
-        to one function since they share most of their operations.
+        arguments [y, v, a, u, d, dy, dv, du, dd] and the vector [dr, do, entries of do/da]; one function for all,
+        as they have most of their operations in common.
     """
     varied = [motion.y, motion.v, motion.u, derived]
     (*_, dy, dv, du, dd), change = forward(varied, casadi.vertcat(residual, outputs))
@@ -54,13 +54,13 @@ def motion_forward(
 def motion_rate2(
     motion: MotionSymbols, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
 ) -> tuple[list[casadi.SX], casadi.SX]:
-    """The second total time derivatives of residual and outputs, without what the snap s = d2a/dt2 adds to them.
+    """The second total time derivatives of residual and outputs without the terms of the snap s = d2a/dt2.
 
     Returns:
-        arguments [y, v, a, j, u, u1, u2, d] with jerk j = a', u1 = u', u2 = u'', and d2r/dt2 and d2o/dt2, one after the
-        other; the snap would add M s and do/da s.
+        arguments [y, v, a, j, u, u1, u2, d], with the jerk j = a', u1 = u' and u2 = u'', and the vector [d2r/dt2,
+        d2o/dt2]; the terms of the snap are M s and do/da s.
     """
-    # the chain rule twice along the motion: v = y', a = v', j = a', and the inputs' own derivatives
+    # chain rule twice along the motion, with v = y', a = v', j = a' and the derivatives of the inputs
     y, v, a, u = motion.y, motion.v, motion.a, motion.u
     j, u1, u2 = casadi.SX.sym("j", y.numel()), casadi.SX.sym("u1", u.numel()), casadi.SX.sym("u2", u.numel())
     no_snap, both = casadi.SX.zeros(y.numel()), casadi.vertcat(residual, outputs)

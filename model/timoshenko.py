@@ -1,7 +1,7 @@
-"""Mode shapes of uniform Timoshenko beams: displacement and turning of the cross sections, with shear and rotary inertia.
+"""Mode shapes of uniform Timoshenko beams: displacement and rotation of the cross sections.
 
-They depend on how slender the beam is. Where a parameter of the model is changed later, they stay admissible shapes
-(Ritz), only not the beam's own modes any more.
+The shapes depend on the slenderness of the beam. After a change of the model's parameters they are still admissible
+(Ritz), but no longer the exact modes.
 
 Sources: Huang, The effect of rotatory inertia and of shear deformation on the frequency and normal mode equations of
 uniform beams, J. Appl. Mech. 28 (1961); Han, Benaroya and Wei, Dynamics of transversely vibrating beams using four
@@ -25,14 +25,14 @@ from flexfmu.model.robot import LinkGroup
 from flexfmu.trajectories.jets import RealArray
 
 SPARE_POLYNOMIALS = 20
-"""Polynomials beyond two for each mode; the modes converge exponentially with them."""
+"""Number of polynomials in addition to two for each mode; the modes converge exponentially."""
 
 Number = TypeVar("Number", float, casadi.SX)
 
 
 @dataclass(frozen=True)
 class Slenderness:
-    """Measures of a beam's thickness, zero for a slender one: rotary = I/(A l²), shear = EI/(k G A l²)."""
+    """Slenderness of a beam, both zero for an Euler-Bernoulli beam: rotary = I/(A l²), shear = EI/(k G A l²)."""
 
     rotary: float
     shear: float
@@ -47,7 +47,7 @@ def shear_coefficient(outer: Number, inner: Number, poissons_ratio: Number) -> N
 
 
 def timoshenko_shapes(basis: Basis, group: LinkGroup, modes: int, slenderness: Slenderness) -> tuple[Shape, ...]:
-    """The first `modes` bending shapes of a link group; the counterparts of `flexfmu.model.elastic_family.family_shapes`."""
+    """The first `modes` bending shapes of a link group, like `flexfmu.model.elastic_family.family_shapes`."""
     if group == "distal":
         return tuple(pinned_pinned_timoshenko(k, slenderness) for k in range(1, modes + 1))
     if basis == "craig-bampton":
@@ -56,8 +56,8 @@ def timoshenko_shapes(basis: Basis, group: LinkGroup, modes: int, slenderness: S
 
 
 def tip_force_timoshenko(slenderness: Slenderness) -> Shape:
-    """Static shape of a cantilever under a force at its tip: bending and shear, (3 xi² - xi³)/2 + 3 s xi, scaled to 1."""
-    # share of the tip deflection that bending has; shear has the rest
+    """Static shape of a cantilever under a tip force: (3 xi² - xi³)/2 + 3 s xi, scaled to 1 at the tip."""
+    # share of bending in the tip deflection; shear has the rest
     share = 1.0 / (1.0 + 3.0 * slenderness.shear)
     linear = 3.0 * slenderness.shear
 
@@ -76,12 +76,12 @@ def tip_force_timoshenko(slenderness: Slenderness) -> Shape:
 
 
 def pinned_pinned_timoshenko(mode: int, slenderness: Slenderness) -> Shape:
-    """Pinned-pinned shape k: sin(k pi xi), whose sections turn by B cos(k pi xi)."""
+    """Pinned-pinned shape k: sin(k pi xi); its section rotation is proportional to cos(k pi xi)."""
     # the lower root of the frequency equation
     k, r, s = mode * np.pi, slenderness.rotary, slenderness.shear
     b = 1.0 + k**2 * (r + s)
     square = 2.0 * k**4 / (b + np.sqrt(b**2 - 4.0 * r * s * k**4))
-    # the section turns less than the axis by the shear angle
+    # rotation of the section = slope minus shear angle
     turning = k - square * s / k
     return Shape(
         value=lambda xi: np.sin(k * xi),
@@ -95,10 +95,10 @@ def pinned_pinned_timoshenko(mode: int, slenderness: Slenderness) -> Shape:
 
 
 def _clamped_modes(modes: int, slenderness: Slenderness, tip_held: bool) -> tuple[Shape, ...]:
-    """Modes of a clamped beam with a free or a pinned tip, by a Ritz method in polynomials that is exact to rounding."""
+    """Modes of a clamped beam with a free or a pinned tip, by a Ritz method in polynomials, converged to rounding."""
     if not modes:
         return ()
-    # trial functions that satisfy the clamp, and the pin where the tip is held
+    # trial functions that satisfy the clamp, and the pin if there is one
     count = 2 * modes + SPARE_POLYNOMIALS
     xi = Legendre([0.5, 0.5], domain=[0.0, 1.0])
     rotations = [xi * Legendre.basis(k, domain=[0.0, 1.0]) for k in range(count)]
@@ -128,7 +128,7 @@ def _sum(functions: list[Legendre], factors: RealArray) -> Legendre:
 
 
 def _polynomial_shape(displacement: Legendre, rotation: Legendre, mode: int, tip_held: bool) -> Shape:
-    """A shape of polynomials with unit modal mass, bent to the positive side at the clamp."""
+    """A polynomial shape with unit modal mass and positive curvature at the clamp."""
     sign = 1.0 if rotation.deriv()(0.0) > 0.0 else -1.0
     value, turning = sign * displacement, sign * rotation
     return Shape(

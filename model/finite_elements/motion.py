@@ -38,7 +38,7 @@ TABLEAU = np.array(
 TWICE = TABLEAU @ TABLEAU
 
 CONVERGED = 1e-6
-"""The Newton iteration has converged when no acceleration changes by more than this fraction of `SCALE` + the largest."""
+"""Newton's method has converged when no acceleration changes by more than this fraction of `SCALE` + the largest."""
 
 SCALE = 10.0
 """Acceleration [m/s²] added to the scale of convergence: axial stiffness turns rounding of positions into 1e-7 m/s²."""

@@ -47,7 +47,7 @@ class FiniteElementRobot:
     chains: tuple[Chain, ...]
 
     def forces(self, x: RealArray, v: RealArray, a: RealArray) -> RealArray:
-        """Generalised forces (size, S) that the motion needs, for coordinates, rates and accelerations (size, S) each."""
+        """Forces (size, S) that the motion needs, for coordinates, rates and accelerations (size, S) each."""
         # elements of all links
         total = np.zeros(x.shape)
         for chain in self.chains:
