@@ -1,4 +1,4 @@
-"""From a discrete-time block to an FMU file, with its model description: variables, structure, sampling."""
+"""Builds the FMU of a discrete-time block, with its model description: variables, structure, sampling."""
 
 from __future__ import annotations
 
@@ -36,31 +36,30 @@ def build_block_fmu(
 ) -> BuiltFmu:
     """Build an FMU 2.0 for co-simulation of a controller, shaper or imperfection, unless an equal one is in the cache.
 
-    It samples at start time + offset + k * sample time, whatever the communication step: a step may hold many sample
-    instants or none. At an instant within a step it evaluates the polynomials of its inputs (constant unless
-    derivatives were set). After a step the outputs are those of the last instant up to its end. Where the end is an
-    instant itself, outputs with direct feedthrough hold the sample before until an input is set there, and follow the
-    inputs from then on; the sample is completed with the last of them when the next step begins. So importers that set
-    inputs before they read outputs get this sample, all others get it a communication step later, and none gets new
-    states with old inputs. Before the first instant the outputs are those of the start states and the inputs at
-    initialisation.
+    The FMU samples at start time + offset + k * sample time, independently of the communication step, which may contain
+    many sample instants or none. At an instant within a step it evaluates the input polynomials (constant unless
+    derivatives are set). After a step the outputs are those of the last sample instant.
+
+    If the step ends on a sample instant, outputs with direct feedthrough keep the previous sample until an input is set;
+    from then on they follow the inputs. The next step completes this sample with the latest inputs. So importers that set
+    inputs before they read outputs get the new sample at once, others one communication step later; new states are never
+    combined with old inputs. Before the first instant, the outputs follow from the start states and the initial inputs.
 
     Args:
-        block: what to export.
+        block: the block.
         output: file to write; None leaves the FMU in the cache.
-        stop_time, step: default experiment [s]; None for a thousand samples in steps of the sample time.
+        stop_time, step: default experiment [s]; None for a thousand samples, in steps of the sample time.
         platforms, naming, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
 
     Raises:
-        BuildError: in one line what is wrong and what to do: a block that contradicts its contract, no compiler, a
-            compiler's error, or a file that cannot be written.
+        BuildError: the block violates its contract, there is no compiler, compilation fails, or a file can't be written.
     """
 
     def make_sources() -> Sources:
         return generate_block_sources(block, experiment, progress, naming)
 
     check_block(block)
-    # a thousand samples in steps of the sample time, unless the caller has other times
+    # default experiment: a thousand samples in steps of the sample time
     step = block.sample_time if step is None else step
     end = float(f"{DEFAULT_SAMPLES * block.sample_time:.12g}") if stop_time is None else stop_time
     experiment = DefaultExperiment(stop_time=end, step=step)
@@ -75,14 +74,14 @@ def generate_block_sources(
     progress: BuildProgress = lambda message: None,
     naming: Naming = "structured",
 ) -> Sources:
-    """All text files of the FMU.
+    """Generate all text files of the FMU.
 
     Raises:
-        ModelError: the block contradicts its contract.
+        ModelError: the block violates its contract.
     """
     progress("generating C")
     block = with_starts(block)
-    # C under the block's own names, variables under those of the convention
+    # C code with the block's names, variables with names by the convention
     functions, facts = generate_block(block)
     named = named_block(block, naming)
 
@@ -96,21 +95,21 @@ def generate_block_sources(
 
 
 SAMPLES = "statistics.samples"
-"""Name of the counter, the only Integer variable."""
+"""Name of the sample counter, the only Integer variable."""
 
 
 def with_starts(block: SymbolicBlock) -> SymbolicBlock:
-    """The block with a start value for every input: zero where it has none."""
+    """The block with start values for all inputs, zero by default."""
     return replace(
         block, inputs=tuple(replace(each, start=0.0) if each.start is None else each for each in block.inputs)
     )
 
 
 def block_description(block: SymbolicBlock) -> Description:
-    """What the model description says.
+    """The content of a block's model description.
 
     Raises:
-        ModelError: the block's variables contradict each other.
+        ModelError: a name is repeated or unknown, or a start value is missing or out of range.
     """
     return Description(
         name=block.name,
@@ -123,14 +122,12 @@ def block_description(block: SymbolicBlock) -> Description:
 
 
 def block_interface(block: SymbolicBlock) -> Interface:
-    """Number the variables of a block: inputs, parameters, outputs, and the counter of samples.
-
-    Outputs are discrete: they change at sample instants only.
+    """Number the variables of a block: inputs, parameters, discrete outputs, and the sample counter.
 
     Raises:
-        ModelError: a name is given twice or unknown, or a start value is missing or out of range.
+        ModelError: a name is repeated or unknown, or a start value is missing or out of range.
     """
-    # reals in the order inputs, parameters, outputs; the counter comes last
+    # inputs, parameters, outputs, then the counter
     scalars = (*block.inputs, *block.parameters, *block.outputs)
     check_names([*(variable.name for variable in scalars), SAMPLES])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
@@ -145,7 +142,7 @@ def block_interface(block: SymbolicBlock) -> Interface:
         variability="discrete",
         initial="calculated",
     )
-    # outputs depend on inputs by feedthrough, before the first sample on all that can be set
+    # outputs depend on inputs by direct feedthrough; initially on all inputs and parameters
     known = tuple(variable.index for variable in reals if variable.causality != "output")
     outputs = tuple(
         Unknown(index_of[output.name], _feedthrough(block, output.name, index_of)) for output in block.outputs
@@ -159,7 +156,7 @@ def block_interface(block: SymbolicBlock) -> Interface:
 
 
 def _feedthrough(block: SymbolicBlock, output: str, index_of: Mapping[str, int]) -> tuple[int, ...]:
-    """Indices of the inputs that an output depends on; an output without a statement depends on all."""
+    """Indices of the inputs with direct feedthrough to an output; all inputs if the block declares none."""
     inputs = [variable.name for variable in block.inputs]
     names = block.feedthrough.get(output, inputs)
     unknown = sorted(set(names) - set(inputs))

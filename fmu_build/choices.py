@@ -1,8 +1,8 @@
-"""Parameters whose whole numbers have names: how FMUs show the choice of an initial state, a method, a limit.
+"""Parameters with named values, such as the initial state or the integration method.
 
-FMI has enumerations for it, but not every importer takes them: Maestro 3.1.1 stops with "Enumeration not supported". So by
-default they are Integers from 1 on whose descriptions say what the numbers mean; tools that know a choice by name find the names
-in the vendor annotation `ANNOTATION`. Enumerations are an option of the build; numbers and value references stay the same.
+Not every importer accepts FMI enumerations: Maestro 3.1.1 fails with "Enumeration not supported". By default such parameters
+are therefore Integers from 1, with the names in the description and in the vendor annotation `ANNOTATION`. Enumerations are an
+option of the build, with the same numbers and value references.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class ChoiceParameter:
     """A parameter of type Integer whose values have names.
 
     Attributes:
-        name: of the parameter.
+        name: name of the parameter.
         description: what it chooses.
-        items: its values, numbered from 1 without a gap.
+        items: its values, numbered from 1 without gaps.
     """
 
     name: str
@@ -37,7 +37,7 @@ class ChoiceParameter:
 
     @property
     def type_name(self) -> str:
-        """Name of its enumeration type."""
+        """Name of the enumeration type."""
         return f"{self.name.title().replace('_', '').replace('.', '')}Choice"
 
     @property
@@ -68,13 +68,13 @@ INITIAL = ChoiceParameter(
 )
 
 LEAST_TOLERANCE = 1e-12
-"""Smaller tolerances count as this one, see ``c-runtime/plant_backend.c``."""
+"""Lower limit of the relative tolerance; smaller ones are raised to it, see ``c-runtime/plant_backend.c``."""
 
 FIXED_STEP = "integrator.step"
-"""Name of the parameter that fixes the step size [s]; 0 lets the error choose it."""
+"""Name of the parameter for a fixed step size [s]; 0 selects error control."""
 
 INTEGRATOR_REFERENCE = 6
-"""Value reference of the choice of the method, among the Integer variables: behind ``initial`` and the counters."""
+"""Value reference of the parameter ``integrator``, after ``initial`` and the counters."""
 
 INTEGRATOR = ChoiceParameter(
     "integrator",
@@ -92,11 +92,11 @@ INTEGRATOR = ChoiceParameter(
         "rk4": (7, "Classical Runge-Kutta method, explicit, order 4"),
     },
 )
-"""The parameter that chooses the integration method; the numbers are those of ``c-runtime/methods.h``."""
+"""The integration method; the numbers are those of ``c-runtime/methods.h``."""
 
 
 def annotation(choices: Iterable[ChoiceParameter]) -> dict[str, dict[str, str]]:
-    """The names of all values, as a vendor annotation; empty where there is no choice."""
+    """Vendor annotation with the names of all values; empty if there are no choices."""
     attributes = {
         choice.name: " ".join(f"{name}={number}" for name, (number, _) in choice.items.items()) for choice in choices
     }

@@ -1,4 +1,4 @@
-"""C sources → shared library, with object files kept in the cache: another payload compiles one small table only."""
+"""Compiles C sources to a shared library; object files are cached, so that another payload recompiles one small table."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def compile_library(
     runtime_flags: tuple[str, ...] = RUNTIME_FLAGS,
     generated_flags: tuple[str, ...] = GENERATED_FLAGS,
 ) -> bytes:
-    """Compile and link ``sources`` in a temporary folder; the content of the shared library.
+    """Compile and link ``sources`` in a temporary folder; return the content of the shared library.
 
     Args:
         sources: C files and headers.
         compiler: compiler for the platform.
-        cache: use object files of earlier builds where source, headers, flags and compiler are the same.
-        runtime_flags, generated_flags: flags for the two kinds of sources.
+        cache: whether to use cached object files with the same source, headers, flags and compiler.
+        runtime_flags, generated_flags: compiler flags for the runtime and for generated code.
 
     Raises:
-        CompileError: the compiler or the linker refuses.
-        ArchiveError: there is no room for temporary files.
+        CompileError: the compiler or linker fails.
+        ArchiveError: the temporary files can't be written.
     """
-    # a job for each C file, flags by its origin
+    # one job per C file, with flags for generated code or runtime
     texts = sources.generated | sources.runtime
     first = FIRST_HEADER if FIRST_HEADER[-1] in texts else ()
     jobs = {
@@ -50,7 +50,7 @@ def compile_library(
     with _work_folder() as folder:
         for file, text in texts.items():
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
-        # compile what the cache doesn't have, keep it for the next build
+        # compile what is not cached, and cache it
         kept = {job: _kept_object(job, texts, compiler) for job in jobs.values()}
         missing = [job for job, name in kept.items() if not (cache and _fetch(name, folder / job.object_file))]
         compiler.compile(missing, folder)
@@ -62,7 +62,7 @@ def compile_library(
 
 @contextmanager
 def _work_folder() -> Iterator[Path]:
-    """A temporary folder; whatever the file system refuses becomes one sentence."""
+    """A temporary folder; errors of the file system become an `ArchiveError`."""
     try:
         with tempfile.TemporaryDirectory(prefix="flexfmu-") as name:
             yield Path(name)
@@ -72,14 +72,14 @@ def _work_folder() -> Iterator[Path]:
 
 
 def _kept_object(job: CompileJob, texts: dict[str, str], compiler: Compiler) -> str:
-    """Name of a job's object file in the cache: by source, all headers, flags and compiler."""
+    """Name of a job's object file in the cache, a hash of source, all headers, flags and compiler."""
     headers = [text for name, text in sorted(texts.items()) if name.endswith(".h")]
     parts = (compiler.identity(), repr(job), compiler.platform.name, texts[job.source], *headers)
     return f"objects/{content_hash(part.encode() for part in parts)}.o"
 
 
 def _keep(object_file: Path, name: str) -> None:
-    """Store an object file after its own hash, so that damage is seen; it is not needed again for this library."""
+    """Cache an object file, preceded by its hash to detect damage; errors are ignored, since the build doesn't need it."""
     content = object_file.read_bytes()
     try:
         store(name, content_hash([content]).encode() + content)
@@ -88,7 +88,7 @@ def _keep(object_file: Path, name: str) -> None:
 
 
 def _fetch(name: str, target: Path) -> bool:
-    """Copy an intact object file out of the cache; False where there is none."""
+    """Copy an intact object file from the cache to ``target``; False if there is none."""
     try:
         stored = (cache_folder() / name).read_bytes()
     except OSError:

@@ -1,4 +1,4 @@
-"""The model description (modelDescription.xml) of an FMI 2.0 co-simulation FMU."""
+"""The model description (modelDescription.xml) of an FMI 2.0 FMU."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AUTHOR = "the flexfmu authors"
 LICENSE = "BSD-3-Clause, see documentation/licenses"
 
 MAX_OUTPUT_DERIVATIVE_ORDER = 2
-"""The runtime differentiates its outputs exactly up to this order."""
+"""Highest order of output derivatives, which the runtime calculates exactly."""
 
 LOG_CATEGORIES = {
     "logStatusWarning": "What went on with a reservation",
@@ -32,7 +32,7 @@ LOG_CATEGORIES = {
     "logStatusFatal": "Errors that make every instance unusable",
     "statistics": "Work done since initialisation",
 }
-"""Categories of the log messages: name → what they report."""
+"""Log categories: name → description."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,15 @@ class Description:
         name: model name.
         text: one or two sentences for the user.
         interface: variables and structure.
-        choices: parameters whose values have names.
-        enumerations: whether these are FMI enumerations; Integers otherwise, which every importer takes.
-        max_input_order: highest order of an input's derivative that may be set; 0 for none.
-        max_output_order: highest order of an output's derivative that can be read; 0 for none.
-        has_tolerance: whether the default experiment's tolerance means anything here.
-        has_model_exchange: whether the importer may integrate it; then it has directional derivatives too.
-        n_event_indicators: how many events of its own an importer that integrates must look for.
-        naming: how the variables are named.
-        annotations: what FMI has no place for, for tools that look: element → attributes.
+        choices: parameters with named values.
+        enumerations: whether these are FMI enumerations; otherwise Integers, which every importer accepts.
+        max_input_order: highest order of input derivatives that may be set; 0 for none.
+        max_output_order: highest order of output derivatives that can be read; 0 for none.
+        has_tolerance: whether the FMU uses the tolerance of the default experiment.
+        has_model_exchange: whether the FMU also supports model exchange, with directional derivatives.
+        n_event_indicators: number of event indicators in model exchange.
+        naming: naming convention of the variables.
+        annotations: vendor annotations, element → attributes.
 
     Raises:
         ModelError: a variable has the name of a type.
@@ -78,8 +78,7 @@ class Description:
                 raise ModelError(f"variable '{variable.name}' has the name of a type; give it another one")
 
     def named(self, naming: Naming) -> Description:
-        """The description with its variables named by a convention; flat names come with the structured ones as an
-        annotation.
+        """The description with names of variables by a convention; an annotation keeps the structured names.
 
         Raises:
             ModelError: a variable has no flat name, or two have the same.
@@ -97,15 +96,15 @@ class Description:
 
     @property
     def real_types(self) -> tuple[RealType, ...]:
-        """Types of the real variables: their quantities."""
+        """Types of the real variables, one for each physical quantity."""
         return real_types(self.units)
 
 
 def plant_description(model: SymbolicModel) -> Description:
-    """What the model description of a plant says.
+    """The content of a plant's model description.
 
     Raises:
-        ModelError: the model's variables contradict each other.
+        ModelError: a name is repeated or unknown, or a start value is missing or out of range.
     """
     return Description(
         name=model.name,
@@ -126,15 +125,15 @@ def plant_description(model: SymbolicModel) -> Description:
 def description_xml(
     description: Description, guid: str, experiment: DefaultExperiment, source_files: tuple[str, ...]
 ) -> str:
-    """The text of modelDescription.xml; without a date, so that equal FMUs have equal descriptions.
+    """The text of modelDescription.xml, without a date, so that equal FMUs have equal descriptions.
 
     Args:
-        description: what the FMU contains.
-        guid: identity of its content; also compiled into the binary.
-        experiment: proposed times and tolerance.
+        description: content of the description.
+        guid: GUID of the FMU, also compiled into the binary.
+        experiment: default experiment.
         source_files: C files below ``sources/`` from which the binary can be built again.
     """
-    # annotations of every kind of FMU, then its own
+    # vendor annotations: input derivatives, choices, then those of the description
     derivatives = {"InputDerivatives": {"maxOrder": str(description.max_input_order)}}
     ordered: dict[str, Mapping[str, str]] = dict(derivatives) if description.max_input_order else {}
     return render(
@@ -165,5 +164,5 @@ def description_xml(
 
 
 def copyright_line() -> str:
-    """Who holds the copyright, as the licence says it."""
+    """The copyright line of the licence."""
     return next(line for line in render("license.txt").splitlines() if line.startswith("Copyright"))

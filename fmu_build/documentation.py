@@ -1,4 +1,4 @@
-"""The documentation folder of an FMU: one HTML page that needs nothing else, and the licences of what is inside."""
+"""The documentation folder of an FMU: one self-contained HTML page, and the licences of the content."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _GROUPS = {
     "Statistics": ("local", "Integer"),
     "Continuous states, for model exchange": ("local", "Real"),
 }
-"""Heading → causality and type of its variables, all types where none is named, in the order of the page."""
+"""Heading → causality and type of its variables (all types if empty), in the order of the page."""
 
 _HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
-"""Files of the FMI standard that FMUs bring along."""
+"""Headers of the FMI standard in the FMU's sources."""
 
 _CASADI = """Of the files model_*.c in the folder sources/ that CasADi (https://casadi.org) has generated.
 
@@ -45,16 +45,16 @@ MIT No Attribution licence (https://github.com/casadi/casadi/issues/3015).
 def documentation_files(
     template: str, description: Description, experiment: DefaultExperiment, *, picture: Picture, **values: Any
 ) -> dict[str, str]:
-    """Any FMU's files of the folder ``documentation/``: path below the FMU's root → text.
+    """Files of the folder ``documentation/`` of any FMU: path below the FMU's root → text.
 
     Args:
-        template: of the page; fills the blocks of ``page.html.j2``.
-        description: what the model description says.
+        template: template of the page, which extends ``page.html.j2``.
+        description: content of the model description.
         experiment: default experiment.
-        picture: drawn at the top of the page.
-        values: what else the template shows.
+        picture: picture at the top of the page.
+        values: further variables of the template.
     """
-    # the page about this FMU
+    # the HTML page
     page = render(
         template,
         about=description,
@@ -70,7 +70,7 @@ def documentation_files(
         license=LICENSE,
         **values,
     )
-    # licences of all that the FMU contains
+    # licences of the content
     licences = {"license": render("license.txt"), "fmi-headers": _header_licence(), "casadi-generated": _CASADI}
     return {
         "documentation/index.html": page,
@@ -87,7 +87,7 @@ def _groups(variables: Sequence[FmiVariable]) -> dict[str, list[FmiVariable]]:
 
 
 def _start_text(variable: FmiVariable, description: Description) -> str:
-    """The start value with its unit, and in its display unit; choices by name."""
+    """The start value with its unit, also in its display unit; the name for a choice."""
     if variable.start is None:
         return ""
     for choice in description.choices:
@@ -99,7 +99,7 @@ def _start_text(variable: FmiVariable, description: Description) -> str:
 
 
 def _limits_text(variable: FmiVariable) -> str:
-    """The admissible range, such as ``0 … 1000``; empty where there is none."""
+    """The range, such as ``0 … 1000``; empty without bounds."""
     low, high = variable.minimum, variable.maximum
     if low is None and high is None:
         return ""
@@ -107,8 +107,8 @@ def _limits_text(variable: FmiVariable) -> str:
 
 
 def documentation(model: SymbolicModel, description: Description, experiment: DefaultExperiment) -> dict[str, str]:
-    """A plant's files of the folder ``documentation/``: path below the FMU's root → text."""
-    # the states are the coordinates, each with its rate
+    """Files of the folder ``documentation/`` of a plant: path below the FMU's root → text."""
+    # states: each coordinate, then its time derivative
     rates = {output.derivative_of: output.name for output in model.outputs}
     states = [name for unknown in model.unknowns for name in (unknown, rates[unknown])]
     return documentation_files(
@@ -127,14 +127,14 @@ def documentation(model: SymbolicModel, description: Description, experiment: De
 def plant_picture(
     model: SymbolicModel, width: int = ICON_SIZE, height: int = ICON_SIZE, *, labelled: bool = False
 ) -> Picture:
-    """The mechanism in its start pose; a plain block where there is no mechanism to draw."""
+    """Picture of the mechanism in its start pose; of a block if the model has no drawing."""
     if model.drawing is None:
         return block_picture(width, height)
     return mechanism_picture(model.drawing, width, height, labelled)
 
 
 def _header_licence() -> str:
-    """The licence of the FMI standard's headers, word for word as the first of them carries it."""
+    """The licence of the FMI standard's headers, copied from the first of them."""
     header = (files("flexfmu.fmu_build") / "c-runtime" / _HEADERS[0]).read_text(encoding="utf-8")
     found = re.search(r"^[ ]*Copyright.*?^[ ]*-{20,}.*?^[ ]*-{20,}", header, re.MULTILINE | re.DOTALL)
     text = found.group() if found else header

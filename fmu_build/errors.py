@@ -1,4 +1,4 @@
-"""What can go wrong between a symbolic model and a finished FMU; every message is one line with its remedy."""
+"""Errors of building, reading and validating FMUs; every message is one line with its remedy."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ class BuildError(RuntimeError):
 
 
 class ModelError(BuildError):
-    """The symbolic model contradicts its own contract: a function, a shape, a unit or a name."""
+    """A symbolic model violates its contract: a function, a shape, a unit or a name."""
 
 
 class StartError(ModelError):
-    """A start value, the scene's, is outside the range that the model allows."""
+    """A start value (from the scene) is outside its range in the model."""
 
 
 class PlatformError(BuildError):
@@ -24,7 +24,7 @@ class MissingCompilerError(PlatformError):
 
 
 class CompileError(BuildError):
-    """The C compiler or linker refused; carries its first error line."""
+    """The C compiler or linker failed; the message contains its first error line."""
 
 
 class ArchiveError(BuildError):
@@ -32,4 +32,4 @@ class ArchiveError(BuildError):
 
 
 class CacheWarning(UserWarning):
-    """What is built can't be cached; issued once for each folder."""
+    """The cache's folder can't be written; issued once for each folder."""

@@ -1,4 +1,4 @@
-"""Flat names of variables, for tools that choke on structured ones.
+"""Flat names of variables, for tools that don't accept structured ones.
 
 =====================================  ==========================  ==============================
 Part of the structured name            in the flat name            example
@@ -9,8 +9,8 @@ Part of the structured name            in the flat name            example
 ``der(name,n)``                        ``der`` n ``_`` in front    ``der(x.y,2)`` ``der2_x_y``
 =====================================  ==========================  ==============================
 
-An FMU with flat names lists the structured ones in the vendor annotation `NAMES`; two variables with the same flat name are
-refused.
+An FMU with flat names lists the structured names in the vendor annotation `NAMES`. Two variables must not have the same flat
+name.
 """
 
 from __future__ import annotations
@@ -27,22 +27,23 @@ if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicBlock, SymbolicModel, Variable
 
 Naming = Literal["structured", "flat"]
-"""How variables are named; FMI's attribute ``variableNamingConvention``."""
+"""Naming convention of the variables; FMI's attribute ``variableNamingConvention``."""
 
 NAMINGS: dict[str, Naming] = {"structured": "structured", "flat": "flat"}
-"""All of them, by the words for them."""
+"""All naming conventions by their text."""
 
 _DERIVATIVE = re.compile(r"der\((?P<name>.+?)(?:,(?P<order>\d+))?\)")
 
 NAMES = "Names"
-"""Vendor annotation of an FMU with flat names: an attribute for each that differs from the structured name."""
+"""Vendor annotation of an FMU with flat names: flat name → structured name, where they differ."""
 
 
 def flat_name(name: str) -> str:
-    """The flat name of a variable with a structured one.
+    """The flat name for a structured name.
 
     Raises:
-        ModelError: there is none: it has other characters than letters, digits and underscores, or begins with a digit.
+        ModelError: the flat name would contain characters other than letters, digits and underscores, or begin with a
+            digit or underscore.
     """
     derivative = _DERIVATIVE.fullmatch(name)
     flat = f"der{derivative['order'] or ''}_{_flat_path(derivative['name'])}" if derivative else _flat_path(name)
@@ -56,10 +57,10 @@ def _flat_path(path: str) -> str:
 
 
 def structured_names(names: Iterable[str]) -> dict[str, str]:
-    """Flat name → structured name, of the variables for which they differ.
+    """Flat name → structured name, for the variables where they differ.
 
     Raises:
-        ModelError: one has no flat name, or two have the same.
+        ModelError: a variable has no flat name, or two have the same.
     """
     structured: dict[str, str] = {}
     for name in names:
@@ -70,15 +71,15 @@ def structured_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def namer(naming: Naming) -> Callable[[str], str]:
-    """Function that gives a variable with a structured name the name to be used."""
+    """Function from a structured name to the name by a convention."""
     return flat_name if naming == "flat" else str
 
 
 def named_variables(variables: Iterable[Variable], naming: Naming) -> tuple[Variable, ...]:
-    """The variables named so, also where they name each other.
+    """The variables with names by a convention, including ``derivative_of``.
 
     Raises:
-        ModelError: one has no flat name.
+        ModelError: a variable has no flat name.
     """
     name = namer(naming)
     return tuple(
@@ -90,7 +91,7 @@ def named_variables(variables: Iterable[Variable], naming: Naming) -> tuple[Vari
 
 
 def named_model(model: SymbolicModel, naming: Naming) -> SymbolicModel:
-    """The model with its variables named so.
+    """The model with names of variables by a convention.
 
     Raises:
         ModelError: a variable has no flat name.
@@ -106,7 +107,7 @@ def named_model(model: SymbolicModel, naming: Naming) -> SymbolicModel:
 
 
 def named_block(block: SymbolicBlock, naming: Naming) -> SymbolicBlock:
-    """The block with its variables named so.
+    """The block with names of variables by a convention.
 
     Raises:
         ModelError: a variable has no flat name.
@@ -126,7 +127,7 @@ def _named_feedthrough(feedthrough: Mapping[str, tuple[str, ...]], naming: Namin
 
 
 def named_interface(interface: Interface, naming: Naming) -> Interface:
-    """The interface with all its variables named so.
+    """The interface with names of variables by a convention.
 
     Raises:
         ModelError: a variable has no flat name.

@@ -1,6 +1,6 @@
-"""A small picture of lines and discs in pixels: the documentation draws it as SVG, the icon ``model.png`` is made of it here.
+"""Pictures of lines and discs: the documentation shows them as SVG, this module writes the icon ``model.png``.
 
-The PNG file is written without a drawing library (ISO/IEC 15948), so that its bytes depend on nothing but the picture.
+The PNG file (ISO/IEC 15948) is written without a drawing library, so that its bytes depend only on the picture and zlib.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ COLOURS: dict[Part, str] = {
     "joint": "#1f3a5f",
     "end effector": "#d1495b",
 }
-"""As in the reports: dark blue, blue, grey, red."""
+"""Part → colour, as in the reports."""
 
 _RADII: dict[Part, float] = {"motor": 0.050, "joint": 0.022, "end effector": 0.034}
-"""Of the spots, in parts of the picture's smaller side."""
+"""Part → radius of its spots, as a fraction of the picture's smaller side."""
 
 _THINNEST = 0.018
-"""Of the bars, in parts of the picture's smaller side, so that slender links are seen."""
+"""Smallest width of the bars, as a fraction of the picture's smaller side, so that slender links are visible."""
 
 
 PEN, FINE_PEN = 0.05, 0.018
-"""Of icons, and of larger pictures, in parts of their height."""
+"""Line widths for icons and for larger pictures, as a fraction of the height."""
 
 PAGE_SIZE = (420, 210)
-"""Width and height of the pages' picture of blocks and curves [px]."""
+"""Width and height of pictures of blocks and curves in the documentation [px]."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """Straight line with round ends."""
+    """Straight line with round ends; lengths in pixels."""
 
     start: Point
     end: Point
@@ -55,7 +55,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Disc:
-    """Filled circle."""
+    """Filled circle; lengths in pixels."""
 
     centre: Point
     radius: float
@@ -64,12 +64,11 @@ class Disc:
 
 @dataclass(frozen=True)
 class Picture:
-    """Shapes in pixels, y downwards, drawn in this order.
+    """Shapes in pixels, y downwards.
 
     Attributes:
-        width, height: size.
-        lines, discs: lines are drawn first.
-        labels: on top of them.
+        width, height: size [px].
+        lines, discs, labels: shapes, drawn in this order.
     """
 
     width: int
@@ -80,13 +79,13 @@ class Picture:
 
 
 def mechanism_picture(drawing: Drawing, width: int, height: int, labelled: bool = False) -> Picture:
-    """A mechanism, as large as the picture allows; ``labelled`` with the names that the variables use."""
-    # as large as fits, with room for the names
+    """Picture of a mechanism, scaled to fit; ``labelled`` adds the names used by the variables."""
+    # scaled to fit, with margins for the labels
     side = min(width, height)
     margins = ROOM if labelled else (0.10 * side, 0.10 * side)
     ends = [point for bar in drawing.bars for point in (bar.start, bar.end)]
     view = _View.around([*ends, *(spot.position for spot in drawing.spots)], width, height, margins)
-    # bars below, small spots over large ones
+    # bars first, small spots over large ones
     lines = [
         Line(view(bar.start), view(bar.end), max(bar.diameter * view.scale, _THINNEST * side), COLOURS[bar.part])
         for bar in drawing.bars
@@ -100,7 +99,13 @@ def mechanism_picture(drawing: Drawing, width: int, height: int, labelled: bool 
 
 
 def curves_picture(curves: Iterable[Sequence[Point]], width: int, height: int, pen: float = PEN) -> Picture:
-    """Curves through points (abscissa, ordinate), each scaled to the whole height, in two colours; the pen in parts of the height."""
+    """Picture of up to two curves through points (abscissa, ordinate), each scaled to the picture.
+
+    Args:
+        curves: points of each curve; only the first two are drawn.
+        width, height: size of the picture [px].
+        pen: line width as a fraction of the height.
+    """
     lines: list[Line] = []
     for curve, colour in zip(curves, (COLOURS["proximal"], COLOURS["distal"]), strict=False):
         view = _View.around(curve, width, height, (0.12 * width, 0.12 * height), keep_aspect=False)
@@ -110,7 +115,7 @@ def curves_picture(curves: Iterable[Sequence[Point]], width: int, height: int, p
 
 
 def block_picture(width: int, height: int, pen: float = PEN) -> Picture:
-    """A box with an arrow in and an arrow out, as block diagrams have it; the pen in parts of the height."""
+    """Picture of a block diagram's block with an input and an output arrow; ``pen`` is a fraction of the height."""
     left, right, top, bottom, middle = 0.3 * width, 0.7 * width, 0.25 * height, 0.75 * height, 0.5 * height
     corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
     dark, light, ink = COLOURS["proximal"], COLOURS["distal"], pen * height
@@ -126,7 +131,7 @@ def _arrow(tail: Point, length: float, pen: float, colour: str) -> list[Line]:
 
 
 def _stamps(lines: Sequence[Line], discs: Sequence[Disc]) -> list[Stamp]:
-    """Circles that cover lines and discs, those of a line as wide as it is."""
+    """Circles that cover the lines and discs."""
     stamps = [(disc.centre, disc.radius) for disc in discs]
     for line in lines:
         across, down = line.end[0] - line.start[0], line.end[1] - line.start[1]
@@ -138,7 +143,7 @@ def _stamps(lines: Sequence[Line], discs: Sequence[Disc]) -> list[Stamp]:
 
 @dataclass(frozen=True)
 class _View:
-    """From the model's lengths to pixels: scaled, turned upside down and centred."""
+    """Map from the model's lengths to pixels: scaled, mirrored in y and centred."""
 
     scale: float
     scale_y: float
@@ -162,14 +167,14 @@ class _View:
 
 
 ICON_FILE = "model.png"
-"""Where the standard wants it."""
+"""Path of the icon in the FMU (FMI 2.0.4, section 2.3)."""
 
 ICON_SIZE = 96
-"""Pixels in each direction."""
+"""Width and height of the icon [px]."""
 
 
 def png(picture: Picture) -> bytes:
-    """The picture without its labels, on a transparent ground, edges smoothed over a pixel."""
+    """The picture as a PNG file, without labels, on a transparent background, with antialiased edges."""
     image = np.zeros((picture.height, picture.width, 4))
     for line in picture.lines:
         _paint(image, _distance(image, line.start, line.end) - line.width / 2, line.colour)
@@ -179,7 +184,7 @@ def png(picture: Picture) -> bytes:
 
 
 def _distance(image: RealArray, start: Point, end: Point) -> RealArray:
-    """Distance of each pixel's centre from a straight line between two points."""
+    """Distance of each pixel's centre from the line segment between two points [px], shape (rows, columns)."""
     y, x = np.indices(image.shape[:2]) + 0.5
     along = np.subtract(end, start)
     offset = np.stack([x - start[0], y - start[1]], axis=-1)
@@ -189,7 +194,7 @@ def _distance(image: RealArray, start: Point, end: Point) -> RealArray:
 
 
 def _paint(image: RealArray, outside: RealArray, colour: str) -> None:
-    """Lay a colour over the image where the signed distance ``outside`` is negative."""
+    """Blend a colour into the RGBA image where the signed distance ``outside`` is negative."""
     cover = np.clip(0.5 - outside, 0.0, 1.0)[..., None]
     ink = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
     opacity = cover + image[..., 3:] * (1.0 - cover)
@@ -199,7 +204,7 @@ def _paint(image: RealArray, outside: RealArray, colour: str) -> None:
 
 
 def _encode(pixels: NDArray[np.uint8]) -> bytes:
-    """RGBA pixels (rows, columns, 4) as a PNG file (ISO/IEC 15948), without times and other extras."""
+    """RGBA pixels (rows, columns, 4) as a PNG file (ISO/IEC 15948), without metadata."""
     height, width, _ = pixels.shape
     rows = b"".join(b"\0" + row.tobytes() for row in pixels)
     header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)

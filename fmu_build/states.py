@@ -1,8 +1,8 @@
-"""The continuous states of a plant, x = [y, dy/dt], as its outputs show them.
+"""The continuous states of a plant, x = [y, dy/dt], and the outputs with the same values.
 
-In the description each state is a local variable of its own, an alias of the output that shows it. An output that is a state
-itself would be right too, but Maestro 3.1.1 stops where a state and its derivative are outputs and both are connected
-(ClassCastException in ComponentVariableFmi2Api.share), as position and velocity are to any controller.
+In the model description each state is a local variable, an alias of its output. FMI allows an output that is itself a state,
+but Maestro 3.1.1 fails where a state and its derivative are both connected outputs (ClassCastException in
+ComponentVariableFmi2Api.share), and controllers usually take position and velocity.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 USUAL_MOTION = 10.0
-"""Usual size of a motion in the error norm, relative to that norm's floor: the five-bar's floor is what an acceleration of
-1 m/s² or a motor rate of 0.1 rad/s makes of it."""
+"""Usual size of a motion in the error norm, relative to the norm's floor; the five-bar's floor corresponds to an
+acceleration of 1 m/s² or a motor rate of 0.1 rad/s."""
 
 USUAL_ANGLE = 1.0
-"""Usual size of a motor's coordinate [rad]: its origin is arbitrary, so the error norm says nothing about it."""
+"""Usual size of a motor's coordinate [rad]; the error norm gives none, since the origin is arbitrary."""
 
 
 @dataclass(frozen=True)
 class States:
-    """Positions among the model's outputs and usual sizes of the 2 n states y, dy/dt.
+    """Outputs and nominal values of the 2 n states y, dy/dt.
 
     Attributes:
-        outputs: the output that shows each state.
-        derivatives: the output that shows each state's time derivative, in the same order.
-        nominals: usual size of each state in its unit, positive.
+        outputs: index of the output that equals each state, from 0.
+        derivatives: index of the output that equals each state's time derivative, in the same order.
+        nominals: nominal value of each state in its unit, positive.
     """
 
     outputs: tuple[int, ...]
@@ -45,20 +45,20 @@ class States:
 
 
 def state_name(output: str) -> str:
-    """Name of the state that an output shows: ``state.joint1.position``, ``der(state.link11.bending[1])``."""
+    """Name of the state that equals an output: ``state.joint1.position``, ``der(state.link11.bending[1])``."""
     head, name = ("der(", output.removeprefix("der(")) if output.startswith("der(") else ("", output)
     return f"{head}state.{name}"
 
 
 def find_states(model: SymbolicModel) -> States:
-    """The states of ``model`` among its outputs: those named like the unknowns, and their derivatives.
+    """Find the states of ``model`` among its outputs, by the names of the unknowns and by ``derivative_of``.
 
     Raises:
-        ModelError: a state or its derivative isn't shown by an output.
+        ModelError: a state or its derivative is not an output.
     """
     position: dict[str | None, int] = {variable.name: index for index, variable in enumerate(model.outputs)}
     derivative = {variable.derivative_of: variable.name for variable in model.outputs}
-    # coordinates, their rates, the rates of these
+    # coordinates, velocities, accelerations
     levels = [list(model.unknowns)]
     for _ in range(2):
         levels.append([_shown(derivative, name, "time derivative of") for name in levels[-1]])
@@ -67,7 +67,7 @@ def find_states(model: SymbolicModel) -> States:
 
 
 def state_dependencies(model: SymbolicModel) -> tuple[tuple[int, ...], ...]:
-    """For each output the states (positions 0 .. 2 n - 1) that it depends on; accelerations follow from all of them."""
+    """For each output the indices 0 .. 2 n - 1 of the states that it depends on; all if it depends on accelerations."""
     outputs, n = model.functions["outputs"], model.degrees_of_freedom
     y, v, a = (_rows(outputs.jac_sparsity(0, argument)) if n else {} for argument in range(3))
     everything = tuple(range(2 * n))
@@ -78,7 +78,7 @@ def state_dependencies(model: SymbolicModel) -> tuple[tuple[int, ...], ...]:
 
 
 def _rows(sparsity: casadi.Sparsity) -> dict[int, set[int]]:
-    """Columns of the entries in each row that has any."""
+    """Row → columns of its structural nonzeros; empty rows are left out."""
     rows: dict[int, set[int]] = {}
     for row, column in zip(*sparsity.get_triplet(), strict=True):
         rows.setdefault(row, set()).add(column)
@@ -92,7 +92,7 @@ def _shown(table: Mapping[str | None, T], name: str, what: str) -> T:
 
 
 def _nominals(model: SymbolicModel) -> tuple[float, ...]:
-    """Sizes of the states in a usual motion, two digits: the error norm is sqrt(sum kappa_i dy_i² + mu_i dv_i²)."""
+    """Nominal values of the states, two digits, from the error norm sqrt(sum kappa_i dy_i² + mu_i dv_i²)."""
     n = model.degrees_of_freedom
     # weights of the error norm at the start values
     derived = model.functions["derive"]([variable.start or 0.0 for variable in model.parameters])

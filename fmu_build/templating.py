@@ -13,12 +13,12 @@ from flexfmu.fmu_build.errors import ModelError
 
 
 def render(template: str, **values: Any) -> str:
-    """Fill in a template from ``templates/``; ``.xml`` and ``.html`` ones are escaped, C is not."""
+    """Render a template from ``templates/``; values are escaped in XML and HTML, not in C."""
     return _environment().get_template(template).render(**values)
 
 
 def c_string(text: str) -> str:
-    """A C string literal of ``text`` in UTF-8: printable ASCII as it stands, all else as octal escapes."""
+    """A C string literal of ``text`` in UTF-8: printable ASCII unchanged, all else (and quotes, backslashes, ``?``) as octal escapes."""
     return '"' + "".join(_c_character(byte) for byte in text.encode()) + '"'
 
 
@@ -36,7 +36,7 @@ def c_double(value: float | None, missing: str = "0.0") -> str:
 
 
 def subscripts(formula: str) -> Markup:
-    """A formula for HTML: ``K_kk`` becomes K with a lowered kk."""
+    """A formula for HTML: ``K_kk`` becomes K with the subscript kk."""
     return Markup(re.sub(r"_([A-Za-z0-9]+)", r"<sub>\1</sub>", str(escape(formula))))
 
 

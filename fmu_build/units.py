@@ -1,4 +1,4 @@
-"""Units as FMI wants them, a spelling such as ``N.m`` or ``rad/s2`` → exponents of the SI base units, and their quantities."""
+"""Unit names such as ``N.m`` or ``rad/s2``: exponents of the SI base units, display units and physical quantities."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ _SYMBOLS: Mapping[str, Mapping[str, int]] = {
     "J": {"kg": 1, "m": 2, "s": -2},
     "W": {"kg": 1, "m": 2, "s": -3},
 }
-"""Coherent units and their exponents; a prefix would bring a factor, which the models don't use."""
+"""Coherent units → exponents of the base units; the models use no prefixes."""
 
 _BASE_UNITS = ("kg", "m", "s", "A", "K", "rad")
-"""Order in which FMI's schema lists the base units."""
+"""Base units in the order of FMI's schema."""
 
 _DEGREE = 180.0 / pi
 
 
 @dataclass(frozen=True)
 class DisplayUnit:
-    """A display unit: its number there is ``factor`` times the one in the model's unit."""
+    """A display unit: displayed value = ``factor`` * value in the model's unit."""
 
     name: str
     factor: float
@@ -50,10 +50,10 @@ _DISPLAY_UNITS: Mapping[str, tuple[DisplayUnit, ...]] = {
     "s": (DisplayUnit("ms", 1e3),),
     "Pa": (DisplayUnit("GPa", 1e-9), DisplayUnit("MPa", 1e-6)),
 }
-"""Display units; the first is the default of the variables, but for those in `_READ_AS_THEY_ARE`."""
+"""Unit → display units; the first is the default, except for units in `_READ_AS_THEY_ARE`."""
 
 _READ_AS_THEY_ARE = {"m/s", "s"}
-"""Units whose display units are offered, but aren't the default."""
+"""Units that are themselves the default for display."""
 
 _FACTOR = re.compile(r"(?P<sign>^|[./])(?P<symbol>1|[A-Za-z]+)(?P<power>\d*)")
 
@@ -63,9 +63,9 @@ class Unit:
     """A unit of the model description.
 
     Attributes:
-        name: its spelling.
-        exponents: base unit → exponent, zeros left out, in the schema's order.
-        displays: units to choose from for showing it; the model's units are coherent, so their own factor is 1.
+        name: name of the unit.
+        exponents: base unit → exponent, without zeros, in the schema's order; the factor is 1.
+        displays: display units.
     """
 
     name: str
@@ -101,7 +101,7 @@ _QUANTITIES: Mapping[str, str] = {
     "s": "Time",
     "Hz": "Frequency",
 }
-"""Unit → physical quantity: each unit of the models belongs to one, and each quantity is a type of the model description."""
+"""Unit → physical quantity, which is the name of a type in the model description."""
 
 
 @dataclass(frozen=True)
@@ -120,16 +120,16 @@ class RealType:
 
 
 def unit_exponents(name: str) -> dict[str, int]:
-    """Exponents of the SI base units of ``name``; ``.`` multiplies, ``/`` divides by the one symbol after it.
+    """Base unit → exponent of the unit ``name``; ``.`` multiplies, ``/`` divides by the next symbol only.
 
     Raises:
-        ModelError: a symbol is unknown or the spelling is not understood.
+        ModelError: the name has an unknown symbol or a wrong syntax.
     """
-    # the spelling, factor by factor
+    # factors of the name
     factors = list(_FACTOR.finditer(name))
     if "".join(factor.group() for factor in factors) != name or not factors:
         raise ModelError(f"unit '{name}' is not understood; write it like N.m or rad/s2")
-    # exponents add up
+    # sum of the exponents
     total = dict.fromkeys(_BASE_UNITS, 0)
     for factor in factors:
         symbol = factor["symbol"]
@@ -142,18 +142,18 @@ def unit_exponents(name: str) -> dict[str, int]:
 
 
 def display_unit(name: str) -> str | None:
-    """Name of the display unit of ``name``, None for the unit itself."""
+    """Default display unit of the unit ``name``; None for the unit itself."""
     return _DISPLAY_UNITS[name][0].name if name in _DISPLAY_UNITS and name not in _READ_AS_THEY_ARE else None
 
 
 def displayed(value: float, unit: str) -> str | None:
-    """A value in its display unit, such as ``240 mm``; None where that is the unit itself."""
+    """A value in its default display unit, such as ``240 mm``; None for the unit itself."""
     name = display_unit(unit)
     return None if name is None else f"{value * _DISPLAY_UNITS[unit][0].factor:.6g} {name}"
 
 
 def unit_definitions(names: Iterable[str]) -> tuple[Unit, ...]:
-    """Definitions of the units in ``names``, each once, sorted; numbers without a unit need none."""
+    """Definitions of the units in ``names``, unique and sorted, without the dimensionless one."""
     used = sorted(set(names) - {DIMENSIONLESS})
     return tuple(Unit(name, unit_exponents(name), _DISPLAY_UNITS.get(name, ())) for name in used)
 
@@ -164,6 +164,6 @@ def quantity(unit: str) -> str | None:
 
 
 def real_types(units: Iterable[str]) -> tuple[RealType, ...]:
-    """Types of the variables with these units, each once, sorted by name."""
+    """Types of variables with these units, unique and sorted by name."""
     named = {name: unit for unit in set(units) - {DIMENSIONLESS} if (name := quantity(unit)) is not None}
     return tuple(RealType(name, unit, display_unit(unit)) for name, unit in sorted(named.items()))
