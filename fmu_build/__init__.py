@@ -1,1 +1,1 @@
-"""From a symbolic model to an FMI 2.0 FMU: C code, model description, compilation, archive; knows no five-bar."""
+"""Builds FMI 2.0 FMUs from symbolic models: C code, model description, compilation, archive; independent of the five-bar."""

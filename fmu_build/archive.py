@@ -1,4 +1,4 @@
-"""Reproducible archives: the same content gives the same bytes, and a file is replaced as a whole or not at all."""
+"""Reproducible zip archives, and atomic writing of files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FILE_MODE = 0o644
 
 
 def pack(files: Mapping[str, bytes]) -> bytes:
-    """A zip archive of ``files`` (path → content), sorted, with fixed times and permissions."""
+    """A zip archive of ``files`` (path → content), sorted, with fixed times and permissions, so that its bytes are reproducible."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for path in sorted(files):
@@ -33,12 +33,12 @@ def pack(files: Mapping[str, bytes]) -> bytes:
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write ``content`` beside ``path``, then rename, so that no process reads half a file.
+    """Write ``content`` to a temporary file, then rename it to ``path``, so that no process reads an incomplete file.
 
     Raises:
-        ArchiveError: the folder is missing and cannot be made, read-only or full, or ``path`` is a folder.
+        ArchiveError: the folder can't be made or written, or ``path`` is a folder.
     """
-    # a temporary file in the same folder: renaming within a file system is atomic
+    # a temporary file in the same folder: renaming within one file system is atomic
     try:
         if path.is_dir():
             raise ArchiveError(f"cannot write {path}: it is a folder; give the name of a file")
@@ -47,7 +47,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     except OSError as error:
         raise _cannot_write(path, error) from error
     try:
-        # whatever fails, no half file stays
+        # remove the temporary file if writing fails
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
         os.chmod(temporary, _FILE_MODE)
@@ -63,14 +63,14 @@ def _cannot_write(path: Path, error: OSError) -> ArchiveError:
 
 @dataclass(frozen=True)
 class FmuFacts:
-    """What an FMU file says of itself: its GUID and the size of the generated C inside."""
+    """GUID of an FMU and size of its generated C code [bytes]."""
 
     guid: str
     code_bytes: int
 
 
 def fmu_facts(content: bytes) -> FmuFacts:
-    """Facts of a packed FMU that this package built."""
+    """Read GUID and code size of an FMU that this package has built."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         description = archive.read("modelDescription.xml").decode()
         sizes = [e.file_size for e in archive.infolist() if re.fullmatch(r"sources/model_\w+\.[ch]", e.filename)]

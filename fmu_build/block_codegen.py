@@ -1,7 +1,7 @@
-"""A discrete-time block → C: one function by CasADi for output and update, the constant tables by a template.
+"""C code of a discrete-time block: one CasADi function for output and update, constant tables from a template.
 
-Shift registers, states that only move on, are copied in runs instead of one statement each. A delay line of thousands of
-samples, written as scalars, would be thousands of statements, on which a C compiler spends minutes; as a run it is one loop.
+Shift registers are copied in runs, which are loops in C. As scalars, a delay line of thousands of samples would be thousands
+of statements, which take a C compiler minutes.
 """
 
 from __future__ import annotations
@@ -28,9 +28,8 @@ SAMPLE_FILE = function_file("sample")
 _TEMPLATE = "block_description.c.j2"
 
 LARGE = 5000
-"""Lines of C from which GCC's optimiser is switched off: its time grows with the square of their number, half a minute
-for
-10 000, and straight-line code gains little."""
+"""Number of lines of C from which GCC's optimiser is switched off: its time grows quadratically (half a minute for 10 000
+lines), and straight-line code gains little."""
 
 _QUICK = """#if defined(__GNUC__) && !defined(__clang__)
 #pragma GCC optimize("O0")
@@ -38,18 +37,18 @@ _QUICK = """#if defined(__GNUC__) && !defined(__clang__)
 """
 
 SHORTEST_RUN = 16
-"""States of the shortest run that is copied; fewer are cheaper as statements."""
+"""Smallest number of states in a copied run; fewer are cheaper as statements."""
 
 _ARGUMENTS = ("x", "u", "p")
 
 
 def sample_function(block: SymbolicBlock) -> casadi.Function:
-    """Output and update in one function (x, u, p) → (y, next x), all dense, so that they share what they have in common.
+    """Function (x, u, p) → (y, next x) of output and update, dense.
 
-    Scalar operations are shared, matrix operations and long copies are kept: a table of thousands of states is a loop in C.
+    Common scalar subexpressions are shared; matrix operations and long copies remain loops in C.
 
     Raises:
-        ModelError: a function of the block has a wrong shape.
+        ModelError: a function of the block has wrong sizes.
     """
     sizes = len(block.states), len(block.inputs), len(block.parameters)
     _check_function(block, "output", block.output, sizes, len(block.outputs))
@@ -70,7 +69,7 @@ def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunct
     """C files of the block's function (name → text, header included) and the facts for the constant tables.
 
     Raises:
-        ModelError: the block contradicts its contract, or CasADi has no C for one of its operations.
+        ModelError: the block violates its contract, or CasADi can't generate C for one of its operations.
     """
     check_block(block)
     function = sample_function(block)
@@ -80,7 +79,7 @@ def generate_block(block: SymbolicBlock) -> tuple[dict[str, str], GeneratedFunct
     except RuntimeError as error:
         reason = str(error).strip().splitlines()[-1]
         raise ModelError(f"block '{block.name}' cannot be exported: CasADi has no C for it ({reason})") from error
-    # straight-line code too long for the optimiser is compiled without it
+    # long straight-line code is compiled without the optimiser
     code = code if code.count("\n") < LARGE else _QUICK + code
     return {SAMPLE_FILE: code, HEADER_FILE: render(HEADER_FILE + ".j2", functions=(facts,))}, facts
 
@@ -121,20 +120,20 @@ def _check_function(
 
 
 def with_runs_copied(function: casadi.Function) -> casadi.Function:
-    """The same function (x, u, p) → (y, next x) of scalars, with long runs next_x[i..j] = x[k..l] as copies.
+    """The scalar function (x, u, p) → (y, next x) with long runs next_x[i..j] = x[k..l] as copies.
 
-    Where there are none the function itself is given back.
+    Returns the function itself if there are no such runs.
     """
     symbols = function.sx_in()
     y, next_x = function.call(symbols)
     runs = _runs(_sources(next_x, symbols[0]))
     if not runs:
         return function
-    # scalar equations of the states that are computed
+    # scalar equations of the states outside the runs
     copied = {i for begin, _, length in runs for i in range(begin, begin + length)}
     rest = [i for i in range(next_x.numel()) if i not in copied]
     computed = casadi.Function(f"{function.name()}_computed", symbols, [y, next_x[rest]])
-    # their results and the copied runs in the order of the states, in matrices, which stay loops in C
+    # their results and the copied runs in the order of the states; matrix operations remain loops in C
     arguments = [casadi.MX.sym(name, symbol.numel()) for name, symbol in zip("xup", symbols, strict=True)]
     outputs, states = computed.call(arguments)
     pieces = _pieces(runs, arguments[0], states, next_x.numel())
@@ -143,14 +142,14 @@ def with_runs_copied(function: casadi.Function) -> casadi.Function:
 
 
 def _sources(next_x: casadi.SX, x: casadi.SX) -> list[int]:
-    """For each next state the index of the state that it is a copy of, or -1."""
+    """For each next state the index of the state that it copies, or -1."""
     index = {x[j].element_hash(): j for j in range(x.numel())}
     entries = (next_x[i] for i in range(next_x.numel()))
     return [index.get(entry.element_hash(), -1) if entry.is_symbolic() else -1 for entry in entries]
 
 
 def _runs(sources: list[int]) -> list[tuple[int, int, int]]:
-    """Long runs of neighbours that copy neighbours: (first next state, first state, length)."""
+    """Long runs of consecutive next states that copy consecutive states: (first next state, first state, length)."""
     breaks = [i for i, (one, next_one) in enumerate(pairwise(sources), 1) if one < 0 or next_one != one + 1]
     bounds = [0, *breaks, len(sources)]
     candidates = ((begin, sources[begin], end - begin) for begin, end in pairwise(bounds) if end > begin)

@@ -1,4 +1,4 @@
-"""From a symbolic model to an FMU file, or from the cache."""
+"""Builds the FMU of a symbolic model, or takes it from the cache."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from flexfmu.fmu_build.experiment import DefaultExperiment
 from flexfmu.fmu_build.platforms import Platform, find_platforms
 from flexfmu.fmu_build.toolchain import find_compiler
 
-if TYPE_CHECKING:  # CasADi takes a quarter of a second to import, and a cached build needs none of it
+if TYPE_CHECKING:  # a cached build avoids the import of CasADi (a quarter of a second)
     from flexfmu.fmu_build.naming import Naming
     from flexfmu.fmu_build.sources import Sources
     from flexfmu.model.symbolic import SymbolicModel
 
 BuildProgress = Callable[[str], None]
-"""Receives a few words on each stage of a build as it begins."""
+"""Called with a short text at the beginning of each stage of a build."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ class BuiltFmu:
     """A finished FMU.
 
     Attributes:
-        path: the file.
+        path: path of the file.
         guid: hash of its content.
-        cached: True where it came out of the cache.
+        cached: whether it comes from the cache.
         seconds: wall time of the build [s].
-        code_bytes: size of the generated C, runtime not counted.
-        fmu_bytes: size of the file.
+        code_bytes: size of the generated C code, without the runtime [bytes].
+        fmu_bytes: size of the file [bytes].
     """
 
     path: Path
@@ -71,30 +71,30 @@ def build_fmu(
     cache: bool = True,
     progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
-    """Build an FMU 2.0 for co-simulation, unless an equal one is in the cache.
+    """Build a plant's FMU 2.0 for co-simulation and model exchange, unless an equal one is in the cache.
 
     Args:
-        model: the symbolic model, or a function that makes it and is called only if the FMU has to be built.
-        key: all that determines the model, as text; the package's own sources and CasADi's version are taken into account
-            here. Without a key the model is made and translated to C to see whether that C has been compiled before.
+        model: the symbolic model, or a function that returns it, called only if the FMU must be built.
+        key: text that determines the model; the cache also considers the package's sources and the versions of flexfmu
+            and CasADi. Without a key, the generated C code determines whether the FMU is in the cache.
         output: file to write; None leaves the FMU in the cache.
         platforms: FMI 2.0 platform names; None for this machine's.
         step: communication step [s] of the default experiment.
-        tolerance: relative tolerance of the default experiment; it also holds where the importer gives none.
+        tolerance: relative tolerance of the default experiment, also used if the importer passes none.
         stop_time: end [s] of the default experiment.
-        naming: of the variables; ``flat`` by the rule of `flexfmu.fmu_build.naming`.
-        enumerations: whether the choices ``initial`` and ``integrator`` are FMI enumerations, which not every importer takes
-            (Maestro 3.1.1 refuses them), instead of Integers.
-        cache: False builds anew and replaces what is in the cache.
-        progress: receives each stage as it begins.
+        naming: naming convention of the variables, see `flexfmu.fmu_build.naming`.
+        enumerations: whether the parameters ``initial`` and ``integrator`` are FMI enumerations instead of Integers; not
+            every importer accepts enumerations (Maestro 3.1.1 doesn't).
+        cache: False builds again and replaces the FMU in the cache.
+        progress: called at the beginning of each stage.
 
     Raises:
-        BuildError: in one line what is wrong and what to do: a model that contradicts its contract, an unknown platform,
-            no compiler, a compiler's error, or a file that cannot be written.
+        BuildError: the model violates its contract, the platform is unknown, there is no compiler, compilation fails, or a
+            file can't be written.
     """
     experiment = DefaultExperiment(stop_time, step, tolerance)
 
-    # called only where the cache has no equal FMU
+    # called only if the cache has no equal FMU
     def make_sources() -> Sources:
         return _generate(model, experiment, naming, enumerations, progress)
 
@@ -119,12 +119,12 @@ def build_from_sources(
     cache: bool = True,
     progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
-    """Compile and pack sources of any kind, unless an equal FMU is in the cache.
+    """Compile and pack the sources of any kind of FMU, unless an equal one is in the cache.
 
     Args:
-        make_sources: makes them; called only if the FMU has to be built, or if there is no key.
+        make_sources: function that returns the sources; called only if the FMU must be built or there is no key.
         experiment: default experiment.
-        key: all that determines the sources, as text; None for the sources themselves.
+        key: text that determines the sources; None to use their GUID.
         output, platforms, cache, progress: as for `build_fmu`.
 
     Raises:
@@ -132,12 +132,12 @@ def build_from_sources(
     """
     started = perf_counter()
     targets = find_platforms(platforms)
-    # without a key the content decides
+    # without a key, the GUID is the key
     if key is None:
         sources = make_sources()
         key, make_sources = sources.guid, lambda: sources
 
-    # an intact FMU from the cache, or a new one that goes into it
+    # an intact FMU from the cache, or a new one
     name = fmu_name(_cache_key(key, targets, experiment))
     stored = cache_folder() / name
     content = read_intact(stored) if cache else None
@@ -148,7 +148,7 @@ def build_from_sources(
     if output is not None:
         write_atomically(output, content)
 
-    # what the file says of itself, cached or not
+    # GUID and size of the code, read from the file
     facts = fmu_facts(content)
     seconds = perf_counter() - started
     return BuiltFmu(output or stored, facts.guid, is_cached, seconds, facts.code_bytes, len(content))
@@ -161,7 +161,7 @@ def _cache_key(key: str, platforms: tuple[Platform, ...], experiment: DefaultExp
 
 
 def _keep(name: str, content: bytes, is_needed: bool) -> Path:
-    """Put a built FMU into the cache; its path. A full disk is no obstacle where an output file is named."""
+    """Write a built FMU into the cache and return its path; unless ``is_needed``, a failure to write is ignored."""
     try:
         store(digest_name(name), digest(content))
         return store(name, content)
@@ -189,7 +189,7 @@ def _generate(
 def _build(
     make_sources: Callable[[], Sources], platforms: tuple[Platform, ...], cache: bool, progress: BuildProgress
 ) -> bytes:
-    compilers = [find_compiler(platform) for platform in platforms]  # first: a missing one should cost no time
+    compilers = [find_compiler(platform) for platform in platforms]  # fail early if a compiler is missing
     sources = make_sources()
     files = sources.archive_files()
     for compiler in compilers:

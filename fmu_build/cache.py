@@ -1,6 +1,6 @@
-"""Built FMUs by content: what was built once is found again without CasADi and without a compiler.
+"""Cache of built FMUs and object files, by content hash; a cached FMU needs neither CasADi nor a compiler.
 
-This module must stay cheap to import; a cached build has to be decided in a tenth of a second.
+This module must be cheap to import: finding a cached FMU must not take more than a tenth of a second.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ _PACKAGES = ("flexfmu.fmu_build", "flexfmu.model")
 _SOURCE_SUFFIXES = {".py", ".c", ".h", ".j2", ".txt"}
 
 _stand_ins: dict[Path, TemporaryDirectory[str]] = {}
-"""Folders that can't be written → temporary ones that replace them until the process ends."""
+"""Folders that can't be written → temporary folders that replace them until the process ends."""
 _stand_ins_lock = Lock()
 
 
 def cache_folder() -> Path:
-    """Where built FMUs are kept: in a temporary folder once the chosen one has turned out not to be writable."""
+    """Folder of the cache; a temporary folder after the chosen one could not be written."""
     folder = _chosen_folder()
     return Path(_stand_ins[folder].name) if folder in _stand_ins else folder
 
 
 def cached(name: str) -> Path | None:
-    """Path of a file in the cache; None where it is missing or can't be looked at."""
+    """Path of a file in the cache; None if it is missing or inaccessible."""
     path = cache_folder() / name
     try:
         return path if path.is_file() else None
@@ -47,10 +47,10 @@ def cached(name: str) -> Path | None:
 
 
 def store(name: str, content: bytes) -> Path:
-    """Put a file into the cache; where it is now.
+    """Write a file into the cache and return its path.
 
     Warns:
-        CacheWarning: the folder can't be written, so that a temporary one takes its place until the process ends.
+        CacheWarning: the folder can't be written; a temporary folder replaces it until the process ends.
 
     Raises:
         ArchiveError: the temporary folder can't be written either.
@@ -66,28 +66,28 @@ def store(name: str, content: bytes) -> Path:
 
 
 def fmu_name(key: str) -> str:
-    """Name of the FMU with this key in the cache."""
+    """File name of the cached FMU with this key."""
     return f"{key}.fmu"
 
 
 def package_fingerprint() -> str:
-    """Hash of everything that turns a scene into an FMU: the sources of model and build."""
+    """Hash of the package's sources that turn a scene into an FMU: model and build."""
     files = (path for package in _PACKAGES for path in _source_files(package))
     return content_hash(part for path in files for part in (path.name.encode(), path.read_bytes()))
 
 
 def digest_name(name: str) -> str:
-    """Name of a cached FMU's digest, which is kept beside it."""
+    """File name of a cached FMU's digest, in the same folder."""
     return f"{Path(name).stem}.sha256"
 
 
 def digest(content: bytes) -> bytes:
-    """SHA-256 of an FMU, in hexadecimal digits."""
+    """SHA-256 of an FMU as hexadecimal digits."""
     return hashlib.sha256(content).hexdigest().encode()
 
 
 def read_intact(path: Path) -> bytes | None:
-    """Content of a cached FMU; None where it is missing or damaged, so that it is built again."""
+    """Content of a cached FMU; None if it is missing or damaged."""
     try:
         content, stored = path.read_bytes(), path.with_name(digest_name(path.name)).read_bytes()
     except OSError:
@@ -96,18 +96,18 @@ def read_intact(path: Path) -> bytes | None:
 
 
 def _chosen_folder() -> Path:
-    """The folder that the user has named, or the system's place for caches."""
+    """The folder in the environment variable, else the user's cache folder of the system."""
     chosen = os.environ.get(FOLDER_VARIABLE)
     return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("flexfmu"))
 
 
 def _replace(folder: Path, error: ArchiveError) -> None:
-    """Let a temporary folder take the place of one that can't be written, and say so.
+    """Replace a folder that can't be written by a temporary one, with a warning.
 
     Raises:
-        ArchiveError: it is a temporary folder itself, or there is none.
+        ArchiveError: the folder is already a temporary one, or none can be made.
     """
-    # one thread replaces the folder, the others find it replaced
+    # only one thread replaces the folder
     with _stand_ins_lock:
         if folder != _chosen_folder():
             raise error
@@ -126,14 +126,14 @@ def _replace(folder: Path, error: ArchiveError) -> None:
 
 
 def _source_files(package: str) -> list[Path]:
-    """Sources of a package in a fixed order, found without importing it."""
+    """Source files of a package, sorted, found without importing it."""
     spec = find_spec(package)
     roots = (spec.submodule_search_locations or []) if spec else []
     return sorted(path for root in roots for path in Path(root).rglob("*") if path.suffix in _SOURCE_SUFFIXES)
 
 
 def content_hash(parts: Iterable[bytes]) -> str:
-    """Hexadecimal SHA-256 of a list of byte strings; lengths count too, so that no two lists agree by chance."""
+    """Hexadecimal SHA-256 of a list of byte strings, including their lengths, so that different splits differ."""
     digest = sha256()
     for part in parts:
         digest.update(len(part).to_bytes(8, "little") + part)

@@ -1,6 +1,6 @@
-"""A symbolic model → C: the functions by CasADi, the constant tables by a template.
+"""C code of a symbolic model: functions from CasADi, constant tables from a template.
 
-The output is deterministic: the same model gives the same bytes, without dates and paths.
+The code is deterministic: the same model gives the same bytes, without dates and paths.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _CODE_OPTIONS: Any = {"casadi_int": "int", "with_export": False}
 
 @dataclass(frozen=True)
 class GeneratedFunction:
-    """Facts of a generated function that its caller needs: C name and sizes of the work arrays."""
+    """A generated function: field in the model's table, C name, and sizes of CasADi's work arrays."""
 
     field: str
     symbol: str
@@ -42,12 +42,12 @@ class GeneratedFunction:
 
 
 def function_file(name: str) -> str:
-    """Name of the C file with the generated function ``name``; one file each, so that they compile side by side."""
+    """Name of the C file of the generated function ``name``; one file each, to compile in parallel."""
     return f"model_{name}.c"
 
 
 def identifier(name: str) -> str:
-    """A C identifier made of ``name``: every other character becomes an underscore."""
+    """``name`` as a C identifier: all characters but letters and digits become underscores."""
     cleaned = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return cleaned if re.match(r"[A-Za-z_]", cleaned) else f"model_{cleaned}"
 
@@ -56,7 +56,7 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
     """C files of the model's functions (name → text, header included) and the facts for the constant tables.
 
     Raises:
-        ModelError: a function is missing or has a wrong shape.
+        ModelError: a function is missing or has a wrong signature.
     """
     sizes = _sizes(model)
     prepared = {name: _prepare(name, _function(model, name), sizes) for name in FUNCTION_SIGNATURES}
@@ -75,8 +75,15 @@ def generate_description(
     *,
     has_lanes: bool = False,
 ) -> str:
-    """The C file that defines ``flex_the_model``; ``tolerance`` is the relative one that holds by default, ``has_lanes``
-    whether there is a residual for lanes."""
+    """The C file that defines ``flex_the_model``.
+
+    Args:
+        model: the model.
+        functions: its generated functions.
+        guid: GUID of the FMU.
+        tolerance: default relative tolerance.
+        has_lanes: whether there is a residual for lanes, see `lanes_code`.
+    """
     return render(
         DESCRIPTION_FILE + ".j2",
         model=model,
@@ -99,12 +106,12 @@ def _function(model: SymbolicModel, name: str) -> casadi.Function:
 def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     """Shape of every argument and result by its name in `FUNCTION_SIGNATURES`."""
     n, m = model.degrees_of_freedom, len(model.inputs)
-    # coordinates and directions of differentiation, inputs, outputs
+    # coordinates and their directions of differentiation, inputs, outputs
     vectors = dict.fromkeys(("y", "v", "a", "j", "r", "dy", "dv"), n)
     vectors |= dict.fromkeys(("u", "u1", "u2", "du"), m)
     vectors |= {"o": len(model.outputs), "rates2": n + len(model.outputs)}
     vectors["changes"] = n + len(model.outputs) + len(model.acceleration_terms)
-    # parameters, and what is derived from them
+    # parameters, and values derived from them
     vectors |= dict.fromkeys(("p", "dp"), len(model.parameters))
     vectors |= dict.fromkeys(("d", "dd"), n_derived := _function(model, "derive").numel_out(0))
     vectors["start_rates"] = n_derived + n
@@ -113,16 +120,20 @@ def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
 
 
 def _prepare(name: str, function: casadi.Function, sizes: Mapping[str, tuple[int, int]]) -> casadi.Function:
-    """The function with dense results, common subexpressions shared, under the name that it has in C."""
+    """The function with its C name, a dense result and shared subexpressions.
+
+    Raises:
+        ModelError: arguments or result have wrong shapes.
+    """
     arguments, result = FUNCTION_SIGNATURES[name]
     if function.n_in() != len(arguments) or function.n_out() != 1:
         raise ModelError(f"function '{name}' must take ({', '.join(arguments)}) and give {result}, got {function}")
-    # the signature that the C runtime calls
+    # check the signature, which the C runtime relies on
     for position, argument in enumerate(arguments):
         _check_shape(f"argument {argument} of '{name}'", function.sparsity_in(position), sizes[argument])
     _check_shape(f"result {result} of '{name}'", function.sparsity_out(0), sizes[result])
 
-    # scalar operations, shared where they repeat
+    # expand to scalar operations and share common subexpressions
     symbols = [casadi.SX.sym(argument, function.sparsity_in(i)) for i, argument in enumerate(arguments)]
     value = casadi.cse(casadi.densify(function.call(symbols)[0]))
     return casadi.Function(f"model_{name}", symbols, [value], list(arguments), [result])
@@ -137,20 +148,19 @@ def _check_shape(what: str, sparsity: casadi.Sparsity, expected: tuple[int, int]
 
 
 def c_code(function: casadi.Function) -> str:
-    """The C file of a function, which names everything of its own after it."""
+    """The C code of a function; all its identifiers have the function's name as prefix."""
     generator = casadi.CodeGenerator(f"{function.name()}_", _CODE_OPTIONS)
     generator.add(function)
     return with_elementary_functions(str(generator.dump()))
 
 
 def with_elementary_functions(code: str) -> str:
-    """Generated C that calls the runtime's own sin, exp and so on: the C libraries' differ in the last place."""
+    """Generated C code that uses the runtime's own sin, exp, ..., since those of C libraries differ in the last place."""
     return code.replace(_MATHEMATICS, f'{_MATHEMATICS}\n#include "elementary.h"', 1)
 
 
 def with_all_arguments(code: str) -> str:
-    """Generated C without CasADi's checks at each access whether an argument or result is there, which cost up to a
-    tenth."""
+    """Generated C code without CasADi's null checks of arguments and results, which take up to a tenth of the time."""
     code = re.sub(r"arg\[(\d+)\]\? (arg\[\1\]\[\d+\]) : 0", r"\2", code)
     return re.sub(r"if \(res\[(\d+)\]!=0\) (?=res\[\1\])", "", code)
 
@@ -160,11 +170,12 @@ _OTHER_CALL = re.compile(r"[A-Za-z_]\w*\(|\?|\bif\b|[<>!&|]")
 
 
 def lanes_code(code: str) -> str | None:
-    """The residual for several points side by side, from its C for one point; None if it branches or calls a function that
-    has no counterpart in ``lanes_math.h``.
+    """C code of the residual at several points in parallel (SIMD lanes), from the code for one point.
+
+    Returns None if the code branches or calls a function without a counterpart in ``lanes_math.h``.
 
     Args:
-        code: C file of the residual, as from `with_all_arguments`.
+        code: C code of the residual, from `with_all_arguments`.
     """
     match = re.search(r"static int casadi_f0\([^)]*\) \{\n(.*?)\n  return 0;\n\}", code, re.DOTALL)
     if match is None:
@@ -173,7 +184,7 @@ def lanes_code(code: str) -> str | None:
     declarations = [line.replace("casadi_real", "flex_lanes") for line in lines if line.startswith("  casadi_real")]
     statements = "\n".join(line for line in lines if not line.startswith("  casadi_real"))
 
-    # arguments and constants are put into lanes, results are taken out of them
+    # load arguments and constants into lanes, store results from them
     statements = re.sub(r"arg\[4\]\[(\d+)\]", r"flex_all(d[\1])", statements)
     statements = re.sub(r"arg\[([0-3])\]\[(\d+)\]", _lanes_argument, statements)
     statements = re.sub(r"res\[0\]\[(\d+)\]=(\w+);", r"flex_store(r + 4 * \1, \2);", statements)
@@ -189,7 +200,7 @@ def _lanes_argument(match: re.Match[str]) -> str:
 
 
 def function_facts(name: str, function: casadi.Function) -> GeneratedFunction:
-    """What the caller of the generated function has to know; ``name`` is its field in the model's table."""
+    """Facts about a generated function; ``name`` is its field in the model's table."""
     return GeneratedFunction(
         field=name,
         symbol=function.name(),

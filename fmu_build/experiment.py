@@ -10,7 +10,7 @@ from flexfmu.fmu_build.errors import BuildError
 
 @dataclass(frozen=True)
 class DefaultExperiment:
-    """Times and accuracy of the default experiment; starts at 0 s.
+    """Times and tolerance of the default experiment, which starts at 0 s.
 
     Attributes:
         stop_time: end [s].

@@ -1,4 +1,4 @@
-"""The variables of a model as FMI numbers them: indices, value references, causality, variability and dependencies."""
+"""The variables of a model description: indices, value references, causality, variability and dependencies."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class FmiVariable:
 
     Attributes:
         index: position among the model variables, from 1.
-        value_reference: handle for the FMI functions, counted per type from 0.
+        value_reference: value reference, from 0 for each type.
         kind: FMI type.
-        start: start value, None where the standard forbids one.
-        declared_type: name of its type: the physical quantity.
-        unit, display_unit: None for numbers without a unit.
-        derivative: index of the continuous state whose time derivative this one is.
+        start: start value; None where the standard forbids one.
+        declared_type: name of the type, which is the physical quantity.
+        unit, display_unit: None for dimensionless variables.
+        derivative: index of the continuous state of which this variable is the time derivative.
     """
 
     index: int
@@ -61,7 +61,7 @@ class FmiVariable:
 
 @dataclass(frozen=True)
 class Unknown:
-    """An entry of the model structure: a variable's index and the indices of all that it depends on."""
+    """An entry of the model structure: index of the variable, and indices of the variables that it depends on."""
 
     index: int
     dependencies: tuple[int, ...]
@@ -69,14 +69,14 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Interface:
-    """All variables of an FMU and the structure between them.
+    """All variables of an FMU and the model structure.
 
     Attributes:
-        variables: in the order of the model description: inputs, parameters, states, outputs, those of other types. Whatever
-            is a derivative comes after its state, without which OMSimulator 3.0 fails.
-        outputs: every output, with the inputs and states that it depends on.
-        derivatives: the state derivatives among them, in the order of the states.
-        initial_unknowns: what initialisation calculates, outputs and states, with the inputs and parameters that it depends on.
+        variables: in the order of the model description: inputs, parameters, states, outputs, variables of other types.
+            Each derivative follows its state, otherwise OMSimulator 3.0 fails.
+        outputs: all outputs, with the inputs and states that they depend on.
+        derivatives: the state derivatives among the outputs, in the order of the states.
+        initial_unknowns: outputs and states, with the inputs and parameters that they depend on at initialisation.
     """
 
     variables: tuple[FmiVariable, ...]
@@ -86,38 +86,38 @@ class Interface:
 
 
 def build_interface(model: SymbolicModel) -> Interface:
-    """Number the variables of ``model`` and work out their dependencies.
+    """Number the variables of ``model`` and determine their dependencies.
 
     Raises:
-        ModelError: a name is given twice or unknown, or a start value is missing or out of range.
+        ModelError: a name is repeated or unknown, or a start value is missing or out of range.
     """
-    # an output that shows a state has its nominal value
+    # an output that equals a state has its nominal value
     states = find_states(model)
     nominals = dict(zip(states.outputs, states.nominals, strict=True))
     outputs = [
         variable if variable.nominal is not None else replace(variable, nominal=nominals.get(position))
         for position, variable in enumerate(model.outputs)
     ]
-    # every name once, over variables of all kinds
+    # names are unique over variables of all kinds
     scalars = (*model.inputs, *model.parameters, *outputs)
     names = [variable.name for variable in scalars]
     shown = [state_name(model.outputs[position].name) for position in states.outputs]
     check_names([*names, INITIAL.name, *STATISTICS, INTEGRATOR.name, FIXED_STEP, *shown])
     index_of = {variable.name: index for index, variable in enumerate(scalars, start=1)}
-    # variables of all kinds, numbered one kind after the other
+    # number the variables, one kind after the other
     reals = tuple(real_variable(variable, index_of) for variable in scalars)
     integers = _integer_variables(first_index=len(reals) + 1, static_start=model.static_start)
     integrator = _integrator_variables(first_index=len(reals) + len(integers) + 1, value_reference=len(reals))
     first, first_state = len(model.inputs) + len(model.parameters) + 1, len(reals) + len(integers) + len(integrator) + 1
     aliases = _state_variables(reals[first - 1 :], states, first_state)
 
-    # what outputs and derivatives depend on: inputs and states
+    # outputs and derivatives depend on inputs and states
     feedthrough, needed = _feedthrough(model, index_of), state_dependencies(model)
     unknowns = tuple(
         Unknown(first + k, (*feedthrough[first + k], *sorted(first_state + state for state in needed[k])))
         for k in range(len(model.outputs))
     )
-    # at the start everything depends on all inputs and parameters
+    # initial unknowns depend on all inputs and parameters
     known = tuple(variable.index for variable in reals + integers if variable.causality in ("input", "parameter"))
     variables = _with_derivatives(reals, states, first, first_state)
     interface = Interface(
@@ -126,12 +126,12 @@ def build_interface(model: SymbolicModel) -> Interface:
         derivatives=tuple(unknowns[position] for position in states.derivatives),
         initial_unknowns=tuple(Unknown(each.index, known) for each in (*aliases, *reals[first - 1 :])),
     )
-    # derivatives come after their states, without which OMSimulator 3.0 fails
+    # derivatives must follow their states, otherwise OMSimulator 3.0 fails
     return _reordered(interface, (*variables[: first - 1], *aliases, *variables[first - 1 :], *integers, *integrator))
 
 
 def _reordered(interface: Interface, variables: Sequence[FmiVariable]) -> Interface:
-    """The same with its variables in another order, and all indices that follow from it."""
+    """The interface with its variables in another order; all indices are renumbered."""
     new = {variable.index: index for index, variable in enumerate(variables, start=1)}
 
     def unknowns(each: Sequence[Unknown]) -> tuple[Unknown, ...]:
@@ -150,7 +150,7 @@ def _reordered(interface: Interface, variables: Sequence[FmiVariable]) -> Interf
 
 
 def _state_variables(outputs: Sequence[FmiVariable], states: States, first_index: int) -> tuple[FmiVariable, ...]:
-    """The states: aliases of the outputs that show them."""
+    """The states, as aliases of outputs."""
     return tuple(
         replace(
             outputs[position],
@@ -166,7 +166,7 @@ def _state_variables(outputs: Sequence[FmiVariable], states: States, first_index
 def _with_derivatives(
     reals: Sequence[FmiVariable], states: States, first_output: int, first_state: int
 ) -> tuple[FmiVariable, ...]:
-    """The real variables, those that are derivatives of states tied to them; indices count from 1."""
+    """The real variables, with ``derivative`` set for state derivatives; indices count from 1."""
     state_of = {first_output + position: first_state + k for k, position in enumerate(states.derivatives)}
     return tuple(replace(variable, derivative=state_of.get(variable.index)) for variable in reals)
 
@@ -184,10 +184,10 @@ def _feedthrough(model: SymbolicModel, index_of: Mapping[str, int]) -> dict[int,
 
 
 def check_names(names: Iterable[str]) -> None:
-    """Refuse a name that is given twice.
+    """Check that names are unique.
 
     Raises:
-        ModelError: there is one.
+        ModelError: a name is repeated.
     """
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
@@ -197,15 +197,15 @@ def check_names(names: Iterable[str]) -> None:
 def real_variable(
     variable: Variable, index_of: Mapping[str, int], output_variability: str = "continuous"
 ) -> FmiVariable:
-    """The description of a real variable; value references count from 0 in the order of the indices.
+    """The entry of a real variable; its value reference is index - 1.
 
     Args:
         variable: the variable.
         index_of: name → index of all real variables.
-        output_variability: of outputs.
+        output_variability: variability of outputs.
 
     Raises:
-        ModelError: a start value is missing or out of range, or the variable is the derivative of none that is there.
+        ModelError: a start value is missing or out of range, or the variable is the derivative of an unknown one.
     """
     is_output = variable.causality == "output"
     if not is_output:
@@ -214,7 +214,7 @@ def real_variable(
         raise ModelError(
             f"variable '{variable.name}' is the derivative of '{variable.derivative_of}', which is not there"
         )
-    # outputs are calculated; inputs and parameters have a start value
+    # outputs are calculated, inputs and parameters have start values
     index = index_of[variable.name]
     variability = output_variability if is_output else "continuous"
     if variable.causality == "parameter":
@@ -251,10 +251,10 @@ def _check_start(variable: Variable) -> None:
 def choice_variable(
     choice: ChoiceParameter, start: str, index: int, value_reference: int, variability: str = "fixed"
 ) -> FmiVariable:
-    """The description of a choice.
+    """The entry of a parameter with named values.
 
     Args:
-        choice: the choice.
+        choice: the parameter.
         start: name of its start value.
         index, value_reference, variability: as in `FmiVariable`.
     """
@@ -275,9 +275,9 @@ def choice_variable(
 
 
 def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariable, ...]:
-    """The choice of the initial state and the counters: they share one range of value references."""
+    """The parameter ``initial`` and the integrator's counters, with value references from 0."""
     initial = choice_variable(INITIAL, "static" if static_start else "undeformed", first_index, value_reference=0)
-    # what the integrator counts, from value reference 1 on
+    # counters have value references from 1
     counters = tuple(
         FmiVariable(
             index=first_index + count,
@@ -295,9 +295,9 @@ def _integer_variables(first_index: int, static_start: bool) -> tuple[FmiVariabl
 
 
 def _integrator_variables(first_index: int, value_reference: int) -> tuple[FmiVariable, ...]:
-    """The choice of the method, and of a fixed step as the last of the real variables; initialisation needs neither."""
+    """The parameters for the integration method and for a fixed step, the last Real; initialisation needs neither."""
     method = choice_variable(INTEGRATOR, "automatic", first_index, INTEGRATOR_REFERENCE)
-    # zero keeps the variable step
+    # zero selects the variable step
     step = FmiVariable(
         index=first_index + 1,
         value_reference=value_reference,

@@ -1,7 +1,7 @@
-"""Names beside the parts of a drawing, placed so that they cover neither each other nor the drawing.
+"""Placement of labels beside the parts of a drawing, without overlaps.
 
-A greedy placement (Christensen, Marks and Shieber, An empirical study of algorithms for point-feature label placement, ACM TOG 14
-(1995)): label after label takes the candidate that touches least, starting with the direction away from the drawing's middle.
+Greedy placement (Christensen, Marks and Shieber, An empirical study of algorithms for point-feature label placement, ACM TOG 14
+(1995)): each label takes the candidate with the fewest overlaps; the direction away from the drawing's middle comes first.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from flexfmu.model.symbolic import Drawing
 from flexfmu.trajectories.curves import Point
 
 FONT_SIZE = 15.0
-"""Of the labels [px]."""
+"""Font size of the labels [px]."""
 
 DISTANCES = (30.0, 40.0)
-"""From what a label names to its text [px], the nearer one first."""
+"""Candidate distances from the labelled point to the text [px]."""
 
 ROOM = (125.0, 45.0)
-"""Kept free for labels at the sides, and above and below [px]."""
+"""Margins for labels at the sides, and above and below [px]."""
 
 GAP, LABEL_GAP = 3.0, 12.0
-"""Between a label and what is drawn, and between two labels, which must not read as one [px]."""
+"""Smallest distance between a label and the drawing, and between two labels [px]."""
 
 _TURNS = [sign * step * pi / 12 for step in range(13) for sign in (1, -1)]
-"""From the direction that a label would have by itself to those that are tried after it [rad]."""
+"""Angles from the preferred direction of a label to the candidates, in the order of preference [rad]."""
 
 Stamp = tuple[Point, float]
-"""A circle that labels keep away from: centre and radius [px]."""
+"""A circle that labels must not overlap: centre and radius [px]."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """Text that starts at a point of its base line, ends there, or has its middle there."""
+    """A text whose base line starts, ends or is centred at a point [px]."""
 
     text: str
     at: Point
@@ -43,7 +43,7 @@ class Label:
 
     @property
     def box(self) -> tuple[float, float, float, float]:
-        """Left, top, right and bottom of the text [px]: monospaced letters are 0.6 as wide as high."""
+        """Left, top, right and bottom of the text [px]; monospaced letters are 0.6 times as wide as high."""
         width = 0.6 * FONT_SIZE * len(self.text)
         left = self.at[0] - {"start": 0.0, "middle": 0.5, "end": 1.0}[self.anchor] * width
         return left, self.at[1] - 0.75 * FONT_SIZE, left + width, self.at[1] + 0.25 * FONT_SIZE
@@ -52,23 +52,23 @@ class Label:
 def place_labels(
     drawing: Drawing, view: Callable[[Point], Point], stamps: Sequence[Stamp], size: Point
 ) -> tuple[Label, ...]:
-    """Names of spots and bars, outside the mechanism where there is room: away from its middle, the bars' at right angles.
+    """Place labels for spots and bars, preferably away from the mechanism's middle, for bars at right angles to them.
 
     Args:
-        drawing: what is named.
-        view: from the drawing's lengths to pixels.
-        stamps: circles that cover all that is drawn.
+        drawing: the drawing.
+        view: map from the drawing's lengths to pixels.
+        stamps: circles that cover the drawing.
         size: width and height of the picture [px].
     """
     points = [view(spot.position) for spot in drawing.spots]
     middle = sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
-    # names with their points and the directions that suit them
+    # names with their points and preferred directions
     named = [(spot.name, at, _between(middle, at)) for spot, at in zip(drawing.spots, points, strict=True)]
     for bar in drawing.bars:
         start, end = view(bar.start), view(bar.end)
         at = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2
         named.append((bar.name, at, _across(_between(start, end), _between(middle, at))))
-    # the candidate that touches least, among those inside the picture
+    # the candidate with the fewest overlaps, among those inside the picture
     placed: list[Label] = []
     for name, at, away in named:
         candidates = _candidates(name, at, away)
@@ -77,7 +77,7 @@ def place_labels(
 
 
 def _candidates(name: str, at: Point, away: Point) -> Iterator[Label]:
-    """The label in all directions and distances, those that suit it best first."""
+    """Yield the label in all directions and distances, in the order of preference."""
     length = hypot(*away) or 1.0
     for turn in _TURNS:
         x = (cos(turn) * away[0] - sin(turn) * away[1]) / length
@@ -88,20 +88,20 @@ def _candidates(name: str, at: Point, away: Point) -> Iterator[Label]:
 
 
 def _is_inside(label: Label, size: Point) -> bool:
-    """Whether the picture shows all of a label."""
+    """Whether a label is completely inside the picture."""
     left, top, right, bottom = label.box
     return left >= GAP and top >= GAP and right <= size[0] - GAP and bottom <= size[1] - GAP
 
 
 def _covered(label: Label, others: Sequence[Label], stamps: Sequence[Stamp]) -> int:
-    """How many labels and circles a label would touch."""
+    """Number of labels and circles that a label overlaps."""
     left, top, right, bottom = label.box
     touched = 0
     # circles of the drawing
     for (x, y), radius in stamps:
         across, down = max(left - x, 0.0, x - right), max(top - y, 0.0, y - bottom)
         touched += hypot(across, down) < radius + GAP
-    # labels that are placed already
+    # labels placed before
     for other in others:
         its_left, its_top, its_right, its_bottom = other.box
         beside = max(its_left - right, left - its_right)
@@ -110,11 +110,11 @@ def _covered(label: Label, others: Sequence[Label], stamps: Sequence[Stamp]) -> 
 
 
 def _between(a: Point, b: Point) -> Point:
-    """From one point to another."""
+    """Vector from one point to another."""
     return b[0] - a[0], b[1] - a[1]
 
 
 def _across(along: Point, away: Point) -> Point:
-    """At right angles to a direction, on the side of another one."""
+    """Vector at right angles to ``along``, on the side of ``away``."""
     side = 1.0 if away[0] * along[1] - away[1] * along[0] > 0 else -1.0
     return side * along[1], -side * along[0]

@@ -1,4 +1,4 @@
-"""The platforms of FMI 2.0 and the options that a compiler needs for each."""
+"""The platforms of FMI 2.0 and their compiler options."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from flexfmu.fmu_build.errors import PlatformError
 
 @dataclass(frozen=True)
 class Platform:
-    """A target of the build.
+    """A target platform.
 
     Attributes:
         name: folder below ``binaries/``.
-        suffix: file name ending of a shared library.
-        zig_target: target triple for ``zig cc``; the Linux one asks for an old C library, so that the FMU runs anywhere.
-        compile_flags: position independence, where the target knows it.
-        link_flags: drop functions without callers and all unneeded symbols.
-        zig_link_flags: what zig's linker needs besides, to leave out times and folders.
+        suffix: file suffix of shared libraries.
+        zig_target: target triple for ``zig cc``; on Linux with an old glibc, so that the FMU runs on old systems.
+        compile_flags: flags for position-independent code.
+        link_flags: flags that remove unused functions and symbols.
+        zig_link_flags: further flags for zig's linker, for reproducible output.
     """
 
     name: str
@@ -51,9 +51,9 @@ PLATFORMS = {
         _darwin("aarch64-darwin", "aarch64-macos.11.0"),
     )
 }
-"""Every platform that can be built for, by its name in FMI 2.0.4 and later: x86 as ever, ARM by FMI 3.0's platform tuple.
+"""Supported platforms by name: FMI 2.0 names for x86, FMI 3.0 platform tuples for ARM (allowed since FMI 2.0.4).
 
-Importers on ARM that are older, or that ignore the processor (fmpy), look into the folder of the x86 name instead.
+On ARM, older importers and those that ignore the processor (fmpy) use the x86 name.
 """
 
 _SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
@@ -69,9 +69,9 @@ _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64
 
 
 def native_platform() -> Platform:
-    """The platform of this interpreter, named as FMI 2.0 importers on this machine look for it.
+    """The platform of this interpreter, with the name that FMI 2.0 importers on this machine use.
 
-    Most of them don't ask for the processor (fmpy among them): on ARM the 64-bit names stand for ARM binaries there.
+    Most importers (fmpy among them) ignore the processor, so on ARM the x86 names denote ARM binaries.
 
     Raises:
         PlatformError: FMI 2.0 has no name for this machine.
@@ -85,9 +85,9 @@ def native_platform() -> Platform:
 
 
 def find_platforms(names: Iterable[str] | None) -> tuple[Platform, ...]:
-    """Platforms by name, sorted, without repetition; the native one when no name is given.
+    """Platforms by name, sorted and unique; the native platform if there are no names.
 
-    A name means what the standard says, on every machine: ``linux64`` is for x86.
+    Names have the meaning of the standard on every machine: ``linux64`` is x86.
 
     Raises:
         PlatformError: a name is unknown.

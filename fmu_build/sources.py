@@ -1,4 +1,4 @@
-"""All that determines an FMU's behaviour, as text: C sources, model description, documentation, and their hash."""
+"""The text files of an FMU: C sources, model description, documentation; and the GUID as their hash."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ if TYPE_CHECKING:
     from flexfmu.model.symbolic import SymbolicModel
 
 FmuKind = Literal["plant", "block", "trajectory"]
-"""What an FMU contains; the same FMI layer serves all of them."""
+"""Kind of an FMU; all kinds share the FMI layer of the runtime."""
 
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
-"""Where FMI 3.0's build description is in the FMU; tools of FMI 2.0 read it too."""
+"""Path of FMI 3.0's build description, which tools for FMI 2.0 read too."""
 
 OPTIONS = ("-O2", *COMMON_FLAGS)
-"""Options of a compiler of GCC's or Clang's kind for the same numbers as the binaries give; others need C99 alone."""
+"""Options for GCC and Clang that reproduce the numbers of the binaries; other compilers only need C99."""
 
 _COMMON = ("backend.", "clock.", "elementary", "fmi2", "memory.", "model.", "old_glibc.", "private.", "refusal.")
-"""Prefixes of the runtime's files that every kind needs."""
+"""Prefixes of the runtime's files for all kinds."""
 
 _OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",)}
-"""Prefixes of further files that these kinds need; the plant needs all but the files named after the others."""
+"""Kind → prefixes of its further files; the plant needs all files except those named after other kinds."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """The text of an FMU before anything is compiled.
+    """The content of an FMU before compilation.
 
     Attributes:
         model_identifier: name of the shared library.
-        guid: hash of the content, in the usual spelling with braces.
-        description: modelDescription.xml.
+        guid: hash of the content, as {8-4-4-4-12} hexadecimal digits.
+        description: text of modelDescription.xml.
         generated: C files of the model, name → text.
         runtime: C files and headers of the runtime, name → text.
         documentation: path below the FMU's root → text.
-        icon: small picture, a PNG file; may be empty.
+        icon: PNG file; may be empty.
     """
 
     model_identifier: str
@@ -60,13 +60,13 @@ class Sources:
 
     @property
     def generated_bytes(self) -> int:
-        """Size of the generated C."""
+        """Size of the generated C code [bytes]."""
         return sum(len(text.encode()) for text in self.generated.values())
 
     def archive_files(self) -> dict[str, bytes]:
-        """Path below the FMU's root → content, all but the binaries."""
+        """Path below the FMU's root → content, without binaries."""
         code = {f"sources/{name}": text for name, text in (self.generated | self.runtime).items()}
-        # for tools that build the binary again from these sources: one set of C files and the mathematics library
+        # build description for tools that compile the sources
         rebuild = render(
             "buildDescription.xml.j2",
             model_identifier=self.model_identifier,
@@ -80,15 +80,15 @@ class Sources:
 def generate_sources(
     model: SymbolicModel, experiment: DefaultExperiment, naming: Naming = "structured", enumerations: bool = False
 ) -> Sources:
-    """All text files of the FMU. The GUID is the hash of all of it, taken with a blank GUID.
+    """Generate all text files of a plant's FMU.
 
     Raises:
-        ModelError: the model contradicts its contract.
+        ModelError: the model violates its contract.
     """
     functions, facts = generate_functions(model)
     named = named_model(model, naming)
 
-    # the tables contain the GUID, the functions do not
+    # only the tables contain the GUID
     def code(guid: str) -> dict[str, str]:
         description = generate_description(named, facts, guid, experiment.tolerance, has_lanes=LANES_FILE in functions)
         return functions | {DESCRIPTION_FILE: description}
@@ -107,17 +107,17 @@ def assemble_sources(
     pages: dict[str, str],
     icon: bytes,
 ) -> Sources:
-    """All parts of an FMU together.
+    """Assemble the files of an FMU; the GUID is the hash of C code and description with a blank GUID.
 
     Args:
-        kind: which runtime it needs.
-        description: what the model description says.
+        kind: kind of the FMU, which selects the runtime.
+        description: content of the model description.
         experiment: default experiment.
-        code: the generated C files for a GUID, name → text.
+        code: function from a GUID to the generated C files, name → text.
         pages: documentation, path below the FMU's root → text.
-        icon: small picture, a PNG file.
+        icon: PNG file; may be empty.
     """
-    # all texts with a blank GUID, whose hash is the GUID
+    # the GUID is the hash of the texts with a blank GUID
     runtime = runtime_sources(kind)
     blank = code("")
     names = c_files((*blank, *runtime))
@@ -128,19 +128,19 @@ def assemble_sources(
 
 
 def runtime_sources(kind: FmuKind = "plant") -> dict[str, str]:
-    """C files and headers of the runtime for an FMU of that kind, name → text."""
+    """C files and headers of the runtime for a kind of FMU, name → text."""
     folder = files("flexfmu.fmu_build") / "c-runtime"
     entries = sorted((entry for entry in folder.iterdir() if _belongs(entry.name, kind)), key=lambda e: e.name)
     return {entry.name: entry.read_text(encoding="utf-8") for entry in entries}
 
 
 def elementary_sources() -> dict[str, str]:
-    """C files and headers of sin, exp and so on alone, which generated functions call, one by one and on lanes."""
+    """C files and headers of the elementary functions (sin, exp, ...), scalar and on lanes, that generated code calls."""
     return {name: text for name, text in runtime_sources().items() if name.startswith(("elementary", "lanes"))}
 
 
 def _belongs(name: str, kind: FmuKind) -> bool:
-    """Whether a file is a part of the runtime for that kind, by its name."""
+    """Whether a file, by its name, belongs to the runtime for a kind of FMU."""
     if not name.endswith((".c", ".h")):
         return False
     if kind == "plant":
@@ -149,7 +149,7 @@ def _belongs(name: str, kind: FmuKind) -> bool:
 
 
 def c_files(names: Iterable[str]) -> tuple[str, ...]:
-    """The files to compile, sorted, without headers."""
+    """The C files among ``names``, sorted."""
     return tuple(sorted(name for name in names if name.endswith(".c")))
 
 

@@ -1,4 +1,4 @@
-"""The C compiler: finding one, compiling side by side, linking a shared library. The package's only subprocess."""
+"""The C compiler: finds one, compiles in parallel, links a shared library."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from flexfmu.fmu_build.errors import CompileError, MissingCompilerError
 from flexfmu.fmu_build.platforms import Platform, native_platform
 
 RUNTIME_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
-"""The hand-written runtime has no warnings; CI adds -Werror, a user's newer compiler may know more of them."""
+"""Flags for the hand-written runtime; only CI adds -Werror, since newer compilers have more warnings."""
 
 GENERATED_FLAGS = ("-std=c99", "-O2", "-w")
-"""Generated code: straight-line arithmetic, not meant to be read; warnings would be about CasADi."""
+"""Flags for generated code, without warnings, since they would concern CasADi."""
 
 COMMON_FLAGS = (
-    "-fvisibility=hidden",  # nothing but the FMI functions is exported
-    "-ffp-contract=off",  # the same roundings on every machine
+    "-fvisibility=hidden",  # export only the FMI functions
+    "-ffp-contract=off",  # the same rounding on every machine
     "-fno-math-errno",  # sqrt is an instruction, not a call
-    "-g0",  # nothing about the folder in which it was compiled
+    "-g0",  # no paths of the build folder
     "-ffunction-sections",
     "-fdata-sections",
 )
 
 FIRST_HEADER = ("-include", "old_glibc.h")
-"""Read in front of every source of an FMU, so that binaries for Linux need no new C library."""
+"""Flags that include this header first in every source of an FMU, so that binaries run with an old glibc."""
 
 _COMPILERS = (("cc",), ("gcc",), ("clang",))
 _REMEDY = "install gcc or clang, or run: pip install flexfmu[zig]"
@@ -40,7 +40,7 @@ _REMEDY = "install gcc or clang, or run: pip install flexfmu[zig]"
 
 @dataclass(frozen=True)
 class CompileJob:
-    """One C file → one object file, both relative to the build folder."""
+    """Compilation of one C file to one object file, both relative to the build folder."""
 
     source: str
     flags: tuple[str, ...]
@@ -56,9 +56,9 @@ class Compiler:
     """A C compiler for one platform.
 
     Attributes:
-        command: how it is called, arguments included.
-        executable: the file that does the work; another version of it is another compiler.
-        platform: what it compiles for.
+        command: command with arguments.
+        executable: file whose modification time and size identify the version.
+        platform: target platform.
     """
 
     command: tuple[str, ...]
@@ -66,19 +66,19 @@ class Compiler:
     platform: Platform
 
     def identity(self) -> str:
-        """What distinguishes this compiler from another one or from its next version: command, file, time and size."""
+        """Text that identifies the compiler and its version: command, file, modification time and size."""
         facts = self.executable.stat()
         return f"{self.command} {self.executable} {facts.st_mtime_ns} {facts.st_size}"
 
     def compile(self, jobs: Iterable[CompileJob], folder: Path) -> None:
-        """Compile all jobs in ``folder``, as many at once as there are processors, the largest source first.
+        """Compile all jobs in parallel, the largest source first.
 
         Args:
-            jobs: what to compile.
-            folder: where the sources are and the objects go.
+            jobs: C files to compile.
+            folder: folder of sources and object files.
 
         Raises:
-            CompileError: the compiler refuses a file; its first error line is in the message.
+            CompileError: the compiler fails; the message contains its first error line.
         """
         ordered = sorted(jobs, key=lambda job: (folder / job.source).stat().st_size, reverse=True)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -89,7 +89,7 @@ class Compiler:
         """Link ``objects`` into the shared library ``library``, both relative to ``folder``.
 
         Raises:
-            CompileError: the linker refuses.
+            CompileError: the linker fails.
         """
         _run((*self.command, *objects, "-o", library, *self.platform.link_flags), folder, f"linking {library}")
 
@@ -99,7 +99,7 @@ class Compiler:
 
 
 def find_compiler(platform: Platform) -> Compiler:
-    """A C compiler for ``platform``: the variable CC, cc, gcc, clang, then zig; for other platforms zig alone.
+    """Find a C compiler: the variable CC, else cc, gcc, clang or zig; for cross-compilation only zig.
 
     Raises:
         MissingCompilerError: there is none; the message says what to install.
@@ -107,7 +107,7 @@ def find_compiler(platform: Platform) -> Compiler:
     is_native = platform.zig_target == native_platform().zig_target
     compiler = _native_compiler(platform) if is_native else None
     compiler = compiler or _zig_compiler(platform)
-    # what is missing, and how to get it
+    # error with remedy
     if compiler is None:
         where = "" if is_native else f" for {platform.name} on {native_platform().name}"
         remedy = _REMEDY if is_native else "run: pip install flexfmu[zig]"
@@ -131,7 +131,7 @@ def _zig_compiler(platform: Platform) -> Compiler | None:
     if spec is None or not spec.submodule_search_locations:
         return None
     command = (sys.executable, "-m", "ziglang", "cc", "-target", platform.zig_target)
-    flags = (*platform.link_flags, "-O2", *platform.zig_link_flags)  # also how zig compiles its own parts of a library
+    flags = (*platform.link_flags, "-O2", *platform.zig_link_flags)  # -O2 also applies to zig's own parts of a library
     return Compiler(command, Path(spec.submodule_search_locations[0]), replace(platform, link_flags=flags))
 
 
@@ -148,6 +148,6 @@ def _run(command: tuple[str, ...], folder: Path, what: str) -> None:
 
 
 def _first_error(output: str) -> str:
-    """The first line with an error, else the first line."""
+    """The first line of compiler output that contains "error", else the first line."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     return next((line for line in lines if "error" in line.lower()), lines[0] if lines else "no message")

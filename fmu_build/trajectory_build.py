@@ -1,4 +1,4 @@
-"""From a trajectory to an FMU file, with its model description: references, breakpoints, accuracy."""
+"""Builds the FMU of a trajectory, with its model description: references, breakpoints, accuracy."""
 
 from __future__ import annotations
 
@@ -45,23 +45,23 @@ def build_trajectory_fmu(
 ) -> BuiltFmu:
     """Build an FMU 2.0 for co-simulation of a trajectory, shaped or not, unless an equal one is in the cache.
 
-    Its outputs are ``<axis>.reference.position``, ``.velocity`` and ``.acceleration`` with their derivatives up to order 4,
-    from polynomials between knots that reproduce the trajectory to `trajectory_table.TOLERANCE`. After a step that ends
-    on a breakpoint it shows the left limits, unless the parameter ``limit`` says ``right``. Time 0 of the trajectory is
-    time 0 of the simulation.
+    The outputs are ``<axis>.reference.position``, ``.velocity`` and ``.acceleration`` with output derivatives up to order
+    4, from polynomials between knots that reproduce the trajectory to `trajectory_table.TOLERANCE`. At a breakpoint they
+    are the left limits, or the right limits if the parameter ``limit`` is ``right``. Time 0 of the trajectory is time 0 of
+    the simulation.
 
     Args:
-        trajectory: what to export.
+        trajectory: the trajectory.
         output: file to write; None leaves the FMU in the cache.
         axes: names of the trajectory's components.
         unit: unit of the positions.
         name: model name.
-        stop_time, step: default experiment [s]; the duration of the motion if there is no stop time.
+        stop_time, step: default experiment [s]; the default stop time is the duration of the trajectory.
         platforms, naming, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
 
     Raises:
-        BuildError: in one line what is wrong and what to do: a trajectory that no table reproduces, axes that don't suit
-            it, no compiler, a compiler's error, or a file that cannot be written.
+        BuildError: no table reproduces the trajectory, the number of axes is wrong, the unit is unknown, there is no
+            compiler, compilation fails, or a file can't be written.
     """
 
     def make_sources() -> Sources:
@@ -86,10 +86,10 @@ def generate_trajectory_sources(
     naming: Naming = "structured",
     progress: BuildProgress = lambda message: None,
 ) -> Sources:
-    """All text files of the FMU.
+    """Generate all text files of the FMU; arguments as for `build_trajectory_fmu`.
 
     Raises:
-        ModelError: no table reproduces the trajectory, or the axes don't suit it.
+        ModelError: no table reproduces the trajectory, the number of axes is wrong, or the unit is unknown.
     """
     progress("placing knots")
     table = tabulate(trajectory)
@@ -110,7 +110,7 @@ def generate_trajectory_sources(
             )
         }
 
-    # the same table serves description, pages and icon
+    # description, documentation and icon
     description = trajectory_description(motion).named(naming)
     pages = trajectory_documentation(motion, description, experiment)
     return assemble_sources("trajectory", description, experiment, code, pages, png(motion_picture(motion)))
@@ -126,21 +126,21 @@ LIMIT = ChoiceParameter(
 )
 
 PICTURE_POINTS = 60
-"""Along each curve of the picture."""
+"""Number of points of each curve in the picture."""
 
 _PER_TIME = ("", "/s", "/s2")
 
 
 @dataclass(frozen=True)
 class TableMotion:
-    """A trajectory as its FMU contains it.
+    """A tabulated trajectory with its names.
 
     Attributes:
         name: model name.
         axes: names of the components.
         unit: unit of the positions.
         breakpoints: times at which derivatives may jump [s].
-        table: its knots.
+        table: table of knots.
     """
 
     name: str
@@ -151,12 +151,12 @@ class TableMotion:
 
     @property
     def description(self) -> str:
-        """One sentence."""
+        """One sentence for the model description."""
         return f"Position, velocity and acceleration of {', '.join(self.axes)} over {self.breakpoints[-1]!r} s."
 
     @property
     def outputs(self) -> tuple[Variable, ...]:
-        """Positions of all axes, velocities, accelerations."""
+        """Output variables: positions of all axes, then velocities, then accelerations."""
         return tuple(
             Variable(
                 name=f"{axis}.reference.{kind}",
@@ -170,10 +170,10 @@ class TableMotion:
 
 
 def trajectory_description(motion: TableMotion) -> Description:
-    """What the model description says.
+    """The content of a trajectory's model description.
 
     Raises:
-        ModelError: an axis is named twice, or the unit is unknown.
+        ModelError: two axes have the same name.
     """
     points = " ".join(map(repr, motion.breakpoints))
     return Description(
@@ -188,19 +188,19 @@ def trajectory_description(motion: TableMotion) -> Description:
 
 
 def trajectory_interface(motion: TableMotion) -> Interface:
-    """Number the outputs and the choice of the limit.
+    """Number the outputs and the parameter ``limit``.
 
-    No output is declared the derivative of another: Maestro 3.1.1 stops where both are connected (ClassCastException in
-    ComponentVariableFmi2Api.share), libcosim refuses derivatives in a model structure that no variable declares, and a
-    trajectory has no continuous states that would need either.
+    No output is declared as the derivative of another: a trajectory has no continuous states that need it, Maestro 3.1.1
+    fails if both are connected (ClassCastException in ComponentVariableFmi2Api.share), and libcosim rejects derivatives in
+    the model structure that no variable declares.
 
     Raises:
-        ModelError: a name is given twice.
+        ModelError: a name is repeated.
     """
     names = [output.name for output in motion.outputs]
     check_names([*names, LIMIT.name])
     index_of = {name: index for index, name in enumerate(names, start=1)}
-    # reals, then the only Integer, which numbers from 0 again
+    # Reals, then the only Integer, with value reference 0
     reals = tuple(real_variable(output, index_of) for output in motion.outputs)
     limit = choice_variable(LIMIT, "left", len(reals) + 1, value_reference=0, variability="tunable")
     return Interface(
@@ -212,7 +212,7 @@ def trajectory_interface(motion: TableMotion) -> Interface:
 
 
 def motion_picture(motion: TableMotion, width: int = ICON_SIZE, height: int = ICON_SIZE, pen: float = PEN) -> Picture:
-    """The positions of the first axes over time."""
+    """Picture of the positions of the first two axes over time."""
     knots, first = np.unique(motion.table.times, return_index=True)
     position = PchipInterpolator(knots, motion.table.jets[first, 0])
     times = np.linspace(knots[0], knots[-1], PICTURE_POINTS)
@@ -223,7 +223,7 @@ def motion_picture(motion: TableMotion, width: int = ICON_SIZE, height: int = IC
 def trajectory_documentation(
     motion: TableMotion, description: Description, experiment: DefaultExperiment
 ) -> dict[str, str]:
-    """Files of the folder ``documentation/``: path below the FMU's root → text."""
+    """Files of the folder ``documentation/`` of a trajectory: path below the FMU's root → text."""
     return documentation_files(
         "trajectory.html.j2",
         description,

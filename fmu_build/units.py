@@ -109,9 +109,9 @@ class RealType:
     """A type of real variables.
 
     Attributes:
-        name: its name, also the quantity's, as the Modelica standard library spells them.
-        unit: the one unit of its variables.
-        display_unit: in which tools show its values; None for the unit itself.
+        name: name of the type and of the quantity, spelt as in the Modelica Standard Library.
+        unit: unit of all its variables.
+        display_unit: default display unit; None for the unit itself.
     """
 
     name: str
