@@ -1,4 +1,4 @@
-"""What the robot shall do: paths, blends, profiles, motions over time, and impulse sequences of shapers; numpy and scipy alone."""
+"""Planned motion: paths, blends, motion profiles, trajectories, and input shapers. Depends on numpy and scipy only."""
 
 from flexfmu.trajectories.blends import Blend, ClothoidPair, LameBlend, PolarPolynomial
 from flexfmu.trajectories.curves import PiecewiseCurve, PlaneJets, Point, Side

@@ -1,8 +1,8 @@
 """Arc length of a smooth curve, and its inverse to machine precision.
 
-The parameter's interval is halved into panels until Legendre polynomials resolve the speed ds/du on each to rounding; the
-arc length is the integral of that expansion. Newton's method on the series inverts it for many arc lengths at once. Adaptive
-quadrature with a bracketing root finder (scipy's `quad` and `brentq`) agrees to rounding and takes 10⁵ times as long.
+The parameter's interval is bisected into panels until a Legendre series represents the speed ds/du on each to rounding. The
+arc length is the integral of that series. Newton's method inverts it, for many arc lengths at once. Adaptive quadrature with
+a bracketing root finder (scipy's `quad` and `brentq`) agrees to rounding and takes 10⁵ times as long.
 
 Source: L. N. Trefethen, *Approximation Theory and Approximation Practice*, SIAM 2013, chapters 8 (coefficients decay
 geometrically for analytic functions) and 19 (quadrature).
@@ -26,38 +26,37 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
 NODES = 20
-"""Legendre polynomials per panel: a panel that they don't resolve is halved."""
+"""Legendre coefficients per panel; a panel whose series has not converged with so many is bisected."""
 
 TAIL = 1e-14
-"""Size of the last two Legendre coefficients, relative to the largest, at which a panel counts as resolved: just above
-their rounding errors. Integration divides them by about 2 NODES, so that they matter less than the length's rounding."""
+"""Sum of the last two Legendre coefficients, relative to the largest, below which a panel counts as resolved: just above their
+rounding errors. Integration divides them by about 2 NODES, so that they contribute less than the rounding of the length."""
 
 ROUNDING = 1e-15
-"""Rounding error of the speed relative to its largest value on the curve; elongated curves have parts where the speed
-is small, and known no better than this."""
+"""Rounding error of the speed relative to its largest value on the curve. On elongated curves the speed is small in places, and
+its absolute accuracy there is limited by this."""
 
 MOST_PANELS = 512
-"""Far more panels than a blend needs: 7 where e = d, 16 where e = 10⁶ d."""
+"""Limit of the number of panels, far above what a blend needs: 7 for e = d, 16 for e = 10⁶ d."""
 
 GUESSES_PER_PANEL = 32
-"""Points on each panel through which the first guess of the inverse goes: good to about 1e-9, so that one of Newton's steps
-is enough."""
+"""Interpolation points per panel for the initial guess of the inverse; its error is about 1e-9, so that one Newton step is
+enough."""
 
 CLOSE = 1e-8
-"""Newton's last step in a panel's own variable, -1 to 1: convergence is quadratic, the error left is of the order of its
-square."""
+"""Newton step, in the panel's variable from -1 to 1, below which the iteration ends. Convergence is quadratic: the remaining error
+is of the order of the step's square."""
 
 _POINTS, _WEIGHTS = legendre.leggauss(NODES)
 _PROJECTION = (np.arange(NODES)[:, None] + 0.5) * legendre.legvander(_POINTS, NODES - 1).T * _WEIGHTS
-"""From values at the points to Legendre coefficients, (2k + 1)/2 Σ w P_k f."""
+"""(NODES, NODES) matrix from values at the Gauss points to Legendre coefficients c_k = (2k + 1)/2 Σ w P_k f."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArcLengthTable:
     """The arc length s(u) of a curve with the parameter u, as Legendre series on panels.
 
-    Built once per curve by `tabulate`; the series are the integrals of the speed's expansions, which are resolved to
-    rounding, so that evaluating them is a quadrature of full precision.
+    `tabulate` builds it once per curve. The series are integrals of the speed's series, accurate to rounding.
 
     Attributes:
         edges: parameter at the panels' edges, shape (P + 1,).
@@ -80,18 +79,18 @@ class ArcLengthTable:
 
     @cached_property
     def _series(self) -> RealArray:
-        """Both series, shape (NODES + 1, 2, P)."""
+        """Series of length and speed side by side, shape (NODES + 1, 2, P)."""
         return np.stack([self.lengths, np.pad(self.speeds, ((0, 1), (0, 0)))], axis=1)
 
     def parameter(self, s: RealArray) -> RealArray:
-        """The parameter u at the arc lengths s [m], shape (N,), by Newton's method; s is limited to the curve."""
-        # the panel of each arc length, and its own variable ξ from -1 to 1
+        """Return the parameter u at the arc lengths s [m], shape (N,), by Newton's method; s is clipped to the curve."""
+        # the panel of each arc length, with its variable ξ from -1 to 1
         s = np.clip(s, 0.0, self.length)
         panel = np.clip(np.searchsorted(self.starts, s, side="right") - 1, 0, len(self.edges) - 2)
         low, high = self.edges[panel], self.edges[panel + 1]
         half = 0.5 * (high - low)
         series, target = self._series[:, :, panel], s - self.starts[panel]
-        # Newton's method for all of them together; one step mostly does
+        # Newton's method for all points at once; one step is usually enough
         xi = np.clip((self.guess(s) - low) / half - 1.0, -1.0, 1.0)
         for _ in range(5):
             length, speed = legendre.legval(xi, series, tensor=False)
@@ -103,10 +102,14 @@ class ArcLengthTable:
 
 
 def tabulate(speed: Callable[[RealArray], RealArray], end: float) -> ArcLengthTable:
-    """The arc length of a curve with ``speed`` ds/du [m] above zero for the parameter from 0 to ``end``.
+    """Return the arc length of a curve as a table.
+
+    Args:
+        speed: u (N,) → ds/du (N,) [m], positive.
+        end: the parameter u runs from 0 to ``end``.
 
     Raises:
-        TrajectoryError: the curve is too elongated to be resolved.
+        TrajectoryError: the curve is so elongated that the series do not converge on `MOST_PANELS` panels.
     """
     edges = _panels(speed, end)
     # the speed's series on every panel, integrated from the panel's start
@@ -126,12 +129,12 @@ def tabulate(speed: Callable[[RealArray], RealArray], end: float) -> ArcLengthTa
 
 
 def _panels(speed: Callable[[RealArray], RealArray], end: float) -> RealArray:
-    """Edges of panels on each of which the speed is resolved, found by halving."""
-    # panels are resolved from left to right, so that their edges ascend
+    """Return the edges (P + 1,) of panels on which the series of the speed converges, found by bisection."""
+    # from left to right, so that the edges ascend
     waiting, edges = [(0.0, end)], [0.0]
     rounding = ROUNDING * float(np.max(speed(np.linspace(0.0, end, 8 * NODES))))
     while waiting:
-        # the last coefficients tell whether the series has converged
+        # small last coefficients: the series has converged
         a, b = waiting.pop()
         size = np.abs(_expansion(speed, a, b))
         if np.sum(size[-2:]) <= max(TAIL * np.max(size), rounding):

@@ -1,7 +1,7 @@
 """Blends: smooth corners of the pick-and-place path.
 
-A blend starts at the origin along the lift (second axis), turns by 90 degrees and ends at (width, height) along the
-crossing (first axis). Its curvature is zero at both ends. A new kind is a class here and a line in `BLENDS`.
+A blend starts at the origin in the direction of the lift (second axis), turns by 90 degrees and ends at (width, height) in the
+direction of the crossing (first axis). Its curvature is zero at both ends. To add a kind, write a class and add it to `BLENDS`.
 
 Sources: C. J. Barnard, S. Briot, S. Caro, ESDA 2012, section 3 (all three); W. Nelson, *Continuous-curvature paths for
 autonomous vehicles*, ICRA 1989 (polar polynomial).
@@ -26,8 +26,8 @@ QUARTER = 0.5 * math.pi
 """The turning of a blend [rad]."""
 
 LOWEST_RATIO, HIGHEST_RATIO = 0.5621, 1.7790
-"""Limits of a clothoid pair's e/d, exclusive. The geometry ends at 0.561948 and 1.779526, where one part of the pair has
-vanished and a single clothoid is left; these limits keep the shorter part at more than 0.03 degrees of turning."""
+"""Limits of a clothoid pair's e/d, exclusive. At 0.561948 and 1.779526 one clothoid of the pair vanishes; within these limits the
+shorter one turns by more than 0.03 degrees."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Blend(ABC):
         width: e [m].
 
     Raises:
-        TrajectoryError: no such blend exists.
+        TrajectoryError: height or width is not positive and finite, or no blend of this kind has this ratio e/d.
     """
 
     height: float
@@ -59,8 +59,8 @@ class Blend(ABC):
 class LameBlend(Blend):
     """Lamé curve of order three: ((e - x)/e)³ + (y/d)³ = 1.
 
-    The parametrisation (e - x)/e, y/d = (cos t, sin t) / (cos³t + sin³t)^(1/3) is analytic over the closed quarter,
-    so that all one-sided derivatives at the ends are exact, and symmetric in the two axes.
+    The parametrisation ((e - x)/e, y/d) = (cos t, sin t) / (cos³t + sin³t)^(1/3), 0 ≤ t ≤ π/2, is analytic up to both ends, so
+    that all one-sided derivatives there are exact. It is symmetric in the two axes.
     """
 
     @cached_property
@@ -78,7 +78,7 @@ class LameBlend(Blend):
 class PolarPolynomial(Blend):
     """Polar polynomial r(φ) = R (1 + φ²/2 - φ³/Φ + φ⁴/(2Φ²)) with Φ = π/2, scaled to d and e.
 
-    Where d and e differ the blend is the affine image of the symmetric one.
+    For d ≠ e the blend is the affine image of the symmetric one.
     """
 
     @cached_property
@@ -115,7 +115,7 @@ class Clothoid:
         across, along = fresnel(s / unit)
         if order == 0:
             return Jet(unit * across[None]), Jet(unit * along[None])
-        # the tangent is known in closed form; its integral's constant is the position
+        # integrate the tangent, known in closed form, from the position
         fraction = Jet.variable(s, order - 1) / self.length
         sine, cosine = sincos(self.turning * fraction * fraction)
         return sine.integrate(unit * across), cosine.integrate(unit * along)
@@ -123,14 +123,14 @@ class Clothoid:
 
 @dataclass(frozen=True)
 class ClothoidPair(Blend):
-    """Two clothoids with the curvature 0 → k → 0, linear in arc length on each, turning α and π/2 - α.
+    """Two clothoids that turn by α and π/2 - α; the curvature rises linearly in arc length from 0 to k and falls back to 0.
 
-    It exists for 0.5621 < e/d < 1.7790.
+    The pair exists for 0.5621 < e/d < 1.7790.
     """
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        # beyond these ratios no two clothoids have these extents
+        # beyond these limits there is no such pair
         ratio = self.width / self.height
         if not LOWEST_RATIO < ratio < HIGHEST_RATIO:
             raise TrajectoryError(
@@ -141,7 +141,7 @@ class ClothoidPair(Blend):
 
     @cached_property
     def first_turning(self) -> float:
-        """α [rad]: how far the first clothoid turns; π/4 when e = d."""
+        """α [rad], the turning of the first clothoid; π/4 for e = d."""
         from scipy.optimize import brentq  # here, since reading a scene needs no scipy
 
         ratio = self.width / self.height
@@ -150,34 +150,34 @@ class ClothoidPair(Blend):
     @cached_property
     def curve(self) -> PiecewiseCurve:
         """See `Blend`."""
-        # both clothoids end with the same radius of curvature, which follows from the area e d
+        # both clothoids have the same smallest radius of curvature, which scales the unit pair to the area e d
         first = self.first_turning
         width, height = unit_extent(first)
         radius = math.sqrt(self.width * self.height / (width * height))
         rising = Clothoid(2.0 * first * radius, first)
         falling = Clothoid(2.0 * (QUARTER - first) * radius, QUARTER - first)
-        # the second one is run through backwards, from the end of the blend
+        # the second one starts at the end of the blend and is traversed backwards
         end = PlacedPiece(falling, (self.width, self.height), (0.0, -1.0), (-1.0, 0.0), backwards=True)
         return PiecewiseCurve((rising, end))
 
 
 def unit_extent(first_turning: float) -> tuple[float, float]:
-    """Width and height of the pair with peak curvature 1 whose first clothoid turns by ``first_turning`` [rad]."""
+    """Return width and height of the clothoid pair with peak curvature 1 whose first clothoid turns by ``first_turning`` [rad]."""
     from scipy.special import fresnel
 
     def end(turning: float) -> tuple[float, float]:
-        """Across and along the start tangent."""
+        """End point of a clothoid, across and along its start tangent."""
         across, along = fresnel(math.sqrt(turning / QUARTER))
         unit = 2.0 * math.sqrt(turning * QUARTER)
         return unit * float(across), unit * float(along)
 
-    # the second one is seen from the other end, its axes exchanged
+    # the second one, traversed backwards, has the axes exchanged
     (across_1, along_1), (across_2, along_2) = end(first_turning), end(QUARTER - first_turning)
     return across_1 + along_2, along_1 + across_2
 
 
 def aspect_ratio(first_turning: float) -> float:
-    """e/d of the pair whose first clothoid turns by ``first_turning`` [rad], falling from 1.7795 to 0.5619."""
+    """Return e/d of the clothoid pair whose first clothoid turns by ``first_turning`` [rad]; it falls from 1.7795 to 0.5619."""
     width, height = unit_extent(first_turning)
     return width / height
 
@@ -187,7 +187,7 @@ class BlendKind(NamedTuple):
 
     Attributes:
         label: name in the report.
-        make: from height d and width e [m] to the blend.
+        make: (height d, width e) [m] → blend.
     """
 
     label: str
@@ -199,4 +199,4 @@ BLENDS: Mapping[str, BlendKind] = {
     "clothoid": BlendKind("clothoid", ClothoidPair),
     "polar": BlendKind("polar polynomial", PolarPolynomial),
 }
-"""Name in the scene file → the blend."""
+"""Name in the scene file → kind of blend."""

@@ -1,7 +1,7 @@
 """Plane curves by arc length: smooth pieces, and curves composed of them.
 
-Derivatives by arc length need no formula of their own: the arc length's series in the curve's parameter is integrated from
-the speed's and reverted, and the coordinates' series are composed with it.
+Derivatives by arc length come from series in the curve's parameter: the series of the speed is integrated to that of the arc
+length and reverted, then the series of the coordinates are composed with it.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Side: TypeAlias = Literal["left", "right"]
 """Which one-sided limit to take where a derivative jumps."""
 
 PlaneJets: TypeAlias = tuple[Jet, Jet]
-"""The two coordinates of a point as jets of the same order and shape."""
+"""Coordinates of points as two jets of the same order and shape."""
 
 Point: TypeAlias = tuple[float, float]
 
 
 class Piece(Protocol):
-    """A curve with derivatives of every order, one-sided ones at its ends included."""
+    """A smooth curve, with one-sided derivatives of every order at its ends."""
 
     @property
     def length(self) -> float:
@@ -36,7 +36,7 @@ class Piece(Protocol):
         ...
 
     def jets(self, s: RealArray, order: int) -> PlaneJets:
-        """Coordinates [m] and their derivatives by arc length at s [m], shape (N,), between 0 and the length."""
+        """Return coordinates [m] and their derivatives by arc length at s (N,) [m], from 0 to the length."""
         ...
 
 
@@ -53,10 +53,10 @@ class StraightLine:
 
 @dataclass(frozen=True, eq=False)
 class ParametricPiece:
-    """A smooth curve with a regular parametrisation, evaluated by its exact arc length.
+    """A smooth curve with a regular parametrisation, evaluated by arc length.
 
     Attributes:
-        curve: coordinates [m] as jets from the parameter as a jet.
+        curve: jet of the parameter → jets of the coordinates [m].
         end: the parameter runs from 0 to ``end``.
     """
 
@@ -92,13 +92,13 @@ class ParametricPiece:
 
 @dataclass(frozen=True, eq=False)
 class PlacedPiece:
-    """A piece moved to an origin with other axes, and run backwards if ``backwards``.
+    """A piece placed in the plane, and traversed backwards if ``backwards``.
 
     Attributes:
         piece: the piece in its own axes.
-        origin: where its origin goes [m].
-        first, second: where its unit axes go.
-        backwards: whether arc length counts from its end.
+        origin: position of the piece's origin [m].
+        first, second: directions of the piece's axes, unit vectors.
+        backwards: whether arc length counts from the end of ``piece``.
     """
 
     piece: Piece
@@ -114,17 +114,17 @@ class PlacedPiece:
 
     def jets(self, s: RealArray, order: int) -> PlaneJets:
         """See `Piece`."""
-        # run backwards, derivatives of odd order change their signs
+        # traversed backwards, derivatives of odd order change sign
         own = self.own_arc_length(Jet.variable(s, order))
         u, v = self.piece.jets(own.value, order)
         return self.moved((u.rescale(-1.0), v.rescale(-1.0)) if self.backwards else (u, v))
 
     def own_arc_length(self, s: Jet) -> Jet:
-        """Arc length in the piece's own direction [m]."""
+        """Return the arc length counted in the direction of ``piece`` [m]."""
         return self.length - s if self.backwards else s
 
     def moved(self, point: PlaneJets) -> PlaneJets:
-        """A point of the piece [m] where it has been moved to."""
+        """Transform points from the axes of ``piece`` to the plane [m]."""
         u, v = point
         x, y = (u * self.first[i] + v * self.second[i] + self.origin[i] for i in (0, 1))
         return x, y
@@ -132,17 +132,17 @@ class PlacedPiece:
 
 @dataclass(frozen=True)
 class PiecewiseCurve:
-    """Smooth pieces one after the other, continuous in position.
+    """A sequence of smooth pieces, continuous in position.
 
     Attributes:
-        pieces: at least one piece; each begins where the one before ends.
+        pieces: at least one; each begins at the end point of the one before.
     """
 
     pieces: tuple[Piece, ...]
 
     @cached_property
     def edges(self) -> RealArray:
-        """Arc length [m] at the pieces' ends, 0 and the length included, shape (pieces + 1,)."""
+        """Arc lengths [m] at the ends of the pieces, from 0 to the length, shape (pieces + 1,)."""
         return np.concatenate([[0.0], np.cumsum([piece.length for piece in self.pieces])])
 
     @property
@@ -156,7 +156,7 @@ class PiecewiseCurve:
         return tuple(self.edges[1:-1].tolist())
 
     def jets(self, s: ArrayLike, order: int = 2, side: Side = "right") -> PlaneJets:
-        """Coordinates [m] and their derivatives by arc length.
+        """Return coordinates [m] and their derivatives by arc length, as jets of shape (N,).
 
         Args:
             s: arc length [m] from 0 to the length, a number or shape (N,).
@@ -164,7 +164,7 @@ class PiecewiseCurve:
             side: the one-sided limit at knots.
 
         Raises:
-            TrajectoryError: s is off the curve.
+            TrajectoryError: s is not between 0 and the length, the order is negative, or ``side`` is unknown.
         """
         s, order = within("arc length", s, self.length, "m"), checked_order(order)
         index = np.searchsorted(np.asarray(self.knots), s, side=checked_side(side))
@@ -178,7 +178,7 @@ class PiecewiseCurve:
 
 
 def checked_side(side: Side) -> Side:
-    """``side`` if it is one; TrajectoryError otherwise."""
+    """Return ``side``; raise TrajectoryError if it is neither "left" nor "right"."""
     if side not in ("left", "right"):
         raise TrajectoryError(f'side must be "left" or "right", got {side!r}')
     return side

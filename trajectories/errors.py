@@ -1,5 +1,5 @@
-"""The one exception of this package, and the checks of what a user gives: each returns the value or raises it, with value,
-unit and remedy."""
+"""The exception of this package, and checks of arguments: each returns the checked value or raises a `TrajectoryError` with value,
+unit and limits."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class TrajectoryError(ValueError):
-    """A trajectory that cannot be planned or evaluated as asked.
+    """A trajectory can't be planned or evaluated with these arguments.
 
-    The message is one line with the value, where it was found, its unit, the limits, and what to change.
+    The message is one line: the value with its unit and place, the limits, and what to change.
     """
 
 
 def positive(name: str, value: float, unit: str) -> float:
-    """A finite number above zero."""
+    """Return a number; raise TrajectoryError unless it is finite and above zero."""
     if not (math.isfinite(value) and value > 0.0):
         raise TrajectoryError(f"{name} must be above zero and finite, got {value:g} {unit}")
     return float(value)
 
 
 def plane_vector(name: str, value: ArrayLike, unit: str) -> tuple[float, float]:
-    """Two finite components."""
+    """Return two components; raise TrajectoryError unless both are finite numbers."""
     vector = np.asarray(value, dtype=float)
     if vector.shape != (2,) or not np.all(np.isfinite(vector)):
         raise TrajectoryError(f"{name} must be two finite numbers [{unit}], got {value!r}")
@@ -32,7 +32,7 @@ def plane_vector(name: str, value: ArrayLike, unit: str) -> tuple[float, float]:
 
 
 def times(value: ArrayLike) -> NDArray[np.float64]:
-    """Finite times [s] as an array of shape (N,)."""
+    """Return times [s] as an array of shape (N,); raise TrajectoryError unless all are finite."""
     time = np.atleast_1d(np.asarray(value, dtype=float))
     if time.ndim != 1:
         raise TrajectoryError(f"times must be one number or an array of shape (N,), got shape {time.shape}")
@@ -43,7 +43,7 @@ def times(value: ArrayLike) -> NDArray[np.float64]:
 
 
 def within(name: str, value: ArrayLike, limit: float, unit: str) -> NDArray[np.float64]:
-    """Numbers between 0 and ``limit`` as an array of shape (N,)."""
+    """Return numbers as an array of at least one axis; raise TrajectoryError unless all are between 0 and ``limit``."""
     values = np.atleast_1d(np.asarray(value, dtype=float))
     bad = np.flatnonzero(~((values >= 0.0) & (values <= limit)))
     if bad.size:

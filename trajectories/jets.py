@@ -1,8 +1,8 @@
 """Jets: truncated Taylor series in one variable, for exact derivatives of any order.
 
-A jet holds the normalised Taylor coefficients c_k = f^(k)/k! of a function at a point, for many points at once. Each
-operation propagates the coefficients by a recurrence that costs O(order²), so that derivatives of a composite formula
-are as exact as its value: no finite differences, no symbolic expressions.
+A jet consists of the normalised Taylor coefficients c_k = f^(k)/k! of a function, at many points at once. Every operation is a
+recurrence for the coefficients of its result, at a cost of O(order²) (composition and reversion O(order³)). Derivatives of a
+formula are as exact as its value, without finite differences or symbolic expressions.
 
 Source of the recurrences: A. Griewank, A. Walther, *Evaluating Derivatives*, 2nd edition, SIAM 2008, section 13.2,
 tables 13.1 (arithmetic, roots and powers) and 13.2 (sine and cosine).
@@ -28,17 +28,20 @@ Indices: TypeAlias = NDArray[np.intp]
 class Jet:
     """Taylor series of a function of one variable, truncated after ``order``, at an array of points.
 
-    Jets combine with jets, numbers and arrays by ``+ - * /``; numbers and arrays are constants. Where the orders
-    differ the result has the lower one, since more isn't known.
+    The operators ``+ - * /`` take jets, numbers and arrays; numbers and arrays are constants. The result has the lower order of
+    the two operands.
 
     Attributes:
-        coefficients: normalised Taylor coefficients f^(k)/k!, shape (order + 1, ...); in the function's unit over
-            the k-th power of the variable's unit.
+        coefficients: normalised Taylor coefficients f^(k)/k!, shape (order + 1, ...), the k-th in the function's unit divided
+            by the k-th power of the variable's unit.
+
+    Raises:
+        TrajectoryError: there is no coefficient, or a jet is divided by zero.
     """
 
     coefficients: RealArray
 
-    # numpy leaves `array * jet` to the jet
+    # makes numpy delegate `array * jet` to `Jet.__rmul__`
     __array_ufunc__ = None
 
     def __post_init__(self) -> None:
@@ -47,7 +50,7 @@ class Jet:
 
     @classmethod
     def constant(cls, value: ArrayLike, order: int) -> Jet:
-        """The series of a constant ``value``, any shape."""
+        """Return the series of a constant ``value`` of any shape."""
         value = np.asarray(value, dtype=float)
         coefficients = np.zeros((checked_order(order) + 1, *value.shape))
         coefficients[0] = value
@@ -55,24 +58,24 @@ class Jet:
 
     @classmethod
     def variable(cls, value: ArrayLike, order: int) -> Jet:
-        """The series of the variable itself at ``value``, any shape: value, 1, 0, 0, ..."""
+        """Return the series of the variable itself at ``value`` of any shape: value, 1, 0, 0, ..."""
         jet = cls.constant(value, order)
         jet.coefficients[1:2] = 1.0
         return jet
 
     @classmethod
     def from_derivatives(cls, derivatives: ArrayLike) -> Jet:
-        """The series of a function with this value and these derivatives, shape (order + 1, ...)."""
+        """Return the series of a function from its value and derivatives f^(k), shape (order + 1, ...)."""
         derivatives = np.asarray(derivatives, dtype=float)
         return cls(derivatives / _factorials(derivatives))
 
     def derivatives(self) -> RealArray:
-        """Value and derivatives f^(k), shape (order + 1, ...)."""
+        """Return value and derivatives f^(k), shape (order + 1, ...)."""
         return self.coefficients * _factorials(self.coefficients)
 
     @property
     def order(self) -> int:
-        """Order of the highest derivative known."""
+        """Order of the highest derivative."""
         return len(self.coefficients) - 1
 
     @property
@@ -86,20 +89,20 @@ class Jet:
         return np.asarray(self.coefficients[0])
 
     def differentiate(self) -> Jet:
-        """The derivative's series, one order lower."""
+        """Return the series of the derivative, one order lower; raise TrajectoryError for a jet of order 0."""
         if self.order == 0:
             raise TrajectoryError("a jet of order 0 has no derivative; ask for order 1 or more")
         return Jet(self.coefficients[1:] * _column(np.arange(1.0, self.order + 1), self.coefficients))
 
     def integrate(self, value: ArrayLike = 0.0) -> Jet:
-        """The antiderivative's series that has ``value`` here, one order higher."""
-        # coefficients move up by one, each divided by its new order
+        """Return the series of the antiderivative that is ``value`` at the point, one order higher."""
+        # each coefficient moves up by one order and is divided by it
         first = np.broadcast_to(np.asarray(value, dtype=float), self.shape)
         rest = self.coefficients / _column(np.arange(1.0, self.order + 2), self.coefficients)
         return Jet(np.concatenate([first[None], rest]))
 
     def rescale(self, factor: float) -> Jet:
-        """The series of f(factor · x) as a function of x: the old variable is ``factor`` times the new one."""
+        """Return the series of f(factor · x) in x: the old variable is ``factor`` times the new one."""
         return Jet(self.coefficients * _column(factor ** np.arange(self.order + 1.0), self.coefficients))
 
     def __neg__(self) -> Jet:
@@ -110,7 +113,7 @@ class Jet:
             order = min(self.order, other.order)
             a, b = _aligned(self, other.coefficients.ndim), _aligned(other, self.coefficients.ndim)
             return Jet(a[: order + 1] + b[: order + 1])
-        # a constant changes the value alone
+        # a constant changes only the value
         constant = np.asarray(other, dtype=float)
         a = _aligned(self, constant.ndim + 1)
         v = np.empty((self.order + 1, *np.broadcast_shapes(a.shape[1:], constant.shape)))
@@ -160,8 +163,8 @@ class Jet:
 
 
 def sqrt(u: Jet) -> Jet:
-    """Square root of a jet with values above zero; a value of zero is valid at order 0 only."""
-    # a root of zero has no derivative
+    """Return the square root of a jet with values above zero, at order 0 also zero; TrajectoryError for others."""
+    # the root has no derivative at zero
     lowest = u.value if u.order == 0 else np.where(u.value > 0.0, u.value, -1.0)
     _require(u.value, lowest >= 0.0, "square root", "above zero")
     v = np.empty_like(u.coefficients)
@@ -173,7 +176,7 @@ def sqrt(u: Jet) -> Jet:
 
 
 def power(u: Jet, exponent: float) -> Jet:
-    """Real power of a jet with values above zero."""
+    """Return a real power of a jet with values above zero; TrajectoryError for others."""
     _require(u.value, u.value > 0.0, "real power", "above zero")
     slope = _slopes(u.coefficients)
     v = np.empty_like(u.coefficients)
@@ -188,7 +191,7 @@ def power(u: Jet, exponent: float) -> Jet:
 
 
 def sincos(u: Jet) -> tuple[Jet, Jet]:
-    """Sine and cosine of a jet in radians, which need each other's coefficients."""
+    """Return sine and cosine of a jet in radians; one recurrence yields both."""
     slope = _slopes(u.coefficients)
     s, c = np.empty_like(slope), np.empty_like(slope)
     # s' = c u' and c' = -s u', solved for the coefficients in ascending order
@@ -200,42 +203,42 @@ def sincos(u: Jet) -> tuple[Jet, Jet]:
 
 
 def sin(u: Jet) -> Jet:
-    """Sine of a jet in radians."""
+    """Return the sine of a jet in radians."""
     return sincos(u)[0]
 
 
 def cos(u: Jet) -> Jet:
-    """Cosine of a jet in radians."""
+    """Return the cosine of a jet in radians."""
     return sincos(u)[1]
 
 
 def arctan2(y: Jet, x: Jet) -> Jet:
-    """Angle of the point (x, y) [rad], principal value in (-π, π]; the point must not be the origin.
+    """Return the angle of the point (x, y) [rad], in [-π, π]; TrajectoryError at the origin for orders above 0.
 
     Its derivative is (x y' - y x') / (x² + y²).
     """
     angle = np.arctan2(y.value, x.value)
     if min(x.order, y.order) == 0:
         return Jet(angle[None])
-    # derivative by the quotient, value by the angle itself
+    # integrate the derivative from the angle
     rate = (x * y.differentiate() - y * x.differentiate()) / (x * x + y * y)
     return rate.integrate(angle)
 
 
 def compose(outer: Jet, inner: Jet) -> Jet:
-    """The series of outer(inner(t)) in t; ``outer`` is a series about the value of ``inner``.
+    """Return the series of outer(inner(t)) in t; ``outer`` is a series about the value of ``inner``.
 
-    ``outer`` may have leading axes that ``inner`` lacks, as in shapes (order + 1, 2, N) and (order + 1, N).
+    ``outer`` may have more axes than ``inner``, for example coefficients (order + 1, 2, N) and (order + 1, N).
     """
     order = min(outer.order, inner.order)
     terms, increment = outer.coefficients, _aligned(inner, outer.coefficients.ndim)
     shape = np.broadcast_shapes(terms.shape[1:], increment.shape[1:])
-    # Horner's scheme from the highest term that isn't zero; the increment has no constant, so each round adds an order
+    # Horner's scheme from the highest nonzero term; the increment has no constant term, so that each round adds one order
     highest = next((k for k in range(order, 0, -1) if terms[k].any()), 0)
     result = np.zeros((order + 1, *shape))
     result[0] = terms[highest]
     for k in range(highest - 1, -1, -1):
-        # the product with the increment, to the order that is complete after this round
+        # multiply by the increment, up to the order reached in this round
         rows = order + 1 - k
         raised = np.zeros((order + 1, *shape))
         for j in range(1, rows):
@@ -246,10 +249,10 @@ def compose(outer: Jet, inner: Jet) -> Jet:
 
 
 def revert(series: Jet) -> Jet:
-    """The inverse function's series without its constant: from s(u) about u₀ to u - u₀ as a function of s about s₀.
+    """Return the series of the inverse function without its constant: u - u₀ in s - s₀, from s in u - u₀.
 
-    The first derivative must not be zero. By Lagrange's inversion formula the k-th coefficient is (1/k) times the
-    (k-1)-th coefficient of ((u - u₀) / (s - s₀))^k.
+    By Lagrange's inversion formula its k-th coefficient is 1/k times the (k-1)-th coefficient of ((u - u₀) / (s - s₀))^k. A first
+    derivative of zero is a TrajectoryError.
     """
     if series.order == 0:
         return Jet(np.zeros_like(series.coefficients))
@@ -264,37 +267,37 @@ def revert(series: Jet) -> Jet:
 
 
 def stack(jets: tuple[Jet, ...]) -> Jet:
-    """One jet of shape (len(jets), ...) from jets of the same shape, cut to their lowest order."""
+    """Stack jets of the same shape (...) to one jet of shape (len(jets), ...), truncated to their lowest order."""
     order = min(jet.order for jet in jets)
     return Jet(np.stack([jet.coefficients[: order + 1] for jet in jets], axis=1))
 
 
 def joined(jets: Sequence[Jet]) -> Jet:
-    """One jet of shape (N,) from jets of the same order and shapes (N₁,), (N₂,), ..."""
+    """Concatenate jets of the same order and shapes (N₁,), (N₂,), ... to one jet of shape (N,)."""
     return Jet(np.concatenate([jet.coefficients for jet in jets], axis=1))
 
 
 def unstack(pair: Jet) -> tuple[Jet, Jet]:
-    """The two jets that `stack` made one of shape (2, ...) from."""
+    """Split a jet of shape (2, ...) into two jets of shape (...); the inverse of `stack`."""
     return Jet(pair.coefficients[:, 0]), Jet(pair.coefficients[:, 1])
 
 
 def checked_order(order: int) -> int:
-    """``order`` if it is a whole number of zero or more; TrajectoryError otherwise."""
+    """Return ``order``; raise TrajectoryError unless it is an integer of at least 0."""
     if isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 0:
         raise TrajectoryError(f"the order of a derivative must be a whole number of at least 0, got {order!r}")
     return int(order)
 
 
 def _convolve(a: RealArray, b: RealArray) -> RealArray | float:
-    """Σ a_j b_(n-1-j) over the first axis of two arrays of n rows; 0 where there are no rows."""
+    """Return Σ a_j b_(n-1-j) over the first axis of two arrays with n rows; 0 for n = 0."""
     if len(a) == 0:
         return 0.0
     return np.asarray((a * b[::-1]).sum(axis=0))
 
 
 def _slopes(coefficients: RealArray) -> RealArray:
-    """k c_k, shape of the coefficients."""
+    """Return k c_k in the shape of the coefficients."""
     return coefficients * _column(np.arange(float(len(coefficients))), coefficients)
 
 
@@ -303,22 +306,22 @@ def _factorials(coefficients: RealArray) -> RealArray:
 
 
 def _column(values: RealArray, like: RealArray) -> RealArray:
-    """``values`` along the first axis, shaped to multiply ``like``."""
+    """Return ``values`` (n,) with trailing axes of length 1, so that they broadcast with ``like`` (n, ...)."""
     return values.reshape(-1, *(1,) * (like.ndim - 1))
 
 
 def _aligned(jet: Jet, ndim: int) -> RealArray:
-    """Coefficients with at least ``ndim`` axes: axes of length 1 behind the first, as points broadcast from the last."""
-    # points broadcast from the last axis, as numpy does, and coefficients stay first
+    """Return the coefficients with at least ``ndim`` axes; axes of length 1 are inserted after the first."""
+    # the axes of points broadcast from the last one, as in numpy; the axis of coefficients stays the first
     missing = max(0, ndim - jet.coefficients.ndim)
     return jet.coefficients.reshape(len(jet.coefficients), *(1,) * missing, *jet.shape)
 
 
 def _require(value: RealArray, valid: NDArray[np.bool_], operation: str, requirement: str) -> None:
-    """Refuse an operation where a value isn't ``valid`` (NaN never is), naming the first such value."""
+    """Raise TrajectoryError unless all values are ``valid`` (NaN never is); the message has the first invalid one."""
     if np.all(valid):
         return
-    # the first of the values that are wrong
+    # the first invalid value
     index = np.unravel_index(int(np.argmin(valid)), value.shape)
     where = f" at index {', '.join(map(str, index))}" if value.ndim else ""
     raise TrajectoryError(f"{operation} of a jet needs values {requirement}, got {value[index]}{where}")

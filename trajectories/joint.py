@@ -1,8 +1,8 @@
 """Joint trajectories through the mechanism's inverse kinematics, checked along the whole path while planning.
 
-Inverse kinematics gives angles modulo 2π; samples along the path, unwrapped, say which turn each belongs to. A margin is
-evaluated at the same samples; around its local minima the grid is refined until the minimum cannot fall below what is
-required any more, or its place is exact.
+Inverse kinematics gives angles modulo 2π. Unwrapped samples along the path determine the multiple of 2π at every instant.
+Margins are evaluated at the same samples. Around each local minimum the grid is refined until the margin can no longer fall
+below its required value, or the minimum is located to rounding.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from flexfmu.trajectories.jets import Jet, RealArray, checked_order
 from flexfmu.trajectories.trajectory import Trajectory, limits
 
 SAMPLES_PER_INTERVAL = 200
-"""Points between two breakpoints at which margins and angles are evaluated first; between two of them a margin has at
-most one minimum."""
+"""Initial samples of margins and angles between two breakpoints, so dense that a margin has at most one minimum between two of
+them."""
 
 LARGEST_TURN = 1.0
-"""Angle [rad] that a joint may turn between two samples, far below the π at which turns become ambiguous; where it turns
-more, next to a base, samples are added."""
+"""Largest rotation of a joint between two samples [rad], far below π, where unwrapping becomes ambiguous. Samples are added where a
+joint turns further, as happens near a base."""
 
 REFINEMENTS = 24
-"""Rounds in which the neighbourhood of a critical margin shrinks to a quarter: its time is exact to 1e-14 of the
-interval, which is below the rounding of the margin itself."""
+"""Rounds of refinement; in each the neighbourhood of a minimum shrinks to a quarter. The time of the minimum is then exact to 1e-14
+of the interval, and the error of the margin is below its rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Margin:
-    """A distance from what a motion must avoid, such as the workspace's boundary or a singularity.
+    """A measure of the distance from a workspace boundary or a singularity, at N positions.
 
     Attributes:
-        name: what is measured, for messages.
+        name: name of the measure, for messages.
         unit: unit of the values.
-        values: margin at each position, shape (N,); NaN where it isn't defined counts as a violation.
-        required: least admissible value.
+        values: margin at each position, shape (N,); NaN, for an undefined margin, counts as a violation.
+        required: smallest admissible value.
     """
 
     name: str
@@ -51,29 +51,29 @@ class Margin:
 
 
 class InverseKinematics(Protocol):
-    """From the end effector to the actuated joints."""
+    """Inverse kinematics and safety margins of a mechanism."""
 
     def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
-        """Jets of q11 and q21 [rad] from jets of the end effector's x and y [m]; angles modulo 2π."""
+        """Return jets of q11 and q21 [rad], modulo 2π, from jets of the end effector's x and y [m]."""
         ...
 
     def margins(self, position: RealArray) -> tuple[Margin, ...]:
-        """Margins at positions (x, y) [m], shape (N, 2), inside the workspace and outside."""
+        """Return all margins at end-effector positions (N, 2) [m], which may be outside the workspace."""
         ...
 
 
 @dataclass(frozen=True)
 class JointTrajectory:
-    """q11 and q21 [rad] in time, continuous along the path.
+    """Joint angles q11 and q21 [rad] of a motion of the end effector, continuous in time (without jumps of 2π).
 
-    Planning checks the margins along the whole path.
+    The constructor checks the margins along the whole path.
 
     Attributes:
         task: motion of the end effector, x and y [m].
         kinematics: the mechanism's inverse kinematics.
 
     Raises:
-        TrajectoryError: the path leaves the workspace or comes too near to a singularity.
+        TrajectoryError: the path leaves the workspace or comes too close to a singularity.
     """
 
     task: Trajectory
@@ -89,11 +89,11 @@ class JointTrajectory:
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
-        """Times [s] at which some derivative may jump: those of the motion of the end effector."""
+        """Times [s] at which a derivative may jump: the breakpoints of ``task``."""
         return self.task.breakpoints
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """q11 and q21 [rad] and their time derivatives; see `Trajectory.evaluate`."""
+        """Return q11 and q21 [rad] and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""
         time = times(time)
         return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
 
@@ -104,7 +104,7 @@ class JointTrajectory:
         motion = Jet.from_derivatives(limits(self.task, time, left, checked_order(order)))
         x, y = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))
         result = np.stack([joint.derivatives() for joint in self.kinematics.joints(x, y)], axis=-1)
-        # whole turns are added that bring the angles to within π of those between the samples
+        # add the multiple of 2π that is nearest to the interpolated samples
         sample_times, angles = self._samples
         near = np.stack([np.interp(time, sample_times, angle) for angle in angles.T], axis=-1)
         result[0] = result[0] + 2.0 * np.pi * np.round((near - result[0]) / (2.0 * np.pi))
@@ -122,7 +122,7 @@ class JointTrajectory:
         for _ in range(REFINEMENTS):
             joints = self.kinematics.joints(Jet(positions[None, :, 0]), Jet(positions[None, :, 1]))
             angles = np.unwrap(np.stack([joint.value for joint in joints], axis=-1), axis=0)
-            # more samples where a joint turns so far between two that the turn is ambiguous
+            # add samples where a joint turns too far between two of them to be unwrapped reliably
             wide = np.flatnonzero(np.max(np.abs(np.diff(angles, axis=0)), axis=1) > LARGEST_TURN)
             if not wide.size:
                 break
@@ -132,7 +132,7 @@ class JointTrajectory:
 
 
 def sampled_positions(task: Trajectory) -> tuple[RealArray, RealArray]:
-    """Times [s], shape (N,), from 0 to the duration with all breakpoints, and positions [m] there, shape (N, 2)."""
+    """Return sample times (N,) [s] from 0 to the duration, breakpoints included, and end-effector positions (N, 2) [m]."""
     spans = [np.linspace(a, b, SAMPLES_PER_INTERVAL, endpoint=False) for a, b in pairwise(task.breakpoints)]
     time = np.concatenate([*spans, [task.duration]])
     return time, np.asarray(task.evaluate(time, 0)[0])
@@ -141,17 +141,17 @@ def sampled_positions(task: Trajectory) -> tuple[RealArray, RealArray]:
 def check_margins(
     task: Trajectory, kinematics: InverseKinematics, samples: tuple[RealArray, RealArray] | None = None
 ) -> None:
-    """Refuse a motion along which a margin falls below what it requires.
+    """Check that no margin falls below its required value during a motion.
 
     Args:
         task: motion of the end effector.
         kinematics: the mechanism's inverse kinematics.
-        samples: what `sampled_positions` returns for the motion, where that is known.
+        samples: result of `sampled_positions` for the motion, if it is known already.
 
     Raises:
-        TrajectoryError: names the margin, its worst point and time, its value there and what is required.
+        TrajectoryError: a margin is too small; the message has its name, smallest value, time, position and required value.
     """
-    # every margin that falls short, with its worst point
+    # all violated margins, each with its minimum
     time, positions = sampled_positions(task) if samples is None else samples
     violations = []
     for index, margin in enumerate(kinematics.margins(positions)):
@@ -160,7 +160,7 @@ def check_margins(
             violations.append((not np.isfinite(worst), index, margin, worst_time, worst))
     if not violations:
         return
-    # margins with a value first: an undefined one follows from them
+    # report finite margins first, since they are the cause of undefined ones
     _, _, margin, worst_time, worst = min(violations, key=lambda violation: violation[:2])
     unit = "" if margin.unit in ("", "1") else f" {margin.unit}"
     found = f"{worst:.6g}{unit}" if np.isfinite(worst) else "undefined"
@@ -174,27 +174,27 @@ def check_margins(
 def _smallest(
     task: Trajectory, kinematics: InverseKinematics, index: int, time: RealArray, values: RealArray, required: float
 ) -> tuple[float, float]:
-    """Time [s] and value of the smallest margin number ``index``, refined around the samples' local minima.
+    """Return time [s] and value of the minimum of margin number ``index``, refined around the local minima of the samples.
 
-    Around a minimum a convex margin rises by more than it may still fall between the samples; where that is less
-    than what is left above ``required``, it won't get there.
+    Near a minimum the margin is convex: between two samples it falls by less than it rises at the neighbouring ones. If that rise
+    is smaller than the distance to ``required``, the margin can't fall below it, and refinement ends.
     """
 
     def defined(margins: RealArray) -> RealArray:
         return np.where(np.isnan(margins), -np.inf, margins)
 
-    # local minima of the samples, each with its neighbours; undefined is the smallest of all
+    # local minima of the samples, each with its neighbours; an undefined margin counts as -infinity
     values = defined(values)
     padded = np.concatenate([[np.inf], values, [np.inf]])
     minima = np.flatnonzero((values <= padded[:-2]) & (values < padded[2:]))
     low, high = time[np.maximum(minima - 1, 0)], time[np.minimum(minima + 1, len(time) - 1)]
     best = time[minima], values[minima]
-    # no refinement where two samples on either side rise by less than what is left
+    # no refinement where the margin rises by less within two samples than its distance to the required value
     around = values[np.clip(minima + np.arange(-2, 3)[:, None], 0, len(values) - 1)]
     with np.errstate(invalid="ignore"):
         is_far = np.all(np.max(around, axis=0) - best[1] < best[1] - required)
     for _ in range(0 if is_far else REFINEMENTS):
-        # nine points in each neighbourhood, all minima at once
+        # nine points in each neighbourhood, for all minima at once
         grid = low + (high - low) * np.linspace(0.0, 1.0, 9)[:, None]
         positions = task.evaluate(grid.ravel(), 0)[0]
         found = defined(kinematics.margins(positions)[index].values).reshape(grid.shape)
@@ -204,7 +204,7 @@ def _smallest(
             spread = np.max(found, axis=0) - best[1]
         if np.all(spread < best[1] - required):
             break
-        # the neighbourhood shrinks to a quarter around the smallest
+        # shrink each neighbourhood to a quarter, around its smallest margin
         quarter = 0.125 * (high - low)
         low, high = np.maximum(low, best[0] - quarter), np.minimum(high, best[0] + quarter)
     worst = int(np.argmin(best[1]))

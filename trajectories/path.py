@@ -21,21 +21,24 @@ from flexfmu.trajectories.curves import (
 from flexfmu.trajectories.errors import TrajectoryError, plane_vector, positive
 
 FIT = 1e-12
-"""Relative excess of a blend over the room for it that counts as rounding, and remainder that leaves no straight part."""
+"""Relative tolerance for rounding: by so much a blend may exceed its limit, and straight parts shorter than this are left out."""
 
 
 @dataclass(frozen=True)
 class PickAndPlacePath:
-    """Goes from ``start`` along ``lift`` by ``height``, crosses by ``width`` and comes back by ``height``.
+    """A path from ``start`` along ``lift`` by ``height``, across by ``width``, and back down by ``height``.
 
     The crossing is perpendicular to the lift, towards positive x; for a lift along x, towards positive y.
 
     Attributes:
         start: start point (x, y) [m].
-        lift: direction of the lift, any vector but zero; its length doesn't matter.
+        lift: direction of the lift, a nonzero vector of any length.
         height: height of the lift [m], at least that of the blend.
         width: distance between start and end [m], at least twice the width of the blend.
-        blend: both corners; the second is the first's mirror image.
+        blend: shape of both corners; the second corner is the mirror image of the first.
+
+    Raises:
+        TrajectoryError: a value is not finite or not positive, the lift is (0, 0), or the blends do not fit.
     """
 
     start: Point
@@ -45,7 +48,7 @@ class PickAndPlacePath:
     blend: Blend
 
     def __post_init__(self) -> None:
-        # kept as plain pairs, whatever sequences they were
+        # store plain pairs of any sequences
         object.__setattr__(self, "start", plane_vector("path start", self.start, "m"))
         object.__setattr__(self, "lift", plane_vector("path lift", self.lift, "1"))
         if self.lift == (0.0, 0.0):
@@ -59,7 +62,7 @@ class PickAndPlacePath:
     @property
     def lift_direction(self) -> Point:
         """Unit vector along the lift."""
-        # scaled first, so that squares neither overflow nor vanish
+        # scale first, so that squares neither overflow nor underflow
         largest = max(abs(self.lift[0]), abs(self.lift[1]))
         x, y = self.lift[0] / largest, self.lift[1] / largest
         return x / math.hypot(x, y), y / math.hypot(x, y)
@@ -74,7 +77,7 @@ class PickAndPlacePath:
 
     @cached_property
     def curve(self) -> PiecewiseCurve:
-        """The path by arc length, straight parts of no length left out."""
+        """The path by arc length; straight parts of length zero are left out."""
         lift, across = self.lift_direction, self.crossing_direction
         back = -across[0], -across[1]
         rise, run = self.height - self.blend.height, self.width - 2.0 * self.blend.width
@@ -84,9 +87,9 @@ class PickAndPlacePath:
         # up, with the corner on top of the straight part
         pieces = [PlacedPiece(piece, self.start, across, lift) for piece in upright]
         pieces += [PlacedPiece(piece, self._point(0.0, rise), across, lift) for piece in corner]
-        # across; a straight line runs along its second axis
+        # across; the second axis of a straight line is its direction
         pieces += [PlacedPiece(piece, self._point(self.blend.width, self.height), lift, across) for piece in level]
-        # down, as the mirror image of up and run through backwards
+        # down: the mirror image of the way up, traversed backwards
         pieces += [PlacedPiece(piece, self._point(self.width, rise), back, lift, True) for piece in reversed(corner)]
         pieces += [PlacedPiece(piece, self.end, back, lift, True) for piece in upright]
         return PiecewiseCurve(tuple(pieces))
@@ -98,7 +101,7 @@ class PickAndPlacePath:
 
     @property
     def knots(self) -> tuple[float, ...]:
-        """Arc lengths [m] at which derivatives of some order jump."""
+        """Arc lengths [m] at which a derivative of some order jumps."""
         return self.curve.knots
 
     @property
@@ -107,11 +110,11 @@ class PickAndPlacePath:
         return self._point(self.width, 0.0)
 
     def jets(self, s: ArrayLike, order: int = 2, side: Side = "right") -> PlaneJets:
-        """x and y [m] and their derivatives by arc length at s [m]; see `PiecewiseCurve.jets`."""
+        """Return x and y [m] and their derivatives by arc length at s [m]; see `PiecewiseCurve.jets`."""
         return self.curve.jets(s, order, side)
 
     def _point(self, across: float, up: float) -> Point:
-        """The point at so many metres along the crossing and the lift."""
+        """Return the point (x, y) [m] at distances ``across`` along the crossing and ``up`` along the lift from the start [m]."""
         (cx, cy), (lx, ly) = self.crossing_direction, self.lift_direction
         return self.start[0] + across * cx + up * lx, self.start[1] + across * cy + up * ly
 

@@ -1,7 +1,7 @@
 """Motion profiles: the fraction of the path σ as a function of the fraction of the duration η.
 
-A profile is made of smooth pieces, each of which gives its Taylor series at any point, so that derivatives of every order
-are exact. A new profile is a class here and a line in `PROFILES`, with its name in scene files and its parameters there.
+A profile consists of smooth pieces. Each returns its Taylor series at any point, so that derivatives of every order are exact.
+To add a profile, write a class and add it to `PROFILES` with its name in scene files and its parameters.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SmoothPiece(Protocol):
 
 @dataclass(frozen=True)
 class ProfilePiece:
-    """A polynomial σ(η) for start ≤ η ≤ end, expanded about ``centre`` so that it is accurate there.
+    """A polynomial σ(η) for start ≤ η ≤ end in powers of η - centre; rounding errors are smallest near ``centre``.
 
     Attributes:
         start, end: fractions of the duration.
@@ -56,7 +56,7 @@ class ProfilePiece:
 
     def jet(self, eta: RealArray, order: int) -> Jet:
         """σ and its derivatives by η at the fractions ``eta``, shape (N,)."""
-        # powers of the distance from the centre, times binomial coefficients
+        # powers of η - centre, times a matrix of binomial coefficients
         powers = np.ones((len(self.coefficients), *eta.shape))
         powers[1:] = eta - self.centre
         np.multiply.accumulate(powers, axis=0, out=powers)
@@ -72,11 +72,11 @@ class ProfilePiece:
 
 
 class Profile(Protocol):
-    """A monotonic motion from σ(0) = 0 to σ(1) = 1, at rest at both ends, piecewise smooth."""
+    """A piecewise smooth, monotonic σ(η) from σ(0) = 0 to σ(1) = 1, with zero velocity at both ends."""
 
     @property
     def pieces(self) -> tuple[SmoothPiece, ...]:
-        """In the order of time, from 0 to 1."""
+        """The pieces in ascending order; together they cover 0 to 1."""
         ...
 
     @property
@@ -87,11 +87,11 @@ class Profile(Protocol):
 
 @dataclass(frozen=True)
 class SeventhDegreePolynomial:
-    """σ = 35 η⁴ - 84 η⁵ + 70 η⁶ - 20 η⁷: velocity, acceleration and jerk are zero at both ends."""
+    """Seventh-degree polynomial σ = 35 η⁴ - 84 η⁵ + 70 η⁶ - 20 η⁷: velocity, acceleration and jerk are zero at both ends."""
 
     @property
     def pieces(self) -> tuple[ProfilePiece, ...]:
-        """One polynomial, expanded about both ends."""
+        """The polynomial twice: expanded about 0 for the first half, about 1 for the second."""
         return _symmetric((0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0), 0.5)
 
     @property
@@ -102,7 +102,7 @@ class SeventhDegreePolynomial:
 
 @dataclass(frozen=True)
 class BangBang:
-    """Constant acceleration 4 to the middle, then -4: the shortest motion within a limit of the acceleration."""
+    """Bang-bang: d²σ/dη² = 4 in the first half, -4 in the second; the shortest motion for a given largest acceleration."""
 
     @property
     def pieces(self) -> tuple[ProfilePiece, ...]:
@@ -117,13 +117,13 @@ class BangBang:
 
 @dataclass(frozen=True)
 class Parameter:
-    """The range of a profile's parameter, which is a fraction of the duration: above < parameter ≤ at_most."""
+    """Range of a profile parameter: above < parameter ≤ at_most, as fractions of the duration."""
 
     above: float
     at_most: float
 
     def check(self, name: str, value: float) -> None:
-        """Raise TrajectoryError for a value that is out of range or no number."""
+        """Raise TrajectoryError for a value out of range or NaN."""
         if not self.above < value <= self.at_most:
             raise TrajectoryError(
                 f"{name} must be above {self.above:g} and at most {self.at_most:g} of the duration, got {value:g}"
@@ -131,7 +131,7 @@ class Parameter:
 
 
 RAMP = Parameter(above=0.0, at_most=0.5)
-"""Two ramps fill the duration at most."""
+"""Range of a ramp's duration; at 0.5 two ramps fill the whole duration."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +140,9 @@ class Trapezoidal:
 
     Attributes:
         ramp: duration of each of the two ramps as a fraction of the whole duration, 0 < ramp ≤ 0.5.
+
+    Raises:
+        TrajectoryError: the ramp is out of range.
     """
 
     ramp: float
@@ -150,7 +153,7 @@ class Trapezoidal:
     @property
     def pieces(self) -> tuple[ProfilePiece, ...]:
         """Two parabolas, and a straight line between them unless the ramps fill the duration."""
-        # the area under the velocity is 1
+        # velocity from the area under it, which is 1
         velocity = 1.0 / (1.0 - self.ramp)
         first, last = _symmetric((0.0, 0.0, 0.5 * velocity / self.ramp), self.ramp)
         middle = ProfilePiece(self.ramp, 1.0 - self.ramp, 0.5, (0.5, velocity))
@@ -168,8 +171,8 @@ class ProfileKind:
 
     Attributes:
         label: name in the report.
-        make: from the parameters, by their names, to the profile.
-        parameters: name in the scene file → range; parameters of the same name have the same range in all kinds.
+        make: parameters as keyword arguments → profile.
+        parameters: name in the scene file → range; a name has the same range in all kinds.
     """
 
     label: str
@@ -182,13 +185,23 @@ PROFILES: Mapping[str, ProfileKind] = {
     "bang-bang": ProfileKind("bang-bang", BangBang),
     "trapezoidal": ProfileKind("trapezoidal", Trapezoidal, {"ramp": RAMP}),
 }
-"""Name in the scene file → the profile."""
+"""Name in the scene file → kind of profile."""
 
 
 def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Side = "right") -> Jet:
-    """σ and its derivatives by η at the fractions ``eta`` of the duration, 0 to 1, a number or shape (N,)."""
+    """Return σ and its derivatives by η as a jet of shape (N,).
+
+    Args:
+        profile: the motion profile.
+        eta: fractions of the duration, 0 to 1, a number or shape (N,).
+        order: order of the highest derivative, any.
+        side: the one-sided limit where pieces meet.
+
+    Raises:
+        TrajectoryError: a fraction is out of range, the order is negative, or ``side`` is unknown.
+    """
     eta, order = within("fraction of the duration", eta, 1.0, "(the whole)"), checked_order(order)
-    # each piece for all fractions in it at once
+    # each piece at all of its fractions at once
     index = np.searchsorted([piece.start for piece in profile.pieces[1:]], eta, side=checked_side(side))
     coefficients = np.empty((order + 1, len(eta)))
     for i in np.unique(index):
@@ -197,10 +210,10 @@ def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Sid
 
 
 def time_at(profile: Profile, fraction: float) -> float:
-    """The fraction of the duration at which the profile passes ``fraction`` of the path, 0 to 1 exclusive."""
+    """Return the fraction of the duration η at which σ(η) = ``fraction``, 0 < ``fraction`` < 1."""
     from scipy.optimize import brentq  # here, since reading a scene needs no scipy
 
-    # a profile is monotonic, so that there is one root
+    # one root, since a profile is monotonic
     pieces = profile.pieces
     starts = [piece.start for piece in pieces[1:]]
 
@@ -215,7 +228,7 @@ def time_at(profile: Profile, fraction: float) -> float:
 
 @cache
 def _shifted(coefficients: tuple[float, ...], order: int) -> RealArray:
-    """(order + 1, n) matrix from the powers of x to the polynomial's normalised Taylor coefficients at x."""
+    """Return the (order + 1, n) matrix from powers of x to the normalised Taylor coefficients of a polynomial at x."""
     # (x + t)^j has C(j, k) x^(j-k) as its coefficient of t^k
     matrix = np.zeros((order + 1, len(coefficients)))
     for j, coefficient in enumerate(coefficients):
@@ -225,8 +238,8 @@ def _shifted(coefficients: tuple[float, ...], order: int) -> RealArray:
 
 
 def _symmetric(coefficients: tuple[float, ...], end: float) -> tuple[ProfilePiece, ProfilePiece]:
-    """A piece from 0 to ``end`` expanded about 0, and its point reflection that ends at 1: 1 - σ(1 - η)."""
-    # in powers of η - 1, odd coefficients stay and even ones change their signs
+    """Return a piece from 0 to ``end`` expanded about 0, and its point reflection 1 - σ(1 - η), expanded about 1."""
+    # in powers of η - 1, even coefficients change sign
     reflected = [-c * (-1.0) ** k for k, c in enumerate(coefficients)]
     reflected[0] += 1.0
     return ProfilePiece(0.0, end, 0.0, coefficients), ProfilePiece(1.0 - end, 1.0, 1.0, tuple(reflected))

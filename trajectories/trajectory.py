@@ -1,7 +1,7 @@
 """Trajectories: motion in time, with one-sided derivatives of any order at its breakpoints.
 
-Between breakpoints a motion along a path is analytic: the profile's series in time goes into the curve's series by arc
-length. Breakpoints are the profile's jumps and the times at which the path's knots are passed.
+Breakpoints are the jumps of the profile and the times at which the motion passes knots of the path. Between them the motion is
+analytic: its series is the composition of the curve's series in arc length with the profile's series in time.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile, SmoothPiece, time_at
 
 SAME_TIME = 1e-12
-"""Fraction of the duration within which two times are the same: breakpoints that near are merged, and a time that
-near to a breakpoint is at the breakpoint. Far above the rounding of integer ticks, far below any communication step."""
+"""Fraction of the duration within which two times count as equal: such breakpoints are merged, and a time so close to a breakpoint
+is at the breakpoint. Far above the rounding of integer ticks, far below any communication step."""
 
 
 class Trajectory(Protocol):
@@ -36,43 +36,43 @@ class Trajectory(Protocol):
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
-        """Times [s] at which some derivative may jump, sorted, 0 and ``duration`` included."""
+        """Times [s] at which a derivative of some order may jump, ascending from 0 to ``duration``."""
         ...
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Value and time derivatives.
+        """Return the coordinates and their time derivatives.
 
         Args:
             time: a number or shape (N,) [s]; a number counts as N = 1.
             order: order of the highest derivative, any.
-            side: the one-sided limit at breakpoints. At 0 the left one is standstill, at ``duration`` the right one.
+            side: the one-sided limit at breakpoints. The left limit at 0 and the right limit at ``duration`` are standstill.
 
         Returns:
             Coordinates and their derivatives (not divided by factorials), shape (order + 1, N, 2).
 
         Raises:
-            TrajectoryError: a time isn't finite, or the order is negative.
+            TrajectoryError: a time isn't finite, the order is negative, or ``side`` is unknown.
         """
         ...
 
 
 @runtime_checkable
 class HasLimits(Protocol):
-    """A trajectory that evaluates left limits at some instants and right limits at others in one call."""
+    """A trajectory that evaluates left limits at some times and right limits at others in one call."""
 
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
-        """Value and time derivatives, as `Trajectory.evaluate` gives them.
+        """Return the coordinates and their time derivatives, (order + 1, N, 2), as `Trajectory.evaluate` does.
 
         Args:
             time: shape (N,) [s].
-            left: shape (N,), where to take left limits instead of right ones.
+            left: shape (N,), True for the left limit, False for the right one.
             order: order of the highest derivative, any.
         """
         ...
 
 
 def limits(trajectory: Trajectory, time: RealArray, left: NDArray[np.bool_], order: int) -> RealArray:
-    """One-sided limits of any trajectory, see `HasLimits`."""
+    """Return one-sided limits of any trajectory, (order + 1, N, 2); see `HasLimits`."""
     if isinstance(trajectory, HasLimits):
         return trajectory.limits(time, left, order)
     result = trajectory.evaluate(time, order, "right")
@@ -85,10 +85,10 @@ class Interval(NamedTuple):
     """A time interval in which the motion is analytic.
 
     Attributes:
-        start: when it begins [s].
-        profile: piece of the profile that holds in it.
-        piece: piece of the path that is passed in it.
-        piece_start: arc length of the path at which that piece begins [m].
+        start: time at its start [s].
+        profile: piece of the profile in this interval.
+        piece: piece of the path in this interval.
+        piece_start: arc length of the path at the start of ``piece`` [m].
     """
 
     start: float
@@ -99,12 +99,15 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True)
 class TaskTrajectory:
-    """A path, run through with a profile within a duration: x and y [m] in time.
+    """Motion of the end effector along a path with a motion profile: x and y [m] in time.
 
     Attributes:
         path: the path.
         profile: fraction of the path as a function of the fraction of the duration.
         duration: duration of the motion [s].
+
+    Raises:
+        TrajectoryError: the duration is not finite or not positive.
     """
 
     path: PickAndPlacePath
@@ -116,24 +119,24 @@ class TaskTrajectory:
 
     @cached_property
     def breakpoints(self) -> tuple[float, ...]:
-        """Times [s] of the profile's jumps and of the path's knots, 0 and the duration, sorted."""
-        # jumps first: a knot that is passed at a jump is merged into it
+        """Times [s] of the profile's jumps and of the path's knots, ascending from 0 to the duration."""
+        # jumps first, so that a knot passed at the time of a jump is merged into it
         passages = [time_at(self.profile, knot / self.path.length) for knot in self.path.knots]
         return tuple(self.duration * eta for eta in merged([0.0, 1.0], [*self.profile.jumps, *passages]))
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """x and y [m] and their time derivatives; see `Trajectory.evaluate`."""
+        """Return x and y [m] and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""
         time = times(time)
         return self.limits(time, np.full(time.shape, checked_side(side) == "left"), order)
 
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `HasLimits`."""
         time, order = times(time), checked_order(order)
-        # the interval of each time: -1 before the motion, their number after it
+        # index of the interval of each time: -1 before the motion, the number of intervals after it
         tolerance = SAME_TIME * self.duration
         starts = np.array([interval.start for interval in self._intervals] + [self.duration])
         index = np.searchsorted(starts, time + np.where(left, -tolerance, tolerance), side="right") - 1
-        # standstill outside, and within the motion the intervals with the same curve together
+        # standstill outside the motion; within it, intervals on congruent curves are evaluated together
         result = np.zeros((order + 1, len(time), 2))
         result[0, index < 0] = self.path.start
         result[0, index == len(self._intervals)] = self.path.end
@@ -143,16 +146,16 @@ class TaskTrajectory:
         return result
 
     def _move(self, parts: Sequence[tuple[Interval, Indices]], time: RealArray, order: int, result: RealArray) -> None:
-        """Derivatives within intervals whose curves are congruent, which takes as many calls as for one interval."""
+        """Write the derivatives within intervals on congruent curves to ``result``, with one evaluation of the curve for all."""
         if not parts:
             return
-        # arc lengths in time, in the direction of the curve itself
+        # series of the arc length in time, in the direction of the unplaced piece
         arcs = []
         for interval, where in parts:
             fraction = interval.profile.jet(time[where] / self.duration, order).rescale(1.0 / self.duration)
             arcs.append(interval.piece.own_arc_length(fraction * self.path.length - interval.piece_start))
         s = joined(arcs)
-        # the curve at all of them, then each part moved to its place
+        # evaluate the curve at all arc lengths, then place each part
         piece = parts[0][0].piece.piece
         points = compose(stack(piece.jets(np.clip(s.value, 0.0, piece.length), order)), s)
         begin = 0
@@ -163,20 +166,20 @@ class TaskTrajectory:
 
     @cached_property
     def _congruent(self) -> tuple[tuple[tuple[int, Interval], ...], ...]:
-        """Intervals with their indices, those together whose pieces are the same but for their places."""
+        """Intervals with their indices, grouped by congruent pieces (equal except for their placement)."""
         pieces = {id(interval.piece.piece): interval.piece.piece for interval in self._intervals}
         numbered = tuple(enumerate(self._intervals))
         return tuple(tuple(each for each in numbered if each[1].piece.piece is piece) for piece in pieces.values())
 
     @cached_property
     def _intervals(self) -> tuple[Interval, ...]:
-        """Intervals between breakpoints, split also where the profile changes its expansion."""
-        # breakpoints first: a join of the profile that is a breakpoint is merged into it
+        """Intervals between breakpoints, further divided where pieces of the profile meet."""
+        # breakpoints first, so that a join of the profile at a breakpoint is merged into it
         joins = [piece.start for piece in self.profile.pieces[1:]]
         knots = [time / self.duration for time in self.breakpoints[1:-1]]
         curve, intervals = self.path.curve, []
         for start, end in pairwise(merged([0.0, 1.0], [*knots, *joins])):
-            # the middle is away from all joins, so that profile and curve are the interval's own
+            # the midpoint identifies the pieces of profile and curve without ambiguity
             middle = np.array([0.5 * (start + end)])
             profile = next(piece for piece in self.profile.pieces if middle[0] <= piece.end)
             index = int(np.searchsorted(curve.knots, profile.jet(middle, 0).value[0] * curve.length))
@@ -188,7 +191,7 @@ class TaskTrajectory:
 
 
 def merged(kept: Sequence[float], others: Sequence[float], near: float = SAME_TIME) -> tuple[float, ...]:
-    """Times, ascending: the kept ones, and of the others those that are not within ``near`` of one before."""
+    """Merge times: return all of ``kept`` and those of ``others`` that are further than ``near`` from every earlier one, ascending."""
     found = list(kept)
     for time in others:
         if min(abs(time - other) for other in found) > near:

@@ -1,4 +1,4 @@
-"""Input shapers: impulse sequences against vibration, and motions convolved with them."""
+"""Input shapers: impulse sequences that suppress residual vibration, and motions convolved with them."""
 
 from flexfmu.trajectories.shapers.catalogue import SHAPERS, design
 from flexfmu.trajectories.shapers.extra_insensitive import extra_insensitive

@@ -1,4 +1,4 @@
-"""The shapers by their names, as scene files and tables write them."""
+"""Shapers by the names that scene files and tables use."""
 
 from __future__ import annotations
 
@@ -21,14 +21,18 @@ SHAPERS: Mapping[str, Callable[[Oscillator], ImpulseSequence]] = {
     "zvddd": lambda mode: zero_vibration(mode, 3),
     "3-hump-ei": lambda mode: extra_insensitive(mode, humps=3),
 }
-"""Name → shaper for one mode, the shortest first; EI shapers tolerate 5 %."""
+"""Name → shaper for one mode, the shortest first; the tolerance of EI shapers is 5 %."""
 
 
 def design(name: str, modes: Sequence[Oscillator]) -> ImpulseSequence:
-    """A shaper of the catalogue for one or several modes; for several the sequences for each are convolved.
+    """Design a shaper of the catalogue; for several modes, the sequences for each mode are convolved.
+
+    Args:
+        name: key of `SHAPERS`.
+        modes: vibration modes to suppress, at least one.
 
     Raises:
-        TrajectoryError: the name isn't in the catalogue, there is no mode, or the shaper doesn't exist for it.
+        TrajectoryError: the name isn't in the catalogue, there is no mode, or no such shaper exists for a mode.
     """
     if name not in SHAPERS:
         raise TrajectoryError(f"shaper must be one of {', '.join(SHAPERS)}; got {name!r}")

@@ -1,8 +1,7 @@
-"""Impulse sequences: what an input shaper convolves a motion with, the vibration that it is designed against, and what it
-leaves of it.
+"""Impulse sequences of input shapers, the vibration modes they are designed for, and their residual vibration.
 
-A sequence Σ A_i δ(t - T_i) multiplies a mode's response by |Σ A_i exp(-p T_i)|, p being the mode's pole: the residual
-vibration, from which all figures here follow (N. C. Singer, W. P. Seering, "Preshaping Command Inputs to Reduce System
+An input shaper convolves a motion with a sequence Σ A_i δ(t - T_i). This multiplies the response of a mode with pole p by
+|Σ A_i exp(-p T_i)|, the residual vibration (N. C. Singer, W. P. Seering, "Preshaping Command Inputs to Reduce System
 Vibration", J. Dyn. Syst. Meas. Control 112, 1990).
 """
 
@@ -20,19 +19,19 @@ from flexfmu.trajectories.errors import TrajectoryError, positive
 from flexfmu.trajectories.jets import RealArray
 
 SUM_ROUNDING = 1e-9
-"""Deviation of the amplitudes' sum from 1 that counts as rounding of published figures."""
+"""Largest deviation of the amplitudes' sum from 1 that counts as rounding of published amplitudes."""
 
 SAME_IMPULSE = 1e-12
-"""Fraction of the duration within which two impulses of a convolution are one."""
+"""Fraction of the duration within which two impulses of a convolution coincide."""
 
 TOUCH = 1e-6
-"""Relative excess over a level that still counts as touching it: an EI shaper's hump meets its tolerance exactly."""
+"""Relative tolerance of a residual level: humps of EI shapers reach their tolerance exactly."""
 
 FURTHEST = 100.0
 """Multiple of the design frequency up to which the end of the insensitive range is searched."""
 
 FINENESS = 200
-"""Samples within 1/duration, the narrowest feature of a sensitivity curve."""
+"""Samples per 1/duration, which is the width of the narrowest feature of a sensitivity curve."""
 
 
 @dataclass(frozen=True)
@@ -65,19 +64,19 @@ class Oscillator:
         return 1.0 / (self.frequency * math.sqrt(1.0 - self.ratio**2))
 
     def decay(self, time: float) -> float:
-        """What is left of the amplitude after a time [s]: exp(-ζ ω t)."""
+        """Return the factor exp(-ζ ω t) by which the amplitude decays in a time t [s]."""
         return math.exp(-self.ratio * self.angular_frequency * time)
 
 
 def checked_ratio(ratio: float) -> float:
-    """A damping ratio from 0 to below 1."""
+    """Return a damping ratio; raise TrajectoryError unless 0 ≤ ratio < 1."""
     if not 0.0 <= ratio < 1.0:
         raise TrajectoryError(f"damping ratio must be at least 0 and below 1 (it has to vibrate), got {ratio:g}")
     return float(ratio)
 
 
 def checked_fraction(name: str, value: float) -> float:
-    """A number between 0 and 1, exclusive."""
+    """Return a number; raise TrajectoryError unless it is above 0 and below 1."""
     if not 0.0 < value < 1.0:
         raise TrajectoryError(f"{name} must be above 0 and below 1 (0.05 is 5 %), got {value:g}")
     return float(value)
@@ -85,14 +84,15 @@ def checked_fraction(name: str, value: float) -> float:
 
 @dataclass(frozen=True)
 class ImpulseSequence:
-    """Impulses A_i at times T_i; the first at 0, the amplitudes' sum is 1, so that a motion keeps its end point.
+    """Impulses A_i at times T_i, the first at 0. The amplitudes add up to 1, so that a shaped motion keeps its end point.
 
     Attributes:
         times: T_i [s], ascending from 0.
         amplitudes: A_i, negative ones allowed.
 
     Raises:
-        TrajectoryError: the impulses aren't of that kind.
+        TrajectoryError: times and amplitudes differ in number, the times don't ascend from 0, or the amplitudes don't add up
+            to 1.
     """
 
     times: tuple[float, ...]
@@ -104,10 +104,10 @@ class ImpulseSequence:
             raise TrajectoryError(
                 f"an impulse sequence needs as many times as amplitudes, at least one; got {len(times)} and {len(amplitudes)}"
             )
-        # the first impulse begins the motion
+        # the first impulse starts the motion
         if times[0] != 0.0 or any(a >= b for a, b in pairwise(times)):
             raise TrajectoryError(f"impulse times must start at 0 and ascend, got {_listed(times)} s")
-        # published amplitudes are rounded; what is left is scaled away
+        # published amplitudes are rounded: normalise their sum
         total = math.fsum(amplitudes)
         if not abs(total - 1.0) <= SUM_ROUNDING * max(1.0, math.fsum(map(abs, amplitudes))):
             raise TrajectoryError(
@@ -118,11 +118,11 @@ class ImpulseSequence:
 
     @property
     def duration(self) -> float:
-        """Time of the last impulse [s]: by this much a shaped motion is longer."""
+        """Time of the last impulse [s], by which shaping lengthens a motion."""
         return self.times[-1]
 
     def residual(self, frequency: ArrayLike, ratio: float = 0.0) -> RealArray:
-        """Residual vibration after the last impulse as a fraction of that of one impulse at time 0.
+        """Return the residual vibration after the last impulse, relative to that of a single impulse at time 0.
 
         V = exp(-ζ ω T_n) sqrt(C² + S²) with C = Σ A_i exp(ζ ω T_i) cos(ω sqrt(1-ζ²) T_i), S likewise with the sine
         (Singer and Seering, "Preshaping Command Inputs to Reduce System Vibration", J. Dyn. Syst. Meas. Control 112,
@@ -141,7 +141,7 @@ class ImpulseSequence:
             raise TrajectoryError(
                 f"frequencies must be zero or positive and finite, got {frequency[bad[0]]:g} Hz at index {bad[0]}"
             )
-        # relative to the last impulse, so that no exponent is above zero
+        # decay relative to the last impulse, so that no exponent has a positive real part
         omega = 2.0 * np.pi * frequency
         pole = complex(checked_ratio(ratio), math.sqrt(1.0 - ratio**2))
         exponents = np.outer(omega, pole * np.array(self.times) - ratio * self.duration)
@@ -150,7 +150,7 @@ class ImpulseSequence:
     def sensitivity_curve(
         self, frequency: float, ratio: float = 0.0, lowest: float = 0.5, highest: float = 1.5, points: int = 401
     ) -> tuple[RealArray, RealArray]:
-        """Residual vibration over the true frequency divided by the design frequency.
+        """Return the residual vibration over the ratio of true to design frequency.
 
         Args:
             frequency: design frequency [Hz].
@@ -159,22 +159,28 @@ class ImpulseSequence:
             points: number N of points.
 
         Returns:
-            Frequency ratios and residuals, each of shape (N,).
+            Frequency ratios and residuals, both (N,).
+
+        Raises:
+            TrajectoryError: a frequency or the damping ratio is out of range.
         """
         ratios = np.linspace(lowest, highest, points)
         return ratios, self.residual(positive("design frequency", frequency, "Hz") * ratios, ratio)
 
     def insensitivity(self, frequency: float, level: float = 0.05, ratio: float = 0.0) -> float:
-        """Width of the frequency range around the design frequency in which the residual stays at or below a level.
+        """Return the width of the range around the design frequency in which the residual is at most ``level``.
 
-        It is divided by the design frequency (Singhose, Seering and Singer, "Residual Vibration Reduction Using Vector
-        Diagrams to Generate Shaped Inputs", J. Mech. Des. 116, 1994): 0.4 means ±20 %. Zero where the residual at the
-        design frequency itself is above the level; infinite where no upper end is found below 100 times the frequency.
+        The width is divided by the design frequency: 0.4 means ±20 % (Singhose, Seering and Singer, "Residual Vibration
+        Reduction Using Vector Diagrams to Generate Shaped Inputs", J. Mech. Des. 116, 1994). It is zero if the residual at the
+        design frequency exceeds the level, infinite if the range has no upper end below 100 times that frequency.
 
         Args:
             frequency: design frequency [Hz].
             level: admissible residual, 0 to 1 exclusive.
             ratio: damping ratio.
+
+        Raises:
+            TrajectoryError: an argument is out of range.
         """
         positive("design frequency", frequency, "Hz")
         limit = checked_fraction("level", level) * (1.0 + TOUCH)
@@ -186,7 +192,7 @@ class ImpulseSequence:
         return (high - low) / frequency
 
     def _crossing(self, start: float, end: float, limit: float, ratio: float) -> float:
-        """The frequency [Hz] between ``start`` and ``end`` nearest to ``start`` from which the residual is above the limit."""
+        """Return the first frequency [Hz] from ``start`` towards ``end`` at which the residual exceeds the limit."""
         # a grid fine enough for the narrowest feature, then the root within one interval
         count = max(FINENESS, math.ceil(FINENESS * abs(end - start) * self.duration))
         grid = np.linspace(start, end, count + 1)
@@ -200,17 +206,14 @@ class ImpulseSequence:
         )
 
     def convolve(self, other: ImpulseSequence) -> ImpulseSequence:
-        """The sequence that acts like this one followed by the other: it cancels the modes of both.
-
-        Coinciding impulses are added up.
-        """
-        # every impulse of one sequence starts the other
+        """Return the convolution of both sequences, which cancels the modes of both; coinciding impulses are added."""
+        # products of all pairs of impulses
         pairs = sorted(
             (t1 + t2, a1 * a2)
             for t1, a1 in zip(self.times, self.amplitudes, strict=True)
             for t2, a2 in zip(other.times, other.amplitudes, strict=True)
         )
-        # impulses that coincide are added up
+        # add coinciding impulses
         near = SAME_IMPULSE * (self.duration + other.duration)
         times, amplitudes = [pairs[0][0]], [pairs[0][1]]
         for time, amplitude in pairs[1:]:
@@ -222,19 +225,22 @@ class ImpulseSequence:
         return ImpulseSequence(tuple(times), tuple(amplitudes))
 
     def split(self, sample_time: float) -> ImpulseSequence:
-        """The sequence for a sampled signal: each impulse is split over the two samples around its time.
+        """Return the sequence for a sampled signal: each impulse is split between the two samples around its time.
 
         The shares are linear in the distance (Murphy and Watanabe, "Digital Shaping Filters for Reducing Machine
-        Vibration", IEEE Trans. Robotics and Automation 8, 1992). An impulse moved to the nearest sample instead leaves
-        ten to twenty times the residual.
+        Vibration", IEEE Trans. Robotics and Automation 8, 1992). Moving each impulse to the nearest sample instead leaves ten
+        to twenty times the residual.
 
         Args:
-            sample_time: [s].
+            sample_time: sample time of the signal [s].
+
+        Raises:
+            TrajectoryError: the sample time is not finite or not positive.
         """
         positive("sample time", sample_time, "s")
         shares: dict[int, float] = {}
         for time, amplitude in zip(self.times, self.amplitudes, strict=True):
-            # impulses that share a sample are added up
+            # add impulses at the same sample
             sample, later = sample_share(time, sample_time)
             for index, share in ((sample, 1.0 - later), (sample + 1, later)):
                 if share:
@@ -244,8 +250,8 @@ class ImpulseSequence:
 
 
 def sample_share(time: float, sample_time: float) -> tuple[int, float]:
-    """The sample at or before a time [s], and the share of an impulse there that belongs to the next sample, 0 to 1."""
-    # an impulse that is at a sample but for rounding belongs to that sample alone
+    """Return the index of the sample at or before a time [s], and the share (0 to 1) of an impulse that the next sample gets."""
+    # an impulse within rounding of a sample belongs to that sample alone
     position = time / sample_time
     sample = math.floor(position + SAME_IMPULSE * max(position, 1.0))
     return sample, max(position - sample, 0.0)
@@ -263,4 +269,4 @@ def _listed(values: tuple[float, ...]) -> str:
 
 
 UNSHAPED = ImpulseSequence((0.0,), (1.0,))
-"""One impulse: the motion as it is."""
+"""One impulse at time 0, which leaves a motion unchanged."""

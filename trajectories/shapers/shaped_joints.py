@@ -1,7 +1,7 @@
-"""Shaping the joint references: the shaped motion, the end effector's motion that follows, and its distance from the path.
+"""Shaped joint references, the resulting motion of the rigid end effector, and its deviation from the path.
 
-A motion convolved with an impulse sequence is the sum Σ A_i q(t - T_i), which is evaluated as it stands, with all its
-derivatives. The rigid end effector leaves its path by a little, since the kinematics are not linear.
+The convolution of a motion q with an impulse sequence is Σ A_i q(t - T_i); its derivatives are sums of the same kind. As the
+kinematics are nonlinear, the rigid end effector deviates a little from its path.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory, merged
 
 POINTS_ON_PATH = 2000
-"""Points of the path among which the nearest one is found first; 0.2 mm apart on a path of 0.4 m."""
+"""Points of the path among which the nearest one is searched first; 0.2 mm apart on a path of 0.4 m."""
 
 POINTS_PER_INTERVAL = 60
-"""Instants between two breakpoints at which the distance is evaluated first."""
+"""Initial samples of the distance between two breakpoints."""
 
 NEWTON_STEPS = 6
-"""Steps to the foot of the perpendicular; quadratic convergence from 0.1 mm ends at rounding after four. The nearest of
-all points on the way counts, so that a step too far does no harm."""
+"""Newton steps to the foot of the perpendicular; convergence from 0.1 mm is quadratic and reaches rounding after four. The smallest
+distance of all iterates counts, so that an overshooting step does no harm."""
 
 FLATTEST = 0.1
-"""Smallest slope of Newton's method, 1 on a straight path; near the centre of a curve's curvature it vanishes."""
+"""Lower bound of the slope in Newton's method. The slope is 1 on a straight path and vanishes at a centre of curvature."""
 
 REFINEMENTS = 6
-"""Rounds in which the neighbourhood of the largest distance shrinks to a quarter, to a thousandth of a millisecond; the
-distance near its maximum changes with the square of that."""
+"""Rounds of refinement; in each the neighbourhood of the largest distance shrinks to a quarter, at last to about a microsecond. The
+error of the maximum is of the order of its square."""
 
 
 @dataclass(frozen=True)
 class ShapedTrajectory:
-    """Σ A_i q(t - T_i) for a motion q: on joint references it moves the end effector off its path a little.
+    """The shaped motion Σ A_i q(t - T_i) of a motion q.
 
     Attributes:
         trajectory: the motion q.
@@ -54,17 +54,17 @@ class ShapedTrajectory:
 
     @property
     def duration(self) -> float:
-        """Duration of the motion [s]: that of q and of the sequence."""
+        """Duration of the motion [s]: the sum of the durations of q and of the sequence."""
         return self.trajectory.duration + self.sequence.duration
 
     @cached_property
     def breakpoints(self) -> tuple[float, ...]:
-        """Times [s] at which some derivative may jump: those of q, shifted by every impulse."""
+        """Times [s] at which a derivative may jump: the breakpoints of q, delayed by the time of each impulse."""
         shifted = [point + delay for delay in self.sequence.times for point in self.trajectory.breakpoints]
         return merged([0.0, self.duration], shifted, 0.5 * SAME_TIME * self.trajectory.duration)
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """Coordinates and their time derivatives; see `flexfmu.trajectories.Trajectory.evaluate`."""
+        """Return the coordinates and their time derivatives, (order + 1, N, 2); see `flexfmu.trajectories.Trajectory.evaluate`."""
         # all delays in one call, then the weighted sum
         delayed = times(time) - np.array(self.sequence.times)[:, np.newaxis]
         parts = self.trajectory.evaluate(delayed.ravel(), checked_order(order), side)
@@ -73,16 +73,16 @@ class ShapedTrajectory:
 
 
 class ForwardKinematics(Protocol):
-    """From the actuated joints to the end effector."""
+    """Forward kinematics of a mechanism."""
 
     def end_effector(self, q11: Jet, q21: Jet) -> tuple[Jet, Jet]:
-        """Jets of the end effector's x and y [m] from jets of the joint angles [rad]."""
+        """Return jets of the end effector's x and y [m] from jets of the joint angles [rad]."""
         ...
 
 
 @dataclass(frozen=True)
 class EndEffectorTrajectory:
-    """x and y [m] of the rigid end effector in time, by forward kinematics.
+    """Motion of the rigid end effector, x and y [m], from the motion of the joints by forward kinematics.
 
     Attributes:
         joints: motion of the joints, q11 and q21 [rad].
@@ -99,11 +99,11 @@ class EndEffectorTrajectory:
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
-        """Times [s] at which some derivative may jump: those of the joints."""
+        """Times [s] at which a derivative may jump: the breakpoints of ``joints``."""
         return self.joints.breakpoints
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
-        """x and y [m] and their time derivatives; see `flexfmu.trajectories.Trajectory.evaluate`."""
+        """Return x and y [m] and their time derivatives, (order + 1, N, 2); see `flexfmu.trajectories.Trajectory.evaluate`."""
         # forward kinematics of the series in time
         motion = Jet.from_derivatives(self.joints.evaluate(time, checked_order(order), side))
         q11, q21 = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))
@@ -111,24 +111,24 @@ class EndEffectorTrajectory:
 
 
 def path_deviation(motion: Trajectory, path: PickAndPlacePath) -> float:
-    """Largest distance [m] of a motion's positions from the nearest point of the path.
+    """Return the largest distance [m] between the end effector and the nearest point of the path.
 
     Args:
-        motion: end effector, x and y [m] in time.
+        motion: motion of the end effector, x and y [m].
         path: the planned path.
     """
     arc_lengths = np.linspace(0.0, path.length, POINTS_ON_PATH)
     tree = cKDTree(np.stack([jet.value for jet in path.jets(arc_lengths, 0)], axis=-1))
 
     def distances(positions: RealArray) -> RealArray:
-        """From positions (N, 2) [m] to the path [m], shape (N,): from the nearest sample by Newton's method."""
+        """Return the distances (N,) [m] of positions (N, 2) [m] from the path, by Newton's method from the nearest sample."""
         distance, index = tree.query(positions)
         s = arc_lengths[index]
         for _ in range(NEWTON_STEPS):
             point, tangent, curvature = (
                 np.stack([x, y], axis=-1) for x, y in zip(*(jet.derivatives() for jet in path.jets(s, 2)), strict=True)
             )
-            # the foot of the perpendicular is where the offset has no part along the tangent
+            # at the foot of the perpendicular, offset and tangent are orthogonal
             offset = point - positions
             distance = np.minimum(distance, np.linalg.norm(offset, axis=-1))
             slope = np.sum(tangent**2 + offset * curvature, axis=-1)
@@ -136,12 +136,12 @@ def path_deviation(motion: Trajectory, path: PickAndPlacePath) -> float:
             s = np.clip(s - step, 0.0, path.length)
         return np.asarray(distance)
 
-    # the largest of the samples between breakpoints
+    # largest distance among the samples
     spans = [np.linspace(a, b, POINTS_PER_INTERVAL, endpoint=False) for a, b in pairwise(motion.breakpoints)]
     time = np.concatenate([*spans, [motion.duration]])
     distance = distances(motion.evaluate(time, 0)[0])
     worst = int(np.argmax(distance))
-    # then around it, on a finer grid in every round
+    # refine around it
     low, high = time[max(worst - 1, 0)], time[min(worst + 1, len(time) - 1)]
     largest = float(distance[worst])
     for _ in range(REFINEMENTS):

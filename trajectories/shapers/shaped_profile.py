@@ -1,7 +1,7 @@
-"""Shaping the motion along the path: the profile is shaped, so that the end effector keeps to the geometric path.
+"""Shaped motion profiles: the motion along the path is shaped, so that the end effector stays on the geometric path.
 
-The shaped profile Σ A_i σ((t - T_i) / T) is a profile again, over the longer duration T + T_n. Between two joins of any of
-the shifted profiles it is smooth, and its pieces are sums of theirs.
+The shaped profile Σ A_i σ((t - T_i) / T) is again a profile, over the longer duration T + T_n. Its pieces are sums of pieces of
+the delayed profiles, between the joins of all of them.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.trajectory import TaskTrajectory, merged
 
 BACKWARDS = 1e-9
-"""Slowest relative speed along the path that counts as going backwards, not as rounding."""
+"""Relative speed; a negative speed along the path of more than this is motion backwards, below it rounding."""
 
 SAMPLES, REFINEMENTS = 65, 3
-"""Points between two joins at which the speed is evaluated, and rounds in which the grid around its minimum is refined."""
+"""Samples of the speed between two joins, and rounds in which the grid is refined around its minimum."""
 
 
 @dataclass(frozen=True)
 class ShapedProfile:
-    """Σ A_i σ((t - T_i) / T) over the fraction of the longer duration T + T_n.
+    """The shaped profile Σ A_i σ((t - T_i) / T) as a function of the fraction of the longer duration T + T_n.
 
     Attributes:
         profile: σ.
         sequence: impulses A_i at T_i.
-        duration: duration T of the motion that is shaped [s].
+        duration: duration T of the unshaped motion [s].
 
     Raises:
-        TrajectoryError: negative impulses make the motion go backwards, which a motion along a path can't.
+        TrajectoryError: the duration is not positive, or negative impulses make the motion go backwards along its path.
     """
 
     profile: Profile
@@ -50,19 +50,19 @@ class ShapedProfile:
 
     @cached_property
     def pieces(self) -> tuple[SmoothPiece, ...]:
-        """Sums of shifted pieces between all shifted joins."""
-        # between two joins the same shifted pieces are under way
+        """Sums of delayed pieces, between the joins of all delayed profiles."""
+        # between two joins the sum has the same terms
         joins = self._shifted([edge for piece in self.profile.pieces for edge in (piece.start, piece.end)])
         pieces = []
         for start, end in pairwise(merged([0.0, 1.0], joins)):
-            # a shifted motion is under way, over, or has not begun
+            # a delayed motion has not begun, is in progress, or is finished
             terms, done = [], 0.0
             for delay, amplitude in zip(self._delays, self.sequence.amplitudes, strict=True):
                 inside = (0.5 * (start + end) - delay) / self._share
                 if 0.0 < inside < 1.0:
                     terms.append((amplitude, delay, next(p for p in self.profile.pieces if inside <= p.end)))
                 done += amplitude * (inside >= 1.0)
-            # the end is 1 to the last bit but one, whatever the amplitudes' sum is rounded to
+            # the profile ends at 1, independent of the rounding of the amplitudes' sum
             if end == 1.0:
                 done = 1.0 - sum(amplitude for amplitude, _, _ in terms)
             pieces.append(_Sum(start, end, tuple(terms), done, self._share))
@@ -70,7 +70,7 @@ class ShapedProfile:
 
     @cached_property
     def jumps(self) -> tuple[float, ...]:
-        """Fractions at which a derivative of some order jumps: shifted starts, ends and jumps."""
+        """Fractions at which a derivative of some order jumps: delayed starts, ends and jumps of the profile."""
         points = merged([0.0, 1.0], self._shifted([0.0, *self.profile.jumps, 1.0]))
         return points[1:-1]
 
@@ -81,16 +81,16 @@ class ShapedProfile:
 
     @property
     def _share(self) -> float:
-        """T as a fraction of the longer duration; the last impulse's motion ends at 1 exactly."""
+        """T as a fraction of the longer duration, computed so that the last delayed motion ends at 1 exactly."""
         return 1.0 - self._delays[-1]
 
     def _shifted(self, fractions: Sequence[float]) -> list[float]:
         return [delay + self._share * fraction for delay in self._delays for fraction in fractions]
 
     def _check_direction(self) -> None:
-        """Refuse a negative speed anywhere along the path."""
+        """Raise TrajectoryError for a negative speed anywhere along the path."""
         for piece in self.pieces:
-            # the smallest speed of a piece, surrounded by a finer grid in every round
+            # smallest speed of a piece, on grids refined around it
             eta = np.linspace(piece.start, piece.end, SAMPLES)
             for _ in range(REFINEMENTS):
                 slowest = int(np.argmin(piece.jet(eta, 1).derivatives()[1]))
@@ -108,12 +108,12 @@ class ShapedProfile:
 
 @dataclass(frozen=True)
 class _Sum:
-    """Σ A_i σ((η - delay_i) / share) + what is done, between two joins.
+    """A piece of the shaped profile between two joins: Σ A_i σ((η - delay_i) / share) + done.
 
     Attributes:
         start, end: fractions of the longer duration.
-        terms: amplitude, delay as a fraction of the longer duration, and the piece of σ that is under way.
-        done: sum of the amplitudes whose motion is over.
+        terms: for each delayed motion in progress: amplitude, delay as a fraction of the longer duration, piece of σ.
+        done: sum of the amplitudes of finished delayed motions.
         share: duration of σ as a fraction of the longer one.
     """
 
@@ -136,6 +136,6 @@ class _Sum:
 
 
 def shape_along_path(task: TaskTrajectory, sequence: ImpulseSequence) -> TaskTrajectory:
-    """The same path, run through with the shaped motion s(t); longer by the sequence's duration."""
+    """Return the motion along the same path with the shaped profile; it is longer by the duration of the sequence."""
     profile = ShapedProfile(task.profile, sequence, task.duration)
     return TaskTrajectory(task.path, profile, task.duration + sequence.duration)

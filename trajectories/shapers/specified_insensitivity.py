@@ -1,6 +1,6 @@
-"""Specified-insensitivity shapers: the shortest sequence whose residual stays tolerable over a frequency range.
+"""Specified-insensitivity shapers: the shortest sequence whose residual is tolerable over a frequency range.
 
-Found by optimisation over a sampled range (Singhose, Seering and Singer, "Input Shaping for Vibration Reduction with
+The sequence is found by optimisation over frequency samples (Singhose, Seering and Singer, "Input Shaping for Vibration Reduction with
 Specified Insensitivity to Modeling Errors", Japan-USA Symposium on Flexible Automation, 1996; Vaughan, Yano and Singhose,
 "Comparison of Robust Input Shapers", J. Sound and Vibration 315, 2008).
 """
@@ -20,16 +20,16 @@ from flexfmu.trajectories.shapers.extra_insensitive import chebyshev_amplitudes
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence, checked_fraction, checked_ratio
 
 MOST_IMPULSES = 10
-"""Impulses that are tried; enough for a range from half to twice a frequency at 5 %."""
+"""Largest number of impulses; enough for a range from half to twice a frequency at 5 %."""
 
 SAMPLES_PER_IMPULSE = 40
-"""Frequencies for each impulse at which the residual is limited while optimising; a hump spans about one impulse's share."""
+"""Frequency samples per impulse during the optimisation; a hump of the residual spans about so many."""
 
 DENSITY = 10
-"""How many times more frequencies the result is checked at."""
+"""Factor by which the final check has more frequency samples than the optimisation."""
 
 EXCESS = 1e-3
-"""Excess of the residual over the tolerance, relative to it, that is accepted between the sampled frequencies."""
+"""Accepted excess of the residual over the tolerance between the samples, relative to the tolerance."""
 
 SMALLEST_GAP = 0.05
 """Smallest distance of two impulses, in periods of the middle frequency."""
@@ -38,12 +38,12 @@ SMALLEST_GAP = 0.05
 def specified_insensitivity(
     lowest: float, highest: float, tolerance: float = 0.05, ratio: float = 0.0
 ) -> ImpulseSequence:
-    """The shortest sequence of positive impulses whose residual is at most a tolerance over a frequency range.
+    """Design the shortest sequence of positive impulses whose residual is at most a tolerance over a frequency range.
 
     Args:
         lowest, highest: the range of the natural frequency [Hz].
         tolerance: admissible residual, 0 to 1 exclusive.
-        ratio: damping ratio of all these oscillators.
+        ratio: damping ratio ζ, the same over the whole range.
 
     Raises:
         TrajectoryError: an argument is out of range, or ten impulses don't suffice.
@@ -53,7 +53,7 @@ def specified_insensitivity(
         raise TrajectoryError(f"highest frequency must be at least the lowest, {lowest:g} Hz, got {highest:g} Hz")
     checked_fraction("tolerable residual", tolerance)
     checked_ratio(ratio)
-    # one more impulse until the range is wide enough; each is judged at more frequencies than it was optimised for
+    # add impulses until the residual is tolerable over the whole range, checked on more samples than in the optimisation
     middle = 0.5 * (lowest + highest)
     for impulses in range(2, MOST_IMPULSES + 1):
         problem = _Problem(impulses, lowest / middle, highest / middle, tolerance, ratio)
@@ -68,7 +68,7 @@ def specified_insensitivity(
 
 @dataclass(frozen=True)
 class _Problem:
-    """Minimise the last impulse's time; times in periods of the middle frequency, frequencies divided by it."""
+    """Minimisation of the last impulse's time, in units of the middle frequency and its period."""
 
     impulses: int
     lowest: float
@@ -77,12 +77,12 @@ class _Problem:
     ratio: float
 
     def solve(self) -> tuple[RealArray, RealArray]:
-        """Amplitudes and times, each (N,); the tolerance may be missed where so few impulses can't keep it."""
+        """Return amplitudes and times, both (N,); with too few impulses the residual exceeds the tolerance."""
 
         def last_time(x: RealArray) -> float:
             return float(x[-1])
 
-        # the unknowns are all amplitudes and the times but the first; bounds and the other conditions are linear in them
+        # unknowns: all amplitudes, and all times but the first; goal, bounds, order and sum are linear in them
         n = self.impulses
         goal = np.zeros(2 * n - 1)
         goal[-1] = 1.0
@@ -99,7 +99,7 @@ class _Problem:
             ],
             "options": {"maxiter": 500, "ftol": 1e-12},
         }
-        # from the Chebyshev sequence for this number of impulses, half a period apart
+        # start from the Chebyshev sequence of this number of impulses, half a period apart
         times = 0.5 * np.arange(n)
         amplitudes = chebyshev_amplitudes(n, self.tolerance) * np.exp(-2.0 * np.pi * self.ratio * times)
         start = np.concatenate([amplitudes / np.sum(amplitudes), times[1:]])
@@ -107,7 +107,7 @@ class _Problem:
         return self._unpack(np.asarray(found.x))
 
     def worst(self, amplitudes: RealArray, times: RealArray) -> float:
-        """Largest residual over the range."""
+        """Return the largest residual over the range."""
         frequencies = np.linspace(self.lowest, self.highest, DENSITY * SAMPLES_PER_IMPULSE * self.impulses)
         return float(np.sqrt(np.max(self._squares(amplitudes, times, frequencies)[0])))
 
@@ -115,7 +115,7 @@ class _Problem:
         return x[: self.impulses], np.concatenate([[0.0], x[self.impulses :]])
 
     def _margins(self, x: RealArray) -> tuple[RealArray, RealArray]:
-        """1 - (residual / tolerance)² at samples of the range, and its derivatives by the unknowns."""
+        """Return 1 - (residual / tolerance)² at M samples (M,), and its Jacobian by the unknowns (M, 2 N - 1)."""
         samples = np.linspace(self.lowest, self.highest, SAMPLES_PER_IMPULSE * self.impulses)
         squares, by_amplitudes, by_times = self._squares(*self._unpack(x), samples)
         slopes = -np.hstack([by_amplitudes, by_times[:, 1:]]) / self.tolerance**2
@@ -124,13 +124,13 @@ class _Problem:
     def _squares(
         self, amplitudes: RealArray, times: RealArray, frequencies: RealArray
     ) -> tuple[RealArray, RealArray, RealArray]:
-        """Squared residuals (M,) after the latest impulse, and their derivatives by amplitudes and times, (M, N) each."""
-        # relative to the last impulse, so that no exponent is above zero
-        latest = int(np.argmax(times))  # trials of the optimisation may have impulses out of order
+        """Return squared residuals (M,) after the latest impulse, and their Jacobians by amplitudes and times, (M, N) each."""
+        # decay relative to the latest impulse, so that no exponent has a positive real part
+        latest = int(np.argmax(times))  # iterates may have impulses out of order
         omega = 2.0 * np.pi * frequencies
         pole = complex(self.ratio, math.sqrt(1.0 - self.ratio**2))
         waves = np.exp(np.outer(omega, pole * times - self.ratio * times[latest]))
-        # |Σ A_i w_i|² and its derivatives; the latest time is in all waves
+        # |Σ A_i w_i|² and its derivatives; all w_i depend on the latest time
         response = waves @ amplitudes
         squares = np.abs(response) ** 2
         by_amplitudes = 2.0 * (np.conj(response)[:, None] * waves).real
