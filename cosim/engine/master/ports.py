@@ -1,8 +1,9 @@
-"""What the master keeps for each slave during a run: buffers for its outputs and inputs, bound transfers, and groups
-of signals between them.
+"""Ports: for each slave the buffers of its outputs and inputs, the calls that transfer them, and the groups of signals
+that connect them.
 
-Over a communication step an input follows a polynomial. It extrapolates its source's value and derivatives from the beginning
-of the step (a Taylor polynomial), or, where the source is already at the end, meets them at both ends (a Hermite polynomial).
+Over a communication step an input follows a polynomial. It extrapolates the value and derivatives of its source from
+the beginning of the step (Taylor polynomial) or, if the source is already at the end of the step, interpolates them
+between both ends (Hermite polynomial).
 """
 
 from __future__ import annotations
@@ -24,24 +25,25 @@ from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Slave, output_order
 
 TimedCall = Callable[[int, float, float], None]
-"""A call with the index of the communication point, begin and end [s]; both are the same at an instant."""
+"""A call with the index of the communication point, begin and end [s]; at an instant begin = end."""
 
 
 class OutputPort:
-    """Outputs of a slave at the current instant: those that feed others or are recorded.
+    """Outputs of a slave at the current instant: those that are connected or recorded.
 
     Args:
         slave: the slave.
-        coupling_order: highest derivative that another slave is fed with.
-        fed: indices of the outputs that feed others.
-        selection: what is recorded.
+        coupling_order: highest derivative that a connected input uses.
+        fed: indices of the connected outputs.
+        selection: which outputs are recorded, with how many derivatives.
 
     Attributes:
         slave: the slave.
-        indices: (n,) the outputs.
-        signals: (orders + 1, n) values in row 0, derivatives below.
-        recorded: how many rows of ``signals`` go into the recording.
-        transfer, read_announced: calls that fill ``signals`` with what has been reached, and with what is announced.
+        indices: (n,) the outputs, as indices in `Slave.variables`.
+        signals: (orders + 1, n) values in row 0, k-th derivatives in row k.
+        recorded: number of rows of ``signals`` that are recorded.
+        transfer: call that fills ``signals`` with the outputs after a step.
+        read_announced: call that fills ``signals`` with the announced polynomials at the beginning of a step.
     """
 
     def __init__(
@@ -58,7 +60,7 @@ class OutputPort:
         self.indices: Indices = np.array(wanted, np.intp)
         self.recorded = 1 + min(output_order(slave), selection.order)
         self.signals = np.zeros((max(self.recorded, 1 + coupling_order), self.indices.size))
-        # buffers and the calls that fill them
+        # buffer for the check of `reading`, and the calls that fill the signals
         self._finite = np.ones(self.signals.shape, dtype=np.bool_)
         self.transfer = self.read_announced = nothing
         if self.indices.size:
@@ -68,16 +70,16 @@ class OutputPort:
             self.read_announced = bind_get(slave, self.indices, self.signals)
 
     def reset(self) -> None:
-        """Forget the signals of a run before."""
+        """Set the signals of an earlier run to zero."""
         self.signals.fill(0.0)
 
     @property
     def reads_all(self) -> bool:
-        """Whether the slave has outputs alone."""
+        """Whether the port has all variables of the slave: it has no others than outputs, and all of them are read."""
         return self.indices.size == len(self.slave.variables)
 
     def read(self, time: float) -> None:
-        """Read what the slave has reached at ``time``.
+        """Read the slave's outputs at ``time`` [s] into ``signals``.
 
         Raises:
             NotFiniteError: an output or one of its derivatives is infinite or not a number.
@@ -85,20 +87,20 @@ class OutputPort:
         self.reading()(0, time, time)
 
     def reading(self) -> TimedCall:
-        """A call that reads what the slave has reached at its end, as `read` does."""
+        """A call that reads the slave's outputs at its ``end``, as `read` does."""
         transfer, signals, finite, isfinite = self.transfer, self.signals, self._finite, np.isfinite
 
         def read(point: int, begin: float, end: float) -> None:
             transfer()
             isfinite(signals, finite)
-            # eight times as fast as all()
+            # eight times faster than all()
             if b"\0" in finite.tobytes():
                 raise self.not_finite(end)
 
         return read
 
     def not_finite(self, time: float) -> NotFiniteError:
-        """The error that names the first offending output."""
+        """The error for the first output or derivative that isn't finite."""
         order, column = np.argwhere(~np.isfinite(self.signals))[0]
         name = self.slave.variables[self.indices[column]].name
         what = f"der({name},{order})" if order else name
@@ -107,11 +109,11 @@ class OutputPort:
 
 @dataclass(frozen=True)
 class Transformation:
-    """Maps of neighbouring inputs.
+    """Maps of a group of signals.
 
     Attributes:
         factor, offset: (n,) y = factor x + offset.
-        tables: those that have a table instead: which of the inputs, and the table.
+        tables: (column, table) for each signal that is mapped by a table instead.
     """
 
     factor: RealArray
@@ -119,10 +121,10 @@ class Transformation:
     tables: tuple[tuple[int, TableMap], ...] = ()
 
     def apply(self, fed: RealArray) -> None:
-        """Transform values and derivatives (orders + 1, n) in place.
+        """Map values and derivatives (orders + 1, n) in place; derivatives of a table's values are zero.
 
         Raises:
-            InputError: a table has nothing for a value.
+            InputError: a table has no entry for a value.
         """
         fed *= self.factor
         fed[0] += self.offset
@@ -133,15 +135,16 @@ class Transformation:
 
 @dataclass(frozen=True)
 class SignalGroup:
-    """Outputs of one slave that feed neighbouring inputs of another.
+    """Outputs of one slave that feed contiguous inputs of another.
 
     Attributes:
-        source: port of the source.
-        columns: (n,) columns of the source's signals.
-        slots: which of the target's fed inputs they are.
-        coupling: how they get there.
-        transformation: what is done to them on the way; None for nothing.
-        jumping: which of the inputs change in jumps alone and have no mean of two values.
+        source: output port of the source.
+        columns: (n,) their columns in the source's signals.
+        slots: the columns of the inputs in `InputPort.fed`.
+        coupling: polynomial of the inputs over a step.
+        transformation: maps from outputs to inputs; None for the identity.
+        jumping: which of the inputs are discrete or mapped by a table: they keep their value instead of a mean of both
+            ends.
     """
 
     source: OutputPort
@@ -153,7 +156,7 @@ class SignalGroup:
 
     @property
     def interpolates(self) -> bool:
-        """Whether the end of a step must be known."""
+        """Whether the inputs depend on the signals at the end of a step."""
         return self.coupling.ends is not None
 
     @property
@@ -164,10 +167,10 @@ class SignalGroup:
         return max(self.coupling.order, 2 * self.coupling.ends + 1)
 
     def extrapolation(self, fed: RealArray) -> Callable[[], object]:
-        """A call that puts value and derivatives at the current instant into ``fed`` (orders + 1, inputs)."""
+        """A call that writes values and derivatives at the current instant into ``fed`` (orders + 1, inputs)."""
         rows = self.coupling.order + 1
         signals = self.source.signals[:rows]
-        # in one piece where the group fills the whole buffer
+        # a single copy if the group fills the whole buffer
         whole = partial(signals.take, self.columns, 1, fed, "clip") if fed.shape == (rows, self.columns.size) else None
         if whole is not None and self.transformation is None:
             return whole
@@ -183,11 +186,17 @@ class SignalGroup:
         return extrapolate
 
     def ended(self) -> RealArray:
-        """(ends + 1, n): signals that an interpolation meets at the current instant."""
+        """(ends + 1, n) values and derivatives at the current instant that the interpolation matches."""
         return self.source.signals[: (self.coupling.ends or 0) + 1, self.columns]
 
     def interpolate(self, begin: RealArray, step: float, fed: RealArray) -> None:
-        """Put the polynomial between ``begin`` and the current instant into ``fed``."""
+        """Write the coefficients of the interpolating polynomial into ``fed``.
+
+        Args:
+            begin: (ends + 1, n) values and derivatives at the beginning of the step; the current ones are at its end.
+            step: its length [s].
+            fed: (orders + 1, inputs) values and derivatives at the beginning of the step.
+        """
         fed[:, self.slots] = 0.0
         if self.coupling.transport is Transport.AVERAGED:
             # the mean of both ends; a discrete input keeps its value from the beginning
@@ -199,10 +208,10 @@ class SignalGroup:
         self._transform(fed)
 
     def _transform(self, fed: RealArray) -> None:
-        """What is done to the signals on the way.
+        """Map the signals of the group in ``fed``, in place.
 
         Raises:
-            SlaveError: the source gives a value that a table doesn't have.
+            SlaveError: a table has no entry for an output of the source.
         """
         if self.transformation is not None:
             try:
@@ -216,9 +225,10 @@ class InputPort:
 
     Attributes:
         slave: the slave.
-        groups: where the inputs come from.
-        fed: (orders + 1, n) values in row 0, derivatives below.
-        send: a call that sets the slave's inputs from ``fed``.
+        groups: the inputs by source.
+        fed: (orders + 1, n) values in row 0, k-th derivatives in row k.
+        interpolating: the groups that are interpolated.
+        send: a call that sets the slave's inputs to ``fed``.
     """
 
     def __init__(self, slave: Slave, indices: Indices, groups: Sequence[SignalGroup]) -> None:
@@ -233,18 +243,18 @@ class InputPort:
         self.send = bind_set(slave, indices, self.fed) if groups else nothing
 
     def reset(self) -> None:
-        """Forget the signals of a run before."""
+        """Set the signals of an earlier run to zero."""
         self.fed.fill(0.0)
 
     def preset(self, ready: Collection[OutputPort]) -> None:
-        """Set values before the slave is initialised, those whose sources are ready; the others keep their starts."""
+        """Set inputs with sources in ``ready`` before the slave is initialised; others keep their start values."""
         for group, extrapolate in zip(self.groups, self._extrapolations, strict=True):
             if group.source in ready:
                 extrapolate()
                 self.slave.set(self._indices[group.slots], self.fed[0, group.slots])
 
     def feeding(self) -> TimedCall:
-        """A call that sets the inputs from the outputs at the current instant; its arguments don't matter."""
+        """A call that sets the inputs to the connected outputs at the current instant; it ignores its arguments."""
         calls = (*self._extrapolations, self.send)
 
         def feed(point: int, begin: float, end: float) -> None:
@@ -258,7 +268,7 @@ class InputPort:
         self._begins = [group.ended() for group in self.interpolating]
 
     def interpolate(self, step: float) -> None:
-        """Set the inputs whose sources have already been advanced over the step."""
+        """Set the interpolated inputs, whose sources have already been stepped, for a step of this length [s]."""
         for group, begin in zip(self.interpolating, self._begins, strict=True):
             group.interpolate(begin, step, self.fed)
         self.send()
@@ -267,10 +277,10 @@ class InputPort:
 def wire(
     system: System, coupled: Couplings, selection: Selection = EVERYTHING
 ) -> tuple[list[InputPort], list[OutputPort]]:
-    """Ports of all slaves, in the order of `System.slaves`."""
+    """Input ports and output ports of all slaves, in the order of `System.slaves`."""
     outputs = []
     for i, slave in enumerate(system.slaves):
-        # as many derivatives as its targets take
+        # as many derivatives as its targets use
         orders = [max(each.order, each.ends or 0) for (source, _), each in coupled.items() if source == i]
         fed = {each.output for each in system.connections if each.source == i}
         outputs.append(OutputPort(slave, max(orders, default=0), fed, selection))
@@ -282,7 +292,7 @@ def _input_port(system: System, target: int, outputs: list[OutputPort], coupled:
     incoming = sorted((each for each in system.connections if each.target == target), key=lambda each: each.source)
     groups, count = [], 0
     for source in dict.fromkeys(each.source for each in incoming):
-        # inputs from one source are neighbours in the buffer
+        # inputs from one source are contiguous in the buffer
         group = [each for each in incoming if each.source == source]
         slots = slice(count, count + len(group))
         place, variables = columns(outputs[source], group), system.slaves[target].variables
@@ -297,12 +307,12 @@ def _input_port(system: System, target: int, outputs: list[OutputPort], coupled:
 
 
 def columns(port: OutputPort, group: Sequence[Connection]) -> Indices:
-    """Columns of the port's signals that the connections start from."""
+    """(n,) columns of the port's signals that the connections start from."""
     return np.searchsorted(port.indices, [each.output for each in group])
 
 
 def transformation(group: Sequence[Connection]) -> Transformation | None:
-    """The maps of connections, unless all of them leave the signals as they are."""
+    """The maps of the connections; None if all of them are the identity."""
     maps = [each.transformation for each in group]
     if all(each == IDENTITY for each in maps):
         return None

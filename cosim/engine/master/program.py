@@ -1,7 +1,7 @@
 """Translates the operations of a plan into instructions for the loop in C.
 
-What isn't an FMI call, a copy or a row of a table becomes a callback to the Python call that `Schedule.bind` makes of the
-operation, so that the numbers are those of the loop in Python.
+An operation that isn't an FMI call, a copy or a row of a table becomes a callback to the Python call of
+`Schedule.bind`, so that the results are those of the loop in Python.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from flexfmu.cosim.engine.slave import Call, RealArray
 
 @runtime_checkable
 class HasTables(Protocol):
-    """Predicts all of its outputs: what `announce` and `step` change over to is in tables, a row for each point.
+    """Predicts all of its outputs: in C, tables with a row per communication point replace `announce` and `step`.
 
-    Tables are never written to again; for the same points each run finds the same.
+    The tables don't change afterwards; runs with the same points have the same tables.
 
     Attributes:
         announced: (N, orders, n) value and derivatives after `announce` at each communication point.
@@ -50,19 +50,19 @@ class HasTables(Protocol):
 
 @runtime_checkable
 class StepsInC(Protocol):
-    """Is stepped by fmi2DoStep."""
+    """Can be stepped by calling fmi2DoStep directly."""
 
     def bound_step(self) -> tuple[partial[int], Callable[[int, float, float], BaseException]] | None:
-        """The function with its component bound, and what makes the error; None where `step` has more to do."""
+        """fmi2DoStep with its component bound, and the function that creates the error; None if `step` does more."""
 
 
 def can_compile(schedule: Schedule) -> bool:
-    """Whether the plan is the same at every point: nothing is repeated until it agrees."""
+    """Whether the plan can run in C: it has no loops to iterate."""
     return not schedule.plan.has_loops
 
 
 def instructions(schedule: Schedule, operations: Iterable[Operation]) -> list[Instruction]:
-    """The same calls in the same order for the C side."""
+    """The instructions for these operations, in the same order."""
     tables = {
         i: slave
         for i, slave in schedule.predicting.items()
@@ -72,19 +72,19 @@ def instructions(schedule: Schedule, operations: Iterable[Operation]) -> list[In
 
 
 def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation: Operation) -> Iterator[Instruction]:
-    """One operation in C where it is known what it does; else a Python callback."""
+    """The instructions of one operation: in C where there is an equivalent, else a Python callback."""
     i, when = operation.slave, operation.when
     slave, inputs, outputs = schedule.slaves[i], schedule.inputs[i], schedule.outputs[i]
     rows, table = len(outputs.signals), tables.get(i)
     match operation.action:
-        # a row of a table brings the outputs
+        # outputs from a row of a table
         case Action.ANNOUNCE if table is not None and table.announced.shape[1] >= rows:
             yield table_row(table.announced, outputs.signals, i, rows)
         case Action.STEP if table is not None:
             yield table_row(table.ended, outputs.signals, i, outputs.recorded)
         case Action.READ if table is not None:
             return
-        # calls of an FMU, and copies between its buffers
+        # calls of an FMU, and copies between buffers
         case Action.READ:
             if outputs.indices.size:
                 yield from _transfer(outputs.transfer, when, i)
@@ -96,7 +96,7 @@ def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation:
         case Action.STEP if isinstance(slave, StepsInC) and (bound := slave.bound_step()) is not None:
             step, failure = bound
             yield fmi_step(step, i, lambda status, begin, end: failure(status, begin, end - begin))
-        # whatever else there is
+        # all other operations
         case _:
             callback = python_callback(schedule.bind(operation), when, i)
             if when is When.WHEN_DUE:
@@ -105,16 +105,16 @@ def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation:
 
 
 def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -> Instruction:
-    """What `SignalGroup.extrapolation` does, in C where nothing is done to the signals on the way."""
+    """The instruction equivalent to `SignalGroup.extrapolation`; a Python callback if the signals are mapped."""
     if group.transformation is not None:
         extrapolate = group.extrapolation(fed)
         return python_callback(lambda point, begin, end: extrapolate(), when, owner)
-    # places of the signals in both buffers, row by row; rows beyond stay zero
+    # flat indices of the signals in both buffers, row by row; further rows stay zero
     rows = np.arange(group.coupling.order + 1)[:, None]
     columns = rows * group.source.signals.shape[1] + group.columns
     places = rows * fed.shape[1] + np.arange(fed.shape[1])[group.slots]
     columns, places = (np.ascontiguousarray(each.ravel(), dtype=np.int64) for each in (columns, places))
-    # one block where they follow one another
+    # one copy if both are contiguous
     source, target = group.source.signals.reshape(-1), fed.reshape(-1)
     if is_range(columns) and is_range(places):
         return copy(source[columns[0] : columns[-1] + 1], target[places[0] : places[-1] + 1], when, owner)
@@ -122,7 +122,7 @@ def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -
 
 
 def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:
-    """A bound call, in C where it is known what it does."""
+    """The instructions of a bound transfer: in C where there is an equivalent, else a Python callback."""
     # values first, then derivatives
     if isinstance(call, Both):
         yield from _transfer(call.first, when, owner)

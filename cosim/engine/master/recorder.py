@@ -1,6 +1,6 @@
-"""Records signals during a run, in buffers that grow; what has been recorded stays, whatever happens next.
+"""Records signals during a run, in buffers that grow; they stay valid if the run fails.
 
-A recorder whose memory is shared sees what a child process records, also where that process comes to a sudden end.
+With shared memory the parent process sees what a child process records, even if the child crashes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import TEXTS, RealArray
 
 _MADV_POPULATE_WRITE = 23
-"""Of Linux 5.14 and later."""
+"""MADV_POPULATE_WRITE of Linux 5.14 and later; Python's mmap has no name for it."""
 
 
 SPEND_LESS = "take a larger communication step or sample time, a shorter run, or in Python record fewer signals: PreparedScene(scene, record=Selection(..))"
@@ -29,14 +29,17 @@ class Recorder:
     """Copies the signals of output ports, instant by instant.
 
     Args:
-        ports: what to record.
-        capacity: expected number of instants; more are possible.
-        shared: whether child processes record in the same memory.
+        ports: output ports to record.
+        capacity: expected number of instants; the buffers grow if there are more.
+        shared: whether child processes record into the same memory.
 
     Attributes:
-        values: how many numbers are expected.
-        time: (capacity,) recorded instants [s], not a number behind them.
-        blocks: for each port its present signals (orders + 1, n) and the recorded ones (capacity, orders + 1, n).
+        values: expected number of recorded values.
+        time: (capacity,) recorded instants [s]; NaN beyond the last one.
+        blocks: for each port its current signals (orders + 1, n) and the recorded ones (capacity, orders + 1, n).
+
+    Raises:
+        InputError: there is not enough memory for the expected values.
     """
 
     def __init__(self, ports: Sequence[OutputPort], capacity: int, *, shared: bool = False) -> None:
@@ -47,7 +50,7 @@ class Recorder:
         self._units = [[each.unit for each in variables] for _, variables in signals]
         self._signals = [port.signals[: port.recorded] for port in ports]
         self._count = 0
-        # room for all instants at once
+        # allocate memory for all instants at once
         self.values = capacity * sum(signals.size for signals in self._signals)
         self._memories = [_Memory(shape, shared) for shape in (*(signals.shape for signals in self._signals), ())]
         try:
@@ -60,7 +63,7 @@ class Recorder:
         self.time.fill(np.nan)
 
     def append(self, time: float) -> None:
-        """Record the current signals of all ports."""
+        """Record the current signals of all ports at ``time`` [s]."""
         if self._count == self.time.size:
             self._enlarge(2 * self._count)
             self.time[self._count :] = np.nan
@@ -71,30 +74,30 @@ class Recorder:
 
     @property
     def count(self) -> int:
-        """How many instants have been recorded."""
+        """Number of recorded instants."""
         return self._count
 
     def advance(self, count: int) -> None:
-        """Set the number of recorded instants to ``count``; the loop in C has written them into ``time`` and ``blocks``."""
+        """Set the number of recorded instants to ``count``, after C has written them into ``time`` and ``blocks``."""
         self._count = count
 
     def rewind(self, count: int) -> None:
-        """Forget all instants but the first ``count``, of a step that was rejected."""
+        """Delete all instants but the first ``count``: those of a rejected step, or with 0 those of an earlier run."""
         self.time[count : self._count] = np.nan
         self._count = count
 
     def catch_up(self) -> int:
-        """Take note of what a child process has recorded; how many instants in all."""
+        """Update the count with the instants that a child process has recorded, and return it."""
         if (capacity := self._memories[-1].capacity) > self.time.size:
             self._enlarge(capacity)
         self._count = int(np.searchsorted(self.time, np.nan))
         return self._count
 
     def recording(self) -> Recording:
-        """Everything recorded so far, named ``slave.variable``."""
+        """A copy of all signals recorded so far, named ``slave.variable``."""
         columns: dict[str, Column] = {}
         for names, units, texts, rows in zip(self._names, self._units, self._texts, self._rows, strict=True):
-            # values and derivatives of one signal after the other; of texts their codes
+            # values and derivatives, signal by signal; texts are recorded as codes
             known = TEXTS.known() if any(texts) else []
             signals = rows[: self._count].transpose(2, 1, 0).copy()
             for name, unit, text, signal in zip(names, units, texts, signals, strict=True):
@@ -102,18 +105,18 @@ class Recorder:
         return Recording(self.time[: self._count].copy(), columns)
 
     def populate(self) -> None:
-        """Map all shared memory at once, which is cheaper than page by page; for a process that begins to record."""
+        """Map all shared memory at once, which is faster than page by page; call it in the process that records."""
         for memory in self._memories:
             memory.populate()
 
     def _enlarge(self, capacity: int) -> None:
-        """Make room for so many instants."""
+        """Enlarge all buffers to ``capacity`` instants."""
         *self._rows, self.time = (memory.enlarge(capacity) for memory in self._memories)
         self.blocks = list(zip(self._signals, self._rows, strict=True))
 
 
 class _Memory:
-    """Room for rows of that shape; shared memory is a file without a name, which grows in all processes."""
+    """A growing buffer of rows of this shape; if shared, an anonymous file that grows for all processes."""
 
     def __init__(self, shape: tuple[int, ...], shared: bool) -> None:
         self._shape, self._file, self._rows = shape, -1, np.empty((0, *shape))
@@ -125,16 +128,16 @@ class _Memory:
 
     @property
     def capacity(self) -> int:
-        """Rows that there is room for; another process may have made more."""
+        """Number of rows that fit in; another process may have enlarged a shared buffer."""
         return len(self._rows) if self._file < 0 else os.fstat(self._file).st_size // self._row_bytes
 
     def enlarge(self, capacity: int) -> RealArray:
-        """Rows (capacity, ...) that begin with those so far."""
+        """The rows (capacity, ...); they begin with the previous ones."""
         if self._file < 0:
             rows = np.empty((capacity, *self._shape))
             rows[: len(self._rows)] = self._rows
         else:
-            # a file that grows for all processes, mapped anew
+            # enlarge the file for all processes and map it again
             size = capacity * self._row_bytes
             if size > os.fstat(self._file).st_size:
                 os.ftruncate(self._file, size)
@@ -144,7 +147,7 @@ class _Memory:
         return rows
 
     def populate(self) -> None:
-        """Map all pages, where the kernel can and there is memory enough."""
+        """Map all pages, if the kernel supports it and there is enough memory."""
         if self._map is not None:
             with suppress(OSError):
                 self._map.madvise(_MADV_POPULATE_WRITE)

@@ -1,4 +1,4 @@
-"""Carries out a plan in Python: each operation is bound to a call once, and a run goes through lists of calls.
+"""Executes a plan in Python: each operation is bound to a call once, and a run executes lists of calls.
 
 The order of calls is that of `flexfmu.cosim.engine.master.plan`.
 """
@@ -31,34 +31,34 @@ from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.engine.slave import Indices, PredictsOutputs, RealArray, Sampled, SamplesInTwoPhases
 
 OFF_GRID = -1
-"""Stands for the index of a communication point that step control has put between those of the grid."""
+"""Index of communication points that step control inserts off the grid; the last entry of `Schedule.due`."""
 
 
 class Schedule:
-    """Exchanges and steps of a system on a time grid, for one run after the other.
+    """Executes exchanges and steps of a system on a time grid; one schedule serves several runs, one after the other.
 
     Args:
         system: slaves and connections.
-        grid: the points of the runs.
+        grid: communication points of the runs.
         algorithm: how slaves are coupled over a step.
-        selection: what is recorded; outputs that are neither recorded nor connected aren't read.
+        selection: outputs to record; outputs that are neither recorded nor connected aren't read.
 
     Attributes:
         slaves: the slaves.
         inputs, outputs: ports, in the order of ``slaves``; their signals are those of the current instant.
-        couplings: (source, target) → how its signals get there.
+        couplings: (source, target) → their coupling.
         plan: all operations in order.
-        due: slave that samples → whether it does so at each communication point of the grid, and once more False for
-            points off the grid.
-        active: index of the slave that is being called, or was last; in memory that child processes share.
-        predicting: index → slave that announces its outputs.
+        due: index of a sampled slave → whether it samples at each communication point of the grid; the last entry,
+            False, is for points off the grid.
+        active: index of the slave that is being called, or was last, in memory shared with child processes.
+        predicting: index → slave that predicts its outputs.
 
     Raises:
-        InputError: a step of a slave would have to be repeated, but it can't go back.
+        InputError: a slave's step must be iterated, but the slave can't save and restore its state.
     """
 
     def __init__(self, system: System, grid: TimeGrid, algorithm: Algorithm, selection: Selection = EVERYTHING) -> None:
-        # buffers: how each signal travels, and a port for each slave's inputs and outputs
+        # couplings, and ports for each slave's inputs and outputs
         self.slaves = system.slaves
         self.couplings = couplings(system, algorithm)
         self.inputs, self.outputs = wire(system, self.couplings, selection)
@@ -70,7 +70,7 @@ class Schedule:
         self.predicting = {i: cast(PredictsOutputs, system.slaves[i]) for i in announcing}
         sampled = [i for i, slave in enumerate(system.slaves) if isinstance(slave, Sampled)]
         self.due = {i: (*flags.tolist(), False) for i, flags in zip(sampled, grid.due, strict=True)}
-        # calls: bound once, this is what a run spends its time with; where nothing jumps there are fewer
+        # lists of calls, bound once since a run spends its time in them; fewer calls where no signal jumps
         self._unknowns: dict[str, LoopSignals] = {}
         self._step = [(each.slave, self.bind(each)) for each in plan.step]
         exchange = [(each, self.bind(each)) for each in plan.exchange]
@@ -84,17 +84,18 @@ class Schedule:
         return self.slaves[self.active.value].name
 
     def initialize(self, tolerance: float | None) -> None:
-        """Initialise the slaves, each with the outputs of those before it, and read them.
+        """Reset all signals, then initialise the slaves, each with inputs from those before it, and read their outputs.
 
-        Nothing of an earlier run is left.
+        Args:
+            tolerance: relative tolerance for the slaves' own integrators; None for their default.
         """
-        # forget the run before
+        # reset the signals of an earlier run
         for inputs, outputs in zip(self.inputs, self.outputs, strict=True):
             inputs.reset()
             outputs.reset()
         for signals in self._unknowns.values():
             signals.reset()
-        # one slave after the other, with the signals of those that are ready
+        # initialise one slave after the other, with inputs from those that are ready
         start, stop = float(self._grid.times[0]), float(self._grid.times[-1])
         ready: list[OutputPort] = []
         for i in self.plan.start:
@@ -107,19 +108,19 @@ class Schedule:
             ready.append(self.outputs[i])
 
     def advance(self, begin: float, end: float) -> None:
-        """Step all slaves from one communication point to the next [s] and read them."""
+        """Step all slaves from one communication point to the next [s] and read their outputs."""
         active = self.active
         for slave, call in self._step:
             active.value = slave
             call(OFF_GRID, begin, end)
 
     def exchange(self, point: int, time: float, jump: bool) -> None:
-        """Pass on the outputs at a communication point; afterwards all is ready for the step that begins there.
+        """Execute the exchange at a communication point, which prepares the next step.
 
         Args:
             point: index of the communication point, or `OFF_GRID`.
             time: its time [s].
-            jump: whether signals may jump, as they may at the start: all outputs are read anew.
+            jump: whether signals may jump, as at the start; then all outputs are read again.
         """
         active = self.active
         for slave, call in self._at_jump if jump else self._between:
@@ -127,8 +128,10 @@ class Schedule:
             call(point, time, time)
 
     def refresh(self, time: float, ports: Iterable[OutputPort]) -> None:
-        """Pass on the outputs without sampling and read these ports, so that all that depends on inputs directly is up
-        to date."""
+        """Pass on the outputs at ``time`` [s] without sampling and read these ports.
+
+        Afterwards all outputs with direct feedthrough are up to date.
+        """
         for slave, call in self._passing:
             self.active.value = slave
             call(OFF_GRID, time, time)
@@ -136,31 +139,31 @@ class Schedule:
             port.read(time)
 
     def begin(self, *times: float, jump: bool = False) -> None:
-        """Choose the coming communication points, from the current or a restored one on, and begin the first step.
+        """Set the next communication points and prepare the first step.
 
         Args:
-            times: [s].
+            times: communication points [s]; the first is the current time, or that of a restored snapshot.
             jump: whether signals may jump at the first one.
         """
         for i, source in self.predicting.items():
             self.active.value = i
             source.prepare(np.array(times))
         if self.predicting or jump:
-            # all others are as they were saved, with their inputs
+            # otherwise no exchange is needed: saved states include the inputs
             self.exchange(OFF_GRID, times[0], jump)
 
     def save(self) -> Snapshot:
-        """Where all is now, inputs set, to come back to."""
+        """A snapshot of the slaves, with the inputs that are set now, and of all output signals."""
         return Snapshot(StateKeeper(self._with_state), [port.signals.copy() for port in self.outputs])
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back; follow it by `begin`."""
+        """Roll back to a snapshot; call `begin` afterwards."""
         snapshot.states.restore()
         for port, signals in zip(self.outputs, snapshot.signals, strict=True):
             port.signals[:] = signals
 
     def bind(self, operation: Operation) -> TimedCall:
-        """The call that carries out an operation; one that samples looks itself whether the slave is due."""
+        """The call that executes an operation; one that samples checks itself whether the slave is due."""
         i = operation.slave
         slave, inputs, outputs = self.slaves[i], self.inputs[i], self.outputs[i]
         match operation.action:
@@ -183,14 +186,14 @@ class Schedule:
             case Action.STEP:
                 step = slave.step
                 return lambda point, begin, end: step(begin, end - begin)
-            # both
+            # loops, and outputs
             case Action.SOLVE:
                 return self._solution(operation)
             case _:
                 return outputs.reading()
 
     def _solution(self, operation: Operation) -> TimedCall:
-        """The call that solves a loop."""
+        """The call that solves a loop, at an instant or over a step."""
         loop, body = operation.loop, operation.body
         calls = [
             LoopCall(each.slave, self.bind(each), self.outputs[each.slave] if each.action is Action.READ else None)
@@ -200,7 +203,7 @@ class Schedule:
             sampling = [
                 (self.slaves[each.slave], self.due[each.slave]) for each in body if each.action is Action.SAMPLE
             ]
-            # a further round of an exchange goes on with what the first has learned of the magnitudes
+            # all rounds of an exchange share the loop's unknowns and their magnitudes
             signals = self._unknowns.setdefault(loop.name, self._unknowns_at_instant(loop))
             return InstantLoop(loop, calls, sampling, signals, self.active).solve
         assert loop is not None
@@ -211,7 +214,7 @@ class Schedule:
         return IteratedStep(loop.solver, name, members, calls, signals, self.active).solve
 
     def _unknowns_at_instant(self, loop: AlgebraicLoop) -> LoopSignals:
-        """The signals that a loop assumes, with as many derivatives as go round it."""
+        """The unknowns of an algebraic loop, with as many derivatives as its couplings pass round."""
         unknowns: dict[OutputPort, tuple[Indices, int]] = {}
         for slave in dict.fromkeys(slave for slave, _ in loop.unknowns):
             indices = [index for each, index in loop.unknowns if each == slave]
@@ -221,7 +224,7 @@ class Schedule:
         return LoopSignals(unknowns)
 
     def _unknowns_of_step(self, group: StepGroup) -> LoopSignals:
-        """The signals at the end of a step that slaves assume which are advanced before their sources."""
+        """The unknowns of an iterated step: signals at its end that feed slaves stepped before their sources."""
         unknowns: dict[OutputPort, tuple[Indices, int]] = {}
         for source in dict.fromkeys(each.source for each in group.torn):
             torn = [each for each in group.torn if each.source == source]
@@ -232,7 +235,7 @@ class Schedule:
 
 
 def _announcement(announce: Callable[[float], None], read: Callable[[], None]) -> TimedCall:
-    """Change over to the polynomials of the coming step, and read them."""
+    """A call that announces the polynomials of the next step, and reads them."""
 
     def call(point: int, begin: float, end: float) -> None:
         announce(begin)
@@ -242,7 +245,7 @@ def _announcement(announce: Callable[[float], None], read: Callable[[], None]) -
 
 
 def _where_due(due: Sequence[bool], sample: Callable[[float], None]) -> TimedCall:
-    """Sample at the points where the slave is due."""
+    """A call that samples at the points where the slave is due."""
 
     def call(point: int, begin: float, end: float) -> None:
         if due[point]:
@@ -253,7 +256,7 @@ def _where_due(due: Sequence[bool], sample: Callable[[float], None]) -> TimedCal
 
 @dataclass(frozen=True)
 class Snapshot:
-    """States of all slaves that can be stepped back, and the signals (orders + 1, n) of all outputs."""
+    """Saved states of all slaves that need rollback, and the signals (orders + 1, n) of each output port."""
 
     states: StateKeeper
     signals: Sequence[RealArray]

@@ -1,4 +1,4 @@
-"""A run on its way, from point to point of its grid."""
+"""The loop of a run over the points of its time grid."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from flexfmu.cosim.engine.master.schedule import Schedule
 from flexfmu.cosim.engine.master.step_control import ErrorBudget, StepDoubling
 
 Progress = Callable[[float], None]
-"""Called now and then with the simulated fraction, 0..1."""
+"""Called during a run with the simulated fraction, 0..1."""
 
 PROGRESS_CALLS = 100
-"""How often progress is reported in a run."""
+"""Number of progress reports in a run."""
 
 UNINTERRUPTED = 100
-"""Points that are run without looking whether the user interrupts."""
+"""Number of points that the loop in C runs before Python checks whether the user interrupts."""
 
 
 @dataclass(frozen=True)
 class StepStatistics:
-    """How far a run came.
+    """The time that a run reached, and its steps.
 
     Attributes:
         time: end of the last completed step [s].
-        steps: completed communication steps.
-        rejected: steps that were taken back.
-        largest_step: [s].
+        steps: number of completed communication steps.
+        rejected: number of steps that were rolled back.
+        largest_step: largest communication step [s].
     """
 
     time: float
@@ -41,13 +41,13 @@ class StepStatistics:
 
 
 class SimulationLoop:
-    """Goes from point to point of a grid and records them.
+    """Executes one run over the points of a grid and records them.
 
     Args:
-        schedule: the order of calls.
-        grid: the points.
-        recorder: gets every instant.
-        progress: called now and then.
+        schedule: ports and order of calls.
+        grid: communication points.
+        recorder: records every instant.
+        progress: called during the run with the simulated fraction; None for no reports.
         compiled: the loop in C; None for Python.
 
     Attributes:
@@ -72,19 +72,30 @@ class SimulationLoop:
         self._progress = progress
 
     def control_steps(self, control: StepDoubling, error: CouplingError, first: float) -> None:
-        """Take as many steps between the grid's points as a tolerance needs, the first one of length ``first`` [s]."""
+        """Control the steps between the grid's points.
+
+        Args:
+            control: tolerance and limits of the steps.
+            error: estimates the coupling error.
+            first: length of the first step [s].
+        """
         budget = ErrorBudget(float(self._grid.times[0]), float(self._grid.times[-1]))
         self._controlled = ControlledSteps(self._schedule, self._recorder, control, error, first, budget)
         self._cross = self._controlled.cross
 
     def go(self, tolerance: float | None) -> None:
-        """Initialise, then go from point to point.
+        """Initialise the slaves and execute the run.
 
-        An instant is recorded once where signals are continuous, on both sides where they may jump.
+        An instant is recorded once where signals are continuous, and twice (left and right limits) where they may jump.
+
+        Args:
+            tolerance: relative tolerance for the slaves' own integrators; None for their default.
         """
+        # initialisation and first exchange
         self._schedule.initialize(tolerance)
         self.initialized = True
         self._start()
+        # the points of the grid, in C or in Python
         if self._compiled is not None:
             self._go_in_c(self._compiled)
             return
@@ -95,10 +106,10 @@ class SimulationLoop:
                 self._controlled.finish()
 
     def _go_in_c(self, compiled: CompiledLoop) -> None:
-        """Run piece by piece; between the pieces progress is reported and the user can interrupt."""
+        """Run in pieces; between two pieces progress is reported and the user can interrupt."""
         compiled.begin()
         count = self._grid.times.size - 1
-        # as many pieces as there are reports of progress, or looks for an interruption
+        # one piece per progress report, or per check for an interruption
         pieces = min(PROGRESS_CALLS, count) if self._progress is not None else 1 + count // UNINTERRUPTED
         try:
             for piece in range(1, pieces + 1):
@@ -127,7 +138,7 @@ class SimulationLoop:
 
     @property
     def reached(self) -> StepStatistics:
-        """How far the run came."""
+        """The time that the run reached, and its steps."""
         time, steps, largest = float(self._grid.times[self._passed]), self._passed, self._grid.largest_step
         if self._controlled is None:
             return StepStatistics(time, steps, 0, largest)

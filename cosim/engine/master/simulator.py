@@ -1,4 +1,4 @@
-"""A system with its order of calls and its time grid, ready to be run again and again."""
+"""A system with its order of calls and its time grid, prepared for any number of runs."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ from flexfmu.cosim.engine.slave import (
 
 @dataclass(frozen=True)
 class Ending:
-    """How a run ended; goes from a child process to its parent.
+    """End of a run; a child process sends it to its parent.
 
     Attributes:
-        error: the first one, if any.
+        error: the first exception, if any.
         initialized: whether all slaves have been initialised.
         active: name of the slave that was called last.
-        reached: how far the run came.
-        reports: slave → what it says about its run, by attribute.
-        texts: all that signals of type String have been.
+        reached: the time that the run reached, and its steps.
+        reports: for each slave its report, see `Reports`.
+        texts: all values of signals of type String, in the order of their codes.
     """
 
     error: BaseException | None
@@ -63,9 +63,9 @@ class Ending:
 
 
 class Simulator:
-    """What runs of a system have in common, made once: time grid, ports, order of calls, room for the recording.
+    """Prepares runs of a system once: time grid, ports, order of calls, and memory for the recording.
 
-    Slaves keep their sample times and breakpoints as long as the simulator is in use. Args and errors as for
+    The slaves' sample times and breakpoints must not change while the simulator is in use. Args and errors as for
     `flexfmu.cosim.engine.master.master.simulate`.
     """
 
@@ -93,17 +93,17 @@ class Simulator:
             "record": record,
         }
         self._system, self._step, self._control, self._selection = system, step, step_control, record
-        # points of the run, order of calls, room for the recording
+        # time grid, order of calls, memory for the recording
         self._grid = system_grid(system, start, stop, step, step_control is None)
         check_regular_steps(system, self._grid, step, step_control is not None)
         chosen = GaussSeidel() if algorithm is None else algorithm
-        # step control judges outputs that need not be recorded
+        # step control also monitors outputs that aren't recorded
         read = record if step_control is None else EVERYTHING
         self._schedule = Schedule(system, self._grid, chosen, read)
         capacity = self._grid.times.size + int(self._grid.marked.sum())
         self._recorder = Recorder(self._schedule.outputs, capacity, shared=isolation is not None)
         self._isolation = isolation
-        # the loop over the points in C, where the plan allows it and there is a compiler
+        # the loop over the points in C, if the plan allows it and there is a compiler
         self._compiled: CompiledLoop | None = None
         may_compile = compiled is not False and step_control is None and can_compile(self._schedule)
         if may_compile and (library := load()) is not None:
@@ -111,7 +111,7 @@ class Simulator:
         if step_control is not None:
             check_can_save(filter(needs_rollback, system.slaves), "step control")
             self._coupling_error(step_control)
-        # signals that may blow up: those that slaves feed each other, where some of them are extrapolated
+        # signals that may become unstable: those in closed loops, if some of them are extrapolated
         feedback, couplings = feedback_signals(system), self._schedule.couplings
         transports = {couplings[each.source, each.target].transport for each in feedback}
         self._feedback = self._source_names(feedback) if Transport.EXTRAPOLATED in transports else ()
@@ -124,14 +124,14 @@ class Simulator:
 
         Args:
             tolerance: relative tolerance for the slaves' own integrators; None for their default.
-            progress: called now and then with the simulated fraction.
+            progress: called during the run with the simulated fraction, 0..1.
         """
         steps, values = self._grid.times.size - 1, self._recorder.values
-        # warn of what a long run costs
+        # warn of the cost of a long run
         if self._control is None and is_long(steps, values):
 
             def trial(steps: int) -> Simulation:
-                """The first communication steps alone."""
+                """Simulate only the first ``steps`` communication steps."""
                 first = Simulator(self._system, float(self._grid.times[steps]), self._step, **self._options)
                 return first._result(first._attempt(tolerance, None))
 
@@ -143,7 +143,7 @@ class Simulator:
         return self._result(self._supervised(self._isolation, tolerance, progress))
 
     def _attempt(self, tolerance: float | None, progress: Progress | None) -> Ending:
-        """A run in this process."""
+        """Execute a run in this process; its end."""
         loop = SimulationLoop(self._schedule, self._grid, self._recorder, progress, self._compiled)
         if self._control is not None:
             loop.control_steps(self._control, self._coupling_error(self._control), self._step)
@@ -151,11 +151,11 @@ class Simulator:
         return Ending(error, loop.initialized, self._schedule.active_name, loop.reached)
 
     def _supervised(self, isolation: Isolation, tolerance: float | None, progress: Progress | None) -> Ending:
-        """A run in a child process, which may crash, exit or hang."""
+        """Execute a run in a child process, which may crash, exit or hang; its end."""
         active, recorder, times = self._schedule.active, self._recorder, self._grid.times
         active.value = 0
 
-        # in the child: run, and make the ending fit to travel back
+        # in the child: run, and make the ending picklable
         def attempt() -> Ending:
             recorder.populate()
             ending = self._attempt(tolerance, None)
@@ -164,7 +164,7 @@ class Simulator:
             reports = [each.report() if isinstance(each, Reports) else {} for each in self._system.slaves]
             return replace(ending, error=error, reports=reports, texts=TEXTS.known())
 
-        # in the parent, now and then: what has been recorded, and which slave is being called; a change shows that the child goes on
+        # in the parent, repeatedly: report progress; a change of the result shows that the child is still working
         def look() -> object:
             count = recorder.catch_up()
             if progress is not None and count:
@@ -175,7 +175,7 @@ class Simulator:
         try:
             ending: Ending = in_child(attempt, look, isolation.call_limit)
             look()
-            # what slaves have changed in themselves stayed in the child: take over their reports
+            # changes of slaves stay in the child: take over texts and reports
             TEXTS.learn(ending.texts)
             for slave, report in zip(self._system.slaves, ending.reports, strict=True):
                 if isinstance(slave, Reports):
@@ -190,7 +190,7 @@ class Simulator:
         return Ending(error, recorder.count > 0, self._schedule.active_name, self._recorded_so_far())
 
     def _recorded_so_far(self) -> StepStatistics:
-        """How far a run came that has left nothing but its recording."""
+        """The time and steps of a run that was lost in its child process, from its recording."""
         time = self._recorder.time[: self._recorder.count]
         start = float(self._grid.times[0])
         return StepStatistics(
@@ -198,13 +198,13 @@ class Simulator:
         )
 
     def _completed(self, loop: SimulationLoop, tolerance: float | None) -> BaseException | None:
-        """Run the loop and terminate all slaves; the first error, if any."""
+        """Run the loop and terminate all slaves; returns the first error, if any."""
         try:
             error = _failure(lambda: loop.go(tolerance))
             if isinstance(error, SlaveEnded):
                 self._record_end(error)
         finally:
-            # terminate all, whatever has happened; the first error counts
+            # terminate all slaves in any case; the first error counts
             active = self._schedule.active.value
             for index, slave in self._terminating:
                 self._schedule.active.value = index
@@ -215,7 +215,10 @@ class Simulator:
         return error
 
     def _record_end(self, ended: SlaveEnded) -> None:
-        """Record what a slave has reached that ended the run within a step, if it is alone: others are at another time."""
+        """Record the outputs of a slave that ended the run within a step.
+
+        Only if it is the single slave: others would be at another time.
+        """
         recorded = self._recorder.time[: self._recorder.count]
         if len(self._schedule.outputs) > 1 or ended.time is None or not recorded.size or ended.time <= recorded[-1]:
             return
@@ -223,7 +226,7 @@ class Simulator:
             self._recorder.append(ended.time)
 
     def _result(self, ending: Ending) -> Simulation:
-        """Recording, outcome and delays of a run that has ended."""
+        """The result of a run that has ended; warns of remarks of the slaves."""
         recording = _without_absent(self._recorder.recording(), self._system.slaves)
         _warn(recording, self._system.slaves)
 
@@ -231,10 +234,10 @@ class Simulator:
             return ((name, recording[name].values) for name in names)
 
         reached, error = ending.reached, ending.error
-        # how it ended, from the error
+        # outcome and message from the error
         outcome = outcome_of(error, ending.initialized)
         message = message_of(error, outcome, ending.active, reached.time)
-        # an unstable coupling is the cause of whatever came in the end: signals that grow, or that go up and down ever further
+        # an unstable coupling (growing or alternating signals) takes precedence: it causes later errors
         if outcome is not Outcome.INTERRUPTED:
             ended = message if error is not None else ""
             overshooting = self._source_names(self._loops)
@@ -244,7 +247,7 @@ class Simulator:
                 targets = [each.target for each in self._loops if self._system.source_name(each) == unstable.signal]
                 fed = [self._system.slaves[i].name for i in dict.fromkeys(targets)]
                 outcome, message = Outcome.COUPLING_UNSTABLE, overshot(unstable, fed, ended)
-        # what was asked for, and how late its signals arrive
+        # selected signals, and delays
         error, step = error if outcome.is_failure else None, reached.largest_step
         if step not in self._delays:
             self._delays = {step: signal_delays(self._system, self._schedule.couplings, step)}
@@ -252,17 +255,17 @@ class Simulator:
         return Simulation(kept, outcome, message, error, reached.steps, reached.rejected, delays)
 
     def _coupling_error(self, control: StepDoubling) -> CouplingError:
-        """Judges steps; learns in a run, so that each needs its own."""
+        """A new estimator of the coupling error; every run needs its own, since it adapts to the run's magnitudes."""
         span = float(self._grid.times[-1] - self._grid.times[0])
         return CouplingError(self._system, self._schedule.outputs, self._schedule.couplings, control, span)
 
     def _source_names(self, connections: Sequence[Connection]) -> tuple[str, ...]:
-        """What is passed on by these connections, each once."""
+        """Names of the outputs that these connections start from, without repetition."""
         return tuple(dict.fromkeys(self._system.source_name(each) for each in connections))
 
 
 def _failure(action: Callable[[], None]) -> BaseException | None:
-    """What goes wrong in an action, if anything."""
+    """The exception that an action raises; None if it succeeds."""
     try:
         action()
     except (Exception, KeyboardInterrupt, SystemExit) as failure:
@@ -271,7 +274,7 @@ def _failure(action: Callable[[], None]) -> BaseException | None:
 
 
 def _without_absent(recording: Recording, slaves: Sequence[Slave]) -> Recording:
-    """The recording without derivatives that FMUs didn't give."""
+    """The recording without the output derivatives that FMUs did not provide."""
     changed = {}
     for slave in slaves:
         for output, order in slave.absent.items() if isinstance(slave, FmuSlave) else ():
@@ -281,7 +284,7 @@ def _without_absent(recording: Recording, slaves: Sequence[Slave]) -> Recording:
 
 
 def _warn(recording: Recording, slaves: Sequence[Slave]) -> None:
-    """Warn of what slaves do differently from what they state or were asked for."""
+    """Warn of differences between what slaves do and what they declare or were asked to do."""
     for slave in slaves:
         remarks = list(slave.remarks) if isinstance(slave, Reports) else []
         if isinstance(slave, FmuSlave):

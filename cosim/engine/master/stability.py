@@ -1,9 +1,9 @@
-"""Recognises a coupling that blows up: signals round closed loops that grow faster than the steps can resolve.
+"""Detects an unstable coupling: signals in closed loops that grow faster than the communication steps can resolve.
 
-A physical instability that the communication steps resolve changes a signal by little from step to step. Where, over
-many steps, a signal changes each time by about as much as it amounts to, and ever more, what grows is made by the
-coupling (or can't be distinguished from that with this step). And where a signal goes up and down from each step to the next, ever
-further, a loop overshoots more every time it is closed: its gain is too high for the step, or for the sample time.
+A physical instability that the steps resolve changes a signal by little from step to step. If the changes from step to
+step keep growing over many steps and are about as large as the signal itself, the coupling is unstable (or can't be
+distinguished from an unstable one with this step). If a signal alternates from step to step with growing amplitude, the
+gain of its loop is too high for the communication step or the sample time.
 """
 
 from __future__ import annotations
@@ -17,44 +17,45 @@ from numpy.typing import NDArray
 from flexfmu.cosim.engine.slave import RealArray
 
 WINDOW = 8
-"""Steps in a window: spans the period of anything that alternates faster than a step resolves."""
+"""Number of steps in a window: longer than the period of any oscillation that the steps don't resolve."""
 
 WINDOWS = 4
-"""Consecutive windows at the end of a run that must all show the growth."""
+"""Number of consecutive windows at the end of a run that must all show the growth."""
 
 GROWTH = 2.0
-"""Least growth of the largest change from window to window."""
+"""Least growth factor of the largest change from window to window."""
 
 UNRESOLVED = 0.5
-"""Least change from step to step, relative to the largest magnitude in its window."""
+"""Least value of a window's largest change from step to step, relative to its largest magnitude."""
 
 TOTAL_GROWTH = 1e6
-"""Least growth of the magnitude over the run, from its first tenth: far from anything that a stable loop does while it settles."""
+"""Least growth factor of the magnitude since the first tenth of the run: far beyond the overshoot of a stable loop."""
 
 
 ALTERNATIONS = 5
-"""Consecutive changes of opposite sign, none smaller than the one before, that show a loop which overshoots."""
+"""Least number of consecutive changes of alternating sign, none smaller than the one before."""
 
 ALTERNATING_GROWTH = 100.0
-"""Least growth of these changes from the first to the last; its square root in their second half, since growth that multiplies
-goes on while that of a resonance adds up."""
+"""Least growth factor of these changes from first to last; its square root is the least factor in their second half,
+since an instability grows exponentially, a resonance only linearly."""
 
 BEYOND_PAST = 10.0
-"""Least last one of these changes relative to the signal's largest magnitude before: vibrations beat, and may die down and
-come up again."""
+"""Least size of the last of these changes, relative to the signal's largest magnitude before them: beats of a vibration
+fade and grow again, but not beyond it."""
 
 FINAL_SHARE = 0.1
-"""Least last one of these changes relative to the signal's largest magnitude in the run: rounding errors alternate, too."""
+"""Least size of the last of these changes, relative to the signal's largest magnitude in the run: rounding errors
+alternate, too."""
 
 
 @dataclass(frozen=True)
 class Instability:
-    """A signal that blew up.
+    """A signal that shows an unstable coupling.
 
     Attributes:
-        signal: its name.
-        growth: factor by which its change grew from step to step, at the end.
-        since: when it began to grow [s].
+        signal: its name, ``slave.output``.
+        growth: mean factor by which its change grew from step to step.
+        since: time at which it began to grow [s].
     """
 
     signal: str
@@ -63,11 +64,11 @@ class Instability:
 
 
 def find_instability(time: RealArray, signals: Iterable[tuple[str, RealArray]]) -> Instability | None:
-    """The signal whose step-to-step change grew most, if any blew up.
+    """The signal whose change from step to step grew fastest; None if none is unstable.
 
     Args:
-        time: (N,) communication points [s]; of those that appear twice the last counts.
-        signals: name and values (N,) of what goes round closed loops.
+        time: (N,) recorded instants [s]; of two equal ones the last counts.
+        signals: (name, values (N,)) of signals in closed loops.
     """
     last = _right_limits(time)
     if last.sum() <= WINDOW * WINDOWS:
@@ -76,18 +77,18 @@ def find_instability(time: RealArray, signals: Iterable[tuple[str, RealArray]]) 
 
 
 def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) -> Instability | None:
-    """The signal that overshot most, if any went up and down from step to step, ever further.
+    """The signal whose alternating change from step to step grew fastest; None if none is unstable.
 
     Args:
-        time: (N,) communication points [s]; of those that appear twice the last counts.
-        signals: name and values (N,) of what goes round closed loops, sampled ones included.
+        time: (N,) recorded instants [s]; of two equal ones the last counts.
+        signals: (name, values (N,)) of signals in closed loops, those of sampled slaves included.
     """
     last = _right_limits(time)
     return _fastest(_overshooting(time[last], name, values[last]) for name, values in signals)
 
 
 def _right_limits(time: RealArray) -> NDArray[np.bool_]:
-    """Which points count."""
+    """(N,) whether the instant is the last of equal ones."""
     return np.append(np.diff(time) > 0.0, True) if time.size else np.zeros(0, dtype=np.bool_)
 
 
@@ -96,8 +97,8 @@ def _fastest(found: Iterable[Instability | None]) -> Instability | None:
 
 
 def _overshooting(time: RealArray, name: str, values: RealArray) -> Instability | None:
-    """Whether this signal overshot: the stretch of growing alternation that grows fastest."""
-    # stretches of changes of opposite sign, none smaller than the one before
+    """The fastest growing alternation of this signal; None if there is none."""
+    # intervals with changes of alternating sign, none smaller than the one before
     change = np.diff(values)
     size = abs(change)
     follows = (change[1:] * change[:-1] < 0.0) & (size[1:] >= size[:-1])
@@ -110,7 +111,7 @@ def _overshooting(time: RealArray, name: str, values: RealArray) -> Instability 
 
 
 def _explodes(size: RealArray, values: RealArray, begin: int) -> bool:
-    """Whether changes of these sizes, that alternate from point ``begin`` on, show more than a vibration that comes up."""
+    """Whether changes of these sizes, alternating from point ``begin`` on, show an instability, not a vibration."""
     total, late = size[-1] / size[0], size[-1] / size[size.size // 2]
     exceeds_past = size[-1] >= BEYOND_PAST * abs(values[: begin + 1]).max()
     lasting = size[-1] >= FINAL_SHARE * abs(values).max()
@@ -118,12 +119,12 @@ def _explodes(size: RealArray, values: RealArray, begin: int) -> bool:
 
 
 def _judge(time: RealArray, name: str, values: RealArray) -> Instability | None:
-    """Whether this signal blew up."""
+    """The growth of this signal at the end of the run; None if it is not unstable."""
     # largest change and magnitude in each of the last windows
     count = WINDOW * WINDOWS
     change = abs(np.diff(values))[-count:].reshape(WINDOWS, WINDOW).max(axis=1)
     magnitude = abs(values[-count:]).reshape(WINDOWS, WINDOW).max(axis=1)
-    # it grows from window to window, faster than the steps resolve, far beyond what it was in the beginning
+    # it grows from window to window, faster than the steps resolve, and far beyond its initial magnitude
     before = float(abs(values[: max(2, values.size // 10)]).max())
     grows = bool((change[1:] >= GROWTH * change[:-1]).all()) and change[0] > 0.0
     unresolved = bool((change >= UNRESOLVED * magnitude).all())

@@ -1,4 +1,4 @@
-"""Communication steps that keep a given error of the coupling: step doubling with rollback."""
+"""Step size control for a given tolerance of the coupling error: step doubling with rollback."""
 
 from __future__ import annotations
 
@@ -11,47 +11,52 @@ from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 
 SAFETY = 0.9
-"""The next step aims at this fraction of what the estimate allows, so that few are rejected."""
+"""Safety factor of the next step relative to the optimal one, so that few steps are rejected."""
 
 SHRINK, GROW = 0.2, 4.0
-"""Limits for the change of the step from one to the next."""
+"""Least and largest ratio of a step to the one before."""
 
 AIM = 0.9
-"""Part of the tolerance that is shared out."""
+"""Fraction of the tolerance that the steps may use."""
 
 LEAST_LEFT = 0.2
-"""Fraction of the tolerance that is shared out even when it has been used up."""
+"""Fraction of the tolerance that is available to the steps even when it has been used up."""
 
 GROWTH_SHARE = 0.25
-"""Part of the tolerance that may be used up while signals grow from nothing to their magnitudes."""
+"""Fraction of the tolerance that may be used while signals grow from zero to their magnitudes."""
 
 MINIMUM_FADING = 2.0
-"""Errors that fade more slowly than this over the time elapsed may as well be ones that cancel by chance."""
+"""Least decay rate of errors that counts, times the elapsed time: a slower decay may be a chance cancellation."""
 
 
 @dataclass(frozen=True)
 class StepDoubling:
-    """Every step is taken twice, at once and in two halves; the difference estimates the error of the coupling.
+    """Step doubling: every step is taken as a whole and in two halves; the difference estimates the coupling error.
 
-    The two halves are kept. Beside them a second solution goes on in the long steps alone: its distance shows what has
-    accumulated of the error, which shall stay below the tolerance over the whole run. Steps may add what is left of it,
-    shared out over the remaining time (error per unit step; E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary
-    Differential Equations I, II.4), and anew as far as the system forgets, see `ErrorBudget`. Where slaves sample, the
-    second solution begins anew at every sample, so that errors count as if they never faded.
+    The two halves are kept. A second solution takes the whole steps only; its difference from the first estimates the
+    accumulated error, which shall stay below the tolerance over the whole run. Each step may add its share of the
+    remaining tolerance (error per unit step; E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential
+    Equations I, II.4), and more if errors decay in the system, see `ErrorBudget`. With sampled slaves the second
+    solution restarts at every sample, so that errors count as if they never decayed.
 
-    What a slave keeps to itself is not seen: one that gives no output derivatives should output velocities beside
-    positions. The slaves' own integrators should be more precise than the tolerance, or their noise drives the step down.
+    Internal states of slaves are not monitored: a slave without output derivatives should output velocities as well as
+    positions. The errors of the slaves' own integrators should be smaller than the tolerance, else they reduce the
+    step.
 
     Args:
-        tolerance: allowed error relative to each signal's largest magnitude so far, no less than a third of that of the
-            slave's others with the same unit, nor, for a rate, than what changes its signal once in the run.
-        absolute: allowed error on top of that, in each signal's unit (the derivatives' in unit/s).
-        smallest: smallest step [s], two of which are taken at once; 1e-6 of the first one when None.
-        largest: largest step [s].
-        signals: outputs whose error counts, as ``slave.output``. None for those that slaves with extrapolated or
-            interpolated inputs pass on, with their first derivatives; for all continuous outputs of such a slave where
-            it passes on none or gives no derivatives. Of these, what an input with an error enters at once, such as a
-            spring's force or an acceleration, follows from the others and doesn't count.
+        tolerance: allowed error relative to each signal's magnitude: its largest absolute value so far, but at least a
+            third of the largest of the slave's signals with the same unit; for a rate also at least the magnitude of
+            the signal itself divided by the length of the run.
+        absolute: allowed error in addition, in each signal's unit (for derivatives in unit/s).
+        smallest: smallest whole step [s], of which the halves are kept; 1e-6 of the first one if None.
+        largest: largest whole step [s].
+        signals: outputs to monitor, as ``slave.output``. None for the connected outputs of slaves whose inputs are
+            extrapolated or interpolated, with their first derivatives; for all continuous outputs of such a slave if
+            none is connected or it gives no derivatives. Signals with direct feedthrough from an input with an error
+            (a spring's force, an acceleration) follow from the others and are left out.
+
+    Raises:
+        InputError: a tolerance or a limit of the step is out of range.
     """
 
     tolerance: float = 1e-4
@@ -71,37 +76,37 @@ class StepDoubling:
             )
 
     def least(self, first: float) -> float:
-        """Smallest step [s], given the first one."""
+        """Smallest step [s] of a run whose first step has the length ``first`` [s]."""
         return min(1e-6 * first, self.largest) if self.smallest is None else self.smallest
 
     def next_step(self, step: float, error: float, order: int) -> float:
-        """The step after one of length ``step`` [s] with that error.
+        """Length of the next step, or of the repeated one [s].
 
         Args:
-            step: [s].
-            error: estimated error over allowed error.
-            order: power of the step that the error per unit step goes with.
+            step: length of the step just taken [s].
+            error: estimated error relative to the allowed error.
+            order: power of the step to which the error per unit step is proportional.
         """
         factor = SAFETY * float(error) ** (-1.0 / order) if error > 0.0 else GROW
         return min(step * min(max(factor, SHRINK), GROW), self.largest)
 
 
 def fitted(step: float, remaining: float) -> float:
-    """The step shortened so that equal steps end exactly after ``remaining`` [s]."""
+    """The step [s], shortened so that equal steps end exactly after ``remaining`` [s]."""
     count = ceil(remaining / step * (1.0 - 1e-9))
     return remaining / max(count, 1)
 
 
 class ErrorBudget:
-    """How much a step may add to the error, so that no more than the tolerance has accumulated at any time.
+    """Allowed error of each step, such that the accumulated error stays below the tolerance at any time.
 
-    All errors are fractions of the tolerance. What is left of it is shared out over the remaining time, as in control of
-    the error per unit step, and anew as far as the system forgets: with E the error that is there and S the sum of what
-    the steps have added, E' = S' - E / tau gives the time tau in which errors fade. A signal that grows allows the
-    corresponding fraction more.
+    All errors are relative to the tolerance. The remaining tolerance is distributed over the remaining time (control of
+    the error per unit step). If errors decay in the system, the steps may add more, at the rate of the decay: the
+    accumulated error E and the sum S of the steps' errors satisfy E' = S' - E / tau, which gives the time constant tau
+    of the decay. A signal whose magnitude grows in a step may add more, in proportion to its growth.
 
     Args:
-        start, stop: of the run [s].
+        start, stop: begin and end of the run [s].
 
     Attributes:
         span: length of the run [s].
@@ -114,32 +119,35 @@ class ErrorBudget:
         self._rising = 1.0
 
     def allowed(self, begin: float, end: float, grown: RealArray) -> RealArray:
-        """(n,) what a step from begin to end [s] may add.
+        """(n,) allowed error of each signal in a step from ``begin`` to ``end``, relative to the tolerance.
 
         Args:
-            begin, end: [s].
-            grown: (n,) by which fraction the signals' magnitudes have grown in it.
+            begin, end: of the step [s].
+            grown: (n,) fraction by which each signal's magnitude has grown in the step.
         """
+        # share of the step in the remaining time, and in the decay of errors
         left = max(AIM - self._present, LEAST_LEFT)
         share = (end - begin) * (1.0 / (self._stop - begin) + self._fading)
         return left / self._rising * np.minimum(share + GROWTH_SHARE * grown, 1.0)
 
     def spend(self, step: float, added: float, accumulated: float) -> None:
-        """Take note of a step.
+        """Account for an accepted step.
 
         Args:
             step: its length [s].
-            added: what it has added.
-            accumulated: the error at its end that has come up since `carry`.
+            added: its own error.
+            accumulated: the error at its end that has accumulated since the last `carry`.
         """
+        # accumulated error, and sum of the steps' errors
         forgets = exp(-self._fading * step)
         self._time += step
         self._carried *= forgets
         error = self._carried + accumulated
         self._made += added
         self._integral += error * step
-        # oscillating errors pass through zero
+        # errors that oscillate pass through zero: let the estimate decrease only as fast as errors decay
         self._present = max(error, self._present * forgets)
+        # amplification and decay of errors in the system
         if self._made > 0.0:
             self._rising = max(self._rising, error / self._made)
         if self._integral > 0.0:
@@ -147,5 +155,5 @@ class ErrorBudget:
             self._fading = max(apparent - MINIMUM_FADING / (self._time - self._start), 0.0)
 
     def carry(self) -> None:
-        """What comes up from now on is counted anew, on top of what is there."""
+        """Start a new count of the accumulated error, added to the present one."""
         self._carried = self._present

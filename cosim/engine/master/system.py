@@ -1,4 +1,4 @@
-"""Wiring: slaves and connections by name, checked, and sorted by direct feedthrough."""
+"""Wiring: slaves connected by name, with checks and the order of calls by direct feedthrough."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class AlgebraicLoop:
     """Outputs that depend on each other at the same instant.
 
     Attributes:
-        name: the signals on the way round.
-        slaves: slaves in the order of the exchange steps of a round, each as often as needed.
-        unknowns: outputs (slave, index of the variable) that are assumed at the beginning of a round.
-        solver: how the loop is solved.
+        name: the signals of the loop, for messages.
+        slaves: indices of the slaves in the order of the exchange steps of a round; a slave may appear more than once.
+        unknowns: (index of slave, index of variable) of the outputs that are assumed at the beginning of a round.
+        solver: solves for the unknowns.
     """
 
     name: str
@@ -51,12 +51,13 @@ class System:
     """Slaves wired together.
 
     Attributes:
-        slaves: the slaves as given.
-        connections: the connections as given, resolved.
-        exchange_order: slaves in the order in which inputs are set and outputs read at one instant, so that every
-            output is up to date when it is passed on; a slave may appear more than once. Loops are solved in their place.
-        step_order: slaves in the order in which they are advanced over a step, sources before targets where possible.
-        delayed: connections whose target is advanced before its source: over a step their input is extrapolated from
+        slaves: the slaves, in the order of the arguments of `connect`.
+        connections: the connections in the same order, with indices instead of names.
+        exchange_order: indices of slaves in the order in which inputs are set and outputs read at one instant, so that
+            every output is up to date when it is passed on; a slave may appear more than once. Algebraic loops are
+            solved in their place.
+        step_order: indices of slaves in the order in which they are stepped, sources before targets where possible.
+        delayed: connections whose target is stepped before its source: over a step their input is extrapolated from
             the beginning of the step, unless the step is iterated.
     """
 
@@ -68,7 +69,7 @@ class System:
 
     @property
     def exchange_steps(self) -> tuple[int, ...]:
-        """The slave of each exchange step (inputs are set, outputs read) at one instant, those on the way round loops too."""
+        """The slave of each exchange step (inputs set, outputs read) at one instant, algebraic loops included."""
         steps: list[int] = []
         for each in self.exchange_order:
             steps += each.slaves if isinstance(each, AlgebraicLoop) else [each]
@@ -84,21 +85,24 @@ class System:
 
 
 Wire = tuple[str, str] | tuple[str, str, SignalMap]
-"""``slave.output``, the ``slave.input`` that it feeds, and a map on the way, which answers for the units."""
+"""``slave.output``, the ``slave.input`` that it feeds, and optionally a map between them, which also converts units."""
 
 
 def connect(slaves: Sequence[Slave], connections: Iterable[Wire], *, loops: LoopSolver | None = None) -> System:
-    """Wire slaves together.
+    """Connect slaves to a system.
 
     Args:
         slaves: slaves with different names.
-        connections: pairs (``slave.output``, ``slave.input``), in equal units and of types that suit each other (see
-            `TAKES`), or triples with a linear map or a table of whole numbers.
-        loops: how to solve algebraic loops, at every instant; None to refuse them.
+        connections: pairs (``slave.output``, ``slave.input``) with equal units and compatible types (see `TAKES`), or
+            triples with a linear map or a table of integers.
+        loops: solver for algebraic loops at every instant; None to refuse them.
+
+    Returns:
+        The slaves, the connections, and the orders of calls.
 
     Raises:
-        WiringError: a name is unknown or used twice, units or types differ, a direction is wrong, an input is connected twice,
-            or a sampled slave would have to be repeated to solve a loop but can't.
+        WiringError: a name is unknown or used twice, units or types differ, a connection doesn't lead from an output to
+            an input, an input is connected twice, or a sampled slave must be rolled back to solve a loop but can't.
         AlgebraicLoopError: outputs depend on each other at the same instant, and there is no solver; the message names
             the loop.
     """
@@ -117,7 +121,7 @@ def connect(slaves: Sequence[Slave], connections: Iterable[Wire], *, loops: Loop
             slave = slaves[each.target]
             raise WiringError(f"{slave.name}.{slave.variables[each.input].name} is connected twice; keep one source")
         seen.add((each.target, each.input))
-    # orders of calls: at one instant by direct feedthrough, over a step sources first
+    # order of calls: at one instant by direct feedthrough, over a step sources first
     exchange_order = _exchange_order(slaves, resolved, loops)
     step_order = _step_order(slaves, resolved)
     position = {slave: i for i, slave in enumerate(step_order)}
@@ -126,17 +130,17 @@ def connect(slaves: Sequence[Slave], connections: Iterable[Wire], *, loops: Loop
 
 
 def _resolve(slaves: Sequence[Slave], source: str, target: str, way: SignalMap | None = None) -> Connection:
-    """Look up both ends of a connection."""
+    """The connection with indices instead of names; ``way`` is the map between its ends."""
     from_slave, output = _find(slaves, source, "output")
     to_slave, receiver = _find(slaves, target, "input")
-    # types that suit each other
+    # compatible types
     ends = slaves[from_slave].variables[output], slaves[to_slave].variables[receiver]
     if ends[0].type not in TAKES[ends[1].type]:
         raise WiringError(
             f"types differ: {source} is {ends[0].type}, {target} {ends[1].type}, which takes {' and '.join(TAKES[ends[1].type])}; "
             f'put a conversion between, or declare the output of a Python slave SlaveVariable(.., type="{ends[1].type}")'
         )
-    # equal units, unless a map on the way answers for them
+    # equal units, unless a map converts them
     units = slaves[from_slave].variables[output].unit, slaves[to_slave].variables[receiver].unit
     if way is None and all(units) and units[0] != units[1]:
         raise WiringError(f"units differ: {source} is in {units[0]}, {target} in {units[1]}; put a conversion between")
@@ -144,13 +148,17 @@ def _resolve(slaves: Sequence[Slave], source: str, target: str, way: SignalMap |
 
 
 def _find(slaves: Sequence[Slave], full_name: str, causality: Causality) -> tuple[int, int]:
-    """Index of the slave and of the variable that ``slave.variable`` names."""
+    """Indices of the slave and of the variable for the name ``slave.variable``.
+
+    Raises:
+        WiringError: there is no such slave or variable, or the variable has another causality.
+    """
     slave_name, _, name = full_name.partition(".")
     index = {slave.name: i for i, slave in enumerate(slaves)}.get(slave_name)
     if index is None:
         known = ", ".join(slave.name for slave in slaves)
         raise WiringError(f"{full_name!r}: there is no slave {slave_name!r}; slaves: {known}")
-    # by name and direction; else say what is wrong, and which name may have been meant
+    # by name and causality; else report the mistake and suggest a name
     variables = slaves[index].variables
     for i, variable in enumerate(variables):
         if variable.name == name and variable.causality == causality:
@@ -167,21 +175,21 @@ def _find(slaves: Sequence[Slave], full_name: str, causality: Causality) -> tupl
 def _exchange_order(
     slaves: Sequence[Slave], connections: Sequence[Connection], solver: LoopSolver | None
 ) -> tuple[int | AlgebraicLoop, ...]:
-    """Slaves by direct feedthrough between their variables, and loops between them."""
-    # what depends on what, and what goes round in it
+    """Slaves and algebraic loops in the order of the exchange steps at one instant."""
+    # graph of direct dependencies, and its loops
     graph = dependencies(slaves, connections)
     rings = find_loops(graph)
     if rings and solver is None:
         raise _refusal(slaves, cycle(declared(slaves, connections)))
     found = [_loop(slaves, connections, restricted(graph, ring), solver) for ring in rings if solver is not None]
-    # each loop counts as a slave of its own
+    # each loop counts as one slave
     owner = {node: node[0] for node in {*graph, *chain.from_iterable(graph.values())}}
     owner |= {node: len(slaves) + i for i, ring in enumerate(rings) for node in ring}
     inputs = {target_of(slaves, each) for each in connections}
     order = order_of_calls(contracted(graph, rings), owner, inputs)
     steps = [found[i - len(slaves)] if i >= len(slaves) else i for i in order]
-    # further exchange steps of slaves whose inputs come from one that samples, in one call, only after theirs: they close a
-    # loop of sampled slaves, and those among them that sample in one call too see it one sample later
+    # in a loop of sampled slaves a source may sample in one call after its target: the target's inputs are then set
+    # again in a further exchange step, but if the target samples in one call itself, it sees them one sample later
     last = {slave: i for i, slave in enumerate(order)}
     late = {
         each.target
@@ -196,14 +204,18 @@ def _exchange_order(
 def _loop(
     slaves: Sequence[Slave], connections: Sequence[Connection], graph: Graph, solver: LoopSolver
 ) -> AlgebraicLoop:
-    """The loop of the variables in the graph, torn and sorted."""
+    """The algebraic loop of the variables in the graph, torn and sorted.
+
+    Raises:
+        WiringError: a slave samples in one call but can't save and restore its state.
+    """
     name = _chain(slaves, cycle(restricted(declared(slaves, connections), graph.keys())))
-    # members that sample in one call are repeated from saved states
+    # slaves that sample in one call must be rolled back before each round
     for i in sorted({slave for slave, _ in graph}):
         if in_one_call(slaves[i]) and not can_save(slaves[i]):
             remedy = "let it save and restore its state, or sample in two phases (output, update)"
             raise WiringError(f"{slaves[i].name} can't be repeated to solve the algebraic loop {name}; {remedy}")
-    # outputs to assume, and the order of calls from them round the loop
+    # outputs to assume, and the order of calls of a round
     torn = tear(graph, {source_of(slaves, each) for each in connections})
     inputs = {target_of(slaves, each) for each in connections}
     order = order_of_calls(restricted(graph, graph.keys(), torn), {node: node[0] for node in graph}, inputs)
@@ -212,17 +224,17 @@ def _loop(
 
 
 def _full_name(slaves: Sequence[Slave], variable: VariableKey) -> str:
-    """``slave.variable``."""
+    """The name ``slave.variable``."""
     return f"{slaves[variable[0]].name}.{variable[1]}"
 
 
 def _chain(slaves: Sequence[Slave], variables: Sequence[VariableKey]) -> str:
-    """Signals on their way."""
+    """The names of the variables, joined by arrows."""
     return " -> ".join(_full_name(slaves, each) for each in variables)
 
 
 def _refusal(slaves: Sequence[Slave], ring: Sequence[VariableKey]) -> AlgebraicLoopError:
-    """The error that names the loop in the direction of the signals."""
+    """The error for an algebraic loop without a solver; it names the loop in the direction of the signals."""
     remedy = (
         "put a slave with a state or a sample time into it, declare what has no direct feedthrough, "
         'or solve it by iteration: cosimulation.loop_solver = "anderson" in a scene, connect(.., loops=Anderson()) in Python'
@@ -231,9 +243,11 @@ def _refusal(slaves: Sequence[Slave], ring: Sequence[VariableKey]) -> AlgebraicL
 
 
 def _step_order(slaves: Sequence[Slave], connections: Sequence[Connection]) -> tuple[int, ...]:
-    """Sources before targets; a loop is opened where the fewest feedthrough inputs, then inputs, are late.
+    """Slaves in the order in which they are stepped, sources before targets.
 
-    What is held between samples is never late.
+    An input is late if its source is stepped after it; outputs of sampled slaves, held over the step, are never late.
+    The next slave is the one with the fewest late inputs with direct feedthrough, of equal ones with the fewest late
+    inputs.
     """
     # inputs with direct feedthrough, and signals that change over a step
     remaining = list(range(len(slaves)))
@@ -242,12 +256,12 @@ def _step_order(slaves: Sequence[Slave], connections: Sequence[Connection]) -> t
     stepped = [each for each in connections if not isinstance(slaves[each.source], Sampled)]
 
     def late(slave: int) -> tuple[int, int]:
-        """Inputs of the slave whose source would be advanced after it: with direct feedthrough, and all."""
+        """Numbers of the slave's late inputs: those with direct feedthrough, and all."""
         inputs = [each for each in stepped if each.target == slave and each.source in remaining]
         names = [slaves[slave].variables[each.input].name for each in inputs]
         return sum((slave, name) in direct for name in names), len(inputs)
 
-    # one after the other the slave with the fewest late inputs
+    # append the slave with the fewest late inputs, one after the other
     while remaining:
         order.append(min(remaining, key=late))
         remaining.remove(order[-1])
