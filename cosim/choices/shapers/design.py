@@ -1,4 +1,4 @@
-"""The shapers that suit a scene: designed from the robot's vibration modes along the path and over a payload band."""
+"""Designs input shapers for a scene from the robot's vibration modes along the path and over a payload band."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from flexfmu.trajectories.shapers.sequence import ImpulseSequence, Oscillator
 from flexfmu.trajectories.shapers.specified_insensitivity import specified_insensitivity
 
 POSES = 11
-"""Poses along the path at which the modes are looked at, by equal fractions of time, both ends included."""
+"""Number of poses at which the modes are calculated: at equal intervals of time along the path, both ends included."""
 
 NEIGHBOURHOOD = 3.0
-"""Modes up to this multiple of the lowest frequency are shaped for; a pick-and-place motion hardly excites higher ones."""
+"""Shapers are designed for modes up to this multiple of the lowest frequency; a motion hardly excites higher ones."""
 
 MOST_MODES = 3
-"""Modes that are shaped for at most; each costs half a period of its own at least."""
+"""Largest number of modes that a shaper is designed for; a zero-vibration shaper adds half a period for each."""
 
 WIDEST = 2.2
-"""Largest ratio of the highest to the lowest frequency that one specified-insensitivity shaper has to cover."""
+"""Largest ratio of the highest to the lowest frequency of a specified-insensitivity shaper's band."""
 
 CONVOLVED = ("um-zv", "zv", "zvd")
-"""Shapers that are convolved for several modes; the longer ones would cost more than they bring."""
+"""Shapers that are convolved for several modes; longer ones would add too much time."""
 
 
 @dataclass(frozen=True)
 class DesignModes:
-    """What the shapers are designed for.
+    """The modes and frequency bands that the shapers are designed for.
 
     Attributes:
-        modes: the modes at the end pose with the scene's payload, where the residual vibration is; lowest first.
+        modes: modes at the end pose, where the residual vibration occurs, with the scene's payload; lowest first.
         path_range: lowest and highest frequency of the first mode along the path [Hz].
         band: lowest frequency of the first and highest of the last mode at the end pose over the payload band [Hz].
-        first_band: the same of the first mode alone [Hz].
+        first_band: lowest and highest frequency of the first mode at the end pose over the payload band [Hz].
     """
 
     modes: tuple[Oscillator, ...]
@@ -54,12 +54,12 @@ class DesignModes:
 
 @dataclass(frozen=True)
 class Alternative:
-    """A shaper that could be used.
+    """A shaper designed for the scene.
 
     Attributes:
         name: short name.
         sequence: its impulses.
-        section: the keys of the scene file's `[[shaper]]` that make it, but for `apply`.
+        section: its keys in the scene file's `[[shaper]]` table, without `apply`.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Alternative:
 
 
 def design_modes(motion: MotionPlan, payload_errors: Iterable[float]) -> DesignModes:
-    """The modes that matter at the end of a motion, and how far they move along the path and with the payload.
+    """Return the modes at the end of a motion, and their frequency bands along the path and over the payload errors.
 
     Args:
         motion: a scene's motion.
@@ -78,11 +78,13 @@ def design_modes(motion: MotionPlan, payload_errors: Iterable[float]) -> DesignM
         InputError: nothing vibrates.
         EquilibriumError: the robot has no stable equilibrium at a pose.
     """
+    # modes along the path, and at the end pose with each payload error
     poses = motion.joints.evaluate(np.linspace(0.0, motion.duration, POSES), 0)[0]
     found = [damped_modes(motion.scene, pose) for pose in poses]
     modes = tuple(_relevant(found[-1], motion.scene))
     varied = [damped_modes(with_payload_error(motion.scene, error), poses[-1]) for error in payload_errors]
     ends = [found[-1], *varied]
+    # frequency bands
     last = len(modes) - 1
     first = [float(each.frequencies[0]) for each in ends]
     highest = max(float(each.frequencies[min(last, len(each.frequencies) - 1)]) for each in ends)
@@ -91,7 +93,11 @@ def design_modes(motion: MotionPlan, payload_errors: Iterable[float]) -> DesignM
 
 
 def _relevant(modes: DampedModes, scene: Scene) -> list[Oscillator]:
-    """The lowest modes that are near to each other."""
+    """Return the lowest modes, at most `MOST_MODES` within `NEIGHBOURHOOD` of the lowest frequency.
+
+    Raises:
+        InputError: nothing vibrates.
+    """
     if not len(modes.frequencies):
         raise InputError(
             f"nothing vibrates in scene {scene.name}: all links are rigid or overdamped, and there is nothing to shape for; "
@@ -103,9 +109,10 @@ def _relevant(modes: DampedModes, scene: Scene) -> list[Oscillator]:
 
 
 def alternatives(design_for: DesignModes) -> list[Alternative]:
-    """All shapers for the first mode, for all modes together by convolution, and SI for the whole band; shortest first.
+    """Return all shapers for the first mode, `CONVOLVED` ones for all modes, and SI for the frequency band; shortest first.
 
-    A shaper that doesn't exist for a mode's damping is left out.
+    SI covers all modes, or where their band is wider than `WIDEST` the first mode alone. A shaper that doesn't exist for a
+    mode's damping is left out.
     """
     modes = design_for.modes
     candidates = [(name, modes[:1]) for name in SHAPERS]

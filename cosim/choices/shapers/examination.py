@@ -1,4 +1,4 @@
-"""A shaper study of a scene: input shapers are designed, all tried in co-simulation, and one is recommended; as data and as text."""
+"""Shaper study of a scene: designs input shapers, co-simulates each and recommends one; as data and as text."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.scene.schema import Scene
 
 COARSE, FINE = 5, 7
-"""Number of payload errors over the band. The residual vibration goes up and down with the payload, since the vibrations
-of start, corners and end meet in another phase: its ends and middle alone would miss the worst."""
+"""Number of payload errors over the band. With the payload the phases change in which the vibrations of start, corners and
+end superpose, so the residual vibration may be worst anywhere in the band, not only at its ends or middle."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,12 @@ class ShaperStudy:
     """A scene's shaper study.
 
     Attributes:
-        scene: what was simulated.
-        design: what the shapers were designed for.
-        results: unshaped motion and shapers.
-        slower: the unshaped motion with the time that the recommended shaper adds; None where that adds none.
-        recommendation: which shaper to take.
-        left_out: shaper and what it shapes → why it can't be applied.
+        scene: the simulated scene.
+        design: modes that the shapers were designed for.
+        results: of the unshaped motion and of every shaper.
+        slower: of the unshaped motion, slower by the time that the recommended shaper adds; None where it adds none.
+        recommendation: the recommended shaper.
+        left_out: shaper and application → why it can't be applied.
         vibrations: of the unshaped motion and the recommended one after their ends.
     """
 
@@ -76,15 +76,15 @@ def examine(
     drive: Drive | None = None,
     limits: ShaperLimits | None = None,
 ) -> ShaperStudy:
-    """Design shapers for a scene and co-simulate them.
+    """Design shapers for a scene, co-simulate them and recommend one.
 
     Args:
         scene: the scene.
         band: largest relative error of the payload's mass.
         count: number of payload errors, odd.
-        show: called with what is being done and the finished fraction.
-        drive: what drives the robot, see `studied`.
-        limits: what the recommended motion must not exceed.
+        show: called with the current activity and the finished fraction.
+        drive: perfect drive or the scene's controllers, see `studied`.
+        limits: limits of the recommended motion; None for none.
 
     Raises:
         InputError: nothing vibrates, or there is no controller.
@@ -102,7 +102,7 @@ def examine(
     def simulating(fraction: float) -> None:
         show("simulating", fraction)
 
-    # the best one beside an unshaped motion that is slower by the same time
+    # the recommendation, and an unshaped motion that is slower by the same time
     results = list(study(tried, errors, motion.duration, fmu_path, simulating))
     recommendation = recommend(results, scene.cosimulation.settling_band, limits)
     chosen = recommendation.result
@@ -113,7 +113,7 @@ def examine(
 
 
 def study_data(found: ShaperStudy) -> dict[str, Any]:
-    """The study as plain data."""
+    """Return the study as plain data."""
     return {
         "scene": found.scene.name,
         "design": design_data(found.design),
@@ -125,7 +125,7 @@ def study_data(found: ShaperStudy) -> dict[str, Any]:
 
 
 def report(found: ShaperStudy, folder: Path, output: Path | None) -> list[RenderableType]:
-    """The study for the terminal: design, table, recommendation, and where the files are.
+    """Return the study for the terminal: design, table, recommendation and folder of the files.
 
     Args:
         found: the study.
@@ -133,7 +133,7 @@ def report(found: ShaperStudy, folder: Path, output: Path | None) -> list[Render
         output: the shaped scene's file, if there is one.
     """
     design, recommended = found.design, found.recommendation.result
-    # what the shapers were designed for, and all of them
+    # design modes, and title of the table
     modes = ", ".join(f"{mode.frequency:.2f} Hz (damping ratio {mode.ratio:.4f})" for mode in design.modes)
     designed = (
         f"Designed for {modes} at the end pose; the first mode is {design.path_range[0]:.2f} to {design.path_range[1]:.2f} Hz "
@@ -141,14 +141,14 @@ def report(found: ShaperStudy, folder: Path, output: Path | None) -> list[Render
     )
     drive = ", ".join(each.name or each.kind for each in found.scene.controller) or "a perfect drive"
     title = f"{found.scene.name}: input shapers, co-simulated with {drive}"
-    # the recommended one, and how a slower motion compares
+    # the recommendation, the slower motion, and the shapers that can't be applied
     lines = []
     if found.recommendation.keeps_limits:
         lines.append(f"Recommended: {recommended.candidate.label}: {found.recommendation.reason}.")
     if found.slower is not None:
         lines.append(compare_slower(recommended, found.slower, found.scene.cosimulation.settling_band) + ".")
     lines += [f"Left out: {what}: {why}." for what, why in found.left_out.items()]
-    # how to apply it
+    # the recommended shaper's table in the scene file
     if toml := found.recommendation.keeps_limits and shaper_toml(recommended.candidate.section):
         written = f", which {output} has" if output is not None else ""
         lines.append(f"In the scene file{written}:\n\n{toml}")

@@ -1,5 +1,5 @@
-"""The picture of a study: residual vibration over the true frequency in closed form, over the payload as simulated, and over
-time before and after."""
+"""Draws a shaper study: residual vibration over the true frequency in closed form, over the simulated payload error, and over
+time without and with the recommended shaper."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ POINTS = 500
 """Points of a sensitivity curve."""
 
 LOWEST_SHOWN = 1e-3
-"""Residual below which the closed-form curves aren't drawn; zeros have no logarithm."""
+"""Residual vibration below which closed-form curves aren't drawn; the axis is logarithmic."""
 
 STYLES = {"joints": "-", "path": (0, (3, 2)), "-": "-"}
-"""What is shaped → line style."""
+"""Application of a shaper → line style."""
 
 
 Vibrations = Mapping[str, tuple[RealArray, RealArray]]
@@ -41,19 +41,21 @@ def draw_sensitivity(
     band: float,
     vibrations: Vibrations,
 ) -> Figure:
-    """The three panels; the recommended shaper stands out.
+    """Draw the three panels; the recommended shaper has the thickest line.
 
     Args:
         results: all results, the unshaped motion included.
-        design: what the shapers were designed for.
+        design: modes that the shapers were designed for.
         recommended: the recommended result.
         band: settling band [m].
-        vibrations: the unshaped motion's and the recommended one's, with the scene's own payload.
+        vibrations: of the unshaped motion and the recommended one, with the scene's own payload.
     """
+    # a colour for each shaper
     figure = draw(14.5, 4.6)
     names = list(dict.fromkeys(r.candidate.name for r in results if r.candidate.name != UNSHAPED_NAME))
     palette = colormaps["turbo"](np.linspace(0.05, 0.95, max(len(names), 1)))
     colours: Mapping[str, Any] = {**dict(zip(names, palette, strict=True)), UNSHAPED_NAME: INK}
+    # panels and a common legend
     left, right, last = figure.subplots(1, 3)
     _closed_form(left, results, design, colours, recommended)
     _simulated(right, results, colours, recommended, band)
@@ -64,7 +66,7 @@ def draw_sensitivity(
 
 
 def _plain_numbers(axes: Axes) -> None:
-    """0.1, 1, 10 instead of powers of ten."""
+    """Label the axis with 0.1, 1, 10 instead of powers of ten."""
     axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
 
 
@@ -98,14 +100,14 @@ def _closed_form(
     colours: Mapping[str, Any],
     recommended: CandidateResult,
 ) -> None:
-    """Residual of each sequence over the natural frequency, with the payload band and the modes."""
+    """Draw the residual vibration of each sequence over the natural frequency, with the payload band and the modes."""
     # the payload band, and all modes
     mode = design.modes[0]
     frequency = np.linspace(0.5 * design.band[0], 1.3 * design.band[1], POINTS)
     axes.axvspan(*design.first_band, color=PALE, label="payload band of mode 1")
     for other in design.modes:
         axes.axvline(other.frequency, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
-    # a line for each sequence, broken where it is below the axis
+    # a line for each sequence, with gaps below the axis
     for candidate in {result.candidate.name: result.candidate for result in results}.values():
         if candidate.name == UNSHAPED_NAME:
             continue
@@ -132,7 +134,8 @@ def _simulated(
     recommended: CandidateResult,
     band: float,
 ) -> None:
-    """Residual vibration of the co-simulated robot over the payload error."""
+    """Draw the residual vibration of the co-simulated robot over the payload error."""
+    # a line for each motion
     for result in results:
         candidate = result.candidate
         errors = [100.0 * trial.payload_error for trial in result.trials]
@@ -148,7 +151,7 @@ def _simulated(
             marker="o",
             markersize=0.5 + width,
         )
-    # what counts as settled
+    # settling band and axes
     axes.axhline(1e6 * band, color=GREY, linewidth=0.9, linestyle=(0, (4, 3)), label="settling band")
     axes.set(
         yscale="log",
@@ -160,7 +163,7 @@ def _simulated(
 
 
 def _before_and_after(axes: Axes, vibrations: Vibrations, recommended: CandidateResult, band: float) -> None:
-    """Vibration after the motion's end, without and with the recommended shaper."""
+    """Draw the vibration after the motion's end, without and with the recommended shaper."""
     for label, (time, distance) in vibrations.items():
         is_before = label == UNSHAPED_NAME
         # a logarithmic axis has no zero
@@ -178,7 +181,7 @@ def _before_and_after(axes: Axes, vibrations: Vibrations, recommended: Candidate
 
 
 def _line_styles() -> list[Line2D]:
-    """How the lines of the right panel differ, besides their colours."""
+    """Return the legend of line styles in the panel of simulations."""
     return [
         Line2D([], [], color=INK, linewidth=2.6, label=UNSHAPED_NAME),
         Line2D([], [], color=GREY, linestyle=STYLES["joints"], label="joints shaped"),

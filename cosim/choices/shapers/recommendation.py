@@ -1,5 +1,5 @@
-"""Which shaper to take: the one after which the robot is at rest soonest, whatever the payload in its band; and as TOML: the table
-that applies it, and the scene file with it."""
+"""Recommends the shaper after which the robot is at rest soonest for all payloads of the band, and writes it as TOML: the table that
+applies it, and the scene file with that table."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.model.scene.file import load_scene, read_scene_text
 
 RESOLUTION = 1e-4
-"""Times to rest [s] that differ by less count as equal; then the smaller path deviation decides."""
+"""Difference of times to rest [s] below which they are equal and the smaller path deviation decides."""
 
 
 @dataclass(frozen=True)
 class ShaperLimits:
-    """What a recommended motion must not exceed; None for no limit.
+    """Limits of a recommended motion; None for no limit.
 
     Attributes:
-        deviation: from the path [m].
-        added_time: [s].
-        jerk: of either joint's reference [rad/s3].
-        torque: of either motor, over the payload band [N.m].
+        deviation: largest path deviation [m].
+        added_time: by the shaper [s].
+        jerk: largest jerk of either joint's reference [rad/s3].
+        torque: largest torque of either motor over the payload band [N.m].
     """
 
     deviation: float | None = None
@@ -36,7 +36,7 @@ class ShaperLimits:
     torque: float | None = None
 
     def exceeded(self, result: CandidateResult) -> list[str]:
-        """A phrase for each limit that a result exceeds."""
+        """Return a phrase for each limit that a result exceeds."""
         return [
             f"{what} {scale * value:.4g} {unit} above {scale * limit:.4g} {unit}"
             for what, value, limit, scale, unit in self._compared(result)
@@ -44,7 +44,7 @@ class ShaperLimits:
         ]
 
     def _compared(self, result: CandidateResult) -> list[tuple[str, float, float, float, str]]:
-        """Quantity, value, limit, factor to the unit shown and that unit, for each limit there is."""
+        """Return quantity, value, limit, factor to the display unit and that unit, for each limit that isn't None."""
         rows = (
             ("path deviation", result.path_deviation, self.deviation, 1e3, "mm"),
             ("added time", result.added_time, self.added_time, 1e3, "ms"),
@@ -55,7 +55,7 @@ class ShaperLimits:
 
 
 ROUNDING = 1e-9
-"""Limits are kept to within this share of themselves."""
+"""Relative tolerance of the limits."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ class Recommendation:
     """The choice among the results.
 
     Attributes:
-        result: the recommended one; the unshaped motion where no shaper is of use, or nothing keeps the limits.
-        reason: why, in one sentence.
-        keeps_limits: whether the result keeps all limits; if it doesn't, nothing that was tried does.
+        result: the recommended one; the unshaped motion where no shaper helps, or no result keeps the limits.
+        reason: of the recommendation, in one sentence.
+        keeps_limits: whether the result keeps all limits; False where no result does.
     """
 
     result: CandidateResult
@@ -76,16 +76,17 @@ class Recommendation:
 def recommend(
     results: Sequence[CandidateResult], settling_band: float, limits: ShaperLimits | None = None
 ) -> Recommendation:
-    """The result with the shortest time to rest over the payload band; of equal ones that with the smallest deviation.
+    """Return the result with the shortest time to rest over the payload band; of equal ones that with the smallest deviation.
 
-    Where none comes to rest within the dwell for all payloads, the one with the smallest worst residual vibration. Only
-    what keeps the limits counts.
+    Where none comes to rest within the dwell for all payloads, it is the one with the smallest worst residual vibration.
+    Results that exceed the limits are ignored.
 
     Args:
         results: the unshaped motion and the shaped ones.
         settling_band: radius around the equilibrium that counts as rest [m].
-        limits: what the motion must not exceed; None for no limits.
+        limits: limits of the motion; None for none.
     """
+    # results that keep the limits
     unshaped = next(result for result in results if result.candidate.name == UNSHAPED_NAME)
     limits = limits or ShaperLimits()
     allowed = [result for result in results if not limits.exceeded(result)]
@@ -97,12 +98,12 @@ def recommend(
             keeps_limits=False,
         )
     results = allowed
-    # where none comes to rest, the smallest vibration counts
+    # where none comes to rest, the smallest worst residual vibration
     settled = [(result.time_to_rest, result) for result in results if result.time_to_rest is not None]
     if not settled:
         best = min(results, key=lambda result: result.worst_residual)
         return Recommendation(best, _smallest_residual(best, unshaped, settling_band))
-    # soonest at rest, and among equals the one nearest to the path
+    # the shortest time to rest, and of equal ones the smallest path deviation
     shortest = min(time for time, _ in settled)
     best = min((r for time, r in settled if time <= shortest + RESOLUTION), key=lambda result: result.path_deviation)
     if best is unshaped:
@@ -118,18 +119,19 @@ def recommend(
 
 
 def compare_slower(result: CandidateResult, slower: CandidateResult, settling_band: float) -> str:
-    """What the added time would bring without a shaper, as a sentence."""
+    """Return a sentence about an unshaped motion that is slower by the added time."""
     return f"An unshaped motion slower by the same {1e3 * result.added_time:.1f} ms: {_rest(slower, settling_band)}"
 
 
 def _rest(result: CandidateResult, band: float) -> str:
-    """When a motion comes to rest, for all payloads."""
+    """Return a phrase on when a motion comes to rest for all payloads."""
     if result.time_to_rest is None:
         return f"{1e6 * result.worst_residual:.3g} µm, no rest within {1e6 * band:g} µm during the dwell"
     return f"rest within {1e6 * band:g} µm {1e3 * result.time_to_rest:.1f} ms after the end of the scene's own motion"
 
 
 def _smallest_residual(best: CandidateResult, unshaped: CandidateResult, band: float) -> str:
+    """Return the reason where no motion comes to rest during the dwell."""
     return (
         f"nothing comes to rest within {1e6 * band:g} µm during the dwell{_payloads(best)}; this leaves the smallest "
         f"residual vibration, {1e6 * best.worst_residual:.3g} µm at worst instead of {1e6 * unshaped.worst_residual:.3g} µm"
@@ -137,12 +139,13 @@ def _smallest_residual(best: CandidateResult, unshaped: CandidateResult, band: f
 
 
 def _payloads(result: CandidateResult) -> str:
+    """Return a phrase with the range of payload errors; empty for a single one."""
     errors = [trial.payload_error for trial in result.trials]
     return f" for payloads from {100.0 * min(errors):+.0f} % to {100.0 * max(errors):+.0f} %" if len(errors) > 1 else ""
 
 
 def shaper_toml(section: Mapping[str, Any]) -> str:
-    """The `[[shaper]]` table of these keys; empty for no keys."""
+    """Return the `[[shaper]]` table of these keys as TOML; empty for no keys."""
     if not section:
         return ""
     document = tomlkit.document()
@@ -151,25 +154,25 @@ def shaper_toml(section: Mapping[str, Any]) -> str:
 
 
 def write_shaped(source: str, section: Mapping[str, Any], target: Path) -> None:
-    """Write a scene file with this shaper in place of its own ones; comments and order of the rest stay.
+    """Write a scene file with this shaper instead of its own ones; everything else, comments included, stays.
 
     Args:
         source: path of a scene file, or name of a shipped scene.
-        section: keys of the shaper; without any the scene is written without shapers.
-        target: the new file; paths in the scene are rewritten to count from its folder.
+        section: keys of the shaper; empty for a scene without shapers.
+        target: the new file; relative paths in the scene become relative to its folder.
 
     Raises:
         ResultsError: the file can't be written.
     """
     text, _, folder = read_scene_text(source)
-    # the scene without its shapers, its paths as seen from the new folder
+    # remove the shapers, and make the paths relative to the new folder
     document = tomlkit.parse(text)
     document.pop("shaper", None)
     for table in (*document.get("controller", ()), *document.get("imperfection", ())):
         key = {"fmu": "path", "python": "folder"}.get(table["kind"])
         if key is not None and folder is not None:
             table[key] = os.path.relpath(folder / table.get(key, "."), target.resolve().parent)
-    # the new shaper at the end
+    # append the new shaper
     if section:
         document.append("shaper", _tables(section))
     try:
@@ -180,7 +183,7 @@ def write_shaped(source: str, section: Mapping[str, Any], target: Path) -> None:
 
 
 def _tables(section: Mapping[str, Any]) -> tomlkit.items.AoT:
-    """An array of one table, modes as inline tables."""
+    """Return an array of one table, with modes as inline tables."""
     table = tomlkit.table()
     for key, value in section.items():
         table.append(key, _mode_tables(value) if key == "modes" else value)
@@ -190,7 +193,7 @@ def _tables(section: Mapping[str, Any]) -> tomlkit.items.AoT:
 
 
 def _mode_tables(modes: Any) -> tomlkit.items.Array:
-    """One mode a line."""
+    """Return an array of inline tables, one mode a line."""
     array = tomlkit.array().multiline(True)
     for mode in modes:
         inline = tomlkit.inline_table()

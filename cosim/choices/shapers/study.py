@@ -1,4 +1,4 @@
-"""What shapers do to a scene: co-simulations of the motion-driven FMU, one FMU with the payload as its parameter."""
+"""Co-simulates a scene with each shaper and payload error; all runs share one FMU, whose payload is a parameter."""
 
 from __future__ import annotations
 
@@ -23,34 +23,34 @@ from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence
 
 UNSHAPED_NAME, NOTHING = "unshaped", "-"
-"""Name of the motion as it is, and what is shaped then."""
+"""Name and application of the unshaped motion."""
 
 DWELL_PERIODS = 15.0
-"""Dwell in periods of the lowest mode, for a scene without one: without a dwell there is no residual vibration."""
+"""Dwell in periods of the lowest mode for a scene without dwell, so that residual vibration can be measured."""
 
 
 JERK_POINTS = 2001
-"""Points over a motion at which its jerk is looked at, beside its breakpoints."""
+"""Number of instants at which the jerk of a motion is evaluated, besides its breakpoints."""
 
 SMOOTH = 1e-6
-"""Jumps of the acceleration below this share of its maximum are rounding."""
+"""Jump of the acceleration relative to its maximum below which it is rounding."""
 
 Drive = Literal["perfect", "controller"]
-"""What drives the robot in a study."""
+"""Drive of the robot in a study: motors that follow their references exactly, or the scene's controllers."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One co-simulation.
+    """Results of one co-simulation.
 
     Attributes:
         payload_error: relative error of the payload's mass.
         residual: largest distance of the end effector from where it comes to rest during the dwell [m]: from its
             equilibrium with a perfect drive, from its last position with a controller.
         settling_time: time after the motion's end from which it stays in the settling band [s]; None if it doesn't
-            within the dwell.
+            settle within the dwell.
         peak_torque: largest torque of either motor over the motion [N.m].
-        rest_offset: distance of the point where a controlled robot comes to rest from the equilibrium [m].
+        rest_offset: distance of a controlled robot's last position from the equilibrium [m]; 0 with a perfect drive.
     """
 
     payload_error: float
@@ -62,7 +62,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A shaper applied in one of the two ways, or the unshaped motion.
+    """A motion shaped on the joints or along the path, or the unshaped motion.
 
     Attributes:
         name: of the shaper.
@@ -80,17 +80,17 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name and application in words."""
+        """Name and application, such as ``zv on path``."""
         return self.name if self.application == NOTHING else f"{self.name} on {self.application}"
 
 
 @dataclass(frozen=True)
 class CandidateResult:
-    """What a candidate does, over all payload errors.
+    """Results of a candidate over all payload errors.
 
     Attributes:
-        candidate: what was simulated.
-        added_time: by how much the motion is longer than the scene's own [s].
+        candidate: the simulated candidate.
+        added_time: duration of the motion minus that of the scene's own motion [s].
         path_deviation: largest distance of the rigid end effector from the scene's path [m].
         trials: one for each payload error.
         peak_jerk: largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps.
@@ -119,33 +119,34 @@ class CandidateResult:
 
     @property
     def worst_settling_time(self) -> float | None:
-        """Longest settling time over the payload band [s]; None where one didn't settle."""
+        """Longest settling time over the payload band [s]; None where one trial didn't settle."""
         times = [trial.settling_time for trial in self.trials]
         return None if None in times else max(time for time in times if time is not None)
 
     @property
     def time_to_rest(self) -> float | None:
-        """Added time and longest settling time [s]: how long after the unshaped motion's end there is rest."""
+        """Added time plus longest settling time [s], which is the time from the unshaped motion's end to rest; None for no rest."""
         settling = self.worst_settling_time
         return None if settling is None else self.added_time + settling
 
 
 def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -> Scene:
-    """The scene as the study needs it: with a dwell, without shapers of its own, and with the drive of the study.
+    """Return the scene for a study: with a dwell, without its own shapers, and with the drive of the study.
 
     Args:
         scene: the scene.
-        lowest_frequency: of the lowest mode [Hz]; a scene without dwell gets some periods of it.
-        drive: ``perfect`` for a robot that follows its references exactly, ``controller`` for the scene's controllers and
-            imperfections; None for the controllers where the scene has some.
+        lowest_frequency: of the lowest mode [Hz]; a scene without dwell gets `DWELL_PERIODS` periods of it.
+        drive: ``perfect`` for motors that follow their references exactly, ``controller`` for the scene's controllers and
+            imperfections; None for the controllers where the scene has some, otherwise perfect.
 
     Raises:
-        InputError: the scene has no controller to study with.
+        InputError: the drive is ``controller`` and the scene has none.
     """
     if drive == "controller" and not scene.controller:
         raise InputError(
             f"scene {scene.name} has no [[controller]] to study shapers with: add one, or take the perfect drive"
         )
+    # sections to remove, and changes of drive and dwell
     dropped = ("shaper",) if drive != "perfect" and scene.controller else ("controller", "shaper", "imperfection")
     changes: dict[str, object] = {section: () for section in dropped if getattr(scene, section)}
     if "controller" in dropped and scene.cosimulation.drive != "motion":
@@ -156,7 +157,8 @@ def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -
 
 
 def candidates(motion: MotionPlan, shapers: Sequence[Alternative]) -> tuple[list[Candidate], Mapping[str, str]]:
-    """The unshaped motion and every shaper in both ways; what can't be applied is left out, with the reason."""
+    """Return the unshaped motion and every shaper on joints and path, and the reasons why some can't be applied."""
+    # every shaper in every application
     found, refused = [Candidate(UNSHAPED_NAME, NOTHING, UNSHAPED, motion)], {}
     for shaper in shapers:
         for application, shape in APPLICATIONS.items():
@@ -170,7 +172,7 @@ def candidates(motion: MotionPlan, shapers: Sequence[Alternative]) -> tuple[list
 
 
 def slower(motion: MotionPlan, extra_time: float) -> Candidate:
-    """The unshaped motion, slower by a time [s]: what the time that a shaper adds could have bought instead."""
+    """Return the unshaped motion, slower by a time [s], for comparison with a shaper that adds the same time."""
     scene = motion.scene.replace({"trajectory.duration": motion.duration + extra_time})
     return Candidate("slower", NOTHING, UNSHAPED, plan(scene))
 
@@ -182,13 +184,13 @@ def study(
     fmu_path: Path,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Iterator[CandidateResult]:
-    """Co-simulate each candidate with each payload error.
+    """Co-simulate each candidate with each payload error and yield the results.
 
     Args:
         candidates: shaped motions of one scene.
-        payload_errors: relative errors of the payload's mass; just 0 for a scene without payload.
+        payload_errors: relative errors of the payload's mass; [0] for a scene without payload.
         nominal_duration: duration of the scene's own motion [s].
-        fmu_path: the scene's motion-driven FMU.
+        fmu_path: FMU of the scene.
         progress: called with the finished fraction.
 
     Raises:
@@ -204,10 +206,10 @@ def study(
 
 
 def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Trial:
-    """One co-simulation, measured.
+    """Co-simulate a candidate with a payload error and return its results.
 
     Raises:
-        CosimError: it didn't reach its end.
+        CosimError: the simulation didn't reach its end.
     """
     run, settings, offset = _simulated(candidate, payload_error, fmu_path)
     values = {name: measurement.value for name, measurement in measure(run.recording, settings).items()}
@@ -221,7 +223,7 @@ def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Tria
 
 
 def vibration(candidate: Candidate, fmu_path: Path) -> tuple[RealArray, RealArray]:
-    """Times after the motion's end [s] and the end effector's distance from where it comes to rest [m], nominal payload.
+    """Return times after the motion's end [s] and the end effector's distances from rest [m], with the scene's payload.
 
     Raises:
         CosimError: the simulation didn't reach its end.
@@ -233,10 +235,14 @@ def vibration(candidate: Candidate, fmu_path: Path) -> tuple[RealArray, RealArra
 
 
 def _simulated(candidate: Candidate, payload_error: float, fmu_path: Path) -> tuple[Run, Settings, float]:
-    """A run, what to measure it by, and how far it comes to rest from the equilibrium [m].
+    """Return a run, the settings of its metrics, and the distance of its rest position from the equilibrium [m].
 
-    Controllers keep believing in the scene's payload.
+    Controllers assume the scene's payload, without the error.
+
+    Raises:
+        CosimError: the simulation didn't reach its end.
     """
+    # run with the payload as a parameter of the FMU
     motion = candidate.motion
     scene = motion.scene
     mass = with_payload_error(scene, payload_error).payload.mass
@@ -244,6 +250,7 @@ def _simulated(candidate: Candidate, payload_error: float, fmu_path: Path) -> tu
     run = run_scene(scene, loop=loop_of(scene, motion), fmu_path=fmu_path, parameters=parameters)
     if not run.completed:
         raise CosimError(f"{candidate.label}, payload error {payload_error:+.0%}: {run.message}")
+    # a controlled robot may come to rest beside the equilibrium
     settings = settings_for(run)
     if not scene.controller:
         return run, settings, 0.0
@@ -252,12 +259,12 @@ def _simulated(candidate: Candidate, payload_error: float, fmu_path: Path) -> tu
 
 
 def position_values(run: Run) -> RealArray:
-    """End-effector positions of a run (2, N) [m]."""
+    """Return the end-effector positions of a run (2, N) [m]."""
     return np.array([run.recording[f"end_effector.position.{axis}"].values for axis in "xy"])
 
 
 def peak_jerk(motion: MotionPlan) -> float:
-    """Largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps."""
+    """Return the largest third derivative of a joint reference [rad/s3]; infinite where an acceleration jumps."""
     joints = motion.joints
     times = np.union1d(np.linspace(0.0, joints.duration, JERK_POINTS), joints.breakpoints)
     left, right = (joints.evaluate(times, 3, side=side) for side in ("left", "right"))
@@ -268,7 +275,7 @@ def peak_jerk(motion: MotionPlan) -> float:
 
 
 def payload_errors(scene: Scene, band: float, count: int) -> list[float]:
-    """So many relative payload errors between -band and band, 0 among them; 0 alone for a scene without payload."""
+    """Return ``count`` (odd) relative payload errors from -band to band, with 0; [0] for a scene without payload."""
     if not scene.payload.mass or not band:
         return [0.0]
     return [float(error) for error in np.round(np.linspace(-band, band, count), 12)]

@@ -37,11 +37,11 @@ QUANTITIES: tuple[tuple[str, Callable[[Trial], str]], ...] = (
     ("Settling time [ms]", lambda trial: milliseconds(trial.settling_time)),
     ("Peak torque [N·m]", lambda trial: f"{trial.peak_torque:.1f}"),
 )
-"""What the Markdown tables show of each trial."""
+"""Quantity of each Markdown table → its text for a trial."""
 
 
 def terminal_table(title: str, results: Sequence[CandidateResult], recommended: CandidateResult) -> Table:
-    """One line for each alternative, the recommended one in bold."""
+    """Return a table with a line for each result, the recommended one in bold."""
     words = [Column(each, no_wrap=True) for each in COLUMNS[:2]]
     figures = [Column(each, justify="right", no_wrap=True) for each in COLUMNS[2:]]
     table = titled_table(title, *words, *figures)
@@ -65,19 +65,19 @@ def _row(result: CandidateResult) -> tuple[str, ...]:
 
 
 def milliseconds(time: float | None) -> str:
-    """A time [s] in ms; a dash where there is none."""
+    """Format a time [s] in ms; a dash for None."""
     return "–" if time is None else f"{1e3 * time:.1f}"
 
 
 def drive_of(results: Sequence[CandidateResult]) -> str:
-    """How the robot of a study was driven."""
+    """Return the drive of a study."""
     return "controllers" if results[0].candidate.motion.scene.controller else "motion-driven"
 
 
 def markdown(title: str, results: Sequence[CandidateResult]) -> str:
-    """A table for each quantity: shapers in rows, payload errors in columns."""
+    """Return a Markdown table for each quantity: shapers in rows, payload errors in columns."""
     errors = [trial.payload_error for trial in results[0].trials]
-    # each table with shaper, cost, and the quantity over the payload errors
+    # columns of each table: shaper, added time, path deviation, then the quantity for each payload error
     parts = [f"# {title}\n"]
     for name, text in QUANTITIES:
         head = ["Shaper", "Shapes", "Added time [ms]", "Path deviation [mm]", *(f"{error:+.0%}" for error in errors)]
@@ -98,11 +98,11 @@ def markdown(title: str, results: Sequence[CandidateResult]) -> str:
 
 
 def to_csv(results: Sequence[CandidateResult]) -> str:
-    """One line for each simulation, in SI units; an empty cell for a settling time beyond the dwell."""
+    """Return CSV with one line for each simulation, in SI units; the cell of a settling time beyond the dwell is empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
-    # the order of the cells is that of `CSV_COLUMNS`
+    # cells in the order of `CSV_COLUMNS`
     for result in results:
         for trial in result.trials:
             settling = "" if trial.settling_time is None else trial.settling_time
@@ -124,7 +124,7 @@ def to_csv(results: Sequence[CandidateResult]) -> str:
 
 
 def design_data(design: DesignModes) -> dict[str, Any]:
-    """What the shapers were designed for, as plain data."""
+    """Return the design modes as plain data; frequencies in Hz."""
     return {
         "modes": [{"frequency": mode.frequency, "ratio": mode.ratio} for mode in design.modes],
         "first_frequency_along_path": list(design.path_range),
@@ -134,7 +134,7 @@ def design_data(design: DesignModes) -> dict[str, Any]:
 
 
 def result_data(result: CandidateResult) -> dict[str, Any]:
-    """A result as plain data in SI units."""
+    """Return a result as plain data in SI units."""
     candidate = result.candidate
     return {
         "shaper": candidate.name,
@@ -162,7 +162,7 @@ def result_data(result: CandidateResult) -> dict[str, Any]:
 
 
 def recommendation_data(recommendation: Recommendation) -> dict[str, Any]:
-    """The recommendation as plain data; ``toml`` applies it, and is empty where nothing is to be applied."""
+    """Return the recommendation as plain data; ``toml`` is the table that applies it, empty for the unshaped motion."""
     candidate = recommendation.result.candidate
     return {
         "shaper": candidate.name,
