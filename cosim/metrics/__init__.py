@@ -1,1 +1,1 @@
-"""What a run is worth: metrics of the continuous solution between communication points, each with its error."""
+"""Metrics of a run, taken from the continuous solution between communication points, each with its error."""

@@ -1,7 +1,7 @@
 """Polynomials in Bernstein form on many segments at once: evaluation, bounds, maxima.
 
-G. Farin, *Curves and Surfaces for CAGD*, chapters 5 and 6. A polynomial on [0, 1] lies in the convex hull of its control
-points, so they bound it, and halving the interval brings them closer to it by a factor of four.
+A polynomial on [0, 1] lies in the convex hull of its control points, which therefore bound it. Bisecting the interval reduces
+their distance from the polynomial by a factor of four (G. Farin, *Curves and Surfaces for CAGD*, chapters 5 and 6).
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from flexfmu.cosim.engine.slave import RealArray
 
 PEAK_TOLERANCE = 1e-11
-"""Relative gap at which the search for a maximum stops: far above rounding, far below any metric's own error."""
+"""Relative gap at which the search for a maximum stops: far above rounding errors, far below any metric's error."""
 
 MAXIMUM_BISECTIONS = 60
-"""Bisections after which a segment has shrunk to the spacing of floating-point numbers."""
+"""Bisections after which a segment is as short as the spacing of floating-point numbers."""
 
 
 def bernstein_basis(theta: RealArray, degree: int) -> RealArray:
-    """(k, degree + 1) Bernstein polynomials at ``theta`` (k,)."""
+    """Return the Bernstein polynomials (k, degree + 1) at ``theta`` (k,)."""
     order = np.arange(degree + 1)
     binomial = np.array([math.comb(degree, int(i)) for i in order], dtype=float)
     column = np.asarray(theta, dtype=float)[:, np.newaxis]
@@ -30,28 +30,27 @@ def bernstein_basis(theta: RealArray, degree: int) -> RealArray:
 
 @cache
 def gauss_legendre(count: int) -> tuple[RealArray, RealArray]:
-    """Points and weights of Gauss quadrature on [0, 1], exact to degree 2 count - 1."""
+    """Return points and weights of Gauss-Legendre quadrature on [0, 1], exact to degree 2 count - 1."""
     points, weights = np.polynomial.legendre.leggauss(count)
     return 0.5 * (points + 1.0), 0.5 * weights
 
 
 def maximum_norm(control: RealArray) -> float:
-    """Largest norm of polynomials with the Bernstein control points ``control`` (degree + 1, n, c) on [0, 1].
+    """Return the largest norm on [0, 1] of polynomials with the Bernstein control points ``control`` (degree + 1, n, c).
 
-    Bisects the segments whose control points, which bound the polynomial, reach further than the largest value seen so
-    far; the gap between bound and value shrinks fourfold with every bisection. NaN among the control points is the
-    result NaN.
+    Bisects the segments whose bound, the control points, exceeds the largest value found so far; every bisection reduces
+    the gap between bound and value by a factor of four. The result is NaN if a control point is NaN.
     """
     if control.shape[1] == 0:
         return 0.0
     best = 0.0
     for _ in range(MAXIMUM_BISECTIONS):
-        # the ends of a segment are values, its other control points are bounds
+        # the end control points are values of the polynomial, the others are bounds
         norms = np.linalg.norm(control, axis=2)
         if np.any(np.isnan(norms)):
             return math.nan
         best = max(best, float(norms[0].max()), float(norms[-1].max()))
-        # only segments that may reach further are halved
+        # bisect only segments that may exceed the largest value
         open_segments = norms.max(axis=0) > best * (1.0 + PEAK_TOLERANCE)
         if not np.any(open_segments):
             break
@@ -60,17 +59,21 @@ def maximum_norm(control: RealArray) -> float:
 
 
 def bisect(control: RealArray) -> tuple[RealArray, RealArray]:
-    """Control points (degree + 1, n, c) of the two halves of every segment (de Casteljau's algorithm)."""
+    """Return the control points (degree + 1, n, c) of both halves of every segment, by de Casteljau's algorithm."""
     first, second, level = np.empty_like(control), np.empty_like(control), control
     for i in range(len(control)):
-        # each level of averages ends in a control point of either half
+        # the ends of each level of averages are control points of the halves
         first[i], second[-1 - i] = level[0], level[-1]
         level = 0.5 * (level[:-1] + level[1:])
     return first, second
 
 
 def hermite_control_points(derivatives: RealArray, duration: RealArray) -> RealArray:
-    """(m, n, c) the control points next to the end where ``derivatives`` (m, n, c) hold, going ``duration`` (n,) [s]."""
+    """Return the m control points (m, n, c) next to a segment's end with these derivatives of order 0..m-1 (m, n, c).
+
+    ``duration`` (n,) [s] is the length of each segment, negative for derivatives at its right end; the points of a right end
+    are in reverse order.
+    """
     m = len(derivatives)
     degree = 2 * m - 1
     scale = [math.factorial(degree - i) / math.factorial(degree) * duration**i for i in range(m)]
@@ -80,12 +83,12 @@ def hermite_control_points(derivatives: RealArray, duration: RealArray) -> RealA
 
 
 def last_time_above(control: RealArray, start: RealArray, duration: RealArray, level: float) -> float | None:
-    """Last time at which the norm of the polynomials is at least ``level``; None if it is nowhere.
+    """Return the last time at which the norm of the polynomials is at least ``level``; None if it is below throughout.
 
     Args:
         control: (degree + 1, n, c) control points of n consecutive segments.
         start, duration: (n,) start and length of each segment.
-        level: not negative, in the unit of ``control``.
+        level: zero or positive, in the unit of ``control``.
     """
     reach = np.linalg.norm(control, axis=2).max(axis=0)
     for index in np.flatnonzero(reach >= level)[::-1]:
@@ -96,7 +99,8 @@ def last_time_above(control: RealArray, start: RealArray, duration: RealArray, l
 
 
 def _last_theta_above(control: RealArray, level: float) -> float | None:
-    """The same on one segment: halves are searched from the right, those whose bound stays below are dropped."""
+    """Return the last such normalised time in one segment, by bisection; None if the norm is below throughout."""
+    # search halves from the right, drop those whose bound is below the level
     pieces = [(control, 0.0, 1.0)]
     while pieces:
         piece, left, right = pieces.pop()

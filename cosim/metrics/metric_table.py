@@ -1,7 +1,7 @@
-"""The metrics of a run: name, unit, description and computation of each, in one table that everything else reads.
+"""Table of the metrics of a run: name, unit, description and computation of each.
 
-A metric is a function of a `Solution`: the signals of a motion, known from a recording (`flexfmu.cosim.metrics.metrics`) or from an
-estimate (`flexfmu.cosim.choices.effects.estimator`), both of which reduce them to a peak, a root mean square or a final value.
+A metric is a function of a `Solution`, the signals of a motion from a recording (`flexfmu.cosim.metrics.metrics`) or from an
+estimate (`flexfmu.cosim.choices.effects.estimator`): a peak, a root mean square, a final value or a settling time.
 """
 
 from __future__ import annotations
@@ -29,10 +29,9 @@ class Measurement:
 
     Attributes:
         value: in the SI unit of `METRICS`; None where the metric doesn't exist (no dwell, not settled, run cut short).
-        interpolation_error: the part of the error that interpolation between communication points contributes, as far
-            from the recording itself.
+        interpolation_error: estimated error of the interpolation between communication points, a part of the error.
         error: estimated error of the value in the same unit; None where it isn't known.
-        reason: the run's own message where the run failed and so has no value.
+        reason: the run's message where the run failed and the metric has no value; otherwise empty.
     """
 
     value: float | None
@@ -49,16 +48,16 @@ class TimeSignal(Protocol):
         ...
 
     def root_mean_square(self, order: int = 0) -> Measurement:
-        """Root of the mean over time of the squared norm of a time derivative of some order."""
+        """Root mean square over time of the norm of the time derivative of this order."""
         ...
 
     def final(self, order: int = 0) -> Measurement:
-        """Norm of a time derivative of some order at the end of the span, as the left-hand limit."""
+        """Norm of the time derivative of this order at the end of the span, as the left-hand limit."""
         ...
 
 
 class Solution:
-    """The signals of a motion; None stands for one that the robot doesn't have or the solution doesn't know.
+    """The signals of a motion; None for a signal that the robot or the solution doesn't have.
 
     Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
     """
@@ -76,7 +75,7 @@ class Solution:
         """Deviation of the end effector from the rigid robot's over motion and dwell [m]."""
 
     def path_error_in_motion(self) -> TimeSignal | None:
-        """The same over the motion alone [m]."""
+        """Deviation of the end effector from the rigid robot's over the motion alone [m]."""
 
     def residual_vibration(self) -> TimeSignal | None:
         """Deviation of the end effector from the equilibrium at the end pose during the dwell [m]."""
@@ -85,7 +84,7 @@ class Solution:
         """Angle of motor 1 or 2 minus its planned angle, over motion and dwell [rad]."""
 
     def tracking_error_in_motion(self, joint: int) -> TimeSignal | None:
-        """The same over the motion alone [rad]."""
+        """Angle of motor 1 or 2 minus its planned angle, over the motion alone [rad]."""
 
     def settling_time(self) -> Measurement:
         """Time after the motion from which the residual vibration stays within the settling band [s]."""
@@ -93,19 +92,19 @@ class Solution:
 
 
 Computation = Callable[[Solution], Measurement]
-"""How a metric follows from the signals of a motion."""
+"""Signals of a motion → value of a metric."""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """What a metric is, and how it is computed.
+    """Label, unit, description and computation of a metric.
 
     Attributes:
         label: short name for tables.
         unit: SI unit of the value in ``summary.json``.
         description: one sentence.
         computation: its value from the signals of a motion.
-        columns: recorded signals that it is made of, whose magnitude bounds its rounding error.
+        columns: recorded signals that it is computed from, whose magnitude bounds its rounding error.
     """
 
     label: str
@@ -116,17 +115,17 @@ class Metric:
 
     @property
     def display_unit(self) -> str:
-        """Unit for people."""
+        """Unit in tables and reports."""
         return _DISPLAY[self.unit][0]
 
     @property
     def display_factor(self) -> float:
-        """What to multiply the SI value by for people."""
+        """Factor from the SI unit to the display unit."""
         return _DISPLAY[self.unit][1]
 
     @property
     def negligible(self) -> float:
-        """Error in the SI unit, far below what can be measured, that never causes a warning."""
+        """Error in the SI unit that never causes a warning, far below what can be measured."""
         return _DISPLAY[self.unit][2]
 
 
@@ -138,21 +137,21 @@ _DISPLAY: Mapping[str, tuple[str, float, float]] = {
     "s": ("s", 1.0, 1e-9),
     "rad": ("mrad", 1e3, 1e-12),
 }
-"""SI unit → unit for people, factor to it, and negligible error in the SI unit."""
+"""SI unit → display unit, factor to it, and negligible error in the SI unit."""
 
 
 def _peak(signal: Callable[[Solution], TimeSignal | None]) -> Computation:
-    """Largest norm of a signal; no value where there is no such signal."""
+    """Return the computation of a signal's largest norm; no value without the signal."""
     return lambda solution: found.peak() if (found := signal(solution)) else Measurement(None)
 
 
 def _root_mean_square(signal: Callable[[Solution], TimeSignal | None], order: int = 0) -> Computation:
-    """Root mean square of a time derivative of a signal."""
+    """Return the computation of the root mean square of a signal's time derivative; no value without the signal."""
     return lambda solution: found.root_mean_square(order) if (found := signal(solution)) else Measurement(None)
 
 
 def _final(signal: Callable[[Solution], TimeSignal | None], order: int) -> Computation:
-    """Norm of a time derivative of a signal at its end."""
+    """Return the computation of the norm of a signal's time derivative at its end; no value without the signal."""
     return lambda solution: found.final(order) if (found := signal(solution)) else Measurement(None)
 
 
@@ -262,21 +261,21 @@ LOOP_METRICS: Mapping[str, Metric] = {
         for joint in (1, 2)
     },
 }
-"""Metrics of a robot that is driven by torques, beside `METRICS`."""
+"""Additional metrics of a torque-driven robot."""
 
 ALL_METRICS: Mapping[str, Metric] = {**METRICS, **LOOP_METRICS}
 
 
 def display(name: str, value: float | None, digits: int = 6, error: float | None = None) -> str:
-    """A metric's value for people, with its unit; a dash where there is none.
+    """Format a metric's value in its display unit; a dash where there is none.
 
-    With an error as ``value ± error``: of the value no digit that the error leaves unknown; of the error one digit, rounded up.
+    With an error as ``value ± error``: the error with one digit, rounded up, and the value to the place of that digit.
 
     Args:
         name: of the metric, as in ``summary.json``.
         value: in the metric's SI unit; None where the run doesn't have it.
-        digits: significant digits of the value, at most.
-        error: in the same unit, None or zero where it isn't shown.
+        digits: largest number of significant digits of the value.
+        error: in the same unit; None or zero isn't shown.
 
     Raises:
         KeyError: there is no such metric.
@@ -295,7 +294,7 @@ def display(name: str, value: float | None, digits: int = 6, error: float | None
     size = floor(log10(abs(shown))) if shown else last
     last = max(last, size + 1 - digits)
 
-    # the value to that place
+    # the value, rounded to that place
     if shown == 0.0 or size < last:
         text = "0"
     elif -5 < size < digits:

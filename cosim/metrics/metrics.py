@@ -1,11 +1,10 @@
-"""Metrics of a run: properties of the continuous solution between the communication points, and their errors.
+"""Computes the metrics of a run from the continuous solution between the communication points, and their errors.
 
 Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
 
-The error of a metric is taken from a companion: the same run with shorter communication steps and a tighter tolerance. What
-it changes is what integration, the polynomials of the inputs, coupling and interpolation have cost together. Estimates from
-within one run can't show this: the integrator's local errors say nothing about how a peak acceleration depends on the phase
-of a stiff mode.
+The error of a metric is estimated from a companion: the same run with shorter communication steps and a tighter tolerance. The
+change of the metric in the companion contains the errors of integration, input polynomials, coupling and interpolation. One run
+alone can't show them: the integrator's local errors don't tell how a peak acceleration depends on the phase of a stiff mode.
 """
 
 from __future__ import annotations
@@ -45,11 +44,11 @@ T = TypeVar("T")
 
 
 class Metrics(dict[str, T]):
-    """What is known of each metric of a run, by name; a KeyError lists the names that exist.
+    """The metrics of a run by name; for an unknown name a KeyError lists the known ones.
 
     Attributes:
-        basis: what their errors are taken from, in one sentence.
-        failure: message of the run where it failed, so that no metric has a value; empty otherwise.
+        basis: how the errors were estimated, in one sentence.
+        failure: message of a failed run, whose metrics have no values; otherwise empty.
     """
 
     basis: str = "no errors were estimated"
@@ -63,11 +62,11 @@ class Metrics(dict[str, T]):
 
 @dataclass(frozen=True)
 class Settings:
-    """What the metrics depend on beside the recording.
+    """Data that the metrics depend on besides the recording.
 
     Attributes:
         task: motion of the rigid robot's end effector.
-        joints: planned motion of the joints; None where their tracking is not of interest.
+        joints: planned motion of the joints; None for no tracking errors.
         end_equilibrium: (2,) end-effector position [m] of the static equilibrium at the end pose.
         dwell: standstill after the motion [s].
         settling_band: radius around the equilibrium within which the robot counts as settled [m].
@@ -81,23 +80,24 @@ class Settings:
 
 
 SAFETY = 4.0
-"""A stated error over the companion's change of the metric. The change is the error, but for that of the companion itself."""
+"""Factor from the change in a single companion to the error; it covers the companion's own error."""
 
 ROUNDING = 8.0 * np.finfo(float).eps
-"""Rounding of a metric, relative to the largest magnitude of the signals that it is made of."""
+"""Rounding error of a metric, relative to the largest magnitude of the signals that it is computed from."""
 
 
 def measure_run(run: Run, companions: int = 1) -> Metrics[Measurement]:
-    """All metrics of a run with their errors, in the order of `METRICS`, for a robot driven by torques those of
-    `LOOP_METRICS` too; all without a value when the run was cut short.
+    """Compute all metrics of a run with their errors, in the order of `METRICS` and, with torque drive, `LOOP_METRICS`.
+
+    A failed run has metrics without values.
 
     Args:
         run: the run.
-        companions: how many more precise runs of the same to simulate for the errors. 0: none, the errors stay unknown. 1:
-            the difference, with a margin. 2: a still more precise one verifies that.
+        companions: number of companions to simulate for the errors. 0: the errors stay unknown. 1: the change in the
+            companion times `SAFETY`. 2: a second, more precise companion verifies the first.
 
     Raises:
-        ResultsError: a signal that the metrics need was not recorded.
+        ResultsError: a signal that the metrics need was not recorded or is not finite.
         EquilibriumError: the end pose has no static equilibrium.
     """
     if not run.completed:
@@ -115,8 +115,16 @@ def with_errors(
     companions: int = 1,
     progress: Progress | None = None,
 ) -> Metrics[Measurement]:
-    """The metrics of a completed run with their errors from its companions; arguments as for `measure_run`."""
-    # the same run again with smaller steps and tolerance, each the companion of the one before
+    """Add errors from companions to the metrics of a completed run.
+
+    Args:
+        run: the run.
+        measured: its metrics without errors.
+        settings: as for `measure`.
+        companions: as for `measure_run`.
+        progress: passed to the companions' runs.
+    """
+    # runs with ever smaller steps and tolerances, each the companion of the one before
     results, finest, how = [measured], run, list[str]()
     while len(how) < companions and finest.companion is not None:
         companion = finest.companion
@@ -128,27 +136,28 @@ def with_errors(
     if not how:
         return _based(measured, Metrics.basis)
 
-    # an error is what a companion changes, and what rounding hides
+    # error of each metric: its change in the companions, and rounding
     rounding = {name: ROUNDING * _magnitude(run.recording, name) for name in measured}
     rounding["rms_acceleration_error"] += _curvature_rounding(run.recording, measured["rms_acceleration_error"].value)
     stated = {name: _stated([one.get(name) for one in results], rounding[name]) for name in measured}
     _settle(stated, run.recording, settings)
     if len(how) == 1:
         return _based(stated, f"errors are taken from a companion run with {how[0]}")
-    # a second companion shows whether the first one alone understates
+    # a second companion shows whether the first one alone would understate an error
     missed = [name for name in stated if _is_missed([one.get(name) for one in results], rounding[name])]
     verdict = f"; one companion alone understates {', '.join(missed)}" if missed else ""
     return _based(stated, f"errors are verified by companion runs with {' and '.join(how)}{verdict}")
 
 
 def _based(measured: Mapping[str, Measurement], basis: str) -> Metrics[Measurement]:
+    """Return the metrics with the basis of their errors."""
     found = Metrics(measured)
     found.basis = basis
     return found
 
 
 def _stated(results: Sequence[Measurement | None], rounding: float) -> Measurement:
-    """A metric with its error, from its values in the run and in ever finer ones."""
+    """Return a metric with its error, from its values in the run and in ever finer companions."""
     first = results[0] or Measurement(None)
     values = [each.value for each in results if each is not None and each.value is not None]
     if first.value is None or len(values) < len(results):
@@ -165,8 +174,10 @@ def _is_missed(results: Sequence[Measurement | None], rounding: float) -> bool:
 
 
 def _settle(stated: dict[str, Measurement], recording: Recording, settings: Settings) -> None:
-    """The settling time jumps by half a period where a crest just touches the band: its error is at least how far it moves
-    when the vibration grows or shrinks by its own error."""
+    """Increase the settling time's error to its change when the vibration grows or shrinks by its own error.
+
+    A settling time jumps by half a period where a crest just touches the settling band.
+    """
     settled, radius = stated["settling_time"], stated["residual_vibration_amplitude"].error
     if settled.error is None or radius is None:
         return
@@ -175,21 +186,21 @@ def _settle(stated: dict[str, Measurement], recording: Recording, settings: Sett
 
 
 def _curvature_rounding(recording: Recording, value: float | None) -> float:
-    """What the rounding of positions, twice differentiated over the shortest step, adds to a root mean square."""
+    """Return the error of the RMS acceleration [m/s2] from rounded positions, differentiated twice over the shortest step."""
     steps = np.diff(recording.time)
     curvature = 8.0 * ROUNDING * _magnitude(recording, "peak_position_error") / float(steps[steps > 0.0].min()) ** 2
     return min(curvature, 0.5 * curvature**2 / value) if value else curvature
 
 
 def _magnitude(recording: Recording, name: str) -> float:
-    """Largest magnitude of the signals that a metric is made of; a rigid link has none."""
+    """Return the largest magnitude of the signals that a metric is computed from; 0 where none is recorded."""
     columns = {"time": recording.time} | {each: column.values for each, column in recording.columns.items()}
     values = [columns[each] for each in ALL_METRICS[name].columns if each in columns]
     return max((float(np.abs(each).max()) for each in values), default=0.0)
 
 
 def settings_for(run: Run) -> Settings:
-    """What the metrics of a run depend on besides its recording.
+    """Return the data that the metrics of a run depend on besides its recording.
 
     Raises:
         EquilibriumError: the end pose has no static equilibrium.
@@ -199,7 +210,7 @@ def settings_for(run: Run) -> Settings:
 
 
 def measure(recording: Recording, settings: Settings) -> Metrics[Measurement]:
-    """All metrics of a complete recording, in the order of `METRICS` and `LOOP_METRICS`.
+    """Compute all metrics of a complete recording without their errors, in the order of `METRICS` and `LOOP_METRICS`.
 
     Raises:
         ResultsError: a signal that the metrics need was not recorded or is not finite.
@@ -215,21 +226,21 @@ def measure(recording: Recording, settings: Settings) -> Metrics[Measurement]:
 
 @dataclass(frozen=True)
 class RecordedSignal:
-    """A signal between communication points; see `Signal`."""
+    """A recorded signal, interpolated between communication points; see `flexfmu.cosim.metrics.metric_table.TimeSignal`."""
 
     segments: HermiteSegments
 
     def peak(self) -> Measurement:
-        """Largest norm; its error is how much further another segment might reach, at least that of the peak's segment."""
+        """Largest norm; its error is the largest excess of any segment within its own error, at least the peak segment's error."""
         signal = self.segments.consistent
         largest, errors = signal.maximum_norm(), signal.error_estimate()
         reached = np.linalg.norm(signal.evaluate(np.linspace(0.0, 1.0, 2 * len(signal.control))), axis=2).max(axis=0)
         return Measurement(largest, max(float(np.max(reached + errors)) - largest, float(errors[np.argmax(reached)])))
 
     def root_mean_square(self, order: int = 0) -> Measurement:
-        """Root of the mean squared norm of a time derivative; its error is that of the estimated deviation e from it.
+        """Root mean square of the norm of a time derivative p; its error follows from the estimated deviation e of p.
 
-        To second order e changes the root of the mean of p² by (mean of p e + half the mean of e²) / root.
+        To second order e changes the root mean square by (mean of p e + half the mean of e²) / root mean square.
         """
         signal = self.segments.consistent
         points, _ = signal.quadrature
@@ -240,21 +251,21 @@ class RecordedSignal:
         return Measurement(root, min(change / root, bound) if root > 0.0 else bound)
 
     def final(self, order: int = 0) -> Measurement:
-        """Norm of a time derivative at the end of the last segment, a communication point: nothing is interpolated."""
+        """Norm of a time derivative at the end of the last segment, a communication point, without interpolation error."""
         return Measurement(float(np.linalg.norm(self.segments.right[order, -1])))
 
     def settling(self, band: float, uncertainty: float = 0.0) -> Measurement:
         """Time from the first segment's start after which the norm stays below ``band`` [s]; None if it never does.
 
-        Its error is how far the last crossing moves when the vibration's amplitude changes by the interpolation error, or by
-        the ``uncertainty`` where that is larger.
+        Its error is the shift of the last crossing when the amplitude changes by the interpolation error or the
+        ``uncertainty``, whichever is larger; both have the unit of ``band``.
         """
         vibration = self.segments.consistent
         begin, stop = float(vibration.start[0]), float(vibration.end[-1])
         crossing = last_time_above(vibration.control, vibration.start, vibration.duration, band)
         if crossing is None:
             return Measurement(0.0)
-        # the crossings of a slightly wider and a slightly narrower band
+        # last crossings of a band that is wider and narrower by the error
         near = int(np.searchsorted(vibration.end, crossing))
         error = max(float(vibration.error_estimate()[min(near, len(vibration.end) - 1)]), uncertainty)
         spread = [
@@ -266,7 +277,7 @@ class RecordedSignal:
 
 
 class NoSignal:
-    """What a rigid link's deflection is: zero throughout, and exactly so; see `Signal`."""
+    """Deflection of a rigid link, exactly zero; see `flexfmu.cosim.metrics.metric_table.TimeSignal`."""
 
     def peak(self) -> Measurement:
         """Zero."""
@@ -286,10 +297,10 @@ class RecordedSolution(Solution):
 
     Args:
         recording: signals with their time derivatives.
-        settings: the motion that was planned, and what follows it.
+        settings: planned motion, end equilibrium, dwell and settling band.
 
     Attributes:
-        tracks_joints: whether the robot is driven by torques, so that its joints stray from their planned motion.
+        tracks_joints: whether tracking errors exist: a torque-driven robot with a planned joint motion.
     """
 
     def __init__(self, recording: Recording, settings: Settings) -> None:
@@ -353,5 +364,5 @@ class RecordedSolution(Solution):
 
 
 def metrics_of(run: Run) -> dict[str, float | None]:
-    """The metrics of a run, by name."""
+    """Return the values of a run's metrics by name, without their errors; None for no value."""
     return Metrics({name: each.value for name, each in measure_run(run, companions=0).items()})

@@ -1,8 +1,7 @@
-"""Hermite interpolation between communication points: the continuous solution that the metrics are taken from.
+"""Hermite interpolation between communication points: the continuous solution from which metrics are computed.
 
-Every segment carries its signal and the first ``m - 1`` time derivatives at both of its ends (one-sided limits, so a
-signal may jump between segments). The polynomial of degree ``2 m - 1`` through them is kept in Bernstein form, whose
-control points follow from the derivatives in closed form and bound the polynomial (G. Farin, *Curves and Surfaces for
+Every segment has the signal and its first ``m - 1`` time derivatives at both ends (one-sided limits, so a signal may jump
+between segments). The polynomial of degree ``2 m - 1`` through them is stored in Bernstein form, whose control points follow from the derivatives in closed form and bound the polynomial (G. Farin, *Curves and Surfaces for
 CAGD*, chapters 5 and 6). With ``m = 3`` (value, velocity, acceleration) this is the quintic of order 6.
 """
 
@@ -25,17 +24,17 @@ from flexfmu.cosim.metrics.bernstein import (
 )
 
 COMPARABLE_STEPS = 0.1
-"""Ratio of neighbouring segments below which the shorter one says only rounding about high derivatives."""
+"""Ratio of neighbouring segments' lengths below which high derivatives in the shorter one are only rounding errors."""
 
 DIVERGING = 3.0
-"""Growth of what an order of derivatives adds to the interpolant over what the order before it adds, from which on the
-derivatives say nothing about the segment: they belong to a vibration or a decay that is far faster than the step."""
+"""Ratio of an order's contribution to the interpolant to that of the order before, above which the order is left out: its
+derivatives belong to a vibration or a decay that is far faster than the step."""
 
 ENDS = np.array([0.0, 1.0])
 """Normalised times of a segment's ends."""
 
 CONTINUITY = 1e-9
-"""Jump, relative to the signal's largest value, from which a node counts as a breakpoint."""
+"""Jump of a signal or derivative, relative to its magnitude, above which a node is a breakpoint."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +42,10 @@ class HermiteSegments:
     """A signal with ``c`` channels on ``n`` consecutive segments.
 
     Attributes:
-        start, end: (n,) times of the segments' ends [s], each segment starting where the one before it ended.
-        left, right: (m, n, c) the signal and its time derivatives 0..m-1 at the start and at the end of each segment.
-        doubt: what the interpolants of `consistent` may be off by; zero where nothing was cut off, None if nowhere.
+        start, end: (n,) times of the segments' ends [s]; each segment starts where the one before it ends.
+        left, right: (m, n, c) time derivatives of order 0..m-1 at the start and at the end of each segment.
+        doubt: estimated error of the interpolants of `consistent` where orders were left out, zero elsewhere; None where
+            no order was left out.
     """
 
     start: RealArray
@@ -67,36 +67,36 @@ class HermiteSegments:
         return np.concatenate([ahead, back[::-1]])
 
     def select(self, chosen: NDArray[np.bool_]) -> HermiteSegments:
-        """The segments where the mask ``chosen`` (n,) is true."""
+        """Return the segments where the mask ``chosen`` (n,) is true."""
         return HermiteSegments(self.start[chosen], self.end[chosen], self.left[:, chosen], self.right[:, chosen])
 
     def within(self, start: float, end: float) -> HermiteSegments:
-        """The segments whose middle lies between the times ``start`` and ``end`` [s]."""
+        """Return the segments whose middle lies between the times ``start`` and ``end`` [s]."""
         middle = 0.5 * (self.start + self.end)
         return self.select((middle > start) & (middle < end))
 
     def minus(self, left: RealArray, right: RealArray) -> HermiteSegments:
-        """The deviation from a signal that is known at the segments' ends, given like `left` and `right`.
+        """Return the deviation from a signal with these derivatives (m, n, c) at the segments' ends.
 
-        Interpolating the deviation is more accurate than comparing the interpolant with the exact signal: what both
-        have in common leaves no interpolation error.
+        To interpolate the deviation is more accurate than to subtract the exact signal from the interpolant: the common part
+        of both signals has no interpolation error.
         """
         return HermiteSegments(self.start, self.end, self.left - left, self.right - right)
 
     @cached_property
     def consistent(self) -> HermiteSegments:
-        """The same without the derivatives that don't fit the segments they stand on.
+        """The segments without derivatives that are too fast for their length.
 
-        Each order that is interpolated should add less than the one before it. Where an order from the second on adds
-        far more, the segment is interpolated without it and all that follow, as an asymptotic series is cut off; its
-        error is then taken for what the last order added.
+        Each order should contribute less to the interpolant than the one before it. Where an order from the second on
+        contributes far more (`DIVERGING`), this order and all higher ones are left out, as an asymptotic series is truncated;
+        the estimated error is the contribution of the last order that is left in.
         """
-        # what each order of derivatives adds to the interpolant
+        # contribution of each order of derivatives to the interpolant
         theta = np.linspace(0.0, 1.0, 9)
         values = [self._up_to(count).evaluate(theta) for count in range(1, len(self.left) + 1)]
         added = [np.linalg.norm(one - other, axis=2).max(axis=0) for one, other in pairwise(values)]
         left, right, doubt = self.left.copy(), self.right.copy(), np.zeros((2, *self.left.shape))
-        # from the highest order down: derivatives at the ends of cut segments are those of the lower polynomial
+        # from the highest order down: truncated segments get the end derivatives of the polynomial of lower degree
         for count in range(len(added), 1, -1):
             cut = added[count - 1] > DIVERGING * added[count - 2]
             if not np.any(cut):
@@ -110,20 +110,20 @@ class HermiteSegments:
         return HermiteSegments(self.start, self.end, left, right, doubtful)
 
     def _up_to(self, count: int) -> HermiteSegments:
-        """The same with so many derivatives, the signal itself included."""
+        """Return the segments with the derivatives of order 0..count-1."""
         return HermiteSegments(self.start, self.end, self.left[:count], self.right[:count])
 
     def evaluate(self, theta: RealArray, order: int = 0) -> RealArray:
-        """(k, n, c) time derivative of some order at the normalised times ``theta`` (k,) of every segment."""
+        """Return a time derivative (k, n, c) at the normalised times ``theta`` (k,) of every segment."""
         control = self._derivative_control(order)
         return np.tensordot(bernstein_basis(theta, len(control) - 1), control, axes=1)
 
     def maximum_norm(self) -> float:
-        """Largest Euclidean norm over the channels, anywhere on the segments, both sides of every jump included."""
+        """Return the largest Euclidean norm over the channels on all segments, both sides of every jump included."""
         return maximum_norm(self.control)
 
     def mean_product(self, first: RealArray, second: RealArray) -> float:
-        """Mean over time of the inner product of two signals (k, n, c), given at the k points of `quadrature`."""
+        """Return the mean over time of the inner product of two signals (k, n, c) at the k points of `quadrature`."""
         _, weights = self.quadrature
         products = np.sum(first * second, axis=2)
         return float(weights @ products @ self.duration / np.sum(self.duration))
@@ -134,13 +134,13 @@ class HermiteSegments:
         return gauss_legendre(len(self.control) + 1)
 
     def error_estimate(self) -> RealArray:
-        """(n,) estimated largest interpolation error of the norm within each segment.
+        """Return the estimated largest interpolation error of the norm within each segment (n,).
 
-        The first derivative that is not interpolated, the m-th (m odd), jumps between neighbouring segments in
-        proportion to the signal's derivative of order 2 m, which is what the interpolation error depends on. A node
-        counts where the interpolated derivatives themselves are continuous; a segment without such a neighbour (a
-        piece of one segment between two breakpoints) is judged by the change that its own highest derivative makes.
-        Within a factor of two where a step is below 2 rad of the vibration, an order of magnitude beyond.
+        The m-th derivative (m odd), the first that is not interpolated, jumps between neighbouring segments in proportion
+        to the signal's derivative of order 2 m, which determines the interpolation error. Only nodes count at which the
+        interpolated derivatives are continuous. For a segment without such a node (alone between two breakpoints) the
+        estimate is the contribution of its highest derivative. The estimate is within a factor of two where a step is below
+        2 rad of the vibration, within an order of magnitude beyond.
         """
         derivative = np.fmax(*np.linalg.norm(self._highest_derivatives, axis=2))
         alone = np.asarray(np.isnan(derivative))
@@ -152,22 +152,22 @@ class HermiteSegments:
         return estimate
 
     def deviation_estimate(self, theta: RealArray, order: int = 0) -> RealArray:
-        """(k, n, c) estimated difference of the signal's time derivative of some order from the interpolant's.
+        """Return the estimated deviation (k, n, c) of the signal's time derivative from the interpolant's.
 
-        Where only its size is known (see `error_estimate`) it points in the direction of that derivative.
+        Where only its magnitude is known (see `error_estimate`), it has the direction of that derivative.
 
         Args:
             theta: (k,) normalised times in each segment.
-            order: order of the derivative, at most that of the highest one that is interpolated.
+            order: order of the derivative, at most that of the highest interpolated one.
         """
-        # the mean of what is known at both ends
+        # mean of the known derivatives of order 2 m at both ends
         ends = self._highest_derivatives
         known = ~np.isnan(ends)
         mean = np.where(known, ends, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         deviation: RealArray = self._error_shape(theta, order)[:, :, np.newaxis] * mean
         alone = ~known.any(axis=(0, 2))
         if np.any(alone):
-            # segments without neighbours, as if all of their error were in the direction of the derivative
+            # segments without a continuous node: the whole error in the direction of the derivative
             lone = self.select(np.asarray(alone))
             values = lone.evaluate(theta, order)
             norm = np.linalg.norm(values, axis=2, keepdims=True)
@@ -184,7 +184,7 @@ class HermiteSegments:
         jump = control[0][1:] - control[-1][:-1]
         first, second = self.duration[:-1], self.duration[1:]
         scale = math.factorial(2 * m) / math.factorial(m) / (first**m + second**m)
-        # nodes between segments of comparable length, where all interpolated derivatives agree to the accuracy of an integrator
+        # use nodes between segments of comparable length at which all interpolated derivatives are continuous
         comparable = np.minimum(first, second) > COMPARABLE_STEPS * np.maximum(first, second)
         before, after = self.right[:, :-1], self.left[:, 1:]
         size = np.maximum(np.linalg.norm(before, axis=2), np.linalg.norm(after, axis=2))
@@ -195,20 +195,20 @@ class HermiteSegments:
         return np.stack([np.concatenate([unknown, inner]), np.concatenate([inner, unknown])])
 
     def _error_shape(self, theta: RealArray, order: int) -> RealArray:
-        """(k, n) the signal minus its interpolant, differentiated, for a derivative of order 2 m of one."""
+        """Return the deviation (k, n) of a signal from its interpolant, differentiated, for a unit derivative of order 2 m."""
         m = len(self.left)
         node_polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
         shape = node_polynomial.deriv(order) if order else node_polynomial
         return np.outer(shape(theta), self.duration ** (2 * m - order)) / math.factorial(2 * m)
 
     def _derivative_control(self, order: int) -> RealArray:
-        """(2 m - order, n, c) control points of the interpolant's time derivative."""
+        """Return the control points (2 m - order, n, c) of the interpolant's time derivative."""
         degree = len(self.control) - 1
         scale = math.perm(degree, order) / self.duration**order
         return np.asarray(np.diff(self.control, n=order, axis=0) * scale[:, np.newaxis])
 
     def _lower_degree_change(self, order: int = 0) -> RealArray:
-        """(n,) largest difference from the interpolant that leaves the highest derivative out: a pessimistic bound."""
+        """Return the largest difference (n,) from the interpolant without the highest derivative, a pessimistic bound."""
         lower = HermiteSegments(self.start, self.end, self.left[:-1], self.right[:-1])
         theta = np.linspace(0.0, 1.0, 9)
         change = self.evaluate(theta, order) - lower.evaluate(theta, order)

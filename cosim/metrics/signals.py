@@ -1,4 +1,4 @@
-"""Signals of a recording: as Hermite segments, which metrics and plots interpolate, and the tracking error cycle by cycle."""
+"""Signals of a recording as Hermite segments for metrics and plots, and the tracking error of each cycle."""
 
 from __future__ import annotations
 
@@ -28,20 +28,22 @@ FIRST_BENDING = "link11.bending[1]"
 
 
 def segments(recording: Recording, names: Sequence[str], accelerations: Sequence[str] = ()) -> HermiteSegments:
-    """The named signals, interpolated between communication points, one channel each.
+    """Return the named signals, interpolated between communication points, one channel each.
 
     Args:
         recording: signals with first and second time derivatives.
         names: signals of one unit.
-        accelerations: the signals that are their second derivatives, where these were recorded too: with them
-            derivatives to the fourth order are known, and the interpolant is of degree 9 instead of 5.
+        accelerations: recorded signals that are their second derivatives; with these the derivatives to the fourth order
+            are known, and the interpolant has degree 9 instead of 5.
 
     Raises:
         ResultsError: a signal or its derivatives were not recorded.
     """
+    # derivatives at the communication points
     derivatives = _derivatives(recording, names)
     if accelerations:
         derivatives = np.concatenate([derivatives, _derivatives(recording, accelerations)[1:]])
+    # no segments between both sides of a jump
     forward = np.diff(recording.time) > 0.0
     return HermiteSegments(
         recording.time[:-1][forward],
@@ -52,16 +54,16 @@ def segments(recording: Recording, names: Sequence[str], accelerations: Sequence
 
 
 def position(recording: Recording) -> HermiteSegments:
-    """End-effector position [m] with four derivatives.
+    """Return the end-effector position [m] with four derivatives.
 
-    The second derivative of this interpolant of degree 9 is also the better acceleration: the quintic through
-    acceleration, jerk and snap alone leaves a thousand times its error where a step spans a period of the vibration.
+    The second derivative of this interpolant of degree 9 is also the best acceleration: where a step spans a period of the
+    vibration, the quintic through acceleration, jerk and snap has a thousand times its error.
     """
     return segments(recording, POSITION, ACCELERATION)
 
 
 def modal_deflection(recording: Recording) -> HermiteSegments | None:
-    """First bending coordinate of proximal link 1 [m]; None when that link is rigid."""
+    """Return the first bending coordinate of proximal link 1 [m]; None if that link is rigid."""
     if FIRST_BENDING not in recording.columns:
         return None
     acceleration = f"der({FIRST_BENDING},2)"
@@ -69,7 +71,7 @@ def modal_deflection(recording: Recording) -> HermiteSegments | None:
 
 
 def deviation_from_rigid(motion: HermiteSegments, task: Trajectory) -> HermiteSegments:
-    """What separates the end effector's position [m] from that of the rigid robot, which tracks its path exactly.
+    """Return the deviation of the end effector's position [m] from that of the rigid robot, which tracks its path exactly.
 
     Args:
         motion: end-effector position.
@@ -79,7 +81,7 @@ def deviation_from_rigid(motion: HermiteSegments, task: Trajectory) -> HermiteSe
 
 
 def joint_error(recording: Recording, joint: int, planned: Trajectory) -> HermiteSegments:
-    """What separates a joint's angle [rad] from its planned motion, which stands still after its end.
+    """Return a joint's angle minus its planned angle [rad]; the planned motion is at standstill after its end.
 
     Args:
         recording: of a robot that is driven by torques.
@@ -93,7 +95,7 @@ def joint_error(recording: Recording, joint: int, planned: Trajectory) -> Hermit
 
 
 def _at_ends(signal: HermiteSegments, planned: Trajectory) -> tuple[RealArray, RealArray]:
-    """(m, n, c) the planned motion with as many derivatives as the signal's at the start and at the end of each segment."""
+    """Return the planned motion (m, n, c) at the start and at the end of each segment, with the signal's derivatives."""
     time = np.concatenate([signal.start, signal.end])
     left = np.arange(time.size) >= signal.start.size
     both = limits(planned, time, left, len(signal.left) - 1)
@@ -101,14 +103,14 @@ def _at_ends(signal: HermiteSegments, planned: Trajectory) -> tuple[RealArray, R
 
 
 def deviation_from_point(signal: HermiteSegments, point: RealArray) -> HermiteSegments:
-    """What separates a position from a fixed ``point`` (2,) [m]."""
+    """Return the deviation of a position from a fixed ``point`` (2,) [m]."""
     fixed = np.zeros((len(signal.left), 1, len(point)))
     fixed[0] = point
     return signal.minus(fixed, fixed)
 
 
 def sample(signal: HermiteSegments, per_segment: int, order: int = 0) -> tuple[RealArray, RealArray]:
-    """Times (k,) and values (k, c) of a time derivative for a plot: the ends of every segment and points between."""
+    """Return times (k,) and values (k, c) of a time derivative for a plot, ``per_segment`` with both ends of each segment."""
     theta = np.linspace(0.0, 1.0, per_segment)
     time = signal.start + theta[:, np.newaxis] * signal.duration
     values = signal.evaluate(theta, order)
@@ -116,7 +118,12 @@ def sample(signal: HermiteSegments, per_segment: int, order: int = 0) -> tuple[R
 
 
 def _derivatives(recording: Recording, names: Sequence[str]) -> RealArray:
-    """(3, N, c) the signals and their first and second time derivatives."""
+    """Return the signals and their first and second time derivatives (3, N, c).
+
+    Raises:
+        ResultsError: a signal or its derivatives were not recorded.
+    """
+    # one channel for each name
     found = []
     for name in names:
         try:
@@ -145,10 +152,11 @@ class CycleError:
 
 
 def cycle_errors(motion: MotionPlan, recording: Recording) -> Sequence[CycleError]:
-    """The tracking error of a repeated motion, cycle by cycle, by which learning is judged.
+    """Return the tracking error of each cycle of a repeated motion, which shows the progress of learning.
 
-    Of the cycles that were recorded to their end, between the recorded instants by the trapezoidal rule. Nothing for a motion
-    that isn't repeated, or a robot whose joint angles aren't recorded. The last standstill ends the last cycle.
+    Only cycles that were recorded to their end count; the root mean square uses the trapezoidal rule between recorded
+    instants. The result is empty for a motion that isn't repeated or without recorded joint angles. The last cycle ends with
+    the last standstill.
     """
     from scipy.integrate import trapezoid
 
@@ -158,7 +166,7 @@ def cycle_errors(motion: MotionPlan, recording: Recording) -> Sequence[CycleErro
     references = (name.replace("position", "reference.position") for name in JOINT_POSITIONS)
     pairs = zip(references, JOINT_POSITIONS, strict=True)
     error = np.stack([recording[reference].values - recording[angle].values for reference, angle in pairs])
-    # cycles that the run reached the end of
+    # cycles that were recorded to their end
     period, time = motion.repetition.period, recording.time
     begins = period * np.arange(motion.repetition.cycles)
     ends = np.minimum(begins + period, motion.stop_time)

@@ -1,8 +1,8 @@
-"""Checks a run against the assumption of its model: deflections are small against the links' lengths.
+"""Checks the model's assumption for a run: deflections are small compared with the links' lengths.
 
-The error of the path is estimated from the forces that the next order of the theory adds along the recorded motion: those of
-foreshortening where the scene leaves it out, and those of bending beyond it. The linear response to them is one step of
-Newton's method for the whole motion, as in `flexfmu.cosim.choices.effects.estimator`. Motors are taken to move as they did.
+The error of the path is estimated from the forces that the next order of the beam theory adds along the recorded motion: those of
+foreshortening where the scene leaves it out, and those of nonlinear bending. The linear response to them is one Newton iteration
+for the whole motion, as in `flexfmu.cosim.choices.effects.estimator`. The motors follow their recorded motion.
 """
 
 from __future__ import annotations
@@ -22,22 +22,25 @@ if TYPE_CHECKING:
     from flexfmu.cosim.experiment.scene_run import Run
 
 LARGEST_ELONGATION = 0.01
-"""Elongation relative to the length; no structural metal stretches as far without yielding."""
+"""Largest elongation relative to the link's length; structural metals yield before it."""
 
 USUAL, MOST_FOUND = (2.0, 8.0), (15.0, 50.0)
-"""The path's error in deflections over length without foreshortening, and in their squares with it: usual values, and more than was
-ever found (0.6 to 9.4 and 1 to 18, the most in undamped robots). Where the latter are within the tolerance nothing is computed; the
-former stand in where too little was recorded for an estimate."""
+"""Error of the path divided by the relative deflection (without foreshortening) and by its square (with it): usual values, and upper
+bounds of those found, 0.6 to 9.4 and 1 to 18, largest in undamped robots. Where the upper bound is within the tolerance, nothing is
+computed; the usual value replaces an estimate where too little was recorded."""
 
 STEP, LEAST, MOST = 5e-4, 2000, 10_000
-"""Distance of the instants at which a run is looked at [s], and limits of their number."""
+"""Interval between the instants of the check [s], and limits of their number."""
 
 HOPELESS = 0.5
-"""Estimated error from which the estimate itself is not valid."""
+"""Estimated error above which the estimate itself is not valid."""
 
 
 def exceeded(run: Run) -> list[str]:
-    """A sentence for bending that spoils the path by more than the scene's tolerance (`DEFAULT_TOLERANCE`), and for overstretched links."""
+    """Return warnings: a path error because of bending above the tolerance of the scene's choice, and overstretched links.
+
+    Without a choice of effects the tolerance is `DEFAULT_TOLERANCE`.
+    """
     stretched = [
         f"{name} reaches {100.0 * relative:.3g} % of the link's length: no structural metal stretches by more than "
         f"{100.0 * LARGEST_ELONGATION:g} % without yielding; stiffen or relieve the links"
@@ -48,16 +51,17 @@ def exceeded(run: Run) -> list[str]:
 
 
 def path_errors(run: Run) -> tuple[float, float]:
-    """Estimated error of the path because of large deflections, and what would remain of it with foreshortening.
+    """Return the estimated error of the path because of large deflections, and the error with foreshortening.
 
-    Both are the largest distance between two paths over the largest distance of the path from the rigid robot's.
+    Both are relative: the largest distance between two paths divided by the largest distance of the path from the rigid
+    robot's.
 
     Raises:
         KeyError: a coordinate or the motion of the motors wasn't recorded, or no coordinate is a state.
     """
     from flexfmu.model.selection.linearized_motion import LinearizedMotion
 
-    # the recorded motion of motors and links on a grid of its own
+    # recorded motion of motors and links on an equidistant grid
     recording, scene = run.recording, run.robot
     count = int(np.clip((recording.time[-1] - recording.time[0]) / STEP, LEAST, MOST))
     time = np.linspace(recording.time[0], recording.time[-1], count)
@@ -66,7 +70,7 @@ def path_errors(run: Run) -> tuple[float, float]:
     joints = _columns(recording, time, [f"joint{leg}{measured}.{kind}" for kind in kinds for leg in (1, 2)])
     rests = np.concatenate([joints[[0, -1], :2], np.zeros((2, 4))], axis=1)
     grid = MotionGrid(time, joints, rests, ((0, time.size),), float(time[-1]))
-    # the robot's equations along that motion, without and with foreshortening
+    # linearised equations along that motion, as in the scene and with foreshortening
     own = LinearizedMotion(scene, grid)
     if not own.names:
         raise KeyError("all elastic families of the scene deflect statically")
@@ -85,7 +89,7 @@ def path_errors(run: Run) -> tuple[float, float]:
         start = np.linalg.solve(own.linear.stiffness[0], load[0]) if still else np.zeros(load.shape[1])
         return own.linear.response(load, start)
 
-    # what is unbalanced, less what interpolation alone leaves unbalanced
+    # responses to the forces of foreshortening (the difference cancels interpolation errors), then of nonlinear bending
     shortened = motion + respond(own.forces(motion) - short.forces(motion))
     ours, theirs = own.outputs(motion).position, short.outputs(shortened).position
     exact = short.outputs(shortened + respond(-short.hardening(motion))).position
@@ -95,8 +99,8 @@ def path_errors(run: Run) -> tuple[float, float]:
 
 
 def _bent(run: Run) -> Iterator[str]:
-    """The sentence about bending, where the path may be wrong by more than the tolerance."""
-    # a bound by the deflection alone, which is enough for most runs
+    """Yield a warning about bending where the error of the path exceeds the tolerance."""
+    # a bound from the deflection alone suffices for most runs
     deflection, choice = largest_deflection(run), run.scene.effects.choice
     tolerance, short = DEFAULT_TOLERANCE if choice is None else choice.tolerance, run.robot.effects.foreshortening
     terms = np.array([deflection**2 if short else deflection, deflection**2])
@@ -110,7 +114,7 @@ def _bent(run: Run) -> Iterator[str]:
         (error, remaining), how = terms * (USUAL[short], USUAL[True]), "the path may be off by"
     if error <= tolerance:
         return
-    # what helps
+    # remedy
     remedy = "stiffen or relieve the links"
     if not short:
         remedy = (
@@ -125,14 +129,14 @@ def _bent(run: Run) -> Iterator[str]:
 
 
 def largest_deflection(run: Run) -> float:
-    """Largest deflection of any link relative to its length."""
+    """Return the largest deflection of any link relative to its length."""
     tips = [relative for _, relative in _relative(run, "tip_deflection")]
-    # distal links are pinned at both ends, and their first shape is largest in the middle
+    # distal links are pinned at both ends; their first bending mode is largest in the middle
     return max([*tips, *(relative for name, relative in _relative(run, "bending[1]") if name[5] == "2")], default=0.0)
 
 
 def _relative(run: Run, signal: str) -> Iterator[tuple[str, float]]:
-    """Columns of a signal of links, with their largest value relative to the link's length."""
+    """Yield the names of a signal of all links, with the largest magnitude relative to the link's length."""
     mechanism = run.robot.mechanism
     for name, column in run.recording.columns.items():
         link, _, kind = name.partition(".")
@@ -142,14 +146,19 @@ def _relative(run: Run, signal: str) -> Iterator[tuple[str, float]]:
 
 
 def _columns(recording: Recording, time: NDArray[np.float64], names: Sequence[str]) -> NDArray[np.float64]:
-    """Signals at instants, side by side; KeyError where one wasn't recorded."""
+    """Interpolate signals linearly at instants (N,) and return them as columns (N, names).
+
+    Raises:
+        KeyError: a signal wasn't recorded.
+    """
     return np.stack([np.interp(time, recording.time, recording[name].values) for name in names], axis=1)
 
 
 def _largest(vectors: NDArray[np.float64]) -> float:
+    """Return the largest norm of vectors (N, 2)."""
     return float(np.linalg.norm(vectors, axis=1).max())
 
 
 def _percent(error: float) -> str:
-    """An error with two digits, as far as the estimate holds."""
+    """Format an error in percent with two digits; above `HOPELESS` only that bound."""
     return f"about {100.0 * error:.2g} %" if error < HOPELESS else f"more than {100.0 * HOPELESS:g} %"
