@@ -1,4 +1,4 @@
-"""FMUs as sampled slaves: stepped at their own instants only, inputs sampled, outputs held in between."""
+"""FMUs as sampled slaves: stepped at their own sample instants only, inputs sampled, outputs held in between."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from flexfmu.cosim.engine.fmu.variables import Value
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray, check_sampling, feedthrough
 
 PROBES = (1e-3, -1e-3, 1.0, -1.0)
-"""Sizes of what is added to all real inputs to see whether outputs follow at once; limits hide one sign, or large ones."""
+"""Changes of all real inputs that reveal direct feedthrough; saturation may hide one sign, or large changes."""
 
 
 def fmu_slave(
@@ -29,26 +29,27 @@ def fmu_slave(
     offset: float = 0.0,
     output_order: int | None = None,
 ) -> SampledFmu | FmuTask | FmuSlave:
-    """The slave that suits an FMU: sampled or stepped.
+    """Return an FMU as a sampled or a stepped slave.
 
-    An exported block states its own sample time. Another FMU is sampled if it is given a sample time, or if it can't vary
-    its communication step (canHandleVariableCommunicationStepSize = false) and its default experiment has a step size.
-    A sampled FMU either has its outputs at an instant before its step (`SampledFmu`), which is seen from a trial
-    instance whose outputs follow its inputs at once, or from a description in which no output depends on an input; or it
-    calculates them in fmi2DoStep (`FmuTask`).
+    An exported block states its own sample time. Another FMU is sampled if ``sample_time`` is set, or if it can't vary
+    its communication step (canHandleVariableCommunicationStepSize = false) and states a step size (`fixed_step`).
+    A sampled FMU either calculates its outputs before its step (`SampledFmu`): the outputs of a trial instance follow
+    its inputs without a step, or no output depends on an input by the model description. Or it calculates them in
+    fmi2DoStep (`FmuTask`).
 
     Args:
         path: the FMU file.
         name: name of the slave.
         parameters: start values of parameters and inputs by name.
-        sample_time, offset: [s]; None for what the FMU states.
-        output_order: highest derivative of its outputs that is asked for, see `FmuSlave`; a sampled FMU holds its outputs.
+        sample_time, offset: sample time and first sample instant after the start [s]; None for what the FMU states.
+        output_order: highest output derivative to use, see `FmuSlave`; of no effect for a sampled FMU.
 
     Raises:
         FmuFileError: the FMU is missing or broken.
-        InputError: a parameter doesn't exist or its value doesn't suit its type, a time is out of range or contradicts
-            that of an exported block, or there is an offset without a sample time.
+        InputError: a parameter doesn't exist or its value doesn't fit its type or range, a time is out of range or
+            contradicts that of an exported block, or there is an offset without a sample time.
     """
+    # an exported block: its own times
     fmu = open_fmu(Path(path))
     own = fmu.sampling
     if own is not None:
@@ -58,41 +59,43 @@ def fmu_slave(
                 f"can't be changed to {sample_time or own[0]:g} s and {offset:g} s; leave them out, or export the block anew"
             )
         return SampledFmu(path, name, parameters)
+    # no sample time: a stepped slave
     chosen = fixed_step(fmu) if sample_time is None else sample_time
     if chosen is None:
         if offset:
             raise InputError(f"{name}: an offset of {offset:g} s needs a sample time; add sample_time in s")
         return FmuSlave(path, name, parameters, output_order=output_order)
+    # sampled: are outputs calculated before the step, or in it?
     check_sampling(chosen, offset, name)
     slave = FmuSlave(path, name, parameters, input_order=0, output_order=0)
     at_once = _tried(slave, fmu)
     declared = {output: names for output, names in feedthrough(slave).items() if names}
     if not at_once and declared:
         return FmuTask(slave, chosen, offset)
-    # an output that follows inputs which its description denies depends on all of them
+    # an output that follows inputs, although its description denies it, depends on all inputs
     honest = {output: names for output, names in slave.feedthrough.items() if names or output not in at_once}
     return SampledFmu(path, name, parameters, (chosen, offset), honest)
 
 
 def _tried(slave: FmuSlave, fmu: UnpackedFmu) -> frozenset[str]:
-    """What `_immediate` finds, in a child process where the FMU might end this one; nothing where it does so."""
+    """Return what `_immediate` finds, for another tool's FMU in a child process; empty if the FMU crashes."""
     if not AVAILABLE or fmu.is_ours:
         return _immediate(slave)
     try:
         return frozenset(in_child(lambda: _immediate(slave), lambda: None, CALL_LIMIT))
     except ChildLostError:
-        return frozenset()  # its run will show what is wrong
+        return frozenset()  # the run will report the error
 
 
 def _immediate(slave: FmuSlave) -> frozenset[str]:
-    """Outputs that follow real inputs without a step, as a trial instance shows, as far as the FMU goes along."""
+    """Return the outputs of a trial instance that follow real inputs without a step, as far as the FMU allows it."""
     variables = slave.variables
     inputs = np.array([i for i, v in enumerate(variables) if v.causality == "input" and not v.discrete], np.intp)
     outputs = np.array([i for i, v in enumerate(variables) if v.causality == "output"], np.intp)
     if not inputs.size or not outputs.size:
         return frozenset()
     before, after, start = np.empty(outputs.size), np.empty(outputs.size), np.empty(inputs.size)
-    # a different share for each, or else differences of inputs stay what they are
+    # different changes, since equal ones leave the differences between inputs unchanged
     shares = np.random.default_rng(1).uniform(0.5, 1.5, inputs.size)
     found: set[str] = set()
     try:
@@ -112,19 +115,18 @@ def _immediate(slave: FmuSlave) -> frozenset[str]:
 
 
 class FmuTask:
-    """An FMU that calculates its outputs in fmi2DoStep, as a task of a digital controller does.
+    """A sampled FMU that calculates its outputs in fmi2DoStep, like a task of a digital controller.
 
-    At t_k it gets its inputs, makes the step from t_k to t_k + sample_time, and its outputs are held from t_k on, as
-    those of a Python block with y_k = f(x_k, u_k) are. It is initialised at its first instant, so that all of its steps
-    have the same length.
+    At t_k its inputs are set, it steps from t_k to t_k + sample_time, and its outputs are held from t_k on, as for a
+    Python block y_k = f(x_k, u_k). It is initialised at its first sample instant; thus all steps have the same length.
 
     Args:
-        slave: the FMU; it is stepped here alone.
-        sample_time, offset: [s].
+        slave: the FMU; nothing else may step it.
+        sample_time, offset: sample time and first sample instant after the start [s].
 
     Attributes:
         path: the FMU file.
-        parameters: the start values that were given.
+        parameters: start values by name.
         can_save: whether the FMU can save and restore its state.
     """
 
@@ -143,36 +145,36 @@ class FmuTask:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """What the FMU logged in the last run, warnings and worse."""
+        """Messages of the FMU in the last run with status warning or worse."""
         return self._fmu.messages
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """As of `FmuSlave`."""
+        """Remarks as in `FmuSlave`."""
         return self._fmu.remarks
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Begin a run at the first instant; the last step ends one sample after the run."""
+        """Initialise at the first sample instant; the FMU's stop time includes its steps beyond the end of the run."""
         self._first, self._count = start_time + self.offset, 0
         self._fmu.initialize(self._first, max(stop_time, self._first) + 2.0 * self.sample_time, tolerance)
 
     def sample(self, time: float) -> None:
-        """Calculate outputs from the inputs just set, and move on to the next instant."""
+        """Calculate outputs from the inputs just set, in a step to the next sample instant."""
         self._fmu.step(self._first + self._count * self.sample_time, self.sample_time)
         self._count += 1
 
     def step(self, time: float, step: float) -> None:
-        """Nothing happens between the sample instants: the outputs are held."""
+        """Do nothing: between sample instants the outputs are held."""
 
     def save(self) -> object:
-        """State of the FMU and the number of samples."""
+        """Return the state of the FMU and the number of samples."""
         return self._fmu.save(), self._count
 
     def restore(self, state: object) -> None:
-        """Go back to what `save` gave.
+        """Restore a state returned by `save`.
 
         Raises:
-            InputError: the state belongs to another kind of slave.
+            InputError: the state was saved by another kind of slave.
         """
         if not (isinstance(state, tuple) and len(state) == 2):
             raise InputError(f"{self.name}: this state was not saved by this slave")
@@ -180,33 +182,32 @@ class FmuTask:
         self._fmu.restore(saved)
 
     def release(self, state: object) -> None:
-        """Keep the memory of a saved state for the next one."""
+        """Keep the memory of a saved state for the next one to be saved."""
         if isinstance(state, tuple):
             self._fmu.release(state[0])
 
 
 class SampledFmu:
-    """An FMU whose outputs at an instant are there before its step, an exported block for example: sampled as its Python
-    twin is, same instants, same order, same numbers.
+    """A sampled FMU that calculates its outputs before its step, an exported block for example.
 
-    The FMU stands at its last sample, which it completes with the inputs that it was given there; what is set between
-    instants waits for the next.
+    Sample instants, order of calls and results are those of the Python block. The FMU stays at its last sample instant
+    and makes the step from there with the inputs of that instant; inputs set in between count at the next instant.
 
     Args:
         path: the FMU.
         name: name of the slave.
         parameters: start values of parameters and inputs by name.
-        times: sample time and offset [s] of an FMU that isn't an exported block; it is initialised at its first instant,
-            so that all of its steps have the same length. None for those of the block.
-        feedthrough: output → inputs that it depends on at the same instant; None for what the description says.
+        times: sample time and offset [s] of an FMU that isn't an exported block; it is initialised at its first sample
+            instant, so that all steps have the same length. None for the times of an exported block.
+        feedthrough: output → inputs that it depends on at the same instant; None for that of the model description.
 
     Attributes:
         path: the FMU file.
         can_save: whether the FMU can save and restore its state.
 
     Raises:
-        FmuFileError: the FMU is missing or broken, or states no sample time and gets none.
-        InputError: a parameter doesn't exist or its value doesn't suit its type.
+        FmuFileError: the FMU is missing or broken, or has no sample time, neither stated nor in ``times``.
+        InputError: a parameter doesn't exist or its value doesn't fit its type or range.
     """
 
     def __init__(
@@ -231,14 +232,14 @@ class SampledFmu:
         self.report, self.take_report = self._fmu.report, self._fmu.take_report
         self.variables, self.can_save = self._fmu.variables, self._fmu.can_save
         self.feedthrough = self._fmu.feedthrough if feedthrough is None else feedthrough
-        # inputs wait here for the next instant
+        # inputs, stored until the next sample instant
         self._inputs = np.array([i for i, each in enumerate(self.variables) if each.causality == "input"], np.intp)
         self._values = np.zeros(len(self.variables))
         self._send = nothing
         self._time: float | None = None
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
-        """Begin a run; inputs that were set before are the initial ones."""
+        """Initialise a run; inputs set before are the initial ones."""
         begin = start_time + self.offset if self._equal_steps else start_time
         self._fmu.initialize(begin, max(stop_time, begin + self.sample_time), tolerance)
         buffer = np.empty(self._inputs.size)
@@ -249,19 +250,19 @@ class SampledFmu:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """What the FMU logged in the last run, warnings and worse."""
+        """Messages of the FMU in the last run with status warning or worse."""
         return self._fmu.messages
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """As of `FmuSlave`."""
+        """Remarks as in `FmuSlave`."""
         return self._fmu.remarks
 
     def _sender(self) -> Call:
-        """A call that sets the FMU's inputs."""
+        """Return a call that sets the FMU's inputs to the stored values."""
         if not self._inputs.size:
             return nothing
-        # from the values that wait, in the order of the inputs
+        # copy the stored values to a buffer in the order of the inputs
         buffer = np.empty(self._inputs.size)
         send = self._fmu.bind_set(self._inputs, buffer)
 
@@ -272,10 +273,10 @@ class SampledFmu:
         return call
 
     def set(self, indices: Indices, values: RealArray) -> None:
-        """Set inputs, which count at the next instant.
+        """Set inputs for the next sample instant.
 
         Raises:
-            InputError: a variable is no input.
+            InputError: a variable isn't an input.
         """
         if not np.isin(indices, self._inputs).all():
             raise InputError(f"{self.name}: only inputs can be set; give parameters when the slave is made")
@@ -284,52 +285,52 @@ class SampledFmu:
             self._fmu.set(indices, values)
 
     def get(self, indices: Indices, values: RealArray) -> None:
-        """Current values of the FMU's variables."""
+        """Write current values of the FMU's variables into ``values`` (n,)."""
         self._fmu.get(indices, values)
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
-        """A call that sets inputs from ``values`` (n,)."""
+        """Return a call that sets inputs from ``values`` (n,)."""
         return lambda: self.set(indices, values)
 
     def bind_get(self, indices: Indices, values: RealArray) -> Call:
-        """A call that reads variables into ``values`` (n,)."""
+        """Return a call that reads variables into ``values`` (n,)."""
         return self._fmu.bind_get(indices, values)
 
     def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """Inputs are sampled; their derivatives mean nothing here."""
+        """Raise `InputError`: a sampled slave takes no input derivatives."""
         raise InputError(f"{self.name} is sampled and takes no input derivatives")
 
     def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """Outputs are held; their derivatives are not offered."""
+        """Raise `InputError`: a sampled slave provides no output derivatives."""
         raise InputError(f"{self.name} is sampled and gives no output derivatives")
 
     def output(self, time: float) -> None:
-        """Take the sample at ``time`` with the inputs set so far; may be repeated there."""
+        """Step to ``time`` [s] if it isn't reached yet, and set the inputs; may be repeated at the same instant."""
         if self._time is not None and time > self._time:
             self._fmu.step(self._time, self.sample_time if self._equal_steps else time - self._time)
             self._time = time
         self._send()
 
     def update(self, time: float) -> None:
-        """The inputs just set are those with which the FMU completes the sample."""
+        """Set the final inputs of the sample instant, with which the FMU makes its next step."""
         self.output(time)
 
     def sample(self, time: float) -> None:
-        """Take the sample at ``time`` with the inputs just set."""
+        """Step to ``time`` [s] and calculate outputs from the inputs just set."""
         self.output(time)
 
     def step(self, time: float, step: float) -> None:
-        """Nothing happens between the sample instants: the outputs are held."""
+        """Do nothing: between sample instants the outputs are held."""
 
     def save(self) -> object:
-        """State of the FMU, its time and the inputs."""
+        """Return the state of the FMU, its time [s] and the stored inputs."""
         return self._fmu.save(), self._time, self._values.copy()
 
     def restore(self, state: object) -> None:
-        """Go back to what `save` gave.
+        """Restore a state returned by `save`.
 
         Raises:
-            InputError: the state belongs to another kind of slave.
+            InputError: the state was saved by another kind of slave.
         """
         if not (isinstance(state, tuple) and len(state) == 3):
             raise InputError(f"{self.name}: this state was not saved by this slave")
@@ -338,7 +339,7 @@ class SampledFmu:
         self._values[:] = values
 
     def release(self, state: object) -> None:
-        """Keep the memory of a saved state for the next one."""
+        """Keep the memory of a saved state for the next one to be saved."""
         if isinstance(state, tuple):
             self._fmu.release(state[0])
 

@@ -1,4 +1,7 @@
-"""An FMI 2.0 or 3.0 co-simulation FMU as a slave: loaded with fmpy, called on preallocated buffers."""
+"""An FMI 2.0 or 3.0 co-simulation FMU as a slave: loaded with fmpy, called on preallocated buffers.
+
+Before the first run of another tool's FMU, a trial instance shows which output derivatives it really provides.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ from flexfmu.cosim.engine.fmu.variables import (
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray
 
 LISTED = 5
-"""Names in a sentence; there may be hundreds."""
+"""Largest number of names in a sentence; there may be hundreds."""
 
 
 @dataclass(frozen=True)
@@ -53,32 +56,33 @@ class _Start:
 
 
 class FmuSlave:
-    """One instance of an FMU at a time; may run again and again, each time anew from its start values.
+    """An FMU as a slave: one instance at a time, each run with a new instance and from the start values.
 
     Args:
         path: the FMU file.
         name: name of the slave.
         parameters: start values of parameters (and inputs) by name, in the FMU's units.
-        input_order: highest input derivative to use where the FMU interpolates inputs; None for the highest that its
+        input_order: highest input derivative to use if the FMU interpolates inputs; None for the highest that its
             model description states.
-        output_order: highest output derivative to use, 0 for none; None for the highest that the model description states
-            and the FMU really gives, output by output.
+        output_order: highest output derivative to use, 0 for none; None for the highest that the model description
+            states and the FMU provides, output by output.
 
     Attributes:
         path: the FMU file.
-        parameters: the start values that were given.
-        statistics: Integer variables ``statistics.*`` at the end of the last run, without the prefix.
+        parameters: start values by name.
+        statistics: Integer variables ``statistics.*`` at the end of the last run; names without the prefix.
         can_save: whether the FMU can save and restore its state.
         needs_regular_steps: whether all of its communication steps must have the same length.
-        messages: what the FMU logged in the last run, warnings and worse.
-        remarks: what has been set before the last run and was another value after initialisation, a sentence each.
-        lacking: output → lowest order of its derivatives that the FMU doesn't give from the start; it is never asked for.
-        absent: output → lowest order of its derivatives that it didn't give in the last run, or that was no finite number;
-            from there on they are taken as zero.
+        messages: messages of the FMU in the last run with status warning or worse.
+        remarks: start values that differed after the last initialisation, one sentence each.
+        lacking: output → lowest order of its derivatives that the trial instance didn't provide; such derivatives are
+            never read.
+        absent: output → lowest order of its derivatives that was lacking or not finite in the last run; derivatives of
+            this order and above count as zero.
 
     Raises:
         FmuFileError: the FMU is missing or broken, of another kind, or has no binary for this platform.
-        InputError: a parameter doesn't exist or its value doesn't suit its type or range.
+        InputError: a parameter doesn't exist, its value doesn't fit its type or range, or output_order is negative.
     """
 
     def __init__(
@@ -92,7 +96,7 @@ class FmuSlave:
         self.name = name
         self.path = Path(path)
         self.parameters = self._given = dict(parameters or {})
-        # variables, derivatives and capabilities by the model description
+        # variables, orders of derivatives and capabilities from the model description
         self._fmu = resized(open_fmu(self.path), self._given)
         known = _variables(self._fmu)
         self.variables, self.feedthrough = known.connectable, known.feedthrough
@@ -105,14 +109,14 @@ class FmuSlave:
         self.max_input_order = highest if input_order is None or highest == 0 else input_order
         self.can_save = bool(self._fmu.description.coSimulation.canGetAndSetFMUstate)
         self.needs_regular_steps = needs_regular_steps(self._fmu)
-        # the instance that is in use, and calls that set start values
+        # the instance, transfers of its variables, and calls that set start values
         self._instance, self._transfers = _interface(self._fmu)
         self._counters = Statistics(known.others, self._transfers.get)
         self._starts = self._given_starts = self._starting(self._given)
         self._presets: dict[int, float] = {}
         self._run: FmuStates | None = None
         self._free: Call = nothing
-        # what a run leaves
+        # results of a run
         self.statistics: Mapping[str, int] = {}
         self.messages: tuple[str, ...] = ()
         self.remarks: tuple[str, ...] = ()
@@ -123,10 +127,10 @@ class FmuSlave:
             self._try_derivatives()
 
     def _try_derivatives(self) -> None:
-        """Lower the orders of outputs whose derivatives a trial instance refuses, or gives as no finite numbers.
+        """Lower the orders of output derivatives to those that a trial instance provides as finite numbers.
 
-        Dymola and OpenModelica state one order and give NaN, always or right after initialisation. A trial that fails says
-        nothing: the run will show.
+        FMUs of Dymola and OpenModelica state order 1 but return NaN, always or right after initialisation. If the trial
+        fails, the stated orders stay.
         """
         real = [i for i, handle in enumerate(self._handles) if handle.kind == "Real"]
         outputs = [i for i in real if self.variables[i].causality == "output"]
@@ -140,7 +144,7 @@ class FmuSlave:
             finally:
                 self.terminate()
 
-        # in a child process, or here where the FMU may be instantiated again
+        # in a child process, or else here if the FMU can be instantiated again
         try:
             if AVAILABLE:
                 self.lacking = self.absent = in_child(tried, lambda: None, CALL_LIMIT)
@@ -148,16 +152,17 @@ class FmuSlave:
                 self.lacking = self.absent = tried()
         except CosimError:
             return
+        # the highest order that any output provides
         orders = (self.lacking.get(self.variables[i].name, self.max_output_order + 1) - 1 for i in outputs)
         self.max_output_order = max(orders, default=0)
 
     def _derivatives_not_given(self, outputs: Sequence[int]) -> dict[str, int]:
-        """Output → lowest order of its derivatives that isn't there now, for outputs that lack any."""
+        """Return output → lowest order of its derivatives that isn't available now, for outputs that lack any."""
         shape = self.max_output_order, len(outputs)
         found = np.full(shape, np.nan)
         handles = [self._handles[index] for index in outputs]
         if not self._instance.accepts(self._transfers.get_derivatives(handles, found)):
-            # asked one by one, it shows which
+            # read each output by itself to find which fail
             for column, handle in enumerate(handles):
                 one = np.full((shape[0], 1), np.nan)
                 accepted = self._instance.accepts(self._transfers.get_derivatives([handle], one))
@@ -170,10 +175,10 @@ class FmuSlave:
         }
 
     def vary(self, changes: Mapping[str, Value]) -> None:
-        """Start values of parameters and inputs for the runs to come; all others are those that the slave was made with.
+        """Change start values of parameters and inputs for the next runs; all others are those of the constructor.
 
         Raises:
-            InputError: a parameter doesn't exist or its value doesn't suit its type or range, or it is a structural one.
+            InputError: a parameter doesn't exist or is structural, or its value doesn't fit its type or range.
         """
         if resized(self._fmu, {**self._given, **changes}).sizes != self._fmu.sizes:
             raise InputError(
@@ -183,7 +188,7 @@ class FmuSlave:
         self.parameters = {**self._given, **changes}
 
     def _starting(self, parameters: Mapping[str, Value]) -> dict[str, _Start]:
-        """Name → start value and the call that sets it."""
+        """Return name → start value and the call that sets it."""
         transfers, checked = self._transfers, self._instance.checked
         return {
             each.name: _Start(each, checked(f"setting {each.name} = {each.value}", transfers.setting(each)))
@@ -193,17 +198,17 @@ class FmuSlave:
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Instantiate, set parameters and inputs, and go through initialisation mode.
 
-        An FMU of another tool may forget what it is given before initialisation mode and is given it again there. What
-        has been set is read back afterwards; `remarks` says what differs.
+        FMUs of other tools may lose values set before initialisation mode; these are set again in that mode. Start
+        values are read back afterwards; `remarks` lists those that differ.
 
         Raises:
-            SlaveError: the FMU refuses, with its own sentence.
+            SlaveError: the FMU refuses, with its message.
         """
         self.terminate()
         self.remarks, self.absent = (), dict(self.lacking)
         for missing in self._missing:
             missing.fill(False)
-        # a new instance; freed at the latest with the slave
+        # a new instance, freed with the slave at the latest
         instance = self._instance
         instance.instantiate(self.name)
         self._run = run = FmuStates(instance)
@@ -216,7 +221,7 @@ class FmuSlave:
         presets = self._transfers.set(handles, np.array([*self._presets.values()]))
         instance.check("setting inputs", presets)
 
-        # and again in it, for FMUs of other tools that have forgotten them
+        # and again in initialisation mode, for FMUs of other tools that have lost them
         def repeat() -> None:
             if self._fmu.is_ours:
                 return
@@ -230,8 +235,8 @@ class FmuSlave:
         self.remarks = tuple(self._differences())
 
     def _differences(self) -> Iterator[str]:
-        """What isn't as it was set; inputs that others have set since are left out, and what can't be read."""
-        # inputs that other slaves have set since don't count
+        """Yield a sentence for each start value that differs from the value read back."""
+        # leave out inputs set by the master, guesses, and variables that can't be read
         preset = {self.variables[index].name for index in self._presets}
         for name, start in self._starts.items():
             value, found = start.setting.value, self._read_back(start.setting)
@@ -243,24 +248,25 @@ class FmuSlave:
                 )
 
     def _read_back(self, setting: Setting) -> Value | None:
-        """The present value of what was set; None where the FMU doesn't give it."""
+        """Return the present value of a variable with a start value; None if the FMU doesn't provide it."""
         call, value = self._transfers.reading(setting)
         return value() if self._instance.accepts(call) else None
 
     def step(self, time: float, step: float) -> None:
-        """Let the FMU advance.
+        """Advance from ``time`` by ``step`` [s].
 
         Raises:
-            SlaveError: the FMU fails or gets through only a part of the step; carries the last time that it reached.
+            SlaveError: the FMU fails or completes only part of the step; its ``time`` is the last time reached.
+            SlaveEnded: the FMU requests the end of the simulation.
         """
         self._instance.step(time, step, self._running().no_rollback)
 
     def bound_step(self) -> BoundStep | None:
-        """fmi2DoStep with its component bound, and what makes the error of a failed step; None where there is more to do."""
+        """Return fmi2DoStep bound to the component and a function for the error; None if `step` does more."""
         return self._instance.bound_step()
 
     def set(self, indices: Indices, values: RealArray) -> None:
-        """Set inputs; before initialisation they are kept for it."""
+        """Set inputs; before initialisation the values are stored for it."""
         if self._run is None:
             self._presets.update(zip(indices.tolist(), values.tolist(), strict=True))
         else:
@@ -286,36 +292,37 @@ class FmuSlave:
         derivatives[:] = buffer
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
-        """A call that sets inputs from the buffer."""
+        """Return a call that sets inputs from the buffer (n,)."""
         return self._instance.checked("setting inputs", self._transfers.set(self._select(indices), values))
 
     def bind_get(self, indices: Indices, values: RealArray) -> Call:
-        """A call that reads variables into the buffer."""
+        """Return a call that reads variables into the buffer (n,)."""
         return self._instance.checked("reading variables", self._transfers.get(self._select(indices), values))
 
     def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """A call that sets derivatives of inputs from the buffer."""
+        """Return a call that sets derivatives of inputs from the buffer (orders, n)."""
         call = self._transfers.set_derivatives(self._select(indices), derivatives)
         return self._instance.checked("setting input derivatives", call)
 
     def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
-        """A call that reads derivatives of outputs into the buffer."""
+        """Return a call that reads derivatives of outputs into the buffer (orders, n); absent ones are zero."""
         handles, what = self._select(indices), "reading output derivatives"
         if self._fmu.is_ours:
             return self._instance.checked(what, self._transfers.get_derivatives(handles, derivatives))
+        # FMUs of other tools: don't read what the trial instance lacked
         orders = np.arange(1, len(derivatives) + 1)[:, None]
         lowest = [self.lacking.get(self.variables[index].name, len(derivatives) + 1) for index in indices]
         call = self._transfers.get_derivatives(handles, derivatives, orders >= np.array(lowest))
         return self._tidied(self._instance.checked(what, call), indices, derivatives)
 
     def _tidied(self, read: Call, indices: Indices, derivatives: RealArray) -> Call:
-        """The call, with zeros for derivatives that have been no finite numbers, and for those above them."""
+        """Return the call with zeros for derivatives that weren't finite before in the run, and for higher orders."""
         missing = np.zeros(derivatives.shape, dtype=np.bool_)
         self._missing.append(missing)
 
         def tidy() -> None:
             read()
-            # once missing an order stays so for the run, and those above it
+            # an order that was missing once stays missing for the run, with all higher ones
             finite = np.isfinite(derivatives)
             if not finite.all():
                 missing[:] |= np.logical_or.accumulate(~finite, axis=0)
@@ -327,7 +334,7 @@ class FmuSlave:
         return tidy
 
     def absence(self, outputs: Sequence[str]) -> list[str]:
-        """A sentence about the derivatives of these outputs that were absent in the last run, if there are any."""
+        """Return a sentence on the absent derivatives of these outputs in the last run, none without outputs."""
         if not outputs:
             return []
         listed = ", ".join(f"der({name},{self.absent[name]})" for name in outputs[:LISTED])
@@ -338,15 +345,15 @@ class FmuSlave:
         ]
 
     def report(self) -> Mapping[str, Any]:
-        """What there is to say about the last run, for `take_report` in another process."""
+        """Return statistics, messages, remarks and absent derivatives of the last run, for `take_report`."""
         return {name: vars(self)[name] for name in ("statistics", "messages", "remarks", "absent")}
 
     def take_report(self, report: Mapping[str, Any]) -> None:
-        """Take over what was reported in another process."""
+        """Take over the report of a run in another process."""
         vars(self).update(report)
 
     def save(self) -> object:
-        """The FMU's complete state; valid until it is released, or until `terminate`.
+        """Return the FMU's complete state; valid until it is released, or until `terminate`.
 
         Raises:
             SlaveError: the FMU can't save its state.
@@ -354,16 +361,16 @@ class FmuSlave:
         return self._running().save()
 
     def restore(self, state: object) -> None:
-        """Go back to a saved state."""
+        """Restore a saved state."""
         self._running().restore(state)
 
     def release(self, state: object) -> None:
-        """Keep the memory of a saved state for the next one."""
+        """Keep the memory of a saved state for the next one to be saved."""
         if self._run is not None:
             self._run.release(state)
 
     def terminate(self) -> None:
-        """Read the statistics, then terminate and free the instance; nothing to do without one."""
+        """Read the statistics, then terminate and free the instance; without one, do nothing."""
         if self._run is not None:
             self._run = None
             self.statistics = self._counters.read() if self._instance.initialized else {}
@@ -371,14 +378,14 @@ class FmuSlave:
             self.messages = tuple(self._instance.log.messages)
 
     def _select(self, indices: Indices) -> list[Handle]:
-        """Handles of variables."""
+        """Return the handles of variables."""
         return [self._handles[index] for index in indices]
 
     def _running(self) -> FmuStates:
-        """The present run.
+        """Return the states of the present run.
 
         Raises:
-            SlaveError: there is none.
+            SlaveError: the slave isn't initialised.
         """
         if self._run is None:
             raise SlaveError(self.name, "not initialised; call initialize first")
@@ -386,7 +393,7 @@ class FmuSlave:
 
 
 def _interface(fmu: UnpackedFmu) -> tuple[Instance, Transfers | Fmi3Transfers]:
-    """What reaches instances of the FMU and their variables."""
+    """Return instance and transfers for the FMI version of the FMU."""
     fmi = load_calls(fmu)
     if fmu.is_fmi3:
         newer = Fmi3Instance(fmu, fmi)
@@ -397,11 +404,11 @@ def _interface(fmu: UnpackedFmu) -> tuple[Instance, Transfers | Fmi3Transfers]:
 
 @cache
 def _variables(fmu: UnpackedFmu) -> FmuVariables:
-    """What the FMU's model description says about variables, read once."""
+    """Return the variables of the FMU's model description, read once."""
     return read_variables(fmu.description)
 
 
 @cache
 def _settable(fmu: UnpackedFmu) -> Mapping[str, Any]:
-    """The FMU's variables that may be given start values, read once."""
+    """Return the FMU's variables whose start values can be set, read once."""
     return settable_variables(fmu.description)
