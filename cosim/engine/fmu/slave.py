@@ -1,6 +1,6 @@
 """An FMI 2.0 or 3.0 co-simulation FMU as a slave: loaded with fmpy, called on preallocated buffers.
 
-Before the first run of another tool's FMU, a trial instance shows which output derivatives it really provides.
+A trial instance shows which of its stated output derivatives an FMU of another tool provides.
 """
 
 from __future__ import annotations
