@@ -21,8 +21,9 @@ NUDGE = 1e-6
 """Perturbation of an input, relative and absolute, that shows which output derivatives depend on it directly."""
 
 PEERS = 1.0 / 3.0
-"""Least magnitude of a signal relative to the largest of the same slave and unit; it counts for a component of a
-velocity, say, that has hardly begun to change."""
+"""Least magnitude of a signal relative to the largest of the same slave and unit.
+
+Without it a velocity component that has hardly begun to change, say, would have too small a tolerance."""
 
 TINY = float(np.finfo(np.float64).tiny)
 """Smallest denominator, so that 0 / 0 becomes 0."""
@@ -43,14 +44,14 @@ class MonitoredSignals:
 
     @property
     def names(self) -> list[str]:
-        """(n) names: ``slave.output``, or ``der(slave.output,1)`` for a first derivative."""
+        """Names (n): ``slave.output``, or ``der(slave.output,1)`` for a first derivative."""
         slave = self.port.slave
         names = [f"{slave.name}.{slave.variables[self.port.indices[column]].name}" for column in self.columns]
         return [f"der({name},1)" if row else name for name, row in zip(names, self.rows, strict=True)]
 
     @property
     def kinds(self) -> list[tuple[str, str]]:
-        """(n) pairs of slave and unit; in place of an unknown unit the name of the output."""
+        """Pairs (n) of slave and unit; in place of an unknown unit the name of the output."""
         variables = [self.port.slave.variables[self.port.indices[column]] for column in self.columns]
         units = [each.unit or each.name for each in variables]
         return [(self.port.slave.name, unit + "/s" * row) for unit, row in zip(units, self.rows.tolist(), strict=True)]
