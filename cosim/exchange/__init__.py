@@ -1,1 +1,1 @@
-"""Systems for other tools: controllers, shapers and trajectories as FMUs, and whole loops as SSP files."""
+"""Exchange with other tools: controllers, shapers and trajectories as FMUs, and whole systems as SSP files."""

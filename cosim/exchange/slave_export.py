@@ -1,5 +1,5 @@
-"""Every slave of a scene as an FMU (planned motion, robot, controllers, shapers and imperfections), and the connections between them by
-the FMUs' variable names."""
+"""Export of a scene's slaves (planned motion, robot, controllers, shapers, imperfections) as FMUs, with the connections between
+their variables."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class ExportedSlave:
     """A slave of a scene as an FMU.
 
     Attributes:
-        facts: its name in the system, what it is, its sample time and offset.
-        path: the FMU.
+        facts: name in the system, description, sample time and offset.
+        path: path of the FMU.
         parameters: start values that differ from those in the FMU.
     """
 
@@ -47,17 +47,17 @@ class ExportedSlave:
 
     @property
     def name(self) -> str:
-        """Its name in the system."""
+        """Name of the slave in the system."""
         return self.facts.name
 
 
 @dataclass(frozen=True)
 class ExportedSystem:
-    """All of a scene as FMUs.
+    """The system of a scene as FMUs.
 
     Attributes:
         slaves: the planned motion (``trajectory``), the robot (``plant``), then controllers, shapers and imperfections.
-        connections: pairs (``slave.output``, ``slave.input``), between exported slaves alone, named as in the FMUs.
+        connections: pairs (``slave.output``, ``slave.input``) between exported slaves, with the variable names of the FMUs.
         step, stop_time: communication step and end of the simulation [s].
     """
 
@@ -67,7 +67,7 @@ class ExportedSystem:
     stop_time: float
 
     def named(self, naming: Naming, slaves: Collection[str]) -> ExportedSystem:
-        """The same system with the variables of these slaves in another naming.
+        """Return the system with another naming of the variables of these slaves.
 
         Raises:
             ModelError: a variable has no flat name.
@@ -87,7 +87,7 @@ class ExportedSystem:
 
 
 ExportProgress = Callable[[str, float | None], None]
-"""Called with what is being built and the finished fraction, 0..1."""
+"""Function of the current activity and the finished fraction, 0 to 1, or None if unknown."""
 
 
 def export_slaves(
@@ -101,26 +101,26 @@ def export_slaves(
     cache: bool = True,
     progress: ExportProgress = lambda text, fraction: None,
 ) -> ExportedSystem:
-    """Build the FMUs of a scene's slaves, ``<folder>/<slave>.fmu``.
+    """Export the slaves of a scene as FMUs ``<folder>/<slave>.fmu``.
 
-    Slaves that come from FMU files are copied as they are, whatever the naming. The FMUs' default experiments last as long as
-    the scene.
+    Slaves from FMU files are copied unchanged; ``naming`` does not apply to them. The default experiment of the other FMUs ends at
+    the stop time of the scene.
 
     Args:
         scene: the scene.
-        folder: where the FMUs go; made if it is missing.
-        names: slaves to export; None for all.
-        loop: what stands between motion and robot, instead of the scene's own sections.
+        folder: output folder, created if missing.
+        names: names of the slaves to export; None for all.
+        loop: controllers, shapers and imperfections as objects, instead of the scene's own.
         platforms, naming, cache: as for `flexfmu.fmu_build.build.build_fmu`.
-        progress: called with what is being built and the finished fraction.
+        progress: called with the current activity and the finished fraction.
 
     Raises:
-        InputError: there is no slave of a name, or one can't be exported since it is a Python class of the user; nothing has
-            been written then.
+        InputError: no slave has such a name, or a slave can't be exported because it is a Python class of the user; no file is
+            written then.
         TrajectoryError: the motion is not feasible, or can't be shaped.
         BuildError: an FMU can't be built or written.
     """
-    # the system as it would be simulated
+    # the same system as in a simulation
     loop = loop_of(scene) if loop is None else loop
     robot = build_scene(scene, cache=cache).path
     system = scene_system(scene, loop, robot)
@@ -135,7 +135,7 @@ def export_slaves(
         path = folder / f"{facts.name}.fmu"
         export.write(chosen[number], path)
         exported.append(ExportedSlave(facts, path, _start_values(chosen[number], system)))
-    # connections between exported slaves, by the names of their variables
+    # connections between exported slaves
     there = {slave.name for slave in chosen}
     connections = tuple(
         ends for ends in system.wiring.connections if all(end.partition(".")[0] in there for end in ends)
@@ -146,7 +146,7 @@ def export_slaves(
 
 @dataclass(frozen=True)
 class _Exporter:
-    """Writes the FMU of one slave after the other."""
+    """Writes the FMUs of slaves."""
 
     scene: Scene
     stop_time: float
@@ -168,7 +168,7 @@ class _Exporter:
 
 
 class BuildOptions(TypedDict):
-    """How FMUs are built."""
+    """Options of `flexfmu.fmu_build.build.build_fmu`."""
 
     platforms: tuple[str, ...] | None
     naming: Naming
@@ -176,15 +176,15 @@ class BuildOptions(TypedDict):
 
 
 def _is_copied(slave: Slave) -> bool:
-    """Whether the slave has come from an FMU file: any but the robot."""
+    """Whether the slave comes from an FMU file of the user, whose FMU is copied; the robot's is built."""
     return isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) and slave.name != PLANT
 
 
 def _chosen(slaves: Sequence[Slave], names: Collection[str] | None, step: float) -> tuple[Slave, ...]:
-    """The slaves of these names, in the system's order; a continuous lag becomes a sampled one for the communication step [s].
+    """Return the named slaves in the system's order, continuous lags sampled for the communication step [s].
 
     Raises:
-        InputError: there is no slave of a name, or one is a Python class of the user.
+        InputError: no slave has such a name, or a slave is a Python class of the user.
     """
     known = [slave.name for slave in slaves]
     for name in names or ():
@@ -194,9 +194,9 @@ def _chosen(slaves: Sequence[Slave], names: Collection[str] | None, step: float)
     for slave in slaves:
         if names and slave.name not in names:
             continue
-        # a lag in continuous time is exported as one with many samples in its time constant
+        # a continuous lag is exported as a sampled one with many samples per time constant
         exported = BlockSlave(slave.sampled(step), slave.name) if isinstance(slave, Lag) else slave
-        # only equations become C
+        # only symbolic equations can be compiled to C
         if not isinstance(exported, (FmuSlave, SampledFmu, FmuTask, BlockSlave, TrajectorySlave)):
             raise InputError(
                 f"slave {slave.name!r} is a {type(slave).__name__} in Python and can't be exported as an FMU; make it a "
@@ -207,7 +207,7 @@ def _chosen(slaves: Sequence[Slave], names: Collection[str] | None, step: float)
 
 
 def _start_values(slave: Slave, system: SceneSystem) -> Mapping[str, Value]:
-    """Start values that differ from those in the slave's FMU."""
+    """Return the start values that differ from those in the slave's FMU."""
     if slave is system.plant:
         return {**system.changes, **system.constants}
     return slave.parameters if isinstance(slave, (FmuSlave, SampledFmu, FmuTask)) else {}

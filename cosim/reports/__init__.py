@@ -1,1 +1,1 @@
-"""What a run leaves behind: summary, tables, plots and the report."""
+"""Results of a run for readers: summary, tables, plots and the HTML report."""

@@ -1,4 +1,4 @@
-"""How figures look, without window or global state: in files, and as SVG in a page whose light or dark theme they follow."""
+"""Style of figures in files, and in HTML pages as SVG that follows the light or dark theme; no windows, no global state."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 INK, GREY, PALE = "#22303c", "#7b8794", "#e6eaee"
-"""Text and mechanism, secondary lines, fills."""
+"""Colours of text and mechanism, of secondary lines, and of fills."""
 
 _COMMON: Mapping[str, Any] = {
     "axes.spines.top": False,
@@ -24,9 +24,9 @@ _COMMON: Mapping[str, Any] = {
     "axes.axisbelow": True,
     "grid.linewidth": 0.8,
     "legend.frameon": False,
-    "svg.hashsalt": "flexfmu",  # the same figure is the same file
+    "svg.hashsalt": "flexfmu",  # equal figures give equal files
 }
-"""Settings of matplotlib that figures in files and in pages share."""
+"""Settings of matplotlib for figures both in files and in pages."""
 
 _RC: Mapping[str, Any] = {
     **_COMMON,
@@ -47,7 +47,7 @@ _RC: Mapping[str, Any] = {
 
 
 def draw(width: float, height: float) -> Figure:
-    """An empty drawing in the common style; it belongs to no window and no global state.
+    """Return an empty drawing that belongs to no window and no global state; call it within `style` or `page_style`.
 
     Args:
         width, height: size in inches.
@@ -56,7 +56,7 @@ def draw(width: float, height: float) -> Figure:
 
 
 def style() -> AbstractContextManager[None]:
-    """Context in which figures are made and saved."""
+    """Return the context in which figures for files are drawn and saved."""
     context: AbstractContextManager[None] = matplotlib.rc_context(dict(_RC))
     return context
 
@@ -73,7 +73,7 @@ def save(drawing: Figure, stem: Path) -> None:
 
 
 def mark_end(axes: Axes, duration: float, text: str = "end of motion") -> None:
-    """Draw a dashed line where the motion ends [in the axes' unit of time]."""
+    """Draw a dashed vertical line with a label at the end of the motion, ``duration`` in the axes' unit of time."""
     axes.axvline(duration, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
     axes.annotate(
         text,
@@ -124,16 +124,16 @@ _PAGE_RC: Mapping[str, Any] = {
 
 
 def page_style() -> AbstractContextManager[None]:
-    """Context in which drawings are made and turned into SVG."""
+    """Return the context in which drawings for pages are made and converted to SVG."""
     context: AbstractContextManager[None] = matplotlib.rc_context(dict(_PAGE_RC))
     return context
 
 
 def to_svg(drawing: Figure, key: str, title: str) -> str:
-    """The drawing as an SVG element for a page, its identifiers prefixed by ``key``, with a title for screen readers."""
+    """Return the drawing as an SVG element for a page: identifiers prefixed by ``key``, ``title`` for screen readers."""
     buffer = io.StringIO()
     drawing.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    # the element alone; identifiers are unique in the page, and colours follow its theme
+    # only the SVG element, with identifiers unique in the page and colours of its theme
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -150,7 +150,7 @@ def to_svg(drawing: Figure, key: str, title: str) -> str:
 
 
 def mark_time(axes: Axes, time: float, text: str) -> None:
-    """A dashed vertical line with a label at a time [s]."""
+    """Draw a dashed vertical line with a label at a time [s]."""
     axes.axvline(time, color=PAGE_GREY, linewidth=0.9, linestyle=(0, (4, 3)))
     axes.annotate(
         text,

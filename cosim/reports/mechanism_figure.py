@@ -1,4 +1,4 @@
-"""The rigid mechanism, drawn by matplotlib: links as lines in the report of a run, links and hinges to scale in the paper's figures."""
+"""Drawings of the rigid mechanism: links as lines for the report of a run, links and hinges to scale for the paper's figures."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.trajectories.curves import Point
 
 MILLI = 1e3
-"""Drawings to scale are in mm."""
+"""Factor from m to mm, the unit of drawings to scale."""
 
 HINGE_RADIUS, MOTOR_RADIUS = 7.0, 24.0
-"""In drawings to scale [mm]."""
+"""Radii in drawings to scale [mm]."""
 
 
 def draw_lines(axes: Axes, mechanism: Mechanism, poses: Iterable[tuple[RealArray, float]]) -> None:
-    """Draw links as lines and motors as squares, in m and in the colours of a page.
+    """Draw links as lines and motors as squares [m], in the colours of a page.
 
     Args:
-        axes: to draw on.
+        axes: axes to draw on.
         mechanism: lengths and working mode.
         poses: positions of the end effector (2,) [m], each with the opacity of the pose.
     """
@@ -43,7 +43,7 @@ def draw_lines(axes: Axes, mechanism: Mechanism, poses: Iterable[tuple[RealArray
 
 
 def draw_to_scale(axes: Axes, mechanism: Mechanism, poses: Iterable[tuple[RealArray, float]]) -> None:
-    """Draw links as thick as they are, with hinges and motors, in mm; arguments as for `draw_lines`."""
+    """Draw links with their true diameters, hinges and motors [mm]; arguments as for `draw_lines`."""
     proximal, distal = MILLI * mechanism.proximal.diameter, MILLI * mechanism.distal.diameter
     for legs, end, opacity in _poses(mechanism, poses):
         # proximal links first, hinges on top
@@ -63,14 +63,14 @@ def draw_to_scale(axes: Axes, mechanism: Mechanism, poses: Iterable[tuple[RealAr
 def _poses(
     mechanism: Mechanism, poses: Iterable[tuple[RealArray, float]]
 ) -> Iterator[tuple[list[tuple[Point, Point]], Point, float]]:
-    """For each pose base and elbow of both legs, the end effector [m], and the opacity."""
+    """Yield for each pose base and elbow of both legs [m], the end effector [m], and the opacity."""
     for position, opacity in poses:
         end = float(position[0]), float(position[1])
         yield list(zip(bases(mechanism), elbows(mechanism, end), strict=True)), end, opacity
 
 
 def _rod(start: RealArray, end: RealArray, diameter: float, opacity: float) -> Polygon:
-    """A rod with round ends from start to end [mm]."""
+    """Return a rod with round ends from start to end [mm]."""
     direction = np.arctan2(end[1] - start[1], end[0] - start[0])
     angles = direction + np.linspace(0.5 * np.pi, 1.5 * np.pi, 25)
     half_circle = 0.5 * diameter * np.column_stack([np.cos(angles), np.sin(angles)])

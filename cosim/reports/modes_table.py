@@ -17,7 +17,7 @@ from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.reports.text import titled_table
 
 SHOWN_FREQUENCIES = 6
-"""Columns of frequencies in the table; all of them are in the JSON."""
+"""Largest number of frequency columns in the table; the JSON has all frequencies."""
 
 
 @dataclass(frozen=True)
@@ -39,22 +39,22 @@ class ModalPose:
     frequencies: tuple[float, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, as in `flexfmu modes --json`."""
+        """Return plain data, as in `flexfmu modes --json`."""
         return asdict(self) | {"frequencies": list(self.frequencies)}
 
 
 def modes_along_path(
     plan: MotionPlan, count: int, progress: Callable[[float], None] = lambda fraction: None
 ) -> list[ModalPose]:
-    """Frequencies at ``count`` points, equally spaced by arc length, start, middle and end among them.
+    """Return the robot's frequencies at ``count`` poses, equally spaced by arc length from start to end of the path.
 
     Args:
         plan: the planned motion of a scene.
         count: number of poses, odd, at least 3.
-        progress: called with the finished fraction.
+        progress: called with the finished fraction, 0 to 1.
 
     Raises:
-        InputError: ``count`` is even or too small.
+        InputError: ``count`` is even or below 3.
         EquilibriumError: the robot has no stable static equilibrium at a pose.
     """
     from flexfmu.model.modes import natural_frequencies
@@ -76,7 +76,7 @@ def modes_along_path(
 
 
 def _rigid_poses(plan: MotionPlan, fractions: RealArray) -> tuple[RealArray, RealArray]:
-    """(N, 2) positions [m] and (N, 2) joint angles [rad], unwrapped, at fractions of the path's length."""
+    """Return positions (N, 2) [m] and unwrapped joint angles (N, 2) [rad] at fractions (N,) of the path's length."""
     path = plan.along_path.path
     x, y = path.jets(fractions * path.length, order=0)
     joints = np.stack([joint.value for joint in plan.kinematics.joints(x, y)], axis=-1)
@@ -84,7 +84,7 @@ def _rigid_poses(plan: MotionPlan, fractions: RealArray) -> tuple[RealArray, Rea
 
 
 def modes_table(name: str, poses: list[ModalPose]) -> list[RenderableType]:
-    """The frequencies of a scene's poses as a table for the terminal, with a note where it doesn't show all of them."""
+    """Return the frequencies as a table for the terminal, with a note if it doesn't show all of them."""
     total = len(poses[0].frequencies)
     shown = min(total, SHOWN_FREQUENCIES)
     headings = "s", "x [m]", "y [m]", "q11 [rad]", "q21 [rad]", *(f"f{k}" for k in range(1, shown + 1))

@@ -1,4 +1,4 @@
-"""The plots of a run's report: the mechanism on its path, what drove the robot and how it answered."""
+"""Plots of a run's report: the mechanism on its path, joint references, torques, errors, deflections and residual vibration."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from flexfmu.cosim.reports.figure_style import draw as draw_empty
 from flexfmu.cosim.reports.mechanism_figure import draw_lines
 
 POINTS = 3000
-"""About as many points of a curve as a plot of this size can show."""
+"""Approximate number of points of a curve, as many as a plot of this size resolves."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Plot:
 
     Attributes:
         key: short identifier.
-        title, caption: heading and one sentence.
+        title, caption: heading, and one sentence on the plot.
         svg: an SVG element.
     """
 
@@ -48,17 +48,17 @@ class Plot:
 
 
 def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
-    """The plots for which the run has recorded enough, the scene first.
+    """Yield the plots for which the run has the signals, the scene first.
 
     Args:
         run: a run, complete or not.
-        end_equilibrium: (2,) equilibrium at the end pose [m]; None where it is not known, then the dwell isn't drawn.
+        end_equilibrium: (2,) end effector in static equilibrium at the end pose [m]; None if unknown, which omits the dwell.
     """
     with page_style():
         yield _plot(
             "scene", "Scene", "The rigid mechanism at start, middle and end of the path.", (5.2, 3.5), draw_scene, run
         )
-        # a run that ended at once has no curves
+        # a run that ended at its start has no curves
         if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
             return
         yield _plot("references", "Joint references", "What drives the robot.", (5.2, 3.9), _draw_references, run)
@@ -69,12 +69,12 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
         if any(name in run.recording.columns for name in TIP_DEFLECTIONS):
             caption = "Transverse displacement of the proximal links' tips."
             yield _plot("deflections", "Tip deflections", caption, (5.2, 2.7), _draw_deflections, run)
-        # what elasticity does to the path
+        # errors against the rigid robot
         caption = "Distance of the end effector from the rigid robot's, which tracks its path exactly."
         yield _plot("position", "Position error", caption, (5.2, 2.7), _draw_position_error, run)
         caption = "Norm of the deviation from the rigid robot's acceleration."
         yield _plot("acceleration", "Acceleration error", caption, (5.2, 2.7), _draw_acceleration_error, run)
-        # the dwell, if there was one
+        # the dwell, if the run reached it
         if run.recording.time[-1] > run.plan.duration and end_equilibrium is not None:
             caption = "Distance from the static equilibrium at the end pose during the dwell, and the settling band."
             yield _plot(
@@ -91,7 +91,7 @@ def _plot(
 
 
 def _draw_references(figure: Figure, run: Run) -> None:
-    """Position, velocity and acceleration of both joints."""
+    """Draw the reference position, velocity and acceleration of both joints."""
     axes = figure.subplots(3, 1, sharex=True)
     time = run.recording.time
     for panel, kind, unit in zip(
@@ -125,7 +125,7 @@ def _draw_deflections(figure: Figure, run: Run) -> None:
 def _draw_pair(
     figure: Figure, run: Run, names: tuple[str, ...], labels: tuple[str, ...], axis: str, factor: float
 ) -> None:
-    """Two signals of one unit, interpolated between the communication points."""
+    """Draw two signals of the same unit, interpolated between the communication points."""
     axes = figure.subplots()
     for name, label in zip(names, labels, strict=True):
         if name in run.recording.columns:
@@ -153,7 +153,7 @@ def _draw_dwell(figure: Figure, run: Run, end_equilibrium: RealArray) -> None:
 
 
 def _draw_norm(figure: Figure, run: Run, signal: HermiteSegments, label: str, factor: float, order: int = 0) -> Axes:
-    """Norm of a signal's time derivative."""
+    """Draw the norm of a signal's time derivative of the given order."""
     axes = figure.subplots()
     time, values = _curve(signal, order)
     axes.plot(time, factor * np.linalg.norm(values, axis=1))
@@ -164,7 +164,7 @@ def _draw_norm(figure: Figure, run: Run, signal: HermiteSegments, label: str, fa
 
 
 def _curve(signal: HermiteSegments, order: int = 0) -> tuple[RealArray, RealArray]:
-    """Enough points of a signal for a smooth curve."""
+    """Return times (N,) [s] and values (N, m) of a signal's derivative, dense enough for a smooth curve."""
     return sample(signal, int(np.clip(POINTS // max(len(signal.start), 1), 2, 20)), order)
 
 
@@ -179,7 +179,7 @@ PATH_POINTS = 400
 
 
 def draw_scene(figure: Figure, run: Run) -> None:
-    """The path, and the rigid mechanism at start, middle and end of the motion."""
+    """Draw the path, and the rigid mechanism at start, middle and end of the motion."""
     axes = figure.subplots()
     task, duration = run.plan.task, run.plan.duration
     path = task.evaluate(np.linspace(0.0, duration, PATH_POINTS), 0)[0]

@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that needs no network."""
+"""The report of a run: a self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ TILES = (
     "residual_vibration_amplitude",
     "settling_time",
 )
-"""The metrics at the top of the report."""
+"""Metrics shown at the top of the report."""
 
 
 def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
-    """The report as HTML.
+    """Return the report as HTML.
 
     Args:
-        summary: what `flexfmu.cosim.reports.summary.summarise` returns.
-        plots: drawn by `flexfmu.cosim.reports.plots.draw_plots`.
+        summary: summary of the run by `flexfmu.cosim.reports.summary.summarise`.
+        plots: plots of the run by `flexfmu.cosim.reports.plots.draw_plots`.
     """
-    # the template and what it shows, all as text
+    # fill the template, all values as text
     environment = Environment(
         loader=PackageLoader("flexfmu.cosim.reports", "templates"),
         autoescape=True,
@@ -65,7 +65,7 @@ def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
 
 
 def _tables(summary: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """Title → rows of the tables below the plots; those without rows are left out."""
+    """Return title → rows of the tables below the plots, without empty tables."""
     tables = {
         "Shaping": _shaping_rows(summary.get("shaping")),
         "Learning": _learning_rows(summary.get("learning")),
@@ -97,7 +97,7 @@ def _metric_row(name: str, value: float | None, error: float | None) -> dict[str
 
 
 def _scene_rows(section: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """The scene file flattened to dotted keys; entries of lists of tables have a number."""
+    """Return the scene flattened to dotted keys; entries of arrays of tables have an index."""
     rows: dict[str, str] = {}
     for key, value in section.items():
         if isinstance(value, Mapping):
@@ -117,7 +117,7 @@ def _scene_value(value: Any) -> str:
 
 
 def _slave_rows(slaves: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-    """Name of each slave → what it is and when it is sampled."""
+    """Return the name of each slave → its description and sample time."""
     rows = {}
     for slave in slaves:
         sampling = "" if slave["sample_time"] is None else f", every {slave['sample_time']:g} s"
@@ -128,7 +128,7 @@ def _slave_rows(slaves: Iterable[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _shaping_rows(shaping: Mapping[str, float] | None) -> dict[str, str]:
-    """What shapers cost."""
+    """Return added time and path deviation of the shapers."""
     if shaping is None:
         return {}
     return {
@@ -138,7 +138,7 @@ def _shaping_rows(shaping: Mapping[str, float] | None) -> dict[str, str]:
 
 
 def _learning_rows(learning: Mapping[str, Any] | None) -> dict[str, str]:
-    """Tracking error of both joints, cycle by cycle."""
+    """Return the tracking errors of both joints for each cycle."""
     if learning is None:
         return {}
     return {

@@ -1,4 +1,4 @@
-"""The summary of a run as plain data: what ``summary.json`` holds and what the report is made from."""
+"""The summary of a run as plain data, the content of ``summary.json`` and of the report."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 COARSE = 1e-5
-"""Estimated interpolation error, relative to a metric's value, from which the communication step counts as too coarse."""
+"""Relative interpolation error of a metric above which the communication step counts as too coarse."""
 
 _FAMILIES: Mapping[str, str] = {
     "proximal_bending": "Bending of the proximal links",
@@ -37,23 +37,30 @@ _FAMILIES: Mapping[str, str] = {
 }
 
 _SHAPES = {"assumed-modes": "assumed mode", "craig-bampton": "static or fixed-interface shape"}
-"""Basis → what it calls a shape."""
+"""Basis → name of its shape functions."""
 
 
 _LAST = ("gravity", "payload.inertia")
-"""Loads that `describe_effects` names after the others."""
+"""Loads that `describe_effects` lists last."""
 
 
 def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
-    """Everything that ``summary.json`` says about a run, as plain data in SI units.
+    """Return the content of ``summary.json`` as plain data in SI units.
 
-    Keys: ``scene`` (the scene file with its defaults), ``effects`` (effect → sentence), ``metrics`` (name → number or
-    None), ``errors`` (name → estimated error, or None where it isn't known), ``health`` (outcome, integrator statistics, what
-    the errors are taken from, interpolation errors, warnings, deflections beyond linear theory),
-    ``slaves`` (name, description, sample time), ``delays`` (for each connection how late it is), ``timing`` [s],
-    ``versions``; with shapers also ``shaping`` (the time that they add [s], how far they lead the rigid end effector off its path [m]), with an automatic choice of effects
-    ``effect_choice`` (tolerance, the set, estimated errors and contributions), and with a motion that is repeated
-    ``learning`` (period [s] and for each cycle the tracking error of both joints [rad]).
+    Keys:
+        scene: the scene with all defaults.
+        effects: effect → sentence.
+        metrics: name → number, or None for a metric without a value.
+        errors: name → estimated error of the metric, or None if unknown.
+        health: outcome, integrator statistics, basis of the errors, interpolation errors, warnings, deflections beyond linear
+            theory, instability of the control loop.
+        slaves: name, description, sample time and offset of each slave.
+        delays: delay of each connection.
+        timing: wall times [s].
+        versions: name → version.
+        shaping: only with shapers: added time [s] and deviation of the rigid end effector from its path [m].
+        effect_choice: only with ``select = "auto"``: tolerance, chosen set, estimated errors and contributions.
+        learning: only for a repeated motion: period [s] and tracking errors of both joints in each cycle [rad].
     """
     return {
         "scene": run.scene.model_dump(mode="json", exclude_none=True),
@@ -72,7 +79,7 @@ def summarise(run: Run, measurements: Mapping[str, Measurement]) -> dict[str, An
 
 
 def describe_effects(scene: Scene) -> dict[str, str]:
-    """Effect → sentence, for the effects that the scene's model contains."""
+    """Return effect → sentence for all effects in the scene's model."""
     effects, found = scene.effects, {}
     # elastic links
     for key, what in _FAMILIES.items():
@@ -85,7 +92,7 @@ def describe_effects(scene: Scene) -> dict[str, str]:
         found["beam"] = "Shear and rotary inertia of the links (Timoshenko)"
     if effects.foreshortening:
         found["foreshortening"] = "Foreshortening of links that bend (geometric stiffening)"
-    # damping and drives, then what acts from outside
+    # damping and drives, then external loads
     for key in sorted(scene.loads, key=lambda key: _LAST.index(key) if key in _LAST else -1):
         found[key.replace(".", "_")] = LOADS[key].sentence(scene.loads[key])
     if scene.payload.mass:
@@ -94,7 +101,7 @@ def describe_effects(scene: Scene) -> dict[str, str]:
 
 
 def coarse_metrics(measurements: Mapping[str, Measurement]) -> Iterator[str]:
-    """Names of the metrics for which the communication step is too coarse."""
+    """Yield the names of the metrics for which the communication step is too coarse."""
     for name, measurement in measurements.items():
         value, error = measurement.value, measurement.interpolation_error
         if value is not None and error > max(COARSE * abs(value), ALL_METRICS[name].negligible):
@@ -132,7 +139,7 @@ def _warning(run: Run, name: str, measurement: Measurement) -> dict[str, Any]:
 
 
 def _shaping(run: Run) -> dict[str, Any]:
-    """What shapers cost: the time that they add [s], and how far they lead the rigid end effector off its path [m]."""
+    """Return the time that shapers add [s] and the deviation of the rigid end effector from its path [m]; empty without."""
     motion = run.plan.once
     if motion.task is motion.along_path:
         return {}
@@ -142,7 +149,7 @@ def _shaping(run: Run) -> dict[str, Any]:
 
 
 def _learning(run: Run) -> dict[str, Any]:
-    """How a repeated motion is followed, cycle by cycle: root mean square and largest error of both joints [rad]."""
+    """Return RMS and largest tracking error of both joints [rad] in each cycle; empty for a motion without repetition."""
     if run.plan.repetition is None:
         return {}
 
@@ -151,7 +158,7 @@ def _learning(run: Run) -> dict[str, Any]:
 
 
 def _delay(delay: SignalDelay) -> dict[str, Any]:
-    """Delay of a signal [s]: at most between source and target, what is held, the source's own, and in all on average."""
+    """Return the delay of a connection [s]: largest, by zero-order hold, latency of the source, and average."""
     parts = {"hold": delay.hold, "latency": delay.latency, "average": delay.average}
     return {"connection": delay.connection, "seconds": delay.seconds, **parts, "description": str(delay)}
 
@@ -163,12 +170,12 @@ def _timing(run: Run) -> dict[str, float]:
 
 
 def chosen_set(scene: Scene) -> dict[str, Any]:
-    """The keys of `effects` that are a matter of choice, with the scene's values."""
+    """Return the scene's values of the `effects` keys that an automatic choice may set."""
     return scene.effects.model_dump(mode="json", include=set(CHOOSABLE))
 
 
 def choice_summary(scene: Scene) -> dict[str, Any]:
-    """What was chosen, for what, and what each effect is estimated to be worth; nothing where the scene chose itself."""
+    """Return the automatic choice of effects with the estimated contribution of each; empty without such a choice."""
     choice = scene.effects.choice
     if choice is None:
         return {}
@@ -194,14 +201,14 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
 PACKAGES = ("flexfmu", "casadi", "fmpy", "numpy")
 
 _COMPILER = re.compile(rb"GCC: \([^)\0]*\) [\w.+-]+|(?:\w+ )?clang version [\w.+-]+|Apple clang version [\w.+-]+")
-"""How compilers sign what they make (section ``.comment`` of an ELF library)."""
+"""Compiler signatures in binaries (section ``.comment`` of an ELF library)."""
 
 
 def versions(fmu: Path | None = None) -> Mapping[str, str | None]:
-    """Versions by name; None where one can't be found out.
+    """Return name → version, None for an unknown one.
 
     Args:
-        fmu: the FMU whose compiler is named under ``compiler``.
+        fmu: FMU whose compiler is reported as ``compiler``.
     """
     return {
         **{name: _package(name) for name in PACKAGES},
@@ -212,7 +219,7 @@ def versions(fmu: Path | None = None) -> Mapping[str, str | None]:
 
 
 def compiler_of(fmu: Path) -> str | None:
-    """The compiler that made the FMU's library for this machine, by its own signature in the file; None if unsigned."""
+    """Return the compilers of the FMU's binaries by their signatures; None if there are none or the FMU can't be read."""
     try:
         with zipfile.ZipFile(fmu) as archive:
             libraries = [name for name in archive.namelist() if name.startswith("binaries/") and not name.endswith("/")]

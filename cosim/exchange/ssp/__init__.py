@@ -1,1 +1,1 @@
-"""SSP files: read, run and written."""
+"""System Structure and Parameterization (SSP) files: reading, simulating and writing."""

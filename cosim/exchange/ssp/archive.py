@@ -1,4 +1,4 @@
-"""The zip archive of an SSP. Files are read by their relative paths; paths that lead out of the archive are refused."""
+"""The zip archive of an SSP file; relative paths that lead out of the archive are errors."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from urllib.parse import unquote, urlsplit
 from flexfmu.cosim.exchange.ssp.structure import SspError
 
 DESCRIPTION = "SystemStructure.ssd"
-"""The default system of a package."""
+"""Path of the default SSD in an SSP file."""
 
 LARGEST_XML = 64_000_000
-"""Bytes of an XML file, unpacked: a thousand times what an SSD of a thousand connections needs."""
+"""Largest XML file [bytes], unpacked: a thousand times the size of an SSD with a thousand connections."""
 
 LARGEST_FMU = 4_000_000_000
-"""Bytes of an FMU within the archive."""
+"""Largest FMU within the archive [bytes]."""
 
 DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, EOFError, OSError, ValueError)
-"""What Python's zip reader raises at an entry that is damaged, encrypted or packed by an unknown method."""
+"""Exceptions of Python's zip reader for an entry that is damaged, encrypted or compressed by an unknown method."""
 
 
 class SspArchive:
     """An SSP file.
 
     Args:
-        path: the file.
-        description: path within it of the system that is meant; a package may hold variants of its default.
+        path: path of the SSP file.
+        description: path of the SSD within the archive; an SSP file may have variants of its default SSD.
 
     Attributes:
-        description: see above.
-        variants: other systems beside it.
+        path, description: the arguments.
+        variants: paths of the other SSDs in the archive.
 
     Raises:
-        SspError: it is missing, no zip archive, or doesn't hold that system.
+        SspError: the file is missing, is no zip archive, or doesn't contain the SSD.
     """
 
     def __init__(self, path: Path, description: str = DESCRIPTION) -> None:
@@ -52,7 +52,7 @@ class SspArchive:
             raise SspError(f"can't read {path}: {error.strerror}; check the path") from error
         except (zipfile.BadZipFile, NotImplementedError):
             raise SspError(f"{path} is no SSP: not a zip file; check the path or export it again") from None
-        # the wanted system must be there; the others are variants of it
+        # the SSD must exist; other SSDs are its variants
         self._entries = {entry.filename: entry for entry in self._archive.infolist()}
         self.variants = sorted({each for each in self._entries if each.endswith(".ssd")} - {description})
         if description not in self._entries:
@@ -60,16 +60,16 @@ class SspArchive:
             raise SspError(f"{path} is no SSP: it holds no {description}; {remedy}")
 
     def label(self, file: str) -> str:
-        """A file within the archive, for errors."""
+        """Return the name of a file within the archive, for errors."""
         return f"{self.path.name}, {file}"
 
     def read(self, file: str, where: str = "", largest: int = LARGEST_XML) -> bytes:
-        """Content of a file.
+        """Return the content of a file.
 
         Args:
-            file: its path within the archive.
+            file: path within the archive.
             where: the referring element, for errors.
-            largest: more bytes than these are refused.
+            largest: largest size [bytes].
 
         Raises:
             SspError: there is no such file, it is damaged or too large.
@@ -87,14 +87,14 @@ class SspArchive:
             raise SspError(f"{prefix} can't be unpacked: {error}; export it again") from None
 
     def resolve(self, source: str, where: str) -> str:
-        """Path within the archive of what a source attribute names.
+        """Return the path within the archive of a ``source`` attribute.
 
         Args:
-            source: a URI relative to the system's description.
+            source: URI relative to the SSD.
             where: the referring element, for errors.
 
         Raises:
-            SspError: it is no relative path, or leads out of the archive.
+            SspError: the URI is no relative path, or leads out of the archive.
         """
         # only plain relative paths
         uri = urlsplit(source)
@@ -111,13 +111,13 @@ class SspArchive:
                 raise SspError(f"{where} has source={source!r}, which leads out of the archive; put the file inside")
             elif part not in ("", "."):
                 parts.append(part)
-        # absolute paths, and parts that some system would read as another folder
+        # no absolute paths, and no characters that an operating system reads as a separator or an end
         if uri.path.startswith("/") or any("\\" in part or "\0" in part for part in parts):
             raise SspError(f"{where} has source={source!r}; take a path relative to {self.description}, with slashes")
         return "/".join(parts)
 
     def extract(self, file: str, where: str) -> Path:
-        """A copy of a file on disk, under a generated name; removed when the process ends.
+        """Copy a file to disk under a generated name, until the process ends, and return its path.
 
         Raises:
             SspError: as for `read`.
@@ -131,13 +131,13 @@ class SspArchive:
 
 
 def _safe(name: str) -> str:
-    """The name with letters, digits and underscores alone."""
+    """Return the name with all characters but letters and digits replaced by underscores, at most 80 characters."""
     return "".join(c if c.isalnum() else "_" for c in name)[:80] or "fmu"
 
 
 @cache
 def _folder() -> Path:
-    """Folder of all FMUs that this process has taken from archives, removed at its end."""
+    """Return the folder of all FMUs that this process extracts, removed at its end."""
     folder = tempfile.TemporaryDirectory(prefix="flexfmu-ssp-", ignore_cleanup_errors=True)
     atexit.register(folder.cleanup)
     return Path(folder.name)

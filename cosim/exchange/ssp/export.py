@@ -1,4 +1,4 @@
-"""A scene as one SSP file: all of its slaves as FMUs, their connections, parameters and default experiment."""
+"""Export of a scene as an SSP file: all slaves as FMUs, their connections, parameters and default experiment."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 TOOL = f"flexfmu {version('flexfmu')}"
 
 PARAMETERS = "resources/parameters.ssv"
-"""Values of all parameters of the FMUs, with hierarchical names such as ``plant.payload.mass``."""
+"""File of the parameter set, with hierarchical names such as ``plant.payload.mass``."""
 
 
 def export_ssp(
@@ -50,25 +50,25 @@ def export_ssp(
     cache: bool = True,
     progress: ExportProgress = lambda text, fraction: None,
 ) -> Path:
-    """Write a scene as an SSP 1.0 file: planned motion, robot, controllers, shapers and imperfections as FMUs in
-    ``resources/``, wired as `flexfmu.cosim.experiment.prepared_scene.run_scene` wires them. The same scene gives the same bytes.
+    """Export a scene as an SSP 1.0 file and return its path.
 
-    Importers that exchange plain values at the communication points, as most do, agree with `run_scene` to first order in
-    the step; `flexfmu.cosim.exchange.ssp.loading.load_ssp` streams derivatives and agrees to the accuracy of the trajectory's FMU.
+    Planned motion, robot, controllers, shapers and imperfections become FMUs in ``resources/``, connected as in
+    `flexfmu.cosim.experiment.prepared_scene.run_scene`. The same scene gives the same bytes.
+
+    Most importers exchange only values at the communication points: their results agree with `run_scene` to first order in the
+    communication step. `flexfmu.cosim.exchange.ssp.loading.load_ssp` also passes derivatives, and agrees to the accuracy of the
+    trajectory's FMU.
 
     Args:
         scene: the scene.
-        path: the file.
-        loop: what stands between motion and robot, instead of the scene's own sections.
-        platforms: platforms of the FMUs' binaries; this machine's when None.
-        cache: whether FMUs are taken from the cache.
-        progress: called with what is being built and the finished fraction.
-
-    Returns:
-        The path.
+        path: file to write.
+        loop: controllers, shapers and imperfections as objects, instead of the scene's own.
+        platforms: FMI platforms of the FMUs' binaries; None for this machine's.
+        cache: whether FMUs may be taken from the cache.
+        progress: called with the current activity and the finished fraction.
 
     Raises:
-        InputError: a slave can't be exported, since it is a Python class of the user, or slaves can't be wired.
+        InputError: a slave can't be exported because it is a Python class of the user, or the slaves can't be connected.
         TrajectoryError: the motion is not feasible, or can't be shaped.
         BuildError: an FMU can't be built, or the file can't be written.
     """
@@ -88,16 +88,16 @@ def export_ssp(
 
 
 def _robot(scene: Scene, loop: Loop) -> Scene:
-    """The scene with the parameters that the robot has, for importers that ignore parameter sets.
+    """Return the scene with the robot's parameters in ``loop``, so that the FMU has them even if an importer ignores the parameter set.
 
-    Torques that hold the start pose come from the scene's own parameters, so that its parameters stay unchanged where these torques act.
+    A torque-driven robot without controllers is unchanged: the torques that hold its start pose follow from the scene's parameters.
     """
     holds = scene.cosimulation.drive == "torque" and not loop.controllers
     return scene if holds else scene_with_parameters(scene, loop.parameters)
 
 
 def describe(name: str, system: ExportedSystem) -> Structure:
-    """The structure of exported slaves.
+    """Return the system structure of exported slaves.
 
     Args:
         name: name of the system.
@@ -127,13 +127,13 @@ def describe(name: str, system: ExportedSystem) -> Structure:
 
 
 def _identifier(name: str) -> str:
-    """The name with letters, digits and underscores alone, which OMSimulator needs."""
+    """Return the name as an identifier (letters, digits, underscores), as OMSimulator requires."""
     found = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return f"_{found}" if found[:1].isdigit() else found
 
 
 def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> ComponentFmu:
-    """The slave's component: all of its outputs, and those inputs that are fed."""
+    """Return the slave's component with connectors for all outputs and for the connected inputs."""
     fed = {_ends(target) for _, target in connections}
     fmu = open_fmu(slave.path)
     bare = component_fmu(Component(slave.name, _source(slave), ()), fmu)
@@ -143,7 +143,7 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
         for each in bare.variables.values()
         if each.causality == "output" or (slave.name, each.name) in fed
     ]
-    # sample time and offset are written where the FMU doesn't state them
+    # write sample time and offset unless the FMU states them
     facts = slave.facts
     times = None if facts.sample_time is None else (facts.sample_time, facts.offset or 0.0)
     stated = fmu.sampling is not None or (fixed_step(fmu), 0.0) == times
@@ -158,8 +158,8 @@ def _fmu(slave: ExportedSlave, connections: Sequence[tuple[str, str]]) -> Compon
 
 
 def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[SspParameter]:
-    """Values of the slave's real parameters, and of all else that differs from the FMU's start."""
-    # real parameters with their start values in the FMU, and what the scene changes
+    """Return the values of all Real parameters, and of other variables whose start value differs from the FMU's."""
+    # Real parameters with the FMU's start values, then the values of the scene
     started = {
         name: float(each.start)
         for name, each in fmu.variables.items()
@@ -179,23 +179,23 @@ def _parameters(slave: ExportedSlave, fmu: ComponentFmu) -> list[SspParameter]:
 
 
 def _unit_name(fmu: ComponentFmu, name: str) -> str | None:
-    """Name of a variable's unit, None where the FMU doesn't define one."""
+    """Return the name of a variable's unit; None if the FMU doesn't define it."""
     unit = variable_unit(fmu, name)
     return unit.name if isinstance(unit, SspUnit) else None
 
 
 def _units(names: Iterable[str | None], fmus: Mapping[str, ComponentFmu]) -> tuple[SspUnit, ...]:
-    """Definitions of the units, sorted."""
+    """Return the definitions of the units, sorted by name."""
     known = {name: unit for fmu in fmus.values() for name, unit in fmu.units.items()}
     return tuple(known[name] for name in sorted({name for name in names if name is not None}))
 
 
 def _source(slave: ExportedSlave) -> str:
-    """Path of the slave's FMU within the archive."""
+    """Return the path of the slave's FMU within the archive."""
     return f"resources/{slave.name}.fmu"
 
 
 def _ends(full_name: str) -> tuple[str, str]:
-    """Names of slave and variable."""
+    """Split ``slave.variable`` into both names."""
     slave, _, variable = full_name.partition(".")
     return slave, variable

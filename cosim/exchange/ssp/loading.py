@@ -1,4 +1,4 @@
-"""A system from an SSP file, ready to be simulated."""
+"""Loading of an SSP file as a system that can be simulated."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ class SspSystem:
     """A system that an SSP file describes.
 
     Attributes:
-        structure: what the file says.
+        structure: content of the SSD.
         system: slaves and connections.
-        start, stop: [s].
+        start, stop: start and stop time [s].
         step: communication step [s].
-        tolerance: relative tolerance for the FMUs; None for their own.
-        ignored: parameters in the file that fit no variable.
-        names: full name of a component → name of its slave, which holds no dot.
-        shown: full names of systems' connectors → the outputs that they pass on.
-        remarks: warnings about parts of the file that were ignored.
+        tolerance: relative tolerance of the FMUs; None for their own.
+        ignored: parameters in the file that match no variable.
+        names: full name of a component → name of its slave, without dots.
+        shown: full name of a system's connector → origin of its signal.
+        remarks: warnings about ignored parts of the file.
     """
 
     structure: Structure
@@ -72,16 +72,18 @@ class SspSystem:
         isolate: bool | None = None,
         call_limit: float = CALL_LIMIT,
     ) -> Simulation:
-        """Run it with `flexfmu.cosim.engine.master.master.simulate`; without a tolerance the FMUs use the file's, else their own. Results have the
-        file's names: ``inner.first.x`` for a component within a system, ``inner.y`` for a system's connector.
+        """Simulate the system with `flexfmu.cosim.engine.master.master.simulate`.
+
+        Signals have the names of the file: ``inner.first.x`` for a component in a subsystem, ``inner.y`` for a system's connector.
 
         Args:
-            tolerance, progress, algorithm, step_control: see there.
-            isolate: whether to simulate in a child process; where other tools' FMUs take part when None.
-            call_limit: how long an FMU may stay in one call there [s].
+            tolerance: relative tolerance of the FMUs; None for the file's, or the FMUs' own if the file has none.
+            progress, algorithm, step_control: as for `simulate`.
+            isolate: whether to simulate in a child process; None: only with FMUs of other tools.
+            call_limit: time limit of a single call of an FMU in the child process [s].
 
         Raises:
-            InputError: the times make no sense, or a slave would have to go back to an earlier state but can't.
+            InputError: the times are invalid, or a slave that needs rollback can't restore an earlier state.
         """
         simulation = simulate(
             self.system,
@@ -97,8 +99,8 @@ class SspSystem:
         return replace(simulation, recording=self._renamed(simulation.recording))
 
     def _renamed(self, recording: Recording) -> Recording:
-        """Signals under the file's names, and those of systems' connectors."""
-        # from names of slaves to the file's names of components
+        """Return the recording with the names of the file, and with the signals of systems' connectors."""
+        # names of slaves → names of components in the file
         owners = {slave: name for name, slave in self.names.items()}
         parts = {name: name.split(".", 1) for name in recording.columns}
         columns = {f"{owners[slave]}.{name}": recording.columns[full] for full, (slave, name) in parts.items()}
@@ -120,30 +122,30 @@ def load_ssp(
     ssd: str = DESCRIPTION,
     output_order: int | None = None,
 ) -> SspSystem:
-    """Read a file of SSP 1.0, or of SSP 2.0 without its new features, whose components are FMUs for co-simulation.
+    """Load an SSP 1.0 file, or an SSP 2.0 file without its new features, whose components are co-simulation FMUs.
 
-    Systems within systems are flattened. FMUs that this package made run as in the scene they come from: trajectories are streamed with all derivatives, blocks
-    are sampled at their own instants. Others are sampled where the file has an annotation with their sample time, or where
-    they can't vary their step and their default experiment has a step size; else they are stepped. Units are converted, linear transformations and parameter sets
-    applied at all levels. Inputs behind the system's own input connectors stay at the connectors' values of a parameter set, else
-    at its start value.
+    Subsystems are flattened. Unit conversions, transformations and parameter sets apply at all levels. Inputs connected to the
+    system's own input connectors are constant, at the value of a parameter set or else at their start value.
+
+    FMUs of this package behave as in their scene: trajectories pass all derivatives, blocks are sampled at their sample times.
+    Other FMUs are sampled if the file has an annotation with their sample time, or if they can't vary their step and their default
+    experiment has a step size. All others are stepped at the communication points.
 
     Args:
-        path: the file.
-        start, stop: [s]; by default what the file says, else 0 and the latest stop time that an FMU names.
-        step: communication step [s]; by default what the file says, else the smallest that an FMU names.
-        loops: how algebraic loops are solved; `Anderson` when None.
-        ssd: path within the file of the system that is meant, where it isn't the default.
-        output_order: highest derivative of outputs that FMUs are asked for, 0 for none; None for all that they give.
+        path: path of the SSP file.
+        start, stop: start and stop time [s]; None for the file's, else 0 and the latest stop time of an FMU.
+        step: communication step [s]; None for the file's, else the smallest step size of an FMU.
+        loops: solver of algebraic loops; `Anderson` when None.
+        ssd: path of the SSD within the file.
+        output_order: highest output derivative requested from FMUs, 0 for values only; None for all that they provide.
 
     Raises:
-        SspError: the file is missing, broken, contradicts itself or its FMUs, or needs a feature that this program doesn't have:
-            signal dictionaries, packages in packages, nonlinear tables on the path of a Real, calculated parameters
-            that are connected.
+        SspError: the file is missing or broken, contradicts itself or its FMUs, or needs an unsupported feature: signal
+            dictionaries, SSP files as components, nonlinear tables on the path of a Real, connected calculated parameters.
         FmuFileError: an FMU is broken, of another kind, or has no binary for this platform.
-        InputError: a value is out of range, or the slaves can't be wired.
+        InputError: a value is out of range, or the slaves can't be connected.
     """
-    # what the file says, and the FMUs in it
+    # content of the file, and its FMUs
     archive = SspArchive(Path(path), ssd)
     structure = read_structure(archive)
     fmus = _fmus(structure, archive)
@@ -174,11 +176,11 @@ def load_ssp(
 
 
 def _fmus(structure: Structure, archive: SspArchive) -> dict[str, ComponentFmu]:
-    """Full name of a component → its FMU.
+    """Return full name of a component → its FMU.
 
     Raises:
-        SspError: there is none, or two elements share a name.
-        FmuFileError: an FMU can't be run.
+        SspError: there is no component, or two elements have the same name.
+        FmuFileError: an FMU can't be loaded.
     """
     fmus: dict[str, ComponentFmu] = {}
     names: list[str] = []
@@ -201,11 +203,11 @@ def _fmus(structure: Structure, archive: SspArchive) -> dict[str, ComponentFmu]:
 
 @contextmanager
 def _named(component: Component) -> Iterator[None]:
-    """Errors name the component and its FMU within the file.
+    """Context that adds the component and its FMU to error messages.
 
     Raises:
-        FmuFileError: again.
-        SspError: for a value that doesn't suit.
+        FmuFileError: for a `FmuFileError` within.
+        SspError: for any other `InputError` within.
     """
     try:
         yield
@@ -217,13 +219,13 @@ def _named(component: Component) -> Iterator[None]:
 
 
 def _remarks(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> list[str]:
-    """Warnings about parts of the components that were ignored.
+    """Return warnings about ignored parts of the components.
 
     Raises:
-        SspError: a connector that is connected contradicts its FMU.
+        SspError: a connected connector contradicts its FMU.
     """
     remarks = []
-    # connectors that a connection uses must agree with the FMU; the others may fail with a warning
+    # connected connectors must agree with the FMU; for others a warning suffices
     connected = {
         (prefix + (element or ""), name)
         for prefix, level in levels(structure)
@@ -239,13 +241,13 @@ def _remarks(structure: Structure, fmus: Mapping[str, ComponentFmu]) -> list[str
 
 
 def _variants(archive: SspArchive) -> list[str]:
-    """Other systems in the file."""
+    """Return a remark about other SSDs in the file."""
     others = ", ".join(each for each in archive.variants)
     return [f"took {archive.description}; the file also holds {others} (--ssd)"] if others else []
 
 
 def _names(fmus: Mapping[str, ComponentFmu]) -> Mapping[str, str]:
-    """Full name of a component → name of its slave, which holds no dot."""
+    """Return full name of a component → unique name of its slave, without dots."""
     names: dict[str, str] = {}
     for full in fmus:
         name = full.replace(".", "_")
@@ -256,7 +258,7 @@ def _names(fmus: Mapping[str, ComponentFmu]) -> Mapping[str, str]:
 
 
 def _mapped(column: Column, origin: Origin) -> Column:
-    """A signal in the unit of the connector at the end of its path, after all transformations."""
+    """Return a signal in the unit of the connector at the end of its path, after all transformations."""
     unit = origin.unit if isinstance(origin.unit, str) else origin.unit.name
     if isinstance(origin.way, TableMap):
         # each value is looked up once, NaN where the table has no entry
@@ -272,7 +274,7 @@ def _mapped(column: Column, origin: Origin) -> Column:
 
 
 def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value], output_order: int | None) -> Slave:
-    """The slave that suits an FMU."""
+    """Return the slave for an FMU."""
     if fmu.fmu.breakpoints and not parameters:
         return _trajectory(fmu, name)
     sample_time, offset = fmu.component.sampling or (None, 0.0)
@@ -282,7 +284,7 @@ def _slave(fmu: ComponentFmu, name: str, parameters: Mapping[str, Value], output
 
 
 def _trajectory(fmu: ComponentFmu, name: str) -> Slave:
-    """An exported trajectory, streamed as the motion itself is."""
+    """Return the slave for an exported trajectory, with all its derivatives."""
     suffix = f".reference.{REFERENCES[0][0]}"
     outputs = [each for each in fmu.variables.values() if each.causality == "output"]
     positions = [each for each in outputs if each.name.endswith(suffix)]
@@ -291,19 +293,19 @@ def _trajectory(fmu: ComponentFmu, name: str) -> Slave:
 
 
 def _first(*values: float | None) -> float:
-    """The first that is known."""
+    """Return the first value that is not None."""
     return next(value for value in values if value is not None)
 
 
 _OPTIONS = {"stop": "--stop-time", "step": "--step"}
-"""Time that a file may lack → the command's option for it."""
+"""Time that a file may lack → command-line option."""
 
 
 def _known(what: str, archive: SspArchive, *values: float | None) -> float:
-    """The first that is known.
+    """Return the first value that is not None.
 
     Raises:
-        SspError: none is.
+        SspError: all values are None.
     """
     known: Sequence[float] = [value for value in values if value is not None]
     if not known:
