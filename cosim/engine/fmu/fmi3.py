@@ -160,6 +160,7 @@ class Fmi3Instance(Instance):
         """Update discrete states until none changes any more, then enter step mode."""
         unused = byref(self._unused)
         results = byref(self._again), byref(self._ends), unused, unused, byref(self._timed), byref(self._time)
+        # event iteration
         for _ in range(MOST_ROUNDS):
             self.check("an event", lambda: int(self.fmi["fmi3UpdateDiscreteStates"](self.component, *results)))
             if self._ends.value:
@@ -168,6 +169,7 @@ class Fmi3Instance(Instance):
                 break
         else:
             raise self._hangs("wants its discrete states updated", time)
+        # the next time event, and on with steps
         self._next_event = self._time.value if self._timed.value else inf
         self.check("an event", lambda: self._call("EnterStepMode"))
 

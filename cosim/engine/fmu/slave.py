@@ -129,7 +129,7 @@ class FmuSlave:
     def _try_derivatives(self) -> None:
         """Lower the orders of output derivatives to those that a trial instance provides as finite numbers.
 
-        FMUs of Dymola and OpenModelica state order 1 but return NaN, always or right after initialisation. If the trial
+        FMUs of Dymola and OpenModelica state an order but return NaN, always or right after initialisation. If the trial
         fails, the stated orders stay.
         """
         real = [i for i, handle in enumerate(self._handles) if handle.kind == "Real"]

@@ -158,6 +158,7 @@ def _number_for(variable: Any, value: Value) -> Value:
         raise InputError(f"{variable.name} must be true or false, got {value}")
     if variable.type != "Real" and value % 1 != 0:
         raise InputError(f"{variable.name} must be a whole number, got {value}")
+    # an enumeration: the number of an item
     known = items(variable) if variable.type == "Enumeration" else {}
     if known and value not in known.values():
         names = ", ".join(f"{number} ({name})" for name, number in known.items())
@@ -213,6 +214,7 @@ def typed(variable: Any, value: Value) -> Value:
         return _BOOLEANS[value]
     if not isinstance(value, str):
         return _number_for(variable, value)
+    # the name of an item
     known = items(variable)
     if not known:
         raise InputError(f"{variable.name} is a number, got {value!r}")
