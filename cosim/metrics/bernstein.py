@@ -1,7 +1,8 @@
 """Polynomials in Bernstein form on many segments at once: evaluation, bounds, maxima.
 
-A polynomial on [0, 1] lies in the convex hull of its control points, which therefore bound it. Bisecting the interval reduces
-their distance from the polynomial by a factor of four (G. Farin, *Curves and Surfaces for CAGD*, chapters 5 and 6).
+A polynomial on [0, 1] lies in the convex hull of its control points, which therefore bound it. Bisecting the interval
+reduces their distance from the polynomial by a factor of four (G. Farin, *Curves and Surfaces for CAGD*, chapters 5 and
+6).
 """
 
 from __future__ import annotations
@@ -36,10 +37,11 @@ def gauss_legendre(count: int) -> tuple[RealArray, RealArray]:
 
 
 def maximum_norm(control: RealArray) -> float:
-    """Return the largest norm on [0, 1] of polynomials with the Bernstein control points ``control`` (degree + 1, n, c).
+    """Return the largest norm on [0, 1] of polynomials with the Bernstein control points ``control`` (degree + 1, n,
+    c).
 
-    Bisects the segments whose bound, the control points, exceeds the largest value found so far; every bisection reduces
-    the gap between bound and value by a factor of four. The result is NaN if a control point is NaN.
+    Bisects the segments whose bound, the control points, exceeds the largest value found so far; every bisection
+    reduces the gap between bound and value by a factor of four. The result is NaN if a control point is NaN.
     """
     if control.shape[1] == 0:
         return 0.0
@@ -71,8 +73,8 @@ def bisect(control: RealArray) -> tuple[RealArray, RealArray]:
 def hermite_control_points(derivatives: RealArray, duration: RealArray) -> RealArray:
     """Return the m control points (m, n, c) next to a segment's end with these derivatives of order 0..m-1 (m, n, c).
 
-    ``duration`` (n,) [s] is the length of each segment, negative for derivatives at its right end; the points of a right end
-    are in reverse order.
+    ``duration`` (n,) [s] is the length of each segment, negative for derivatives at its right end; the points of a
+    right end are in reverse order.
     """
     m = len(derivatives)
     degree = 2 * m - 1

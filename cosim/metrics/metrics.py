@@ -2,9 +2,10 @@
 
 Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
 
-The error of a metric is estimated from a companion: the same run with shorter communication steps and a tighter tolerance. The
-change of the metric in the companion contains the errors of integration, input polynomials, coupling and interpolation. One run
-alone can't show them: the integrator's local errors don't tell how a peak acceleration depends on the phase of a stiff mode.
+The error of a metric is estimated from a companion: the same run with shorter communication steps and a tighter
+tolerance. The change of the metric in the companion contains the errors of integration, input polynomials, coupling and
+interpolation. One run alone can't show them: the integrator's local errors don't tell how a peak acceleration depends
+on the phase of a stiff mode.
 """
 
 from __future__ import annotations
@@ -186,7 +187,8 @@ def _settle(stated: dict[str, Measurement], recording: Recording, settings: Sett
 
 
 def _curvature_rounding(recording: Recording, value: float | None) -> float:
-    """Return the error of the RMS acceleration [m/s2] from rounded positions, differentiated twice over the shortest step."""
+    """Return the error of the RMS acceleration [m/s2] from rounded positions, differentiated twice over the shortest
+    step."""
     steps = np.diff(recording.time)
     curvature = 8.0 * ROUNDING * _magnitude(recording, "peak_position_error") / float(steps[steps > 0.0].min()) ** 2
     return min(curvature, 0.5 * curvature**2 / value) if value else curvature
@@ -226,12 +228,14 @@ def measure(recording: Recording, settings: Settings) -> Metrics[Measurement]:
 
 @dataclass(frozen=True)
 class RecordedSignal:
-    """A recorded signal, interpolated between communication points; see `flexfmu.cosim.metrics.metric_table.TimeSignal`."""
+    """A recorded signal, interpolated between communication points; see
+    `flexfmu.cosim.metrics.metric_table.TimeSignal`."""
 
     segments: HermiteSegments
 
     def peak(self) -> Measurement:
-        """Largest norm; its error is the largest excess of any segment within its own error, at least the peak segment's error."""
+        """Largest norm; its error is the largest excess of any segment within its own error, at least the peak
+        segment's error."""
         signal = self.segments.consistent
         largest, errors = signal.maximum_norm(), signal.error_estimate()
         reached = np.linalg.norm(signal.evaluate(np.linspace(0.0, 1.0, 2 * len(signal.control))), axis=2).max(axis=0)
@@ -251,7 +255,8 @@ class RecordedSignal:
         return Measurement(root, min(change / root, bound) if root > 0.0 else bound)
 
     def final(self, order: int = 0) -> Measurement:
-        """Norm of a time derivative at the end of the last segment, a communication point, without interpolation error."""
+        """Norm of a time derivative at the end of the last segment, a communication point, without interpolation
+        error."""
         return Measurement(float(np.linalg.norm(self.segments.right[order, -1])))
 
     def settling(self, band: float, uncertainty: float = 0.0) -> Measurement:

@@ -1,8 +1,9 @@
 """Hermite interpolation between communication points: the continuous solution from which metrics are computed.
 
-Every segment has the signal and its first ``m - 1`` time derivatives at both ends (one-sided limits, so a signal may jump
-between segments). The polynomial of degree ``2 m - 1`` through them is stored in Bernstein form, whose control points follow from the derivatives in closed form and bound the polynomial (G. Farin, *Curves and Surfaces for
-CAGD*, chapters 5 and 6). With ``m = 3`` (value, velocity, acceleration) this is the quintic of order 6.
+Every segment has the signal and its first ``m - 1`` time derivatives at both ends (one-sided limits, so a signal may
+jump between segments). The polynomial of degree ``2 m - 1`` through them is stored in Bernstein form, whose control
+points follow from the derivatives in closed form and bound the polynomial (G. Farin, *Curves and Surfaces for CAGD*,
+chapters 5 and 6). With ``m = 3`` (value, velocity, acceleration) this is the quintic of order 6.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ COMPARABLE_STEPS = 0.1
 """Ratio of neighbouring segments' lengths below which high derivatives in the shorter one are only rounding errors."""
 
 DIVERGING = 3.0
-"""Ratio of an order's contribution to the interpolant to that of the order before, above which the order is left out: its
-derivatives belong to a vibration or a decay that is far faster than the step."""
+"""Ratio of an order's contribution to the interpolant to that of the order before, above which the order is left out:
+its derivatives belong to a vibration or a decay that is far faster than the step."""
 
 ENDS = np.array([0.0, 1.0])
 """Normalised times of a segment's ends."""
@@ -44,8 +45,8 @@ class HermiteSegments:
     Attributes:
         start, end: (n,) times of the segments' ends [s]; each segment starts where the one before it ends.
         left, right: (m, n, c) time derivatives of order 0..m-1 at the start and at the end of each segment.
-        doubt: estimated error of the interpolants of `consistent` where orders were left out, zero elsewhere; None where
-            no order was left out.
+        doubt: estimated error of the interpolants of `consistent` where orders were left out, zero elsewhere; None
+            where no order was left out.
     """
 
     start: RealArray
@@ -78,8 +79,8 @@ class HermiteSegments:
     def minus(self, left: RealArray, right: RealArray) -> HermiteSegments:
         """Return the deviation from a signal with these derivatives (m, n, c) at the segments' ends.
 
-        To interpolate the deviation is more accurate than to subtract the exact signal from the interpolant: the common part
-        of both signals has no interpolation error.
+        To interpolate the deviation is more accurate than to subtract the exact signal from the interpolant: the common
+        part of both signals has no interpolation error.
         """
         return HermiteSegments(self.start, self.end, self.left - left, self.right - right)
 
@@ -88,8 +89,8 @@ class HermiteSegments:
         """The segments without derivatives that are too fast for their length.
 
         Each order should contribute less to the interpolant than the one before it. Where an order from the second on
-        contributes far more (`DIVERGING`), this order and all higher ones are left out, as an asymptotic series is truncated;
-        the estimated error is the contribution of the last order that is left in.
+        contributes far more (`DIVERGING`), this order and all higher ones are left out, as an asymptotic series is
+        truncated; the estimated error is the contribution of the last order that is left in.
         """
         # contribution of each order of derivatives to the interpolant
         theta = np.linspace(0.0, 1.0, 9)
@@ -136,11 +137,11 @@ class HermiteSegments:
     def error_estimate(self) -> RealArray:
         """Return the estimated largest interpolation error of the norm within each segment (n,).
 
-        The m-th derivative (m odd), the first that is not interpolated, jumps between neighbouring segments in proportion
-        to the signal's derivative of order 2 m, which determines the interpolation error. Only nodes count at which the
-        interpolated derivatives are continuous. For a segment without such a node (alone between two breakpoints) the
-        estimate is the contribution of its highest derivative. The estimate is within a factor of two where a step is below
-        2 rad of the vibration, within an order of magnitude beyond.
+        The m-th derivative (m odd), the first that is not interpolated, jumps between neighbouring segments in
+        proportion to the signal's derivative of order 2 m, which determines the interpolation error. Only nodes count
+        at which the interpolated derivatives are continuous. For a segment without such a node (alone between two
+        breakpoints) the estimate is the contribution of its highest derivative. The estimate is within a factor of two
+        where a step is below 2 rad of the vibration, within an order of magnitude beyond.
         """
         derivative = np.fmax(*np.linalg.norm(self._highest_derivatives, axis=2))
         alone = np.asarray(np.isnan(derivative))
@@ -195,7 +196,8 @@ class HermiteSegments:
         return np.stack([np.concatenate([unknown, inner]), np.concatenate([inner, unknown])])
 
     def _error_shape(self, theta: RealArray, order: int) -> RealArray:
-        """Return the deviation (k, n) of a signal from its interpolant, differentiated, for a unit derivative of order 2 m."""
+        """Return the deviation (k, n) of a signal from its interpolant, differentiated, for a unit derivative of order
+        2 m."""
         m = len(self.left)
         node_polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
         shape = node_polynomial.deriv(order) if order else node_polynomial
@@ -208,7 +210,8 @@ class HermiteSegments:
         return np.asarray(np.diff(self.control, n=order, axis=0) * scale[:, np.newaxis])
 
     def _lower_degree_change(self, order: int = 0) -> RealArray:
-        """Return the largest difference (n,) from the interpolant without the highest derivative, a pessimistic bound."""
+        """Return the largest difference (n,) from the interpolant without the highest derivative, a pessimistic
+        bound."""
         lower = HermiteSegments(self.start, self.end, self.left[:-1], self.right[:-1])
         theta = np.linspace(0.0, 1.0, 9)
         change = self.evaluate(theta, order) - lower.evaluate(theta, order)

@@ -33,8 +33,8 @@ def segments(recording: Recording, names: Sequence[str], accelerations: Sequence
     Args:
         recording: signals with first and second time derivatives.
         names: signals of one unit.
-        accelerations: recorded signals that are their second derivatives; with these the derivatives to the fourth order
-            are known, and the interpolant has degree 9 instead of 5.
+        accelerations: recorded signals that are their second derivatives; with these the derivatives to the fourth
+            order are known, and the interpolant has degree 9 instead of 5.
 
     Raises:
         ResultsError: a signal or its derivatives were not recorded.
@@ -56,8 +56,8 @@ def segments(recording: Recording, names: Sequence[str], accelerations: Sequence
 def position(recording: Recording) -> HermiteSegments:
     """Return the end-effector position [m] with four derivatives.
 
-    The second derivative of this interpolant of degree 9 is also the best acceleration: where a step spans a period of the
-    vibration, the quintic through acceleration, jerk and snap has a thousand times its error.
+    The second derivative of this interpolant of degree 9 is also the best acceleration: where a step spans a period of
+    the vibration, the quintic through acceleration, jerk and snap has a thousand times its error.
     """
     return segments(recording, POSITION, ACCELERATION)
 
@@ -71,7 +71,8 @@ def modal_deflection(recording: Recording) -> HermiteSegments | None:
 
 
 def deviation_from_rigid(motion: HermiteSegments, task: Trajectory) -> HermiteSegments:
-    """Return the deviation of the end effector's position [m] from that of the rigid robot, which tracks its path exactly.
+    """Return the deviation of the end effector's position [m] from that of the rigid robot, which tracks its path
+    exactly.
 
     Args:
         motion: end-effector position.
@@ -95,7 +96,8 @@ def joint_error(recording: Recording, joint: int, planned: Trajectory) -> Hermit
 
 
 def _at_ends(signal: HermiteSegments, planned: Trajectory) -> tuple[RealArray, RealArray]:
-    """Return the planned motion (m, n, c) at the start and at the end of each segment, with the signal's derivatives."""
+    """Return the planned motion (m, n, c) at the start and at the end of each segment, with the signal's
+    derivatives."""
     time = np.concatenate([signal.start, signal.end])
     left = np.arange(time.size) >= signal.start.size
     both = limits(planned, time, left, len(signal.left) - 1)
@@ -110,7 +112,8 @@ def deviation_from_point(signal: HermiteSegments, point: RealArray) -> HermiteSe
 
 
 def sample(signal: HermiteSegments, per_segment: int, order: int = 0) -> tuple[RealArray, RealArray]:
-    """Return times (k,) and values (k, c) of a time derivative for a plot, ``per_segment`` with both ends of each segment."""
+    """Return times (k,) and values (k, c) of a time derivative for a plot, ``per_segment`` with both ends of each
+    segment."""
     theta = np.linspace(0.0, 1.0, per_segment)
     time = signal.start + theta[:, np.newaxis] * signal.duration
     values = signal.evaluate(theta, order)
@@ -155,8 +158,8 @@ def cycle_errors(motion: MotionPlan, recording: Recording) -> Sequence[CycleErro
     """Return the tracking error of each cycle of a repeated motion, which shows the progress of learning.
 
     Only cycles that were recorded to their end count; the root mean square uses the trapezoidal rule between recorded
-    instants. The result is empty for a motion that isn't repeated or without recorded joint angles. The last cycle ends with
-    the last standstill.
+    instants. The result is empty for a motion that isn't repeated or without recorded joint angles. The last cycle ends
+    with the last standstill.
     """
     from scipy.integrate import trapezoid
 

@@ -1,8 +1,9 @@
 """Checks the model's assumption for a run: deflections are small compared with the links' lengths.
 
-The error of the path is estimated from the forces that the next order of the beam theory adds along the recorded motion: those of
-foreshortening where the scene leaves it out, and those of nonlinear bending. The linear response to them is one Newton iteration
-for the whole motion, as in `flexfmu.cosim.choices.effects.estimator`. The motors follow their recorded motion.
+The error of the path is estimated from the forces that the next order of the beam theory adds along the recorded
+motion: those of foreshortening where the scene leaves it out, and those of nonlinear bending. The linear response to
+them is one Newton iteration for the whole motion, as in `flexfmu.cosim.choices.effects.estimator`. The motors follow
+their recorded motion.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ LARGEST_ELONGATION = 0.01
 """Largest elongation relative to the link's length; structural metals yield before it."""
 
 USUAL, MOST_FOUND = (2.0, 8.0), (15.0, 50.0)
-"""Error of the path divided by the relative deflection (without foreshortening) and by its square (with it): usual values, and upper
-bounds of those found, 0.6 to 9.4 and 1 to 18, largest in undamped robots. Where the upper bound is within the tolerance, nothing is
-computed; the usual value replaces an estimate where too little was recorded."""
+"""Error of the path divided by the relative deflection (without foreshortening) and by its square (with it): usual
+values, and upper bounds of those found, 0.6 to 9.4 and 1 to 18, largest in undamped robots. Where the upper bound is
+within the tolerance, nothing is computed; the usual value replaces an estimate where too little was recorded."""
 
 STEP, LEAST, MOST = 5e-4, 2000, 10_000
 """Interval between the instants of the check [s], and limits of their number."""
@@ -37,7 +38,8 @@ HOPELESS = 0.5
 
 
 def exceeded(run: Run) -> list[str]:
-    """Return warnings: a path error because of bending above the tolerance of the scene's choice, and overstretched links.
+    """Return warnings: a path error because of bending above the tolerance of the scene's choice, and overstretched
+    links.
 
     Without a choice of effects the tolerance is `DEFAULT_TOLERANCE`.
     """

@@ -1,6 +1,7 @@
 """Chooses a scene's effects by estimates and verifies the choice by runs.
 
-A run of the chosen set's FMU is compared with the estimates, and where these leave doubt with a run of the richest set's FMU.
+A run of the chosen set's FMU is compared with the estimates, and where these leave doubt with a run of the richest
+set's FMU.
 """
 
 from __future__ import annotations
@@ -85,7 +86,8 @@ EXACT = 1e-9
 """Tolerance of the FMUs in comparisons, small enough that only the effects differ."""
 
 ALLOWED = 0.8
-"""Largest observed error in units of the tolerance; the rest is a margin for the error of the richest set, `CONVERGED`."""
+"""Largest observed error in units of the tolerance; the rest is a margin for the error of the richest set,
+`CONVERGED`."""
 
 ROUNDS = 6
 """Largest number of choices, each with larger safety factors than the one before; then the richest set is taken."""
@@ -127,9 +129,9 @@ def choose_verified(
 ) -> tuple[Scene, Estimator]:
     """Return the scene with the cheapest set of effects whose error is within the tolerance, and the estimator.
 
-    A run of the chosen set is compared with the estimates. Where they leave doubt, a run of the richest set decides. Where its
-    metrics contradict the estimates, the choice is repeated with larger safety factors. Where only the integrator's error is
-    too large, its tolerance is tightened, if the choice has set it.
+    A run of the chosen set is compared with the estimates. Where they leave doubt, a run of the richest set decides.
+    Where its metrics contradict the estimates, the choice is repeated with larger safety factors. Where only the
+    integrator's error is too large, its tolerance is tightened, if the choice has set it.
 
     Args:
         scene: robot, loads and motion; its own elastic effects are ignored.
@@ -173,7 +175,8 @@ def _tightened(scene: Scene, tolerance: float, runs: _Runs) -> Scene:
 
 
 class _Runs:
-    """Compares runs of sets of effects with estimates and with the richest set's run, which is made when first needed."""
+    """Compares runs of sets of effects with estimates and with the richest set's run, which is made when first
+    needed."""
 
     def __init__(
         self, estimator: Estimator, of: tuple[MeasureName, ...], show: ShowProgress, fmu_of: FmuOf | None
@@ -181,7 +184,8 @@ class _Runs:
         self._estimator, self._of, self._show, self._fmu_of = estimator, of, show, fmu_of
 
     def agree(self, scene: Scene, limit: float) -> bool:
-        """Whether a set's errors are within a limit, by its run and the estimates, in doubt by the richest set's run."""
+        """Whether a set's errors are within a limit, by its run and the estimates, in doubt by the richest set's
+        run."""
         self._show("running the chosen set", None)
         own, estimator = observe(scene, self._of, self._fmu_of).metrics, self._estimator
         beside = [

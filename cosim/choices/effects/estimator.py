@@ -1,11 +1,11 @@
 """Estimates the metrics of a scene's motion for any set of effects from the equations, without an FMU.
 
-A set of effects is the richest robot without some of its coordinates, so its small elastic motions follow from rows and columns of
-the richest robot's matrices, which are evaluated once along the motion. Their response to the loads of the rigid motion (Duhamel's
-integral, step by step) enters the exact nonlinear outputs. A sharp estimate adds the linear response to the residual forces of the
-linear motion: one Newton iteration for the whole motion at once (waveform Newton; White and Sangiovanni-Vincentelli,
-Relaxation Techniques for the Simulation of VLSI Circuits, 1987). Families that deflect statically are added by the mode
-acceleration method.
+A set of effects is the richest robot without some of its coordinates, so its small elastic motions follow from rows and
+columns of the richest robot's matrices, which are evaluated once along the motion. Their response to the loads of the
+rigid motion (Duhamel's integral, step by step) enters the exact nonlinear outputs. A sharp estimate adds the linear
+response to the residual forces of the linear motion: one Newton iteration for the whole motion at once (waveform
+Newton; White and Sangiovanni-Vincentelli, Relaxation Techniques for the Simulation of VLSI Circuits, 1987). Families
+that deflect statically are added by the mode acceleration method.
 """
 
 from __future__ import annotations
@@ -40,14 +40,15 @@ RICHEST: Mapping[str, Any] = {
     "foreshortening": True,
     "quasi_static": [],
 }
-"""Richest set of effects, as keys of the scene's `effects`. One more mode of each family changes no metric of the paper's
-scenes by 1e-3, see ``tests/model/selection/test_selection.py``."""
+"""Richest set of effects, as keys of the scene's `effects`. One more mode of each family changes no metric of the
+paper's scenes by 1e-3, see ``tests/model/selection/test_selection.py``."""
 
 _REQUEST: Mapping[str, Any] = {"select": None, "tolerance": None, "of": None, "choice": None}
 
 
 def with_set(scene: Scene, chosen: Mapping[str, Any]) -> Scene:
-    """Return the scene with this set of effects, other choosable keys at their defaults, and without a request to choose."""
+    """Return the scene with this set of effects, other choosable keys at their defaults, and without a request to
+    choose."""
     values = {key: type(scene.effects).model_fields[key].default for key in CHOOSABLE} | dict(chosen)
     changes = {**values, "basis": "craig-bampton", **_REQUEST}
     return scene.replace({f"effects.{key}": value for key, value in changes.items()})
@@ -59,8 +60,8 @@ def richest(scene: Scene) -> Scene:
 
 
 FLOOR, NAMED_FLOOR = 0.1, 1e-4
-"""Smallest scale of a position metric, as a fraction of the peak position error; the second one applies to metrics that the user
-named, since no run resolves smaller values."""
+"""Smallest scale of a position metric, as a fraction of the peak position error; the second one applies to metrics that
+the user named, since no run resolves smaller values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +144,8 @@ class EstimatedSolution(Solution):
 def scales(reference: Mapping[MeasureName, float], named: Collection[MeasureName] = ()) -> dict[MeasureName, float]:
     """Return the scale of each metric, to which its errors are relative, in the metric's unit.
 
-    The scale is the metric's magnitude, for positions at least `FLOOR` times the peak position error, which the reference
-    must contain: a decayed residual vibration is near zero and no useful scale.
+    The scale is the metric's magnitude, for positions at least `FLOOR` times the peak position error, which the
+    reference must contain: a decayed residual vibration is near zero and no useful scale.
 
     Args:
         reference: metrics of the richest set.

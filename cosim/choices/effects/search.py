@@ -1,7 +1,8 @@
 """Searches the cheapest set of effects for a scene and estimates the contribution of each effect.
 
-The search is a backward elimination: it starts with all effects and leaves out those that contribute least, alone or in pairs, while
-the estimated errors are within the limit. Loads such as gravity are never left out; their contributions are estimated too.
+The search is a backward elimination: it starts with all effects and leaves out those that contribute least, alone or in
+pairs, while the estimated errors are within the limit. Loads such as gravity are never left out; their contributions
+are estimated too.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ def rich_enough(
 ) -> Scene:
     """Return the scene with a richest set that one more mode of every family changes by at most `CONVERGED` tolerances.
 
-    The set starts as `RICHEST`; modes are added by the size of their contribution. Foreshortening hardly depends on the number of
-    modes and is left out meanwhile.
+    The set starts as `RICHEST`; modes are added by the size of their contribution. Foreshortening hardly depends on the
+    number of modes and is left out meanwhile.
 
     Arguments as for `choose_effects`; `named` as for `Estimator`.
     """
@@ -73,7 +74,8 @@ def choose_effects(
     estimator: Estimator | None = None,
     safety: Mapping[MeasureName, float] | None = None,
 ) -> Scene:
-    """Return the scene with the cheapest set of effects whose estimated errors are within the effects' share of the tolerance.
+    """Return the scene with the cheapest set of effects whose estimated errors are within the effects' share of the
+    tolerance.
 
     The other share is the integrator's, `INTEGRATOR_SHARE`. The scene's ``effects.choice`` has the estimates.
 
@@ -132,9 +134,9 @@ HOPELESS = 3.0
 def cheapest(richest: Scene, rigid: Scene, quick: Error, sharp: Error, limit: float) -> Scene:
     """Return a scene with an error within the limit, from which neither one effect nor two at once can be left out.
 
-    Rigid links are tried first. Otherwise each round takes, of the reductions within the limit, the one with the smallest
-    quick estimate. Errors of opposite sign compensate, so two effects may be left out together where neither may be left out
-    alone: pairs are tried where no single effect can be left out.
+    Rigid links are tried first. Otherwise each round takes, of the reductions within the limit, the one with the
+    smallest quick estimate. Errors of opposite sign compensate, so two effects may be left out together where neither
+    may be left out alone: pairs are tried where no single effect can be left out.
 
     Args:
         richest, rigid: the scene with all effects and with none.

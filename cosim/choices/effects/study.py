@@ -1,5 +1,5 @@
-"""Effect study: the choice of effects with contribution, cost and natural frequencies of each effect, and runs of the chosen set
-beside richer sets; as data and as tables."""
+"""Effect study: the choice of effects with contribution, cost and natural frequencies of each effect, and runs of the
+chosen set beside richer sets; as data and as tables."""
 
 from __future__ import annotations
 

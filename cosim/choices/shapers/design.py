@@ -109,10 +109,11 @@ def _relevant(modes: DampedModes, scene: Scene) -> list[Oscillator]:
 
 
 def alternatives(design_for: DesignModes) -> list[Alternative]:
-    """Return all shapers for the first mode, `CONVOLVED` ones for all modes, and SI for the frequency band; shortest first.
+    """Return all shapers for the first mode, `CONVOLVED` ones for all modes, and SI for the frequency band; shortest
+    first.
 
-    SI covers all modes, or where their band is wider than `WIDEST` the first mode alone. A shaper that doesn't exist for a
-    mode's damping is left out.
+    SI covers all modes, or where their band is wider than `WIDEST` the first mode alone. A shaper that doesn't exist
+    for a mode's damping is left out.
     """
     modes = design_for.modes
     candidates = [(name, modes[:1]) for name in SHAPERS]

@@ -41,8 +41,8 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.model.scene.schema import Scene
 
 COARSE, FINE = 5, 7
-"""Number of payload errors over the band. With the payload the phases change in which the vibrations of start, corners and
-end superpose, so the residual vibration may be worst anywhere in the band, not only at its ends or middle."""
+"""Number of payload errors over the band. With the payload the phases change in which the vibrations of start, corners
+and end superpose, so the residual vibration may be worst anywhere in the band, not only at its ends or middle."""
 
 
 @dataclass(frozen=True)

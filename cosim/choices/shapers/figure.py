@@ -1,5 +1,5 @@
-"""Draws a shaper study: residual vibration over the true frequency in closed form, over the simulated payload error, and over
-time without and with the recommended shaper."""
+"""Draws a shaper study: residual vibration over the true frequency in closed form, over the simulated payload error,
+and over time without and with the recommended shaper."""
 
 from __future__ import annotations
 

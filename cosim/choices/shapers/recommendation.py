@@ -1,5 +1,5 @@
-"""Recommends the shaper after which the robot is at rest soonest for all payloads of the band, and writes it as TOML: the table that
-applies it, and the scene file with that table."""
+"""Recommends the shaper after which the robot is at rest soonest for all payloads of the band, and writes it as TOML:
+the table that applies it, and the scene file with that table."""
 
 from __future__ import annotations
 
@@ -76,10 +76,11 @@ class Recommendation:
 def recommend(
     results: Sequence[CandidateResult], settling_band: float, limits: ShaperLimits | None = None
 ) -> Recommendation:
-    """Return the result with the shortest time to rest over the payload band; of equal ones that with the smallest deviation.
+    """Return the result with the shortest time to rest over the payload band; of equal ones that with the smallest
+    deviation.
 
-    Where none comes to rest within the dwell for all payloads, it is the one with the smallest worst residual vibration.
-    Results that exceed the limits are ignored.
+    Where none comes to rest within the dwell for all payloads, it is the one with the smallest worst residual
+    vibration. Results that exceed the limits are ignored.
 
     Args:
         results: the unshaped motion and the shaped ones.

@@ -125,7 +125,8 @@ class CandidateResult:
 
     @property
     def time_to_rest(self) -> float | None:
-        """Added time plus longest settling time [s], which is the time from the unshaped motion's end to rest; None for no rest."""
+        """Added time plus longest settling time [s], which is the time from the unshaped motion's end to rest; None for
+        no rest."""
         settling = self.worst_settling_time
         return None if settling is None else self.added_time + settling
 
@@ -136,8 +137,8 @@ def studied(scene: Scene, lowest_frequency: float, drive: Drive | None = None) -
     Args:
         scene: the scene.
         lowest_frequency: of the lowest mode [Hz]; a scene without dwell gets `DWELL_PERIODS` periods of it.
-        drive: ``perfect`` for motors that follow their references exactly, ``controller`` for the scene's controllers and
-            imperfections; None for the controllers where the scene has some, otherwise perfect.
+        drive: ``perfect`` for motors that follow their references exactly, ``controller`` for the scene's controllers
+            and imperfections; None for the controllers where the scene has some, otherwise perfect.
 
     Raises:
         InputError: the drive is ``controller`` and the scene has none.

@@ -46,7 +46,8 @@ def block(
         latency: output → delay at low frequency [s].
 
     Raises:
-        InputError: the sample time or offset is out of range, two variables share a name, or a parameter is out of range.
+        InputError: the sample time or offset is out of range, two variables share a name, or a parameter is out of
+            range.
     """
     check_sampling(sample_time, offset, name)
     # CasADi functions of the equations

@@ -18,9 +18,9 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.model.symbolic import SymbolicBlock
 
 Method = Literal["zoh", "foh", "tustin", "euler", "backward"]
-"""Discretisations: zero-order hold, exact for inputs that are constant between the samples; first-order (triangle) hold,
-exact for inputs that are linear between the samples; Tustin's rule; Euler's forward and backward rule. G. F. Franklin, J. D. Powell, M. L. Workman, Digital
-Control of Dynamic Systems, 3rd ed. 1998, chapter 6."""
+"""Discretisations: zero-order hold, exact for inputs that are constant between the samples; first-order (triangle)
+hold, exact for inputs that are linear between the samples; Tustin's rule; Euler's forward and backward rule. G. F.
+Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, chapter 6."""
 
 _SCIPY_NAMES: Mapping[Method, Any] = {
     "zoh": "zoh",

@@ -48,19 +48,21 @@ def iterative_learning(
 
     P-type learning (S. Arimoto, S. Kawamura, F. Miyazaki, Bettering operation of robots by learning, J. Robotic Systems
     1 (1984) 123; forgetting: S. Arimoto, Int. J. Control 52 (1990)). On a sampled plant with first Markov parameter
-    g = y(shift) of a unit pulse, the error of a sample changes from cycle to cycle by the factor 1 - forgetting - gain g,
-    whose magnitude must be below 1. The errors of the last ``shift`` samples lie beyond the cycle, so those samples learn
-    nothing.
+    g = y(shift) of a unit pulse, the error of a sample changes from cycle to cycle by the factor 1 - forgetting - gain
+    g, whose magnitude must be below 1. The errors of the last ``shift`` samples lie beyond the cycle, so those samples
+    learn nothing.
 
-    Every cycle must start from the same state of the plant: repeat a motion that returns to its start. Inputs: ``joint1.reference.position`` and ``joint1.position`` (or ``velocity``); output ``joint1.feedforward``,
-    to be added to a controller's torque, without direct feedthrough. The gain is tunable: ``joint1.learning_gain``.
+    Every cycle must start from the same state of the plant: repeat a motion that returns to its start. Inputs:
+    ``joint1.reference.position`` and ``joint1.position`` (or ``velocity``); output ``joint1.feedforward``, to be added
+    to a controller's torque, without direct feedthrough. The gain is tunable: ``joint1.learning_gain``.
 
     Args:
         gain: learning gain [N.m/rad] (or [N.m.s/rad] for velocities).
         cycle: N, samples in a cycle.
         sample_time, offset: [s].
         shift: samples from a torque to the error that it causes; 1 for a sampled plant without direct feedthrough.
-        forgetting: share that is forgotten in each cycle, from 0 to below 1; a few percent add robustness and leave an error.
+        forgetting: share that is forgotten in each cycle, from 0 to below 1; a few percent add robustness and leave an
+            error.
         learn_from: quantity whose error is learned from: ``position``, ``velocity`` or ``acceleration``.
         joints: names of the joints.
         name: name of the block.
@@ -101,8 +103,8 @@ def iterative_learning(
 def _move_on(queue: Vector, correction: Vector, shift: int, forgetting: float) -> Vector:
     """Return the queue (N,) of a joint's torques one sample later.
 
-    Its head is the present torque, which moves to the end. The torque of ``shift`` samples ago, which is ``shift`` places
-    before the end, learns from the present error.
+    Its head is the present torque, which moves to the end. The torque of ``shift`` samples ago, which is ``shift``
+    places before the end, learns from the present error.
     """
     cycle = queue.numel()
     learner = (cycle - shift) % cycle

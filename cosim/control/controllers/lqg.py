@@ -1,7 +1,7 @@
 """Linear-quadratic regulator with a Kalman filter (LQG) for the torque-driven robot, designed at a pose.
 
-The gains solve the discrete algebraic Riccati equations of the sampled, linearised robot and of its dual: G. F. Franklin,
-J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 9.3 and 9.5.
+The gains solve the discrete algebraic Riccati equations of the sampled, linearised robot and of its dual: G. F.
+Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 9.3 and 9.5.
 """
 
 from __future__ import annotations

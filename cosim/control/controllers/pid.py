@@ -9,8 +9,8 @@ Dynamic Systems, 3rd ed. 1998, section 6.3.2). With e = q_r - q, d = c q_r - q, 
     D_k = a D_k-1 + K_d (1 - a) (d_k - d_k-1) / h
 
 Without a filter (T_f = 0, a = 0) D is the difference quotient. At the first sample the integral gets no increment and D
-is zero, since there is no sample before. Form, weights and anti-windup after K. J. Åström, T. Hägglund, Advanced PID Control, ISA 2006,
-sections 3.3 to 3.5.
+is zero, since there is no sample before. Form, weights and anti-windup after K. J. Åström, T. Hägglund, Advanced PID
+Control, ISA 2006, sections 3.3 to 3.5.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ class PidLaw:
     anti_windup: AntiWindup | None
 
     def equations(self, x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return torques (n, 1) and next states; states are 1 after the first sample, else 0, then the last I, D, e and d."""
+        """Return torques (n, 1) and next states; states are 1 after the first sample, else 0, then the last I, D, e and
+        d."""
         n, h = self.joints, self.sample_time
         started, carried, slope, last_e, last_d = split(x, 1, n)
         q_r, q, feedforward = split(u, n)
@@ -100,7 +101,8 @@ def pid(
     joints: Sequence[str] = JOINTS,
     name: str = "pid",
 ) -> SymbolicBlock:
-    """Build the block: PID control of each joint from reference, measured angle and feedforward; law at the module's top.
+    """Build the block: PID control of each joint from reference, measured angle and feedforward; law at the module's
+    top.
 
     Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward`` (zero unless connected); output
     ``joint1.torque``. Gains, filter times and limits are tunable parameters ``joint1.proportional_gain``,
@@ -121,7 +123,8 @@ def pid(
         name: name of the block.
 
     Raises:
-        InputError: a gain or time is negative or not finite, their number doesn't fit, or the sample time isn't positive.
+        InputError: a gain or time is negative or not finite, their number doesn't fit, or the sample time isn't
+            positive.
     """
     # weights are constants, not parameters, so they are checked here
     for what, weight in (("setpoint", setpoint_weight), ("derivative", derivative_weight)):

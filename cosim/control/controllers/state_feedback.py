@@ -58,7 +58,8 @@ class StateFeedbackLaw:
     The estimation error has the poles of A - L C, the plant those of A - B K (separation). The observer uses the
     saturated input, so the estimate stays right at the limits; no other anti-windup is needed. G. F. Franklin,
     J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 8.2 to 8.4; K. J. Åström,
-    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. `control.dlqr` calculates K, `control.dlqe` L.
+    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. `control.dlqr` calculates K, `control.dlqe`
+    L.
 
     Attributes:
         plant: A, B, C, D.
@@ -105,8 +106,8 @@ def state_feedback(
 ) -> SymbolicBlock:
     """Build the block of `StateFeedbackLaw`.
 
-    Its inputs are the plant's outputs and the references, its outputs the plant's inputs, under the same names. Only the
-    references have direct feedthrough, the measurements have none.
+    Its inputs are the plant's outputs and the references, its outputs the plant's inputs, under the same names. Only
+    the references have direct feedthrough, the measurements have none.
 
     Args:
         plant: model of the plant for deviations from the equilibrium, at the controller's sample time.
@@ -120,8 +121,8 @@ def state_feedback(
         name: name of the block.
 
     Raises:
-        InputError: a gain has the wrong shape or isn't finite, a vector has the wrong length, or limits are in the wrong
-            order.
+        InputError: a gain has the wrong shape or isn't finite, a vector has the wrong length, or limits are in the
+            wrong order.
     """
     # check every matrix and vector against the plant
     n, m, outputs = plant.order, len(plant.inputs), len(plant.outputs)

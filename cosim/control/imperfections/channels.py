@@ -27,13 +27,14 @@ JOINT_UNITS: dict[str, str] = {str(kind): unit for kind, unit in UNITS.items()} 
 
 @dataclass(frozen=True)
 class Channel:
-    """A signal that passes through a block: the block's input is ``name.input``, its output ``name``, as the receiver's input.
+    """A signal that passes through a block: the block's input is ``name.input``, its output ``name``, as the receiver's
+    input.
 
     Attributes:
         name: the signal's name, for example ``joint1.position``.
         unit: its unit, for example ``rad``; ``1`` for none.
-        initial: value before the first sample, in ``unit``; a parameter ``name.initial`` of the block. None takes the value
-            of the first sample, in blocks with direct feedthrough.
+        initial: value before the first sample, in ``unit``; a parameter ``name.initial`` of the block. None takes the
+            value of the first sample, in blocks with direct feedthrough.
 
     Raises:
         InputError: the name is empty, the unit unknown, or the initial value not finite.
@@ -143,7 +144,8 @@ def chain(channels: Sequence[Channel], *slaves: str) -> list[tuple[str, str]]:
 
 
 def empty(size: int) -> list[float]:
-    """Return the start states of an empty memory of ``size`` numbers: a flag, 1 after the first sample, then the numbers."""
+    """Return the start states of an empty memory of ``size`` numbers: a flag, 1 after the first sample, then the
+    numbers."""
     return [0.0] * (1 + size)
 
 

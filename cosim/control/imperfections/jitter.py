@@ -41,9 +41,9 @@ def jitter(
 
         y_k = u_k - U_k time / h (u_k - u_k-1)  ≈  u(t_k - U_k time)
 
-    by linear interpolation between this sample and the last one; the mean delay is time / 2. Channels with separate clocks
-    need separate blocks with different names. Before the first sample a signal has the channel's initial value, or
-    without one the value of the first sample. Parameters: ``largest_delay``, tunable, and ``seed``, fixed.
+    by linear interpolation between this sample and the last one; the mean delay is time / 2. Channels with separate
+    clocks need separate blocks with different names. Before the first sample a signal has the channel's initial value,
+    or without one the value of the first sample. Parameters: ``largest_delay``, tunable, and ``seed``, fixed.
 
     Args:
         channels: signals to sample.

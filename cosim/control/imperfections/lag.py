@@ -41,13 +41,13 @@ SAMPLES = 10
 class Lag:
     """Slave T y' + y = u in continuous time, exact for inputs that are polynomials over a communication step.
 
-    With z = h / T and phi_k(x) = sum of x^j / (j + k)! (M. Hochbruck, A. Ostermann, Exponential integrators, Acta Numerica
-    19, 2010, section 2.1)::
+    With z = h / T and phi_k(x) = sum of x^j / (j + k)! (M. Hochbruck, A. Ostermann, Exponential integrators, Acta
+    Numerica 19, 2010, section 2.1)::
 
         y(t + h) = exp(-z) y(t) + sum of u_k h^k z phi_k+1(-z)        u(t + s) = sum of u_k s^k / k!
 
-    It offers the output derivatives y' = (u - y) / T, y'' = (u' - y') / T .., from which the robot's input polynomial over a
-    step is made; for steps up to T the polynomial's error is 3e-10 of a jump of the input. No output has direct
+    It offers the output derivatives y' = (u - y) / T, y'' = (u' - y') / T .., from which the robot's input polynomial
+    over a step is made; for steps up to T the polynomial's error is 3e-10 of a jump of the input. No output has direct
     feedthrough, which breaks algebraic loops.
 
     Args:
@@ -174,7 +174,8 @@ class Lag:
         self._u[:], self._y, self._order = state[0], state[1].copy(), state[2]
 
     def sampled(self, step: float) -> SymbolicBlock:
-        """Return the lag as a block with at least `SAMPLES` samples per time constant and a whole number per ``step`` [s]."""
+        """Return the lag as a block with at least `SAMPLES` samples per time constant and a whole number per ``step``
+        [s]."""
         sample_time = step / ceil(SAMPLES * step / self.largest_step - 1e-9)
         return lag(self._channels, self._times.tolist(), sample_time=sample_time, name=self.name)
 
@@ -212,10 +213,10 @@ def lag(
 
         y_k+1 = a y_k + (1 - a) u_k
 
-    (zero-order-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed.
-    1998, section 4.3). The output is a staircase, half a sample late on average; a sample time of T / 10 models a current
-    loop well, `Lag` models it in continuous time. The block has no direct feedthrough, which breaks algebraic loops.
-    T = 0 is a delay of one sample. The time constant is a tunable parameter ``<channel>.time_constant``.
+    (zero-order-hold equivalent: G. F. Franklin, J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd
+    ed. 1998, section 4.3). The output is a staircase, half a sample late on average; a sample time of T / 10 models a
+    current loop well, `Lag` models it in continuous time. The block has no direct feedthrough, which breaks algebraic
+    loops. T = 0 is a delay of one sample. The time constant is a tunable parameter ``<channel>.time_constant``.
 
     Args:
         channels: the commands, usually torques, with initial values.

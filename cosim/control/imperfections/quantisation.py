@@ -82,8 +82,8 @@ def encoder(
 
         c_k = floor(q_k / q + 1/2),  position = q c_k,  velocity = q (c_k - c_k-w) / (w h)
 
-    so the rate has a resolution of q / (w h) and a delay of w h / 2. Before the first sample the joints are assumed at rest.
-    Inputs: ``joint1.position.input``; outputs ``joint1.position`` and ``joint1.velocity``; parameter
+    so the rate has a resolution of q / (w h) and a delay of w h / 2. Before the first sample the joints are assumed at
+    rest. Inputs: ``joint1.position.input``; outputs ``joint1.position`` and ``joint1.velocity``; parameter
     ``joint1.position.counts_per_turn``.
 
     Args:
@@ -95,8 +95,8 @@ def encoder(
         name: name of the block.
 
     Raises:
-        InputError: the counts are below 1 or not finite, the window isn't a whole number from 1, or the sample time isn't
-            positive.
+        InputError: the counts are below 1 or not finite, the window isn't a whole number from 1, or the sample time
+            isn't positive.
     """
     whole_number(f"{name}: the window in samples", window, 1)
     angles, rates = joint_channels("position", joints=joints), joint_channels("velocity", joints=joints)

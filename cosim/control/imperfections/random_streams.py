@@ -1,13 +1,13 @@
 """Uniform random numbers that are the same in Python and in exported C to the last bit: their integers are exact.
 
-The generator combines two multiplicative congruential generators with moduli below 2^31; its period is 2.3e18: P. L'Ecuyer, Efficient
-and portable combined random number generators, Communications of the ACM 31(6), 1988, pp. 742-751. Products stay
-below 2^48, so doubles hold them exactly.
+The generator combines two multiplicative congruential generators with moduli below 2^31; its period is 2.3e18: P.
+L'Ecuyer, Efficient and portable combined random number generators, Communications of the ACM 31(6), 1988, pp. 742-751.
+Products stay below 2^48, so doubles hold them exactly.
 
 Every stream has a name, whose hash is its start state, and a seed, which skips seed * 2^40 numbers (P. L'Ecuyer,
-S. Côté, Implementing a random number package with splitting facilities, ACM Transactions on Mathematical Software 17(1),
-1991, pp. 98-111). So a signal's random numbers don't depend on the other signals of its block, different seeds use
-disjoint parts of a stream, and differently named streams start at unrelated states.
+S. Côté, Implementing a random number package with splitting facilities, ACM Transactions on Mathematical Software
+17(1), 1991, pp. 98-111). So a signal's random numbers don't depend on the other signals of its block, different seeds
+use disjoint parts of a stream, and differently named streams start at unrelated states.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ _HALF = 2**16
 
 @dataclass(frozen=True)
 class Streams:
-    """States of n generators: those of their first and of their second congruential generator, whole numbers (n,) each."""
+    """States of n generators: those of their first and of their second congruential generator, whole numbers (n,)
+    each."""
 
     first: Vector
     second: Vector
@@ -119,7 +120,7 @@ def _long_product(a: Vector, b: Vector, modulus: int) -> Vector:
 def _remainder(value: Vector, modulus: int) -> Vector:
     """Return the exact remainder of whole numbers below 2^48 divided by a modulus between 2^30 and 2^31.
 
-    The quotient is below 2^18, so its rounding error is below 2^-35. Unless it is whole, it is more than 2^-31 away from
-    a whole number, so `floor` finds the right one.
+    The quotient is below 2^18, so its rounding error is below 2^-35. Unless it is whole, it is more than 2^-31 away
+    from a whole number, so `floor` finds the right one.
     """
     return value - modulus * casadi.floor(value / modulus)

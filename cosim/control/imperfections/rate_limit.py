@@ -33,8 +33,8 @@ def rate_limit(
 ) -> SymbolicBlock:
     """Build the block y_k = u_k, limited to y_k-1 - falling h .. y_k-1 + rising h with the sample time h.
 
-    Before the first sample y is the channel's initial value, or without one the first input. The limits are tunable parameters
-    ``<channel>.rising_rate`` and ``<channel>.falling_rate``.
+    Before the first sample y is the channel's initial value, or without one the first input. The limits are tunable
+    parameters ``<channel>.rising_rate`` and ``<channel>.falling_rate``.
 
     Args:
         channels: signals to limit.
