@@ -1,4 +1,4 @@
-"""The values that the parameter sets of a system give to the variables of its FMUs, by name or through connectors."""
+"""Start values of FMU variables from the parameter sets of a system, by name or through connectors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class StartValues:
 
     Attributes:
         values: name of a component → its variables' start values.
-        ignored: parameters that fit no variable, which the standard lets pass.
+        ignored: parameters that match no variable, which the standard allows.
     """
 
     values: Mapping[str, Mapping[str, Value]]
@@ -35,16 +35,18 @@ class StartValues:
 
 
 def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network) -> StartValues:
-    """Apply all bindings: inner ones first, then those of the systems around them, which outrank them; later ones outrank
-    earlier. Values of systems' connectors go on to what these feed.
+    """Return the start values after all parameter bindings.
+
+    Bindings of outer systems take precedence over those of inner elements, later bindings over earlier ones. Values of systems'
+    connectors propagate along their connections.
 
     Args:
         structure: the system.
         fmus: full name of a component → the component with its FMU.
-        network: its connections; it gets remarks.
+        network: its connections; remarks are added to it.
 
     Raises:
-        SspError: a value doesn't suit its variable's type or unit, or comes from one that can't be set.
+        SspError: a value has the wrong type or unit, or its variable can't be set.
     """
     values: dict[str, dict[str, Value]] = {name: {} for name in fmus}
     connector_values: dict[ConnectorName, tuple[SspParameter, str]] = {}
@@ -70,7 +72,7 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
             else:
                 connector_values[node] = changed, where
                 network.value_units[node] = source
-    # values of systems' connectors go on along the connections to the FMUs behind them
+    # values of systems' connectors propagate along the connections to FMUs
     for node in network.feeds:
         origin = network.origin(node, connector_values) if node[0] in fmus else None
         if origin is not None and origin.node in connector_values:
@@ -84,7 +86,7 @@ def start_values(structure: Structure, fmus: Mapping[str, ComponentFmu], network
 def _levels(
     structure: Structure, fmus: Mapping[str, ComponentFmu], network: Network
 ) -> Iterator[tuple[Binding, Mapping[str, ConnectorName]]]:
-    """All bindings in the order in which they are applied, with the names that they may use."""
+    """Yield all bindings in the order of application, each with name → variable for the names in its scope."""
     # hierarchical names of all variables and of systems' connectors
     nodes = {f"{element}.{name}": (element, name) for element, fmu in fmus.items() for name in fmu.variables}
     nodes |= {f"{node[0]}.{node[1]}".lstrip("."): node for node in network.connectors if node[0] not in fmus}
@@ -99,7 +101,7 @@ def _levels(
 
 
 def _used(binding: Binding) -> Sequence[tuple[SspParameter, MappingEntry]]:
-    """The values of a set that count, each with its target."""
+    """Return the parameters of a binding that are used, each with its mapping entry."""
     named = [replace(each, name=binding.prefix + each.name) for each in binding.values.parameters]
     if binding.mapping is None:
         return [(each, MappingEntry(each.name, each.name)) for each in named]
@@ -129,10 +131,10 @@ def _transformed(value: Value, entry: MappingEntry, convert: LinearMap, where: s
 
 
 def _along(origin: Origin, value: float, where: str) -> float:
-    """The value at the end of its way.
+    """Return the value after the transformations on its path.
 
     Raises:
-        SspError: a table on the way doesn't have it.
+        SspError: a table on the path has no entry for it.
     """
     try:
         return origin.way(value)
@@ -155,7 +157,7 @@ def _value(parameter: SspParameter, fmu: ComponentFmu, name: str, where: str) ->
     """The value in the variable's type.
 
     Raises:
-        SspError: it doesn't suit, or the FMU calculates the variable.
+        SspError: its type is wrong, or the FMU calculates the variable.
     """
     variable, kind, value = fmu.variables[name], fmu.type(name), parameter.value
     if variable.initial not in ("exact", "approx") and variable.causality != "input":

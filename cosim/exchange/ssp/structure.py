@@ -1,4 +1,4 @@
-"""A system structure description as data: what an SSD says, without XML and without FMUs.
+"""A system structure description (SSD) as data, without XML and without FMUs.
 
 Names follow SSP 1.0 (Modelica Association, 2019); of SSP 2.0 there is what 1.0 has.
 """
@@ -38,7 +38,7 @@ class SspUnit:
     offset: float = 0.0
 
     def to(self, other: SspUnit) -> LinearMap | None:
-        """The conversion into another unit; None if they measure different things."""
+        """Return the conversion to another unit; None for a unit of another quantity."""
         if dict(self.exponents) != dict(other.exponents):
             return None
         if isclose(self.factor, other.factor, rel_tol=1e-15) and self.offset == other.offset:
@@ -53,7 +53,7 @@ class ValueMap:
     pairs: tuple[tuple[Value, Value], ...]
 
     def linear(self) -> LinearMap | None:
-        """The line through all pairs, false being 0 and true 1; None where there is none."""
+        """Return the linear map through all pairs (false 0, true 1); None if there is none."""
         if not self.pairs or any(isinstance(each, str) for pair in self.pairs for each in pair):
             return None
         points = dict.fromkeys((float(x), float(y)) for x, y in self.pairs)
@@ -146,7 +146,7 @@ class Binding:
 
     Attributes:
         values: the parameter set.
-        prefix: put before all names of the set.
+        prefix: prefix of all names in the set.
         mapping: entries for the values that are used; None to use all under their own names.
         source: file of the set within the archive; None for a set within the SSD.
         where: file and line, for errors.
@@ -167,7 +167,7 @@ class Component:
         name: name of the element.
         source: path of the FMU within the archive.
         connectors: its variables that are connected.
-        bindings: its parameter sets, later ones first in rank.
+        bindings: its parameter sets; later ones take precedence.
         description: what it is.
         where: file and line, for errors.
         sampling: sample time and offset [s] of an FMU that doesn't state them itself; None where the file doesn't say.
@@ -236,7 +236,7 @@ class Structure:
 
 
 def levels(structure: Structure) -> Iterator[tuple[str, Structure | Subsystem]]:
-    """The system and all within it, outer ones first, with what is put before the names of their elements: ``inner.``."""
+    """Yield the system and all subsystems, outer ones first, each with the prefix of its elements' names, such as ``inner.``."""
     waiting: list[tuple[str, Structure | Subsystem]] = [("", structure)]
     while waiting:
         prefix, level = waiting.pop(0)

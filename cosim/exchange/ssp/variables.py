@@ -1,4 +1,4 @@
-"""Variables of the FMUs in a system, as connections and parameter sets meet them: types, units, and conversions."""
+"""Types and units of the FMU variables in a system, and unit conversions."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def check_connectors(owner: ComponentFmu, connected: Collection[str], units: Seq
         SspError: a connected one has no variable, or contradicts it.
     """
     known, problems = {unit.name: unit for unit in units}, {}
-    # what is not connected does no harm
+    # errors only for connected ones
     for connector in owner.component.connectors:
         try:
             _check(connector, owner, known)
@@ -86,10 +86,10 @@ def variable_unit(owner: ComponentFmu, name: str) -> SspUnit | str:
 
 
 def conversion(source: SspUnit | str, target: SspUnit | str, where: str, remarks: list[str]) -> LinearMap:
-    """The conversion from one unit to another; the identity where one of them is unknown, with a remark where it has a name.
+    """Return the conversion between two units; the identity, with a remark, if one of them is undefined.
 
     Raises:
-        SspError: they measure different things.
+        SspError: the units are of different quantities.
     """
     # nothing to convert
     names = [each if isinstance(each, str) else each.name for each in (source, target)]

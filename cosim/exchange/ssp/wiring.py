@@ -30,13 +30,13 @@ ConnectorName = tuple[str, str]
 """Full name of an element (``inner.first``; empty for the whole system) and its connector."""
 
 _TAKERS, _GIVERS = ("input", "parameter"), ("output", "calculatedParameter")
-"""Kinds of connectors that an element's values go into and come from; for a system's own ones, seen from inside, the
-other way round."""
+"""Kinds of connectors that are targets and sources of connections. For the system's own connectors, seen from inside, the roles
+are exchanged."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a signal comes from.
+    """The origin of a signal.
 
     Attributes:
         node: an FMU's output, or a system's connector without a source.
@@ -60,13 +60,13 @@ class Network:
 
     Attributes:
         connectors: of all elements.
-        feeds: connector → the one that feeds it, and the connection.
+        feeds: target connector → its source connector, and the connection.
         units: name → unit that the structure defines.
-        value_units: connector → unit of the value that a parameter set gives it, where it has none itself.
+        value_units: connector without a unit → unit of its value in a parameter set.
         remarks: warnings for the user.
 
     Raises:
-        SspError: an end doesn't exist, leads the wrong way, or is fed twice.
+        SspError: an end of a connection doesn't exist, its direction is wrong, or a target has two sources.
     """
 
     def __init__(self, structure: Structure, fmus: Mapping[str, ComponentFmu]) -> None:
@@ -92,12 +92,12 @@ class Network:
 
         Args:
             node: the connector.
-            values: connectors of systems that have a value of their own, where only these count as origins.
+            values: connectors of systems with a value of their own; if given, only these count as origins.
 
         Raises:
-            SspError: it comes from itself, units don't fit, or a table on the way doesn't suit the signal.
+            SspError: connections form a ring, units don't match, or a table on the path doesn't match the signal.
         """
-        # follow the connections back to the first giver; a ring has none
+        # follow the connections back to the first source; a ring has none
         way = [node]
         while way[-1] in self.feeds:
             way.append(self.feeds[way[-1]][0])
@@ -107,7 +107,7 @@ class Network:
         # go back to the last connector with a value of its own
         while values is not None and len(way) > 1 and way[-1][0] not in self._fmus and way[-1] not in values:
             way.pop()
-        # then forth again, with the unit conversion and the transformation of each connection
+        # compose unit conversions and transformations from there to the target
         found: SignalMap = IDENTITY
         unit = self.unit(way[-1])
         for taker in reversed(way[:-1]):
@@ -129,9 +129,9 @@ class Network:
         """The transformation of a connection.
 
         Raises:
-            SspError: it has a table that is no line for a Real, or one of items that the signal doesn't have.
+            SspError: it is a nonlinear table for a Real, or a table of items that the signal doesn't have.
         """
-        # a line for numbers, a table for the rest
+        # a linear map where possible, else a table
         table = connection.transformation
         if not isinstance(table, ValueMap):
             return table
@@ -165,9 +165,9 @@ class Network:
         return items[value]
 
     def _add(self, connection: SspConnection, prefix: str, level: Structure | Subsystem) -> None:
-        """One connection, from giver to taker."""
+        """Add a connection from source to target."""
         ends = [self._end(connection, *end, prefix, level) for end in (connection.start, connection.end)]
-        # seen from inside, a system's inputs give and its outputs take
+        # seen from inside, a system's inputs are sources and its outputs are targets
         kinds = [self.connectors[node].kind for node in ends]
         own = connection.start[0] is None, connection.end[0] is None
         gives = [kind in (_TAKERS if inside else _GIVERS) for kind, inside in zip(kinds, own, strict=True)]
@@ -181,7 +181,7 @@ class Network:
     def _end(
         self, connection: SspConnection, element: str | None, name: str, prefix: str, level: Structure | Subsystem
     ) -> ConnectorName:
-        """The connector that an end names.
+        """Return the connector at an end of a connection.
 
         Raises:
             SspError: there is none.

@@ -1,1 +1,1 @@
-"""Hard cases, each judged against a reference: stiffness, singularities, tiny and huge parameters, sticking."""
+"""Hard cases, each compared with a reference: stiffness, singularities, tiny and huge parameters, stiction."""

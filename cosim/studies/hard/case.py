@@ -32,7 +32,7 @@ class Criterion:
 
     Attributes:
         name: what is measured.
-        value: what was found; a NaN never passes.
+        value: measured value; NaN never passes.
         limit: the largest value that passes.
         unit: of both; empty for a relative number or a count.
     """
@@ -215,7 +215,7 @@ def error_against(run: Run, robot: Scene, solver: Solver, limit: float) -> Crite
 
 
 def soundness(run: Run) -> tuple[Criterion, ...]:
-    """It reached its end, with numbers alone, and the mechanism is assembled at every instant, on the branch of its start."""
+    """Criteria of every finished run: stop time reached, finite numbers, mechanism closed and on its initial branch throughout."""
     geometry = loop_geometry(run.scene.mechanism, run.recording)
     end = float(run.recording.time[-1])
     return (
@@ -227,12 +227,12 @@ def soundness(run: Run) -> tuple[Criterion, ...]:
 
 
 def off_branch(sine: RealArray) -> Criterion:
-    """At how many instants the end effector is on the other side of the elbows, or nowhere."""
+    """Number of instants at which the mechanism is on the other assembly branch, or not assembled."""
     return Criterion(OFF_BRANCH, float(np.count_nonzero(~(sine > 0.0))), 0.0)
 
 
 def not_finite(recording: Recording) -> Criterion:
-    """How many recorded numbers are infinite or none at all, derivatives included."""
+    """Number of recorded values and derivatives that are infinite or NaN."""
     tables = [
         table
         for column in recording.columns.values()

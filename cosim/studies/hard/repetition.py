@@ -86,7 +86,7 @@ def _run(cycles: int) -> CaseReport:
 
 
 def many_cycles(cycles: int) -> Run:
-    """Motion there and back, again and again."""
+    """Simulate the motion there and back, repeated."""
     scene = paper_robot().replace({"trajectory.dwell": DWELL})
     # recorded: the closure's signals, and states and rates for the energy
     states = numeric_model(scene).names

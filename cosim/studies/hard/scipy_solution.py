@@ -105,7 +105,7 @@ POSITION = ("end_effector.position.x", "end_effector.position.y")
 
 @dataclass(frozen=True)
 class Solver:
-    """Which of SciPy's methods, and how exact.
+    """A method of SciPy with its tolerance.
 
     Attributes:
         method: ``DOP853`` where nothing is stiff, else ``Radau``.
@@ -120,7 +120,7 @@ class Solver:
 
 @dataclass(frozen=True)
 class Phase:
-    """A time in which the equations have no jump.
+    """A time interval in which the equations have no jump.
 
     Attributes:
         begin, end: [s].
@@ -143,10 +143,10 @@ def positions_along(
         motion: joint motion.
         instants: (N,) ascending times [s] within the motion and its standstill.
         solver: which solver.
-        size: about how far the links deflect [m]; absolute tolerances follow from it.
+        size: approximate deflection of the links [m], which scales the absolute tolerances.
 
     Raises:
-        RunError: the solver gives up.
+        RunError: the solver fails.
     """
     equations = robot_equations(robot, ALONG_POLYNOMIALS, POSITION, solver.compiled)
     phases = [Phase(p.begin, p.end, p.numbers) for p in motion_polynomials(motion.joints, float(instants[-1]))]

@@ -46,7 +46,7 @@ PROFILE = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 
 @dataclass(frozen=True)
 class RestToRestLine:
-    """Implements `flexfmu.trajectories.Trajectory`.
+    """A straight rest-to-rest motion; implements `flexfmu.trajectories.Trajectory`.
 
     Attributes:
         start, end: x and y [m].
@@ -84,11 +84,11 @@ class Unguarded:
     kinematics: RigidKinematics
 
     def joints(self, x: Jet, y: Jet) -> tuple[Jet, Jet]:
-        """Those of the guarded one."""
+        """Return the joints of ``kinematics``."""
         return self.kinematics.joints(x, y)
 
     def margins(self, position: RealArray) -> tuple[Margin, ...]:
-        """None at all."""
+        """Return no margins."""
         return ()
 
 
@@ -170,7 +170,7 @@ def motion_to(half_distance: float, guarded: bool) -> MotionPlan:
 
 
 def approach(half_distance: float) -> Run:
-    """Run it even where the planner refuses."""
+    """Simulate the motion even if the planner rejects it."""
     return run_case(hanging_robot(), motion=motion_to(half_distance, guarded=False))
 
 

@@ -49,7 +49,7 @@ class Cell:
 
     @property
     def believable(self) -> bool:
-        """False where the printed figure can't be right."""
+        """Whether the printed figure can be right."""
         return all(remark.verdict is not Verdict.MISPRINT for remark in self.remarks)
 
     def rounded(self) -> str:

@@ -24,7 +24,7 @@ TABLES = (
 
 
 class Verdict(Enum):
-    """How far a printed figure can be believed, with a sentence for the reader."""
+    """Assessment of a printed figure, with a sentence for the reader."""
 
     MISPRINT = "misprint"
     UNEXPLAINED = "unexplained"

@@ -25,8 +25,8 @@ from flexfmu.model.statics import static_equilibrium
 from flexfmu.trajectories.trajectory import Trajectory
 
 DEGREE = 95
-"""Of every polynomial: so high that the motions of the shipped scenes need no piece more than they have breakpoints, since solvers
-of several steps start anew with each piece."""
+"""Degree of every polynomial, so high that motions of the shipped scenes need only one piece between two breakpoints: multistep
+solvers restart at each piece."""
 
 ACCURACY = 1e-13
 """Largest error of an angle relative to its range; pieces are halved until they keep it."""
@@ -86,7 +86,7 @@ Symbol = Any
 """casadi.SX or casadi.MX."""
 
 NUMBERS = 2 + 3 * (DEGREE + 1) * 2
-"""Length of `Piece.numbers`."""
+"""Length of `MotionPolynomial.numbers`."""
 
 
 @dataclass(frozen=True)

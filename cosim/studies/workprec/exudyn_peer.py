@@ -173,7 +173,7 @@ def simulate_exudyn(scene: Scene, motion: MotionPlan, instants: RealArray, step:
     Raises:
         SceneError: the scene has shear, a turning payload or elastic transmissions.
         ValueError: instants are no multiples of the step.
-        RunError: Exudyn gives up.
+        RunError: Exudyn fails.
     """
     _refuse(scene)
     rows = np.rint(instants / step).astype(int)

@@ -128,7 +128,7 @@ def solve_piece(
         States at the instants (N, m) and at the end (m,).
 
     Raises:
-        RunError: the solver gives up.
+        RunError: the solver fails.
     """
     wanted = ends(instants, span[1])
     solution = solve_ivp(rate, span, state, method, wanted, rtol=tolerance, atol=absolute, **options)

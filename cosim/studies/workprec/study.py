@@ -166,10 +166,10 @@ def sentence(study: WorkPrecisionStudy) -> str:
 
 @dataclass(frozen=True)
 class Advantage:
-    """How much longer another tool takes than ours.
+    """Computing time of another tool relative to ours.
 
     Attributes:
-        error: that both have.
+        error: error at which both are compared.
         ratio: its time over ours, each interpolated on the curve of the best settings.
     """
 
