@@ -145,7 +145,7 @@ def _positive(name: str, unit: str, description: str, start: float, maximum: flo
 
 @dataclass(frozen=True)
 class LinkProperties:
-    """Mass [kg], length and diameters [m], area [m²], second moment of area [m⁴] and Young's modulus [Pa] of a group."""
+    """Mass [kg], length, diameters [m], area [m²], second moment of area [m⁴] and Young's modulus [Pa] of a group."""
 
     mass: casadi.SX
     length: casadi.SX
@@ -160,6 +160,7 @@ def link_properties(
     registry: ParameterRegistry, group: LinkGroup, parameters: Mapping[str, casadi.SX]
 ) -> LinkProperties:
     """Properties of round rods or tubes; registers mass and length as derived values."""
+    # dimensions and cross section
     outer, inner, length = (parameters[f"{group}.{key}"] for key in ("diameter", "inner_diameter", "length"))
     area = math.pi / 4 * (outer**2 - inner**2)
     return LinkProperties(

@@ -82,6 +82,7 @@ def _damped_step(
     model: NumericModel, u: RealArray, q: RealArray, step: RealArray, force: RealArray
 ) -> tuple[RealArray, RealArray, float]:
     """New coordinates, force and damping; halves the step until the residual falls or is at rounding level."""
+    # halve the step until it is accepted
     damping, norm = 1.0, np.linalg.norm(force)
     while damping >= SMALLEST_DAMPING:
         trial = q + damping * step

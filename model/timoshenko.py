@@ -129,6 +129,7 @@ def _sum(functions: list[Legendre], factors: RealArray) -> Legendre:
 
 def _polynomial_shape(displacement: Legendre, rotation: Legendre, mode: int, tip_held: bool) -> Shape:
     """A polynomial shape with unit modal mass and positive curvature at the clamp."""
+    # sign of the curvature at the clamp
     sign = 1.0 if rotation.deriv()(0.0) > 0.0 else -1.0
     value, turning = sign * displacement, sign * rotation
     return Shape(

@@ -102,7 +102,7 @@ def finite_element_robot(scene: Scene, elements: int) -> FiniteElementRobot:
             raise SceneError(
                 f"finite elements are driven by angles of the links: leave `effects.{key}` out of the scene"
             )
-        # elements of each link group
+    # elements of each link group
     mesh, chains = five_bar_mesh(elements), []
     for group, links in LINKS.items():
         section = beam_section(scene, group)

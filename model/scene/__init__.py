@@ -1,1 +1,1 @@
-"""What a user writes: the scene file, its sections and checks, and the scenes that ship; needs no CasADi."""
+"""The scene file: its sections, their checks and the shipped scenes; imports no CasADi."""

@@ -1,4 +1,4 @@
-"""Working and assembly modes of the rigid five-bar mechanism as plain numbers; needs nothing but the scene's lengths."""
+"""Inverse kinematics of the rigid five-bar for single points, with its working and assembly modes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def motor_angle(base: Point, position: Point, proximal: float, distal: float, si
     """
     dx, dy = position[0] - base[0], position[1] - base[1]
     distance = math.hypot(dx, dy)
-    # beyond these the two circles do not meet
+    # outside this range the two circles don't intersect
     nearest, farthest = abs(proximal - distal), proximal + distal
     if not nearest < distance < farthest:
         raise ValueError(
@@ -62,7 +62,10 @@ def motor_angles(mechanism: Mechanism, position: Point) -> tuple[float, float]:
 
 
 def elbows(mechanism: Mechanism, position: Point) -> tuple[Point, Point]:
-    """Elbow points [m] for an end-effector position [m]; raises like `motor_angles`."""
+    """Elbow points [m] for an end-effector position [m].
+
+    Raises:
+        ValueError: a leg can't reach the position."""
     (base1, base2), (angle1, angle2) = bases(mechanism), motor_angles(mechanism, position)
     return elbow(base1, angle1, mechanism.proximal.length), elbow(base2, angle2, mechanism.proximal.length)
 
@@ -74,10 +77,10 @@ def assembly_side(elbow1: Point, elbow2: Point, position: Point) -> float:
 
 
 def check_start_pose(mechanism: Mechanism, start: Point) -> None:
-    """Refuse modes that contradict each other at the start pose.
+    """Check that working mode and assembly mode agree at the start pose.
 
     Raises:
-        ValueError: the start can't be reached, or the assembly mode is the other one there.
+        ValueError: a leg can't reach the start, or the robot has the other assembly mode there.
     """
     actual = "left" if assembly_side(*elbows(mechanism, start), start) > 0.0 else "right"
     if actual != mechanism.assembly_mode:

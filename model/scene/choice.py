@@ -1,4 +1,4 @@
-"""Keys of an automatic choice of effects: the request in the scene, and the result that `flexfmu` writes."""
+"""Keys for the automatic choice of effects: the request in the scene, and the result, which `flexfmu` writes."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ MeasureName = Literal[
     "residual_vibration_amplitude",
     "residual_vibration_rms",
 ]
-"""Metrics whose accuracy an automatic choice can guarantee."""
+"""Metrics whose error an automatic choice can limit."""
 
 MEASURES: tuple[MeasureName, ...] = get_args(MeasureName)
 
 INTEGRATOR_SHARE = 0.5
-"""Share of the tolerance for the integrator's error; the rest is for the effects left out."""
+"""Share of the tolerance for the integration error; the rest is for neglected effects."""
 
 DEFAULT_TOLERANCE = 0.01
-"""Relative error where neither scene nor command names one."""
+"""Tolerance where neither scene nor command gives one."""
 
 SMALLEST, LARGEST = LEAST_TOLERANCE / INTEGRATOR_SHARE, 10.0
-"""Limits of the tolerance for effects."""
+"""Limits of the tolerance of a choice."""
 
 ChoiceTolerance = Annotated[float, quantity("1", ge=SMALLEST, le=LARGEST)]
-"""Relative error; from 1 on even a deflection that is left out altogether is tolerable."""
+"""Relative error; from 1 on, all deflections may be neglected."""
 
 MeasureNames = Annotated[tuple[MeasureName, ...], BeforeValidator(as_tuple)]
 
 LOOSEST_INTEGRATOR = 1e-3
-"""Largest tolerance that an automatic choice gives the FMU; one of 1e-2 would save 2 % of the time, and hide what the effects cost
-in accuracy behind the integrator's error."""
+"""Largest FMU tolerance of an automatic choice: 1e-2 would save only 2 % of the time, and its error would hide that
+of neglected effects."""
 
 
 Shares = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-"""One relative change for each metric of the choice, in their order."""
+"""A relative change for each metric of the choice, in the same order."""
 
 
 class EstimatedEffect(Section):
-    """One effect of an automatic choice: what it changes in each metric of the choice, relative to the metric's scale."""
+    """One effect of an automatic choice, with its relative contribution to each metric of the choice."""
 
     effect: str
     change: str
@@ -56,9 +56,9 @@ class EstimatedEffect(Section):
 
 
 class ChoiceSection(Section):
-    """How the effects of a scene were chosen; written by `flexfmu`, not by hand.
+    """Result of an automatic choice of effects; written by `flexfmu`, not by hand.
 
-    `error` is the estimated error of each metric because of what is left out, relative to the metric's scale.
+    `error` is the estimated error of each metric due to neglected effects, relative to the metric's scale.
     """
 
     tolerance: ChoiceTolerance
@@ -68,16 +68,16 @@ class ChoiceSection(Section):
 
 
 def integrator_tolerance(tolerance: float) -> float:
-    """The FMU's relative tolerance that goes with a tolerance for effects; always one that it can keep."""
+    """The relative tolerance of the FMU for a tolerance of the choice, within the limits of the FMU."""
     return max(LEAST_TOLERANCE, min(INTEGRATOR_SHARE * tolerance, LOOSEST_INTEGRATOR))
 
 
 def fill_in(effects: Any, cosimulation: Any) -> tuple[Any, Any]:
-    """The sections `effects` and `cosimulation` of a scene file, with what follows from `select = "auto"`."""
+    """The sections `effects` and `cosimulation` of a scene file with the default values for `select = "auto"`."""
     if not isinstance(effects, Mapping) or effects.get("select") != "auto":
         return effects, cosimulation
     tolerance = effects.get("tolerance")
-    if isinstance(cosimulation, Mapping):  # a wrong tolerance for effects is reported by that key alone
+    if isinstance(cosimulation, Mapping):  # an error in this tolerance is reported once, for its own key
         number = tolerance if isinstance(tolerance, float | int) else LARGEST
         cosimulation = {"tolerance": integrator_tolerance(number), **cosimulation}
     return {"basis": "craig-bampton", **effects}, cosimulation
@@ -86,15 +86,15 @@ def fill_in(effects: Any, cosimulation: Any) -> tuple[Any, Any]:
 def contradictions(
     select: str | None, given: Mapping[str, object], basis: str, switched_on: tuple[str, ...]
 ) -> Iterator[str]:
-    """One sentence for each key that contradicts an automatic choice, or has no meaning without one.
+    """A sentence for each key that contradicts an automatic choice, or requires one that is missing.
 
     Args:
         select: ``auto`` or None.
-        given: the keys `tolerance` and `of` with their values, None where the scene doesn't give them.
-        basis: of the shapes.
-        switched_on: keys of effects that the scene itself chooses.
+        given: values of the keys `tolerance` and `of`, None where the scene doesn't have them.
+        basis: basis of the mode shapes.
+        switched_on: keys of elastic effects that the scene sets.
     """
-    # keys of the choice without a choice, and the other way round
+    # keys of a choice without `select`, or `select` without these keys
     for key, value in given.items():
         if select is None and value is not None:
             yield f'`{key}` belongs to `select = "auto"`: add that, or remove `{key}`'
@@ -102,7 +102,7 @@ def contradictions(
             yield f'`{key}` is missing: `select = "auto"` needs `tolerance = 0.01` and `of = ["peak_position_error"]`'
     if select is None:
         return
-    # what an automatic choice leaves no room for
+    # keys that an automatic choice excludes
     if switched_on:
         keys = ", ".join(f"`{key}`" for key in switched_on)
         yield f'`select = "auto"` chooses {keys}: remove {"it" if len(switched_on) == 1 else "them"}, or remove `select`'

@@ -1,4 +1,4 @@
-"""Sections of the scene file for controllers: `[[controller]]` tables, whose `kind` decides which keys they have."""
+"""Sections of the scene file for controllers: `[[controller]]` tables; `kind` determines their keys."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ class PdSection(SampledSection):
 
 
 class ClampingSection(Section):
-    """Conditional integration: the integral stops where it would drive the torque further into its limit."""
+    """Conditional integration: the integrator stops while it would drive the torque further into saturation."""
 
     kind: Literal["clamping"] = "clamping"
 
 
 class BackCalculationSection(Section):
-    """The integral follows what the limit takes away, with the time constant `tracking_time`."""
+    """Back-calculation: the saturation error is fed back to the integrator with the time constant `tracking_time`."""
 
     kind: Literal["back-calculation"]
     tracking_time: SecondsOrZero
 
 
 class UnprotectedSection(Section):
-    """The integral winds up."""
+    """No anti-windup: the integrator winds up."""
 
     kind: Literal["none"]
 
@@ -60,8 +60,11 @@ AntiWindupSection = Annotated[
 
 
 class PidSection(SampledSection):
-    """PID from the measured angles; `anti_windup` says what the integral does at the torque limit: "clamping", "none" or
-    `{ kind = "back-calculation", tracking_time = 0.01 }`."""
+    """PID control of the measured angles.
+
+    `anti_windup` is the method at the torque limit: "clamping", "none" or
+    `{ kind = "back-calculation", tracking_time = 0.01 }`.
+    """
 
     kind: Literal["pid"]
     proportional: Annotated[NotNegativePerJoint, quantity("N.m/rad")]
@@ -75,8 +78,10 @@ class PidSection(SampledSection):
 
 
 class ComputedTorqueSection(SampledSection):
-    """Rigid inverse dynamics of the reference acceleration with PD correction; `payload` is the mass of its model,
-    the scene's own by default."""
+    """Computed torque: rigid inverse dynamics for the reference acceleration with PD correction.
+
+    `payload` is the mass that the controller assumes, by default that of the scene.
+    """
 
     kind: Literal["computed-torque"]
     proportional: Annotated[NotNegativePerJoint, quantity("1/s2")]
@@ -86,18 +91,20 @@ class ComputedTorqueSection(SampledSection):
 
 
 class FeedforwardSection(SampledSection):
-    """Rigid inverse dynamics of the reference motion, added to the torque of another controller."""
+    """Rigid inverse dynamics of the reference motion, added to the torque of another controller; `payload` as above."""
 
     kind: Literal["feedforward"]
     payload: Annotated[NotNegative | None, quantity("kg")] = None
 
 
 class LearningSection(SampledSection):
-    """P-type iterative learning: the motion is made there and back `cycles` times, and from cycle to cycle a torque is
-    learned that another controller adds to its own: `gain` times the position error `lead` samples later.
+    """P-type iterative learning control, added to the torque of another controller.
 
-    `forgetting` is the share of the learned torque that each cycle loses. The standstill between two motions is the
-    scene's dwell, lengthened so that a cycle is a whole number of samples.
+    The robot makes the motion there and back `cycles` times. After each cycle the learned torque grows by `gain` times
+    the position error `lead` samples later.
+
+    `forgetting` is the share of the learned torque that each cycle loses. The dwell between two motions is that of the
+    scene, extended so that a cycle is a whole number of samples.
     """
 
     kind: Literal["learning"]
@@ -108,11 +115,11 @@ class LearningSection(SampledSection):
 
 
 class StateFeedbackSection(SampledSection):
-    """Linear-quadratic regulator with a Kalman filter, designed on the robot linearised at a pose.
+    """Linear-quadratic regulator with a Kalman filter, designed for the robot linearised at `pose`.
 
     The cost is the mean of (position error / position_error)² + (velocity error / velocity_error)² + (torque deviation
-    / torque_deviation)² over both joints; the filter expects torque noise and measurement noise of these standard
-    deviations.
+    / torque_deviation)² over both joints. `torque_noise` and `measurement_noise` are the standard deviations that the
+    filter assumes.
     """
 
     kind: Literal["state-feedback"]
@@ -126,7 +133,7 @@ class StateFeedbackSection(SampledSection):
 
 
 class StateSpaceSection(SampledSection):
-    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k with signals named like those of the robot."""
+    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k; `inputs` and `outputs` are signal names of the robot."""
 
     kind: Literal["state-space"]
     A: Matrix

@@ -1,4 +1,4 @@
-"""The section of the scene file that says how a scene is run."""
+"""The section `cosimulation`: drive, integration and coupling."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, named_k
 RelativeTolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
 
 LEAST_TOLERANCE = 1e-12
-"""Smallest relative tolerance of the FMU: below it rounding errors determine the steps, so that all give the
-same result."""
+"""Smallest relative tolerance of the FMU: below it rounding errors determine the result."""
 
 
 def _achievable(tolerance: float) -> float:
@@ -27,8 +26,10 @@ FmuTolerance = Annotated[float, AfterValidator(_achievable), quantity("1", le=0.
 
 
 class StepControl(Section):
-    """Communication step control, so that the error of the coupling over the whole run stays below `tolerance`
-    times the signals' magnitudes; `step` is the first one."""
+    """Communication step control: keeps the coupling error of a run below `tolerance` times the signals' magnitudes.
+
+    The first step is `step` of the section `cosimulation`.
+    """
 
     tolerance: RelativeTolerance
     minimum: Seconds | None = None
@@ -42,7 +43,7 @@ class StepControl(Section):
 
 
 class FixedPointSection(Section):
-    """Fixed-point iteration on the signals of a loop; `relaxation` below 1 helps where it diverges."""
+    """Fixed-point iteration on the signals of an algebraic loop; `relaxation` below 1 helps against divergence."""
 
     kind: Literal["fixed-point"]
     tolerance: RelativeTolerance = 1e-10
@@ -51,7 +52,7 @@ class FixedPointSection(Section):
 
 
 class AndersonSection(Section):
-    """Anderson acceleration: a quasi-Newton method whose Jacobian is estimated from the last iterations."""
+    """Anderson acceleration: a quasi-Newton method that estimates the Jacobian from the last iterations."""
 
     kind: Literal["anderson"]
     tolerance: RelativeTolerance = 1e-10
@@ -64,12 +65,12 @@ LoopSolverSection = Annotated[
 
 
 class Cosimulation(Section):
-    """How the scene is run.
+    """Drive, integration and coupling of a run.
 
-    `integrator` is the FMU's method, `integrator_step` its fixed step; 0 lets the tolerance choose the steps.
-    `algorithm` couples the slaves over a communication step. `loop_solver` solves algebraic loops, which are refused
+    `integrator` is the FMU's method, `integrator_step` its fixed step; with 0 the steps follow from `tolerance`.
+    `algorithm` couples the slaves over a communication step. `loop_solver` solves algebraic loops, which are errors
     without one, and the implicit coupling. `isolate` runs the slaves in a child process; by default only where code of
-    other tools or users takes part. `call_limit` is how long a slave may stay in one call there.
+    other tools or users takes part. `call_limit` is the longest time in one call of an isolated slave.
     """
 
     drive: Literal["motion", "torque"] = "motion"

@@ -1,6 +1,7 @@
-"""The section `effects`: which physics the model contains, and the tables in which effects are registered.
+"""The section `effects`: the physics of the model, and the tables that register effects.
 
-A new effect has a key in `Effects`, its class in `EFFECTS` and, unless it is a matter of choice, an entry in `LOADS`.
+A new effect needs a key in `Effects`, its class in `EFFECTS` and, unless `select = "auto"` chooses it, an entry in
+`LOADS`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from flexfmu.model.scene.choice import ChoiceSection, ChoiceTolerance, MeasureNa
 from flexfmu.model.scene.section import Section, as_tuple, named_kind, quantity
 
 MAXIMUM_MODES = 40
-"""Largest number of modes of one family; far above what the 1e-10 orthogonality of the shapes has been tested for."""
+"""Largest number of modes of one family; the tests check the shapes up to this mode."""
 
 ModeCount = Annotated[int, quantity("modes", ge=0, le=MAXIMUM_MODES)]
 
@@ -51,7 +52,7 @@ class StiffnessDampingSection(Section):
 
 
 class MassDampingSection(Section):
-    """C = rate * M on the elastic coordinates, with the link's own modal mass M."""
+    """C = rate * M on the elastic coordinates, with the modal mass matrix M of the link alone."""
 
     kind: Literal["mass"]
     rate: Annotated[float, quantity("1/s", ge=0.0)]
@@ -63,7 +64,7 @@ class MassDampingSection(Section):
 
 
 class RayleighDampingSection(Section):
-    """C = rate * M + time * K on the elastic coordinates, with the link's own modal mass M."""
+    """C = rate * M + time * K on the elastic coordinates, with the modal mass matrix M of the link alone."""
 
     kind: Literal["rayleigh"]
     rate: Annotated[float, quantity("1/s", ge=0.0)]
@@ -83,7 +84,7 @@ DampingSection = Annotated[
 
 
 class SmoothFrictionSection(Section):
-    """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor, w being its angular velocity."""
+    """Friction torque viscous w + coulomb w / sqrt(w² + velocity²) at each motor, with the motor rate w."""
 
     kind: Literal["smooth"] = "smooth"
     viscous: Annotated[float, quantity("N.m.s/rad", ge=0.0)] = 0.0
@@ -102,9 +103,9 @@ class SmoothFrictionSection(Section):
 
 
 class StictionSection(Section):
-    """Friction that holds a motor up to the torque `breakaway`, `coulomb` by default, and slips with `coulomb`.
+    """Friction with stiction: a motor sticks up to `breakaway` (by default `coulomb`), and slips with `coulomb`.
 
-    With a Stribeck velocity w_s it falls smoothly, coulomb + (breakaway - coulomb) exp(-(w / w_s)²), else at once.
+    With a Stribeck velocity w_s, friction falls smoothly: coulomb + (breakaway - coulomb) exp(-(w / w_s)²).
     """
 
     kind: Literal["stiction"]
@@ -159,13 +160,13 @@ class Transmission(Section):
 
 FamilyName = Literal["proximal_bending", "proximal_axial", "distal_bending", "distal_axial"]
 CHOOSABLE = (*get_args(FamilyName), "beam", "foreshortening", "quasi_static")
-"""Keys of `effects` that `select = "auto"` chooses; the others are given by the robot."""
+"""Keys of `effects` that `select = "auto"` chooses; the others belong to the robot."""
 
 
 class Effects(Section):
-    """Which physics the model contains; a family with zero modes is rigid and leaves nothing in the generated code.
+    """The physics of the model; a family with zero modes is rigid and has no code in the FMU.
 
-    With `select = "auto"` the elastic effects are chosen: as few as keep the metrics in `of` within `tolerance`.
+    `select = "auto"` chooses the elastic effects: as few as keep the errors of the metrics in `of` below `tolerance`.
     """
 
     gravity: Annotated[tuple[float, float], BeforeValidator(as_tuple), quantity("m/s2")]
@@ -223,19 +224,19 @@ EFFECTS = (
     "drive_effects.StickingFriction",
     "drive_effects.ElasticTransmission",
 )
-"""Module and class of every effect below `flexfmu.model`, in the order in which their parameters stand in an FMU.
+"""Module and class of every effect below `flexfmu.model`, in the order of their parameters in the FMU.
 
-They are names because keys are read without CasADi; `flexfmu.model.five_bar` imports the classes."""
+They are names, so that reading a scene doesn't import CasADi; `flexfmu.model.five_bar` imports the classes."""
 
 
 @dataclass(frozen=True)
 class Load:
-    """An effect that a robot has or hasn't: not a matter of choice, but its worth can be estimated by leaving it out.
+    """An effect that belongs to the robot: never chosen, but left out to estimate its contribution.
 
     Attributes:
         absent: value of the key without the effect.
-        change: what is different then.
-        sentence: value of the key → what the summary of a run says of it.
+        change: the difference without the effect, in words.
+        sentence: value of the key → sentence in the summary of a run.
     """
 
     absent: Any
@@ -243,8 +244,7 @@ class Load:
     sentence: Callable[[Any], str]
 
     def is_in(self, value: Any) -> bool:
-        """Whether this value of the key adds the effect to the model; a section with several keys says so by
-        `is_there`."""
+        """Whether this value of the key adds the effect to the model; sections may have `is_there` for this."""
         return bool(getattr(value, "is_there", value != self.absent))
 
 
@@ -280,4 +280,4 @@ LOADS: Mapping[str, Load] = {
         sentence=lambda transmission: f"Elastic transmissions of {transmission.stiffness:g} N m/rad",
     ),
 }
-"""Key of each load, below `effects` unless it names another section, in the order of `flexfmu effects`."""
+"""Load for each key, in the order of `flexfmu effects`; the key is below `effects` unless it contains a dot."""

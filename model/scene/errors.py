@@ -1,15 +1,15 @@
-"""What can go wrong in a model, each with the value, the place and the remedy in one sentence."""
+"""Exceptions and warnings of scenes and models; each message gives value, place and remedy."""
 
 from __future__ import annotations
 
 
 class SceneError(ValueError):
-    """A scene file or a scene value that can't be used: names the key, the value, the unit and what would be right."""
+    """An invalid scene file or value; the message gives key, value, unit and remedy."""
 
 
 class SceneWarning(UserWarning):
-    """A scene can be used, but a value in it suggests a mistake, in its unit for example."""
+    """A valid value that suggests a mistake, for example a wrong unit."""
 
 
 class EquilibriumError(ArithmeticError):
-    """No static equilibrium was found: names the pose and what the iteration saw last."""
+    """No (stable) static equilibrium, or no convergence of the finite elements; the message gives pose or time."""

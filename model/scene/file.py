@@ -1,4 +1,4 @@
-"""Scene files and shipped scenes: reading TOML."""
+"""Reading scene files and shipped scenes (TOML)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def load_scene(source: str | Path) -> Scene:
         SceneWarning: a value suggests another unit, see `Scene.unit_hints`.
 
     Raises:
-        SceneError: no such scene, not TOML, or a key or value that can't be right.
+        SceneError: there is no such scene, the file isn't TOML, or a key or value is invalid.
     """
     text, label, folder = read_scene_text(source)
     try:
@@ -38,7 +38,7 @@ def load_scene(source: str | Path) -> Scene:
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"not a TOML file: {error} ({label})") from error
     scene = parse_scene(data, label, folder)
-    # what can be meant, but seldom is
+    # valid values that suggest a wrong unit
     for hint in scene.unit_hints:
         warnings.warn(f"{hint} ({label})", SceneWarning, stacklevel=2)
     return scene
@@ -54,9 +54,11 @@ def read_scene_text(source: str | Path) -> tuple[str, str, Path | None]:
     Raises:
         SceneError: there is no such scene, or it can't be read.
     """
+    # a shipped scene
     path = Path(source)
     if path.suffix != ".toml" and str(source) in shipped_scenes():
         return _scene_folder().joinpath(f"{source}.toml").read_text(encoding="utf-8"), f"shipped scene {source}", None
+    # a file
     try:
         return path.read_text(encoding="utf-8"), str(path), path.resolve().parent
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Sections of the scene file for imperfections: `[[imperfection]]` tables, whose `kind` decides which keys they have."""
+"""Sections of the scene file for imperfections: `[[imperfection]]` tables; `kind` determines their keys."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ NumberPerJoint = Annotated[tuple[float, float], BeforeValidator(for_both)]
 
 
 class SignalSection(LoopSection):
-    """An inline block for signals of both joints: the motors' torques, the measured positions or velocities, or the
-    references (all of them where it delays, the positions alone otherwise).
+    """An imperfection of a signal of both joints: torques, measured positions, measured velocities or references.
 
-    The sample time is that of the first controller with one, else the communication step; a lag needs none.
+    Of the references, a delay acts on positions, velocities and accelerations, any other imperfection on positions
+    alone. The default sample time is that of the first controller with one, else the communication step; a lag needs
+    none.
     """
 
     signal: Literal["torque", "position", "velocity", "reference"]
@@ -36,7 +37,7 @@ class SignalSection(LoopSection):
 
 
 class SaturationSection(SignalSection):
-    """The signal within ± `limit`, or from `lower` to `upper`, in its own unit."""
+    """Saturation of the signal to ± `limit`, or to `lower` and `upper`, in the signal's unit."""
 
     kind: Literal["saturation"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
@@ -63,8 +64,7 @@ class SaturationSection(SignalSection):
 
 
 class RateLimitSection(SignalSection):
-    """The signal changes by no more than `rate`, in its own unit per second; it falls no faster than `falling_rate`, which is
-    `rate` by default."""
+    """Rate limit of the signal: `rate` rising, `falling_rate` (by default `rate`) falling, in its unit per second."""
 
     kind: Literal["rate-limit"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
@@ -73,20 +73,20 @@ class RateLimitSection(SignalSection):
 
 
 class LinearSection(Section):
-    """On the straight line between two samples."""
+    """Linear interpolation between two samples."""
 
     kind: Literal["linear"] = "linear"
 
 
 class LagrangeSection(Section):
-    """On the polynomial through `order` + 1 samples."""
+    """Lagrange interpolation: polynomial through `order` + 1 samples."""
 
     kind: Literal["lagrange"]
     order: Annotated[int, quantity("1", ge=1, le=10)]
 
 
 class ThiranSection(Section):
-    """By an all-pass of this order, which changes no amplitude."""
+    """Thiran all-pass filter of this order, which changes no amplitude."""
 
     kind: Literal["thiran"]
     order: Annotated[int, quantity("1", ge=1, le=10)]
@@ -98,8 +98,11 @@ InterpolationSection = Annotated[
 
 
 class DelaySection(SignalSection):
-    """The signal as it was `time` ago; for fractions of a sample `interpolation` is "linear",
-    `{ kind = "lagrange", order = 3 }` or `{ kind = "thiran", order = 2 }`."""
+    """Delay of the signal by `time`.
+
+    For fractions of a sample, `interpolation` is "linear", `{ kind = "lagrange", order = 3 }` or
+    `{ kind = "thiran", order = 2 }`.
+    """
 
     kind: Literal["delay"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
@@ -108,7 +111,7 @@ class DelaySection(SignalSection):
 
 
 class QuantisationSection(SignalSection):
-    """The signal rounded to multiples of `resolution`, in its own unit, as an encoder does."""
+    """The signal rounded to multiples of `resolution`, in its unit, as by an encoder."""
 
     kind: Literal["quantisation"]
     signal: Literal["torque", "position", "velocity", "reference"] = "position"
@@ -116,8 +119,7 @@ class QuantisationSection(SignalSection):
 
 
 class EncoderSection(LoopSection):
-    """Incremental encoders of both joints: the angle to the nearest of `counts_per_turn`, the velocity from the change over
-    `window` samples."""
+    """Incremental encoders of both joints: angles in counts, velocities from the change over `window` samples."""
 
     kind: Literal["encoder"]
     counts_per_turn: Annotated[float, quantity("1", ge=1.0)]
@@ -129,8 +131,8 @@ class EncoderSection(LoopSection):
 class NoiseSection(SignalSection):
     """White noise in the signal's unit: normal with a `standard_deviation`, or uniform within ± `half_width`.
 
-    The numbers follow from `seed`, the section's name and the signal. Sections without a name of their own are called
-    `noise`, `noise2` and so on, in the order of the file, so that each has random numbers of its own.
+    The random numbers depend on `seed`, the section's name and the signal. Sections without a name are called `noise`,
+    `noise2` and so on in the order of the file, so that each has its own random numbers.
     """
 
     kind: Literal["noise"]
@@ -147,7 +149,7 @@ class NoiseSection(SignalSection):
 
 
 class JitterSection(SignalSection):
-    """Samples taken up to `time` late at random; `seed` and names as for noise (`jitter`, `jitter2` and so on)."""
+    """Samples with a random delay of up to `time`; `seed` and names as for noise (`jitter`, `jitter2` and so on)."""
 
     kind: Literal["jitter"]
     signal: Literal["torque", "position", "velocity", "reference"] = "position"
@@ -156,7 +158,7 @@ class JitterSection(SignalSection):
 
 
 class LagSection(SignalSection):
-    """First-order lag, as a current loop has it: in continuous time, or with a `sample_time` at these instants."""
+    """First-order lag, as of a current loop: in continuous time, or sampled with a `sample_time`."""
 
     kind: Literal["lag"]
     signal: Literal["torque", "position", "velocity", "reference"] = "torque"
@@ -172,7 +174,7 @@ class LagSection(SignalSection):
 
 
 class PayloadErrorSection(Section):
-    """The robot carries (1 + relative) times the payload that plan, controllers and shapers assume."""
+    """The real payload is (1 + relative) times the one that planning, controllers and shapers assume."""
 
     kind: Literal["payload-error"]
     relative: Annotated[float, quantity("1", ge=-1.0)]

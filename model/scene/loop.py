@@ -1,5 +1,4 @@
-"""What every section of a controller, shaper or imperfection has: a name, connections, a sample time; and slaves of the
-user's own."""
+"""Common keys of controllers, shapers and imperfections (name, connections, sample time), and user-defined slaves."""
 
 from __future__ import annotations
 
@@ -12,11 +11,11 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 from flexfmu.model.scene.section import Positive, Seconds, SecondsOrZero, Section, quantity
 
 RESERVED = {"plant": "the robot's", "trajectory": "the planned motion's"}
-"""Names of slaves that every scene has → whose they are."""
+"""Reserved names of slaves → their owners, for messages."""
 
 
 def _not_reserved(name: str) -> str:
-    """Refuse a name that a slave of every scene has."""
+    """The name, unless it is reserved."""
     if name in RESERVED:
         raise ValueError(f"{name!r} is {RESERVED[name]} own name, choose another")
     return name
@@ -26,18 +25,17 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*$"), AfterValidator(_not_rese
 
 
 FOLDER = "folder"
-"""Key of the validation context under which the scene file's folder stands."""
+"""Key of the scene file's folder in the validation context."""
 
 
 def _from_scene_file(path: str, info: ValidationInfo) -> str:
-    """The absolute path of one relative to the scene file's folder; unchanged where the scene doesn't come from a
-    file."""
+    """The path relative to the scene file's folder; unchanged where the scene doesn't come from a file."""
     folder: Path | None = (info.context or {}).get(FOLDER)
     return path if folder is None else str(folder / path)
 
 
 def _one_value(value: Any) -> Any:
-    """What a parameter may be, checked at once: pydantic would say it for each type of the union."""
+    """The value of a parameter; one check for all types, as pydantic reports an error for each type of a union."""
     if isinstance(value, str | bool) or (isinstance(value, float | int) and abs(value) <= float_info.max):
         return value
     raise ValueError(f"give one finite number, true, false or a text in quotes, got {value!r}")
@@ -47,9 +45,9 @@ ParameterValue = Annotated[float | int | bool | str, BeforeValidator(_one_value)
 
 
 class LoopSection(Section):
-    """A slave's name in the system, and connections that names alone don't make.
+    """Name of a slave, and connections between signals of different names.
 
-    `connect` maps an input to its source: `{ "error" = "joint1.position" }`, or with the names of the slaves
+    `connect` maps an input to its source: `{ "error" = "joint1.position" }`, or with slave names
     `{ "plant.joint1.torque" = "mine.torque" }`.
     """
 
@@ -61,7 +59,7 @@ class LoopSection(Section):
 
 
 class SampledSection(LoopSection):
-    """A slave with a sample time of its own."""
+    """A slave with its own sample time."""
 
     sample_time: Seconds
     offset: SecondsOrZero = 0.0
@@ -70,8 +68,8 @@ class SampledSection(LoopSection):
 class PythonSection(LoopSection):
     """A slave, block or python-control system that a Python function or class returns.
 
-    `source` is `module:name`; the module is looked for in `folder`, relative to the scene file's folder and that
-    folder by default, then among installed modules and in the working directory.
+    `source` is `module:name`. The module is searched in `folder` (relative to the scene file's folder, by default that
+    folder), then among installed modules and in the working directory.
     """
 
     kind: Literal["python"]
@@ -83,10 +81,10 @@ class PythonSection(LoopSection):
 class FmuSection(LoopSection):
     """Any FMI 2.0 co-simulation FMU; `path` is relative to the scene file's folder.
 
-    With a `sample_time` it is stepped at its own instants only, its inputs sampled and its outputs held; without one an
-    exported block has its own, an FMU that can't vary its communication step takes the step size of its default
-    experiment, and any other is stepped. `output_order` is the highest derivative of its outputs that is used, 0 for
-    none; by default what its description says and the FMU delivers.
+    With a `sample_time` it is stepped at its sample instants only: inputs are sampled, outputs held. Without one, an
+    exported block has its own sample time; an FMU with a fixed communication step uses the step size of its default
+    experiment, or its fixed internal one; any other FMU takes the communication steps. `output_order` is the highest
+    output derivative that is used, 0 for none; by default the order that the FMU declares and provides.
     """
 
     kind: Literal["fmu"]

@@ -37,7 +37,7 @@ class Material(Section):
 
 
 class Mechanism(Section):
-    """The five-bar mechanism: bases at (-base_half_distance, 0) and (+base_half_distance, 0), leg 1 at the negative side."""
+    """The five-bar mechanism: leg 1 has its base at (-base_half_distance, 0), leg 2 at (+base_half_distance, 0)."""
 
     base_half_distance: Length
     working_mode: Literal["elbows-out", "elbows-in", "left", "right"]
@@ -48,7 +48,7 @@ class Mechanism(Section):
 
 
 class Payload(Section):
-    """Point mass at the end effector, and rotary inertia that turns with link 12; zero leaves each out of the model."""
+    """Point mass at the end effector, and rotary inertia that rotates with link 12; zero leaves each out."""
 
     mass: Annotated[float, quantity("kg", ge=0.0)]
     inertia: Annotated[float, quantity("kg.m2", ge=0.0)] = 0.0

@@ -1,4 +1,4 @@
-"""Every mistake in a scene file as one sentence with key, value, unit and remedy."""
+"""Error messages for scene files: one sentence with key, value, unit and remedy for each error."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pydantic import BaseModel
 
 
 def listed(names: Any) -> str:
-    """Names in backquotes, with commas."""
+    """The names in backquotes, separated by commas."""
     return ", ".join(f"`{name}`" for name in names)
 
 
 def sentence(error: dict[str, Any], root: type[BaseModel]) -> str:
-    """One sentence for one of pydantic's errors in the section ``root``."""
+    """The message for one of pydantic's errors in the section ``root``."""
     keys, model, unit = _locate(error["loc"], root)
     key, annotation = ".".join(keys), _annotation(model, keys)
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
@@ -30,7 +30,7 @@ def sentence(error: dict[str, Any], root: type[BaseModel]) -> str:
         close = difflib.get_close_matches(keys[-1], known, n=1)
         remedy = f"did you mean `{close[0]}`?" if close else f"known keys here: {listed(known)}"
         return f"`{key}` is not a known key: {remedy}"
-    # what a validator of ours says
+    # message of one of the project's validators
     if kind == "value_error":
         return f"{f'in `{key}`: ' if key else ''}{context['error']}"
     # tables and their kinds
@@ -65,7 +65,7 @@ _FORMS = {
     "string_too_short": "a text that is not empty",
     "string_pattern_mismatch": "made of letters, digits and the signs that suit it (pattern {pattern})",
 }
-"""Pydantic's types of errors → what the scene file should have there."""
+"""Error type of pydantic → expected value."""
 
 _BOUNDS = {
     "greater_than": "above {gt}",
@@ -76,14 +76,14 @@ _BOUNDS = {
 
 
 def _annotation(model: type[BaseModel] | None, keys: list[str]) -> Any:
-    """Type of a section's key, the last one; None where it has no such key."""
+    """Annotation of the last key in its section; None if the section has no such key."""
     field = model.model_fields.get(keys[-1].partition("[")[0]) if model is not None and keys else None
     return None if field is None else field.annotation
 
 
 def _locate(location: tuple[Any, ...], root: type[BaseModel]) -> tuple[list[str], type[BaseModel] | None, str]:
-    """Keys of the scene file, the section that holds the last one, and the unit, for one of pydantic's locations."""
-    # follow the location downwards: keys so far, sections that the next part may belong to, the section of the last key
+    """Keys of the scene file, section of the last key, and its unit, for an error location of pydantic."""
+    # follow the location: keys so far, possible sections of the next part, section of the last key
     keys: list[str] = []
     variants: list[type[BaseModel]] = [root]
     holder: type[BaseModel] | None = root
@@ -108,7 +108,7 @@ def _locate(location: tuple[Any, ...], root: type[BaseModel]) -> tuple[list[str]
 
 
 def _sections(annotation: Any) -> Iterator[type[BaseModel]]:
-    """All kinds of sections that a field may hold, one or many of them."""
+    """All section types in the annotation of a field."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
@@ -116,18 +116,18 @@ def _sections(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _variant(variants: list[type[BaseModel]], tag: Any) -> type[BaseModel] | None:
-    """The one of several sections whose `kind` may be `tag`."""
+    """The section whose `kind` may be `tag`, out of several; None if there is none."""
     if len(variants) < 2:
         return None
     return next((model for model in variants if tag in get_args(model.model_fields["kind"].annotation)), None)
 
 
 def array_example(section: type[BaseModel] | None, key: str) -> str:
-    """What the array of a section's key may look like: numbers, texts, or arrays of them.
+    """An example of the array that a key expects: numbers, texts, or arrays of them.
 
     Args:
-        section: that has the key; None where that isn't known.
-        key: its name, followed by the indices of an array within it, like ``gain[0]``.
+        section: section of the key; None if unknown.
+        key: name of the key, followed by indices of arrays within it, like ``gain[0]``.
     """
     name, *indices = key.split("[")
     field = section.model_fields.get(name) if section is not None else None
@@ -138,7 +138,7 @@ def array_example(section: type[BaseModel] | None, key: str) -> str:
 
 
 def _example(element: Any) -> str:
-    """An array of elements of some type."""
+    """An example of an array with elements of this type."""
     if get_origin(element) is Annotated:
         return _example(get_args(element)[0])
     if get_origin(element) is tuple:
@@ -149,7 +149,7 @@ def _example(element: Any) -> str:
 
 
 def _element(annotation: Any) -> Any:
-    """The type of the elements of the tuple in an annotation; None where there is none."""
+    """The element type of the tuple in an annotation; None if there is no tuple."""
     if get_origin(annotation) is tuple:
         return get_args(annotation)[0]
     return next((found for part in get_args(annotation) if (found := _element(part)) is not None), None)

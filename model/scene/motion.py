@@ -18,18 +18,18 @@ LiftDirection = Annotated[tuple[float, float], BeforeValidator(as_tuple), quanti
 
 
 class ProfileSection(Section):
-    """Motion along the path: a kind of `PROFILES`, and the parameters of that kind."""
+    """Motion profile along the path: a kind of `PROFILES` with its parameters."""
 
     kind: str
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The parameters by their names."""
+        """The values of the parameters by name."""
         return self.model_dump(exclude={"kind"}, exclude_none=True)
 
     @model_validator(mode="after")
     def _parameters_belong_to_the_kind(self) -> Self:
-        # all that the kind needs, and nothing of another kind
+        # all parameters of this kind, and none of another kind
         own = PROFILES[self.kind].parameters
         for name, range_ in own.items():
             if name not in self.parameters:
@@ -44,7 +44,7 @@ class ProfileSection(Section):
         return self
 
 
-# the words and keys that the tables know; a type checker can't read them from there
+# kinds and keys follow from the tables, which a type checker can't evaluate
 if TYPE_CHECKING:
     BlendName: TypeAlias = str
     Profile: TypeAlias = ProfileSection
@@ -63,7 +63,7 @@ else:
 
 
 class BlendSection(Section):
-    """Rounding of the path's two corners: d = height along the lift, e = width along the crossing."""
+    """Blends of the path's two corners: d = height along the lift, e = width along the crossing."""
 
     kind: BlendName
     height: Length

@@ -1,4 +1,4 @@
-"""The scene: everything that a simulation depends on, as frozen sections that mirror the TOML file (SI units, rad)."""
+"""The scene: all inputs of a simulation, as frozen sections that mirror the TOML file (SI units, rad)."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ from flexfmu.model.scene.section import Section, as_tuple
 from flexfmu.model.scene.shapers import ShaperSection
 
 LARGEST_LENGTH, LEAST_DENSITY, LEAST_MODULUS = 10.0, 100.0, 1e8
-"""Beyond these [m, kg/m3, Pa] a value suggests another unit: no robot has such links, no structural material is so light
-or so soft."""
+"""Limits [m, kg/m3, Pa] of usual robots and structural materials; values beyond them suggest a wrong unit."""
 
 
 class Scene(Section):
@@ -92,9 +91,9 @@ class Scene(Section):
 
     @property
     def unit_hints(self) -> tuple[str, ...]:
-        """A sentence for each value that suggests another unit, millimetres or GPa for example; none for usual robots.
+        """A sentence for each value that suggests a wrong unit, millimetres or GPa for example; none for usual robots.
 
-        They are hints, not errors: soft materials and huge mechanisms can be meant.
+        These are hints, not errors: soft materials and huge mechanisms may be intended.
         """
         # lengths that suggest millimetres
         mechanism, path = self.mechanism, self.trajectory
@@ -129,19 +128,19 @@ class Scene(Section):
 
     @property
     def loads(self) -> dict[str, Any]:
-        """Value of each key of `LOADS` whose effect the robot has."""
+        """Key → value for the keys of `LOADS` whose effect the robot has."""
         values = {key: self.effects if "." not in key else self for key in LOADS}
         values = {key: reduce(getattr, key.split("."), section) for key, section in values.items()}
         return {key: value for key, value in values.items() if LOADS[key].is_in(value)}
 
     def replace(self, changes: dict[str, Any]) -> Scene:
-        """The scene with values changed by dotted keys, validated anew.
+        """A new, validated scene with values changed by dotted keys.
 
         Args:
             changes: dotted key of the scene file → new value (a section may be given as a dict).
 
         Raises:
-            SceneError: a key is unknown or a value out of range.
+            SceneError: a key is unknown or a value is invalid.
         """
         # set each dotted key in the scene's plain data, then validate all of it
         data = self.model_dump(exclude_none=True)
@@ -163,11 +162,11 @@ def parse_scene(data: dict[str, Any], source: str, folder: Path | None = None) -
 
     Args:
         data: sections and keys.
-        source: names the origin in messages.
-        folder: that relative paths in the scene start from; None leaves them as they are.
+        source: name of the origin in messages.
+        folder: base of relative paths in the scene; None leaves them as they are.
 
     Raises:
-        SceneError: names each wrong key with its value, unit and remedy.
+        SceneError: a key or value is invalid; the message gives key, value, unit and remedy of each.
     """
     try:
         return Scene.model_validate(data, context={FOLDER: folder})

@@ -18,7 +18,7 @@ class Mode(Section):
 
 
 def _modes(value: Any) -> Any:
-    """`along-path` is the same as leaving the modes out."""
+    """The modes as a tuple; None for "along-path", which is the default."""
     if value is None or value == "along-path":
         return None
     if isinstance(value, (list, tuple)) and value:
@@ -32,8 +32,10 @@ ShaperKind = Literal["zv", "zvd", "zvdd", "zvddd", "mzv", "ei", "2-hump-ei", "3-
 
 
 class AppliedShaperSection(LoopSection):
-    """An input shaper, on the joint references, on the motion along the path (which keeps the path), or as a sampled
-    slave on the joint references."""
+    """An input shaper for the joint references, for the motion along the path, or as a sampled slave.
+
+    Shaping the motion along the path preserves the path. The sampled slave shapes the joint references.
+    """
 
     apply: Literal["joints", "path", "sampled"] = "joints"
     sample_time: Annotated[Positive | None, quantity("s")] = None
@@ -50,8 +52,10 @@ class AppliedShaperSection(LoopSection):
 
 
 class ImpulseShaperSection(AppliedShaperSection):
-    """An input shaper for vibration modes: `modes` are those to suppress; without them the lowest `mode_count` of the robot
-    at the end of its path."""
+    """An input shaper for vibration modes.
+
+    By default `modes` are the lowest `mode_count` modes of the robot at the end of its path.
+    """
 
     kind: ShaperKind
     modes: Annotated[tuple[Mode, ...] | None, BeforeValidator(_modes)] = None
@@ -59,7 +63,7 @@ class ImpulseShaperSection(AppliedShaperSection):
 
 
 class SpecifiedInsensitivitySection(AppliedShaperSection):
-    """The shortest shaper whose residual vibration is at most `tolerance` for all frequencies of `band`, by optimisation."""
+    """The shortest shaper whose residual vibration is at most `tolerance` within `band`, by optimisation."""
 
     kind: Literal["si"]
     band: Annotated[tuple[Positive, Positive], BeforeValidator(as_tuple), quantity("Hz")]

@@ -1,1 +1,1 @@
-"""How a robot responds elastically along a planned motion, linearised about the rigid one, and what sets of effects cost."""
+"""Elastic response along a planned motion, linearised about the rigid motion, and cost of sets of effects."""

@@ -1,4 +1,4 @@
-"""What sets of effects cost: operations of their equations, and the time that these take."""
+"""Cost of sets of effects: operations of the equations, and their computing time."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from flexfmu.model.numeric import NumericModel, numeric_model
 from flexfmu.model.scene.schema import Scene
 
 EVALUATIONS, ROUNDS = 100, 40
-"""The best of many short repetitions is timed: the shorter, the less other work gets in between."""
+"""Evaluations in one timed run, and number of runs; the shortest run counts, as other processes disturb it least."""
 
 POSE = ((2.5,), (0.5,), (0.0,), (0.0,), (0.0,), (0.0,))
-"""Angles, velocities and accelerations of the motors at which equations are timed, an unremarkable pose at rest."""
+"""Motor angles, rates and accelerations of the timed evaluations: a regular pose at rest."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """One evaluation of the equations of motion and of the outputs.
+    """Cost of one evaluation of the equations of motion and of the outputs.
 
     Attributes:
-        states: elastic coordinates.
-        operations: elementary operations.
-        time: measured time [s] by CasADi's own interpreter; compiled C is faster by a factor that all sets share.
+        states: number of elastic coordinates.
+        operations: number of elementary operations.
+        time: CPU time [s] in CasADi's interpreter; compiled C is faster by a factor common to all sets.
     """
 
     states: int
@@ -35,7 +35,7 @@ class Cost:
 
 
 def costs(scenes: Sequence[Scene]) -> tuple[Cost, ...]:
-    """The costs of some scenes' sets of effects, timed in turns: a machine is faster at one moment than at another."""
+    """The costs of the scenes' sets of effects, timed in turns, as the speed of a machine varies."""
     models = [numeric_model(scene) for scene in scenes]
     runs = [_run(model) for model in models]
     times = [min(column) for column in zip(*([run() for run in runs] for _ in range(ROUNDS)), strict=True)]
@@ -46,7 +46,8 @@ def costs(scenes: Sequence[Scene]) -> tuple[Cost, ...]:
 
 
 def _run(model: NumericModel) -> Callable[[], float]:
-    """Evaluates a model's functions many times; the time of one evaluation [s]."""
+    """A function that evaluates the model `EVALUATIONS` times and returns the CPU time of one evaluation [s]."""
+    # functions and arguments of all evaluations at once
     mapped = [function.map(EVALUATIONS) for function in (model.elastic_forces, model.motion)]
     at_rest = (np.zeros((model.n, EVALUATIONS)),) * 3
     arguments = [casadi.DM(each) for each in (*at_rest, np.tile(POSE, EVALUATIONS))]

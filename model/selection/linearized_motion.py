@@ -1,7 +1,7 @@
-"""A robot along its planned motion: matrices of small elastic motions at every instant, and its exact nonlinear outputs.
+"""A robot along its planned motion: matrices of small elastic motions at every instant, and nonlinear outputs.
 
-The matrices are Jacobians of the elastic forces about the undeformed robot that follows the planned joint motion; with
-them the response to the loads of that motion is linear, M(t) q'' + C(t) q' + K(t) q = f(t).
+The matrices are Jacobians of the elastic forces about the undeformed robot in its planned motion. The response to the
+loads of that motion is then linear, M(t) q'' + C(t) q' + K(t) q = f(t).
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from flexfmu.model.selection.response import LinearTimeVaryingSystem, Response
 from flexfmu.trajectories.jets import Indices, RealArray
 
 MATRICES_EVERY = 8
-"""Instants from one evaluation of the matrices to the next; they follow the pose, which changes slowly."""
+"""Number of instants between evaluations of the matrices; they depend on the pose, which changes slowly."""
 
 NEWTON_STEPS = 3
-"""Steps to a static equilibrium: small deflections need no more, see `flexfmu.model.statics`."""
+"""Newton steps to a static equilibrium: enough for small deflections, see `flexfmu.model.statics`."""
 
 
 _NAME = re.compile(r"link(?P<leg>\d)(?P<link>\d)\.(?P<direction>\w+)\[(?P<mode>\d+)\]")
-"""A coordinate of a link, like ``link11.bending[1]``."""
+"""Name of a modal coordinate, like ``link11.bending[1]``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +44,14 @@ class Outputs:
 
 
 class LinearizedMotion:
-    """The robot of a scene along a motion.
+    """The robot of a scene, linearised along a motion.
 
     Args:
-        scene: with all effects that are compared.
+        scene: scene with all effects to compare.
         grid: instants of the motion.
 
     Attributes:
-        names: of all coordinates.
+        names: names of all elastic coordinates.
     """
 
     def __init__(self, scene: Scene, grid: MotionGrid) -> None:
@@ -61,7 +61,7 @@ class LinearizedMotion:
 
     @cached_property
     def linear(self) -> LinearTimeVaryingSystem:
-        """Matrices of small motions about the undeformed robot: evaluated at every few instants, straight lines between."""
+        """Matrices of small motions about the undeformed robot, interpolated linearly between a subset of instants."""
         grid = self._grid
         # some instants of each span, both ends included
         every = [np.linspace(a, b - 1, (b - a) // MATRICES_EVERY + 2).round().astype(np.intp) for a, b in grid.spans]
@@ -69,7 +69,7 @@ class LinearizedMotion:
         count, n = coarse.size, self._model.n
         found = _full(_matrices(self._scene).map(count)(grid.joints[coarse].T))
         matrices = [matrix.reshape(n, count, n).transpose(1, 0, 2) for matrix in found]
-        # instants at jumps are different ones at the same time, so that the index is what is interpolated along
+        # interpolate over the index: a jump is two instants at the same time
         between = interp1d(coarse, np.stack(matrices), axis=1)(np.arange(grid.time.size))
         return LinearTimeVaryingSystem(between[0], between[1], between[2], grid.spans, grid.steps)
 
@@ -80,11 +80,12 @@ class LinearizedMotion:
         return -self.forces(Response(rest, rest, rest))
 
     def coordinates(self, effects: Effects, *, static: bool = False) -> Indices:
-        """Indices of the coordinates that are states with such effects, or of those that deflect statically.
+        """Indices of the coordinates that are states with these effects; with `static`, of the quasi-static ones.
 
-        What belongs to no link (twists of the transmissions) isn't chosen and always a state.
+        Twists of the transmissions belong to no link; they are always states.
         """
         found = []
+        # the family of the coordinate must have this mode, as a state or quasi-statically
         for i, name in enumerate(self._model.names):
             match = _NAME.fullmatch(name)
             if match is None:
@@ -97,11 +98,11 @@ class LinearizedMotion:
         return np.array(found, dtype=np.intp)
 
     def response(self, states: Indices, start: RealArray) -> Response:
-        """Elastic motion in linear approximation (N, n), with `states` alone moving, from rest at `start`."""
+        """Linear response (N, n) of the coordinates `states`, from rest at `start`; all others stay zero."""
         return self._respond(states, self.load, start)
 
     def corrected(self, motion: Response, states: Indices) -> Response:
-        """A motion with the linear response to the forces that it leaves unbalanced, from its own start."""
+        """The motion plus the linear response of `states` to its residual forces."""
         return motion + self._respond(states, -self.forces(motion), np.zeros(states.size))
 
     def _respond(self, states: Indices, load: RealArray, start: RealArray) -> Response:
@@ -109,7 +110,7 @@ class LinearizedMotion:
         return Response(*(self._spread(values, states) for values in (part.position, part.velocity, part.acceleration)))
 
     def deflections(self, motion: Response, statics: Indices) -> RealArray:
-        """Quasi-static deflections (N, n) of some coordinates under the forces that the motion of the others exerts on them."""
+        """Quasi-static deflections (N, n) of the coordinates `statics` under the forces of a motion."""
         force = self.forces(motion)[:, statics]
         stiffness = self.linear.stiffness[np.ix_(np.arange(len(force)), statics, statics)]
         return self._spread(
@@ -117,18 +118,18 @@ class LinearizedMotion:
         )
 
     def equilibrium(self, rest: RealArray, states: Indices) -> RealArray:
-        """Static deflection of some coordinates (m,) at a standstill u = [q_a, 0, 0]."""
+        """Static deflections (m,) of the coordinates `states` at a standstill u = [q_a, 0, 0]."""
         return self._static(rest, np.zeros(self._model.n), states)[states]
 
     def rest_position(self, rest: RealArray, states: Indices, statics: Indices) -> RealArray:
-        """End effector in the static equilibrium at a standstill (2,) [m]."""
-        # the states first, without the others; then what deflects statically under their forces
+        """End-effector position (2,) [m] in the static equilibrium at a standstill."""
+        # first the states alone, then the static deflections under their forces
         zeros = np.zeros(self._model.n)
         q = self._static(rest, self._static(rest, zeros, states), statics)
         return np.asarray(self._model.motion(q, zeros, zeros, rest)[0].full()).ravel()
 
     def _static(self, rest: RealArray, q: RealArray, free: Indices) -> RealArray:
-        """Deflections (n,) with some coordinates in equilibrium and the others as they are in `q`."""
+        """Deflections (n,) with the coordinates `free` in equilibrium and all others as in `q`."""
         found, zeros = q.copy(), np.zeros(self._model.n)
         for _ in range(NEWTON_STEPS if free.size else 0):
             stiffness = self._model.static_stiffness(found, rest).full()[np.ix_(free, free)]
@@ -137,31 +138,31 @@ class LinearizedMotion:
         return found
 
     def _spread(self, values: RealArray, at: Indices) -> RealArray:
-        """Values (N, m) of some coordinates among zeros (N, n)."""
+        """Values (N, n): those of the coordinates `at` (N, m), zero elsewhere."""
         result = np.zeros((values.shape[0], self._model.n))
         result[:, at] = values
         return result
 
     def forces(self, motion: Response) -> RealArray:
-        """Forces that all coordinates need for a motion (N, n)."""
+        """Forces on all elastic coordinates that a motion needs (N, n)."""
         function = self._model.elastic_forces.map(motion.position.shape[0])
         arguments = motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
         return _full([function(*arguments)])[0].T
 
     def hardening(self, motion: Response) -> RealArray:
-        """Forces of bending beyond linear theory (N, n), which no set of effects contains."""
+        """Elastic forces (N, n) of bending beyond linear theory, which all sets of effects neglect."""
         function = self._model.hardening.map(motion.position.shape[0])
         return _full([function(motion.position.T)])[0].T
 
     def outputs(self, motion: Response) -> Outputs:
-        """End effector and torques of a motion."""
+        """End-effector motion and motor torques of a motion."""
         function = self._model.motion.map(motion.position.shape[0])
         arguments = motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
         return Outputs(*(result.T for result in _full(function(*arguments))))
 
 
 def _full(results: Iterable[casadi.DM]) -> list[RealArray]:
-    """CasADi's matrices as arrays."""
+    """CasADi matrices as arrays."""
     return [np.asarray(result.full()) for result in results]
 
 

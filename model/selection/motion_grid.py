@@ -1,4 +1,4 @@
-"""The instants at which a motion is evaluated, with both sides of every jump."""
+"""Grid of instants of a motion, with both sides of every jump."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from flexfmu.trajectories.jets import RealArray
 
 STEPS, LONGEST_STEP, MOST_STEPS = 3000, 5e-4, 12_000
-"""Steps over motion and dwell, 0.15 ms for 0.45 s, a 20th of a period at 300 Hz; the longest step [s], a 20th at 100 Hz; and how many
-steps at most."""
+"""Steps over motion and dwell: 0.15 ms for 0.45 s, about 1/20 of a period at 300 Hz. Longest step [s]: 1/20 of a period
+at 100 Hz. Largest number of steps, which prevails over the longest step."""
 
 
 class JointMotion(Protocol):
-    """A planned motion of the two motors; `flexfmu.trajectories` has them."""
+    """A planned motion of both motors; `flexfmu.trajectories` implements it."""
 
     @property
     def duration(self) -> float:
@@ -26,7 +26,7 @@ class JointMotion(Protocol):
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
-        """Times [s] at which some derivative may jump, sorted, 0 and the duration included."""
+        """Times [s] at which a derivative may jump, ascending, including 0 and the duration."""
         ...
 
     def evaluate(self, time: RealArray, order: int = 2, side: Literal["left", "right"] = "right") -> RealArray:
@@ -36,14 +36,14 @@ class JointMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MotionGrid:
-    """A motion and its dwell at N instants; between two jumps they are equally spaced.
+    """A motion and its dwell at N instants, equally spaced between two jumps.
 
     Attributes:
-        time: [s], shape (N,); the time of a jump appears twice.
-        joints: u = [q_a, v_a, a_a] of the motors, shape (N, 6).
-        rests: the standstill before the motion and that after it, shape (2, 6).
-        spans: first and last index + 1 of the instants between two jumps.
-        duration: of the motion, without the dwell [s].
+        time: instants [s], shape (N,); a jump has two instants.
+        joints: motor motion u = [q_a, v_a, a_a], shape (N, 6).
+        rests: u at standstill before and after the motion, shape (2, 6).
+        spans: (first index, last index + 1) of the instants between two jumps.
+        duration: duration of the motion, without the dwell [s].
     """
 
     time: RealArray
@@ -54,7 +54,7 @@ class MotionGrid:
 
     @property
     def moving(self) -> NDArray[np.bool_]:
-        """Instants of the motion; the others belong to the dwell, shape (N,)."""
+        """Mask of the instants of the motion, shape (N,); the others belong to the dwell."""
         dwelling = np.zeros(self.time.size, dtype=bool)
         if self.time[-1] > self.duration:
             dwelling[self.spans[-1][0] :] = True
@@ -62,13 +62,13 @@ class MotionGrid:
 
     @property
     def steps(self) -> RealArray:
-        """Step of each span [s]."""
+        """Step size of each span [s]."""
         return np.array([(self.time[b - 1] - self.time[a]) / (b - a - 1) for a, b in self.spans])
 
 
 def motion_grid(motion: JointMotion, dwell: float) -> MotionGrid:
-    """The instants of a motion with a standstill of `dwell` [s] after it."""
-    # equal steps between breakpoints; the last instant of each span takes the left side of its jump
+    """The grid of a motion followed by a dwell [s]."""
+    # equal steps between breakpoints; the last instant of a span has the values left of the jump
     bounds = [*motion.breakpoints, *([motion.duration + dwell] if dwell else [])]
     step = max(min(bounds[-1] / STEPS, LONGEST_STEP), bounds[-1] / MOST_STEPS)
     times, joints, spans, start = [], [], [], 0

@@ -1,8 +1,8 @@
 """The response of a linear system whose matrices vary in time, M x'' + C x' + K x = f, at the instants of a motion.
 
-Generalised-α method in the form that satisfies the equations at the instants themselves: second order, stable for any
-step, and damping what the step doesn't resolve. Source: Arnold and Brüls, Convergence of the generalized-α scheme for
-constrained mechanical systems, Multibody System Dynamics 18 (2007), eqs. (2) to (4).
+Generalised-α method in the form that satisfies the equations of motion at the instants: second order, unconditionally
+stable, with numerical damping of frequencies that the step doesn't resolve. Source: Arnold and Brüls, Convergence of
+the generalized-α scheme for constrained mechanical systems, Multibody System Dynamics 18 (2007), eqs. (2) to (4).
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from flexfmu.trajectories.jets import RealArray
 
 SPECTRAL_RADIUS = 0.8
-"""Share of a vibration far above the step's frequency that a step leaves: little is lost of what is resolved."""
+"""Spectral radius at infinite frequency: little numerical damping of resolved frequencies."""
 
 _ALPHA_M = (2 * SPECTRAL_RADIUS - 1) / (SPECTRAL_RADIUS + 1)
 _ALPHA_F = SPECTRAL_RADIUS / (SPECTRAL_RADIUS + 1)
 _GAMMA = 0.5 + _ALPHA_F - _ALPHA_M
 _BETA = 0.25 * (_GAMMA + 0.5) ** 2
 _NEW = (1 - _ALPHA_F) / (1 - _ALPHA_M)
-"""Share of the new acceleration in the method's auxiliary one."""
+"""Share of the new acceleration in the auxiliary acceleration."""
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Coordinates, rates and accelerations, each (N, n)."""
+    """Elastic coordinates, rates and accelerations at N instants, each (N, n)."""
 
     position: RealArray
     velocity: RealArray
@@ -41,12 +41,12 @@ class Response:
 
 @dataclass(frozen=True, eq=False)
 class LinearTimeVaryingSystem:
-    """Matrices at N instants, each (N, n, n).
+    """A linear time-varying system: matrices at N instants, each (N, n, n).
 
     Attributes:
         mass, damping, stiffness: M, C and K.
-        spans: first and last index + 1 of the instants between two jumps.
-        steps: step of each span [s].
+        spans: (first index, last index + 1) of the instants between two jumps.
+        steps: step size of each span [s].
     """
 
     mass: RealArray
@@ -56,14 +56,14 @@ class LinearTimeVaryingSystem:
     steps: RealArray
 
     def restricted(self, kept: NDArray[np.intp]) -> LinearTimeVaryingSystem:
-        """The system with the coordinates `kept` alone."""
+        """The subsystem of the coordinates `kept`."""
         pick = np.ix_(np.arange(self.mass.shape[0]), kept, kept)
         return LinearTimeVaryingSystem(
             self.mass[pick], self.damping[pick], self.stiffness[pick], self.spans, self.steps
         )
 
     def response(self, load: RealArray, start: RealArray) -> Response:
-        """The motion from rest at `start` (n,) under the load f (N, n); positions and rates don't jump."""
+        """The response to the load f (N, n) from rest at `start` (n,); positions and rates are continuous."""
         count, n = load.shape
         motion = Response(*(np.zeros((count, n)) for _ in range(3)))
         if not n:
@@ -77,20 +77,20 @@ class LinearTimeVaryingSystem:
     def _cross(
         self, motion: Response, load: RealArray, a: int, b: int, h: float, position: RealArray, velocity: RealArray
     ) -> None:
-        """Fill a motion's instants a..b-1 from where it is at their start."""
+        """Compute the instants a..b-1 of a motion from position and rate at instant a."""
         # the new acceleration as a linear function of the predicted position and rate, for all instants at once
         mass, damping, stiffness = self.mass[a:b], self.damping[a:b], self.stiffness[a:b]
         q, v, n = h * h * _BETA * _NEW, h * _GAMMA * _NEW, position.size
         inverse = np.linalg.inv(mass + v * damping + q * stiffness)
         gain = -inverse @ np.concatenate([stiffness, damping], axis=2)
         push = np.einsum("kij,kj->ki", inverse, load[a:b])
-        # start: the acceleration that the equations give there
-        x = np.zeros((4, n))  # position, rate, acceleration, the method's auxiliary acceleration
+        # start: acceleration from the equations of motion
+        x = np.zeros((4, n))  # position, rate, acceleration, auxiliary acceleration
         x[0], x[1] = position, velocity
         x[2] = x[3] = np.linalg.solve(mass[0], load[a] - damping[0] @ velocity - stiffness[0] @ position)
         result = np.empty((b - a, 4, n))
         result[0] = x
-        # step by step: predict, then correct by the new acceleration
+        # step by step: predict, then correct with the new acceleration
         predict, correct = _predictor(h), np.array([q, v, 1.0, _NEW])[:, None]
         for k in range(1, b - a):
             x = predict @ x
@@ -100,7 +100,7 @@ class LinearTimeVaryingSystem:
 
 
 def _predictor(h: float) -> RealArray:
-    """What the next instant is without its own acceleration, (4, 4)."""
+    """Matrix (4, 4) that predicts the next instant without its new acceleration."""
     auxiliary = np.array([0.0, 0.0, _ALPHA_F, -_ALPHA_M]) / (1 - _ALPHA_M)
     old = np.array([0.0, 0.0, 0.0, 1.0])
     return np.array(
