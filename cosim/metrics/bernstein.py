@@ -37,8 +37,7 @@ def gauss_legendre(count: int) -> tuple[RealArray, RealArray]:
 
 
 def maximum_norm(control: RealArray) -> float:
-    """Return the largest norm on [0, 1] of polynomials with the Bernstein control points ``control`` (degree + 1, n,
-    c).
+    """Return the largest norm on [0, 1] of polynomials with Bernstein control points (degree + 1, n, c).
 
     Bisects the segments whose bound, the control points, exceeds the largest value found so far; every bisection
     reduces the gap between bound and value by a factor of four. The result is NaN if a control point is NaN.

@@ -187,8 +187,7 @@ def _settle(stated: dict[str, Measurement], recording: Recording, settings: Sett
 
 
 def _curvature_rounding(recording: Recording, value: float | None) -> float:
-    """Return the error of the RMS acceleration [m/s2] from rounded positions, differentiated twice over the shortest
-    step."""
+    """Return the RMS acceleration's error [m/s2] from positions' rounding, differentiated over the shortest step."""
     steps = np.diff(recording.time)
     curvature = 8.0 * ROUNDING * _magnitude(recording, "peak_position_error") / float(steps[steps > 0.0].min()) ** 2
     return min(curvature, 0.5 * curvature**2 / value) if value else curvature
@@ -234,8 +233,7 @@ class RecordedSignal:
     segments: HermiteSegments
 
     def peak(self) -> Measurement:
-        """Largest norm; its error is the largest excess of any segment within its own error, at least the peak
-        segment's error."""
+        """Largest norm; its error is how far another segment may exceed it, at least the peak segment's error."""
         signal = self.segments.consistent
         largest, errors = signal.maximum_norm(), signal.error_estimate()
         reached = np.linalg.norm(signal.evaluate(np.linspace(0.0, 1.0, 2 * len(signal.control))), axis=2).max(axis=0)
@@ -255,8 +253,7 @@ class RecordedSignal:
         return Measurement(root, min(change / root, bound) if root > 0.0 else bound)
 
     def final(self, order: int = 0) -> Measurement:
-        """Norm of a time derivative at the end of the last segment, a communication point, without interpolation
-        error."""
+        """Norm of a time derivative at the last communication point, without interpolation error."""
         return Measurement(float(np.linalg.norm(self.segments.right[order, -1])))
 
     def settling(self, band: float, uncertainty: float = 0.0) -> Measurement:

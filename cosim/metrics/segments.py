@@ -196,8 +196,7 @@ class HermiteSegments:
         return np.stack([np.concatenate([unknown, inner]), np.concatenate([inner, unknown])])
 
     def _error_shape(self, theta: RealArray, order: int) -> RealArray:
-        """Return the deviation (k, n) of a signal from its interpolant, differentiated, for a unit derivative of order
-        2 m."""
+        """Return the interpolation error (k, n), differentiated, of a signal with a unit derivative of order 2 m."""
         m = len(self.left)
         node_polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
         shape = node_polynomial.deriv(order) if order else node_polynomial
@@ -210,8 +209,7 @@ class HermiteSegments:
         return np.asarray(np.diff(self.control, n=order, axis=0) * scale[:, np.newaxis])
 
     def _lower_degree_change(self, order: int = 0) -> RealArray:
-        """Return the largest difference (n,) from the interpolant without the highest derivative, a pessimistic
-        bound."""
+        """Return the largest difference (n,) from the interpolant without the highest derivative, a wide bound."""
         lower = HermiteSegments(self.start, self.end, self.left[:-1], self.right[:-1])
         theta = np.linspace(0.0, 1.0, 9)
         change = self.evaluate(theta, order) - lower.evaluate(theta, order)

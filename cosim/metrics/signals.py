@@ -71,8 +71,7 @@ def modal_deflection(recording: Recording) -> HermiteSegments | None:
 
 
 def deviation_from_rigid(motion: HermiteSegments, task: Trajectory) -> HermiteSegments:
-    """Return the deviation of the end effector's position [m] from that of the rigid robot, which tracks its path
-    exactly.
+    """Return the deviation of the end effector's position [m] from the rigid robot's, which tracks its path exactly.
 
     Args:
         motion: end-effector position.
@@ -96,8 +95,7 @@ def joint_error(recording: Recording, joint: int, planned: Trajectory) -> Hermit
 
 
 def _at_ends(signal: HermiteSegments, planned: Trajectory) -> tuple[RealArray, RealArray]:
-    """Return the planned motion (m, n, c) at the start and at the end of each segment, with the signal's
-    derivatives."""
+    """Return the planned motion and its derivatives (m, n, c) at the start and at the end of each segment."""
     time = np.concatenate([signal.start, signal.end])
     left = np.arange(time.size) >= signal.start.size
     both = limits(planned, time, left, len(signal.left) - 1)
@@ -112,8 +110,7 @@ def deviation_from_point(signal: HermiteSegments, point: RealArray) -> HermiteSe
 
 
 def sample(signal: HermiteSegments, per_segment: int, order: int = 0) -> tuple[RealArray, RealArray]:
-    """Return times (k,) and values (k, c) of a time derivative for a plot, ``per_segment`` with both ends of each
-    segment."""
+    """Return times (k,) and values (k, c) of a time derivative for a plot, ``per_segment`` in each segment."""
     theta = np.linspace(0.0, 1.0, per_segment)
     time = signal.start + theta[:, np.newaxis] * signal.duration
     values = signal.evaluate(theta, order)

@@ -38,10 +38,9 @@ HOPELESS = 0.5
 
 
 def exceeded(run: Run) -> list[str]:
-    """Return warnings: a path error because of bending above the tolerance of the scene's choice, and overstretched
-    links.
+    """Return warnings about a path error from bending above the tolerance, and about overstretched links.
 
-    Without a choice of effects the tolerance is `DEFAULT_TOLERANCE`.
+    The tolerance is that of the scene's choice of effects, without one `DEFAULT_TOLERANCE`.
     """
     stretched = [
         f"{name} reaches {100.0 * relative:.3g} % of the link's length: no structural metal stretches by more than "

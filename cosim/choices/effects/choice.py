@@ -175,8 +175,7 @@ def _tightened(scene: Scene, tolerance: float, runs: _Runs) -> Scene:
 
 
 class _Runs:
-    """Compares runs of sets of effects with estimates and with the richest set's run, which is made when first
-    needed."""
+    """Compares runs of sets of effects with estimates and with the richest set's run, made when first needed."""
 
     def __init__(
         self, estimator: Estimator, of: tuple[MeasureName, ...], show: ShowProgress, fmu_of: FmuOf | None
@@ -184,8 +183,7 @@ class _Runs:
         self._estimator, self._of, self._show, self._fmu_of = estimator, of, show, fmu_of
 
     def agree(self, scene: Scene, limit: float) -> bool:
-        """Whether a set's errors are within a limit, by its run and the estimates, in doubt by the richest set's
-        run."""
+        """Whether a set's errors are within a limit, by its run and the estimates, in doubt by the richest run."""
         self._show("running the chosen set", None)
         own, estimator = observe(scene, self._of, self._fmu_of).metrics, self._estimator
         beside = [

@@ -47,8 +47,7 @@ _REQUEST: Mapping[str, Any] = {"select": None, "tolerance": None, "of": None, "c
 
 
 def with_set(scene: Scene, chosen: Mapping[str, Any]) -> Scene:
-    """Return the scene with this set of effects, other choosable keys at their defaults, and without a request to
-    choose."""
+    """Return the scene with this set of effects, other choosable keys at their defaults, and no request to choose."""
     values = {key: type(scene.effects).model_fields[key].default for key in CHOOSABLE} | dict(chosen)
     changes = {**values, "basis": "craig-bampton", **_REQUEST}
     return scene.replace({f"effects.{key}": value for key, value in changes.items()})

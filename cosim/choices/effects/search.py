@@ -74,8 +74,7 @@ def choose_effects(
     estimator: Estimator | None = None,
     safety: Mapping[MeasureName, float] | None = None,
 ) -> Scene:
-    """Return the scene with the cheapest set of effects whose estimated errors are within the effects' share of the
-    tolerance.
+    """Return the scene with the cheapest set of effects whose estimated errors are within their share of the tolerance.
 
     The other share is the integrator's, `INTEGRATOR_SHARE`. The scene's ``effects.choice`` has the estimates.
 

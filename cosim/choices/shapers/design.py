@@ -109,8 +109,7 @@ def _relevant(modes: DampedModes, scene: Scene) -> list[Oscillator]:
 
 
 def alternatives(design_for: DesignModes) -> list[Alternative]:
-    """Return all shapers for the first mode, `CONVOLVED` ones for all modes, and SI for the frequency band; shortest
-    first.
+    """Return shapers for the first mode, `CONVOLVED` ones for all modes, and SI for the frequency band, by duration.
 
     SI covers all modes, or where their band is wider than `WIDEST` the first mode alone. A shaper that doesn't exist
     for a mode's damping is left out.

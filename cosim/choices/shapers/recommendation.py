@@ -76,8 +76,7 @@ class Recommendation:
 def recommend(
     results: Sequence[CandidateResult], settling_band: float, limits: ShaperLimits | None = None
 ) -> Recommendation:
-    """Return the result with the shortest time to rest over the payload band; of equal ones that with the smallest
-    deviation.
+    """Return the result with the shortest time to rest over the payload band, of equal ones the smallest deviation.
 
     Where none comes to rest within the dwell for all payloads, it is the one with the smallest worst residual
     vibration. Results that exceed the limits are ignored.

@@ -125,8 +125,7 @@ class CandidateResult:
 
     @property
     def time_to_rest(self) -> float | None:
-        """Added time plus longest settling time [s], which is the time from the unshaped motion's end to rest; None for
-        no rest."""
+        """Added time plus longest settling time [s]: time from the unshaped motion's end to rest; None for no rest."""
         settling = self.worst_settling_time
         return None if settling is None else self.added_time + settling
 

@@ -98,8 +98,7 @@ def markdown(title: str, results: Sequence[CandidateResult]) -> str:
 
 
 def to_csv(results: Sequence[CandidateResult]) -> str:
-    """Return CSV with one line for each simulation, in SI units; the cell of a settling time beyond the dwell is
-    empty."""
+    """Return CSV with one line for each simulation, in SI units; a settling time beyond the dwell is left empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)

@@ -57,8 +57,7 @@ class BlockSlave:
         self._update = self._bound(function, output=False, update=True)
 
     def _bound(self, function: casadi.Function, output: bool, update: bool) -> Call:
-        """Bind the function (x, u, p) → (y, next x) to the slave's memory, with the results that the call shall
-        write."""
+        """Bind the function (x, u, p) → (y, next x) to the slave's memory; the call writes the chosen results."""
         buffer: Any
         buffer, evaluate = function.buffer()
         self._buffers.append(buffer)  # the call needs a living buffer

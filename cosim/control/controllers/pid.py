@@ -62,8 +62,7 @@ class PidLaw:
     anti_windup: AntiWindup | None
 
     def equations(self, x: Vector, u: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return torques (n, 1) and next states; states are 1 after the first sample, else 0, then the last I, D, e and
-        d."""
+        """Return torques (n, 1) and next states: a flag, 1 after the first sample, and the last I, D, e and d."""
         n, h = self.joints, self.sample_time
         started, carried, slope, last_e, last_d = split(x, 1, n)
         q_r, q, feedforward = split(u, n)
@@ -101,8 +100,7 @@ def pid(
     joints: Sequence[str] = JOINTS,
     name: str = "pid",
 ) -> SymbolicBlock:
-    """Build the block: PID control of each joint from reference, measured angle and feedforward; law at the module's
-    top.
+    """Build the block: PID control of each joint by the law at the top of this module, plus a feedforward.
 
     Inputs: ``joint1.reference.position``, ``joint1.position``, ``joint1.feedforward`` (zero unless connected); output
     ``joint1.torque``. Gains, filter times and limits are tunable parameters ``joint1.proportional_gain``,

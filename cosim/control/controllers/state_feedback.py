@@ -58,8 +58,8 @@ class StateFeedbackLaw:
     The estimation error has the poles of A - L C, the plant those of A - B K (separation). The observer uses the
     saturated input, so the estimate stays right at the limits; no other anti-windup is needed. G. F. Franklin,
     J. D. Powell, M. L. Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, sections 8.2 to 8.4; K. J. Åström,
-    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. `control.dlqr` calculates K, `control.dlqe`
-    L.
+    B. Wittenmark, Computer-Controlled Systems, 3rd ed. 1997, section 8.5. K comes from `control.dlqr`, L from
+    `control.dlqe`.
 
     Attributes:
         plant: A, B, C, D.

@@ -27,8 +27,7 @@ JOINT_UNITS: dict[str, str] = {str(kind): unit for kind, unit in UNITS.items()} 
 
 @dataclass(frozen=True)
 class Channel:
-    """A signal that passes through a block: the block's input is ``name.input``, its output ``name``, as the receiver's
-    input.
+    """A signal that passes through a block, from its input ``name.input`` to its output ``name``.
 
     Attributes:
         name: the signal's name, for example ``joint1.position``.
@@ -144,8 +143,7 @@ def chain(channels: Sequence[Channel], *slaves: str) -> list[tuple[str, str]]:
 
 
 def empty(size: int) -> list[float]:
-    """Return the start states of an empty memory of ``size`` numbers: a flag, 1 after the first sample, then the
-    numbers."""
+    """Return start states of a memory: a flag, 1 after the first sample, then ``size`` numbers."""
     return [0.0] * (1 + size)
 
 

@@ -101,8 +101,7 @@ def _delay_line(
 ) -> SymbolicBlock:
     """Build the block of a delay line and a filter behind it, for every channel.
 
-    The filter acts on differences from the oldest sample, so that it passes a constant signal unchanged to the last
-    bit.
+    The filter acts on differences from the oldest sample, so that a constant signal stays the same to the last bit.
     """
     ports = inputs(channels)
     if design.whole:

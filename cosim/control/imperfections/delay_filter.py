@@ -23,8 +23,7 @@ HIGHEST_ORDER = 10
 
 @dataclass(frozen=True)
 class DelayFilter:
-    """The filter y_k = sum_i b_i u_k-whole-i - sum_i a_i y_k-i; i starts from 0 in the first sum and from 1 in the
-    second.
+    """The filter y_k = sum_{i >= 0} b_i u_k-whole-i - sum_{i >= 1} a_i y_k-i.
 
     Attributes:
         whole: delay before the filter, in samples.
@@ -65,8 +64,7 @@ class Interpolation(Protocol):
 
 @dataclass(frozen=True)
 class Lagrange:
-    """Lagrange interpolation, the polynomial through order + 1 samples: h_k = prod_{i != k} (D - i) / (k - i) for a
-    delay D.
+    """Lagrange interpolation through order + 1 samples, for a delay D: h_k = prod_{i != k} (D - i) / (k - i).
 
     The frequency response is maximally flat at zero frequency, and its magnitude nowhere exceeds 1 (Laakso et al. 1996,
     on maximally flat FIR filters). The shortest delay is (order - 1) / 2 samples.
@@ -103,8 +101,9 @@ class Lagrange:
 
 @dataclass(frozen=True)
 class Thiran:
-    """Thiran's all-pass, maximally flat group delay D: a_k = (-1)^k C(N, k) prod_{i=0..N} (D - N + i) / (D - N + k +
-    i).
+    """Thiran's all-pass, whose group delay D is maximally flat at zero frequency ::
+
+        a_k = (-1)^k C(N, k) prod_{i=0..N} (D - N + i) / (D - N + k + i)
 
     Its gain is 1 at all frequencies, but its step response ripples. J.-P. Thiran, Recursive digital filters with
     maximally flat group delay, IEEE Transactions on Circuit Theory 18(6), 1971, pp. 659-664; as an all-pass in

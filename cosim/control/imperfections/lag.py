@@ -174,8 +174,7 @@ class Lag:
         self._u[:], self._y, self._order = state[0], state[1].copy(), state[2]
 
     def sampled(self, step: float) -> SymbolicBlock:
-        """Return the lag as a block with at least `SAMPLES` samples per time constant and a whole number per ``step``
-        [s]."""
+        """Return the lag as a block, at least `SAMPLES` samples per time constant, a whole number per ``step`` [s]."""
         sample_time = step / ceil(SAMPLES * step / self.largest_step - 1e-9)
         return lag(self._channels, self._times.tolist(), sample_time=sample_time, name=self.name)
 

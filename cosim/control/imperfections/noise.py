@@ -63,8 +63,9 @@ def uniform_noise(
     offset: float = 0.0,
     name: str = "noise",
 ) -> SymbolicBlock:
-    """Build the block y = u + white noise, uniform in ±half_width, variance half_width² / 3, independent for every
-    channel.
+    """Build the block y = u + white noise, uniform in ±half_width, independent for every channel.
+
+    Its variance is half_width² / 3.
 
     A channel's noise depends on its name, the block's name and the seed alone. The half width is a tunable parameter
     ``<channel>.half_width``, the seed a fixed parameter ``seed``.

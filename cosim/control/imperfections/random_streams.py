@@ -38,8 +38,7 @@ _HALF = 2**16
 
 @dataclass(frozen=True)
 class Streams:
-    """States of n generators: those of their first and of their second congruential generator, whole numbers (n,)
-    each."""
+    """States of n generators: whole numbers (n,) of their first and of their second congruential generator."""
 
     first: Vector
     second: Vector

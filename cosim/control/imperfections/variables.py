@@ -119,8 +119,7 @@ def require_initial(channels: Sequence[Channel], block: str) -> None:
 
 
 def start_values(channels: Sequence[Channel], initial: Vector, u: Vector) -> Vector:
-    """Return each channel's value before the first sample (n,): its initial value, or without one that of the first
-    sample.
+    """Return each channel's value before the first sample (n,): the initial value, otherwise the first sample.
 
     Args:
         channels: n channels.
