@@ -133,7 +133,7 @@ class StateFeedbackSection(SampledSection):
 
 
 class StateSpaceSection(SampledSection):
-    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k; `inputs` and `outputs` are signal names of the robot."""
+    """x_k+1 = A x_k + B u_k, y_k = C x_k + D u_k; the signals are named like those of the robot."""
 
     kind: Literal["state-space"]
     A: Matrix

@@ -15,7 +15,11 @@ RESERVED = {"plant": "the robot's", "trajectory": "the planned motion's"}
 
 
 def _not_reserved(name: str) -> str:
-    """The name, unless it is reserved."""
+    """The name, unless it is reserved.
+
+    Raises:
+        ValueError: the name is reserved.
+    """
     if name in RESERVED:
         raise ValueError(f"{name!r} is {RESERVED[name]} own name, choose another")
     return name
@@ -29,7 +33,7 @@ FOLDER = "folder"
 
 
 def _from_scene_file(path: str, info: ValidationInfo) -> str:
-    """The path relative to the scene file's folder; unchanged where the scene doesn't come from a file."""
+    """The path, made absolute from the scene file's folder; unchanged where the scene doesn't come from a file."""
     folder: Path | None = (info.context or {}).get(FOLDER)
     return path if folder is None else str(folder / path)
 
