@@ -1,4 +1,4 @@
-"""The model of shapes compared with independent formulations: finite elements and Exudyn.
+"""Comparison of the assumed-shape model with independent formulations: finite elements and Exudyn.
 
 All compare the same robot: every link bends and stretches, and damping is proportional to stiffness, since modal damping
 belongs to modes and has no counterpart in other formulations.
@@ -32,40 +32,40 @@ SHAPES = {
     "effects.distal_bending": 2,
     "effects.distal_axial": 2,
 }
-"""Enough for four digits of the first frequencies."""
+"""Numbers of shapes that give four digits of the first natural frequencies."""
 
 DAMPING_TIME = 2e-4
 """Ratio of viscous to elastic forces [s]: 4 % damping of the first mode with 6 kg, 8 % with 0.1 kg."""
 
 SAMPLING = 1e-3
-"""Distance of the instants that are compared [s]."""
+"""Spacing of the instants at which motions are compared [s]."""
 
 TOLERANCE = 1e-8
-"""Of our own integrator: far below what formulations differ by."""
+"""Relative tolerance of the FMU's integrator, far below the differences between formulations."""
 
 FREQUENCIES = 4
-"""How many are compared at each pose."""
+"""Number of natural frequencies compared at each pose."""
 
 POSES = 5
-"""How many, equally spaced in time along the motion."""
+"""Number of poses, equally spaced in time over the motion."""
 
 
 class ComputedMotion(Protocol):
-    """A motion as a formulation computes it, at N instants, (N, 2) each."""
+    """A computed motion at N instants; all arrays have the shape (N, 2)."""
 
     @property
     def position(self) -> RealArray:
-        """Of the end effector [m]."""
+        """Position of the end effector [m]."""
         ...
 
     @property
     def acceleration(self) -> RealArray:
-        """Of the end effector [m/s²]."""
+        """Acceleration of the end effector [m/s²]."""
         ...
 
     @property
     def torque(self) -> RealArray:
-        """Of the motors [N m]."""
+        """Torques of the motors [N m]."""
         ...
 
 
@@ -80,12 +80,12 @@ class RecordedMotion:
 
 @dataclass(frozen=True)
 class RestAgreement:
-    """Differences of two formulations at rest, all relative.
+    """Relative differences of two formulations at rest.
 
     Attributes:
-        frequency: largest of the first natural frequencies along the motion.
-        sag: of the static deflection at the start, as a vector.
-        torque: of the static torques at the start.
+        frequency: largest difference of the first natural frequencies at poses along the motion.
+        sag: difference of the static deflections at the start, norm of the vector.
+        torque: difference of the static torques at the start, norm of the vector.
     """
 
     frequency: float
@@ -95,12 +95,12 @@ class RestAgreement:
 
 @dataclass(frozen=True)
 class MotionAgreement:
-    """Differences of two formulations over a motion, all relative.
+    """Relative differences of two formulations over a motion.
 
     Attributes:
-        position: largest distance of the two paths, in terms of the largest distance from the rigid robot's.
-        peak_position_error, rms_acceleration_error, peak_torque: of these metrics, taken at the compared instants.
-        torque: largest difference at any instant, in terms of the peak.
+        position: largest distance between the two end effectors, relative to the largest distance from the rigid robot's.
+        peak_position_error, rms_acceleration_error, peak_torque: differences of these metrics at the compared instants.
+        torque: largest difference at any instant, relative to the peak torque.
     """
 
     position: float
@@ -169,7 +169,7 @@ def compare_at_rest(scene: Scene, motion: MotionPlan, elements: FiniteElementRob
 def compare_motions(
     ours: ComputedMotion, theirs: ComputedMotion, motion: MotionPlan, instants: RealArray
 ) -> MotionAgreement:
-    """Two motions at the same instants (N,) [s]."""
+    """Compare two motions at the same instants (N,) [s]; differences are relative to ``theirs``."""
     rigid = motion.task.evaluate(instants, 2, side="left")
     moving = instants <= motion.duration
     peaks = [np.linalg.norm(each.position - rigid[0], axis=1).max() for each in (ours, theirs)]

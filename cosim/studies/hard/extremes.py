@@ -31,7 +31,7 @@ STIFF = Solver("LSODA", 1e-11)
 
 
 def parameter_cases() -> Iterator[HardCase]:
-    """Payload, rods, material."""
+    """Yield cases with extreme payload, link diameter and material."""
     rods = "mechanism.proximal.diameter", "mechanism.distal.diameter"
     modulus = "mechanism.material.youngs_modulus"
     # from nothing to ten times the payload
@@ -77,7 +77,7 @@ DAMPING_TIME = 1e-4
 
 
 def stiffness_cases() -> Iterator[HardCase]:
-    """Damped modes at long steps, and many modes."""
+    """Yield cases with damped modes at long communication steps, and with many modes."""
     decay = "the fastest mode decays at 6.7e6 /s, the slowest swings at 59 Hz; steps of 5 ms"
     many = "the fastest of 40 modes swings at 454 kHz, 7700 times as fast as the slowest"
     yield HardCase("stiffness damping, 6 + 6 modes", decay, partial(_run_stiff, damped_robot, LONG_STEP))
@@ -117,7 +117,7 @@ ODD_STEP = 7.3e-4
 
 
 def motion_cases() -> Iterator[HardCase]:
-    """Accelerations, jumps, starts, dwells."""
+    """Yield cases with fast motions, acceleration jumps, a start out of equilibrium, and no dwell."""
     # fast motions
     for gravities in (15, 26):
         peak = f"peak acceleration {gravities * STANDARD_GRAVITY:.0f} m/s2 with 6 kg"
@@ -142,7 +142,7 @@ def motion_cases() -> Iterator[HardCase]:
 
 
 def _fast(gravities: float) -> CaseReport:
-    """The same path, as fast as it takes."""
+    """Run the same path with a peak acceleration of ``gravities`` g."""
     # accelerations go with the inverse square of the duration
     slow = plan(paper_robot())
     instants = np.linspace(0.0, slow.duration, 4001)

@@ -36,10 +36,10 @@ DWELL = 0.02
 """Standstill between two motions [s]: links still swing when the next one begins."""
 
 TOLERANCE = 1e-5
-"""Of the FMU's integrator."""
+"""Relative tolerance of the FMU's integrator."""
 
 SETTLED = 5
-"""Cycles after which all are alike: the start has died down."""
+"""Number of cycles after which the initial transient has decayed and all cycles are alike."""
 
 SCATTER = 100.0 * TOLERANCE
 """Largest difference of two cycles, relative: each may have errors of its own, which don't add up."""
@@ -52,7 +52,7 @@ LEAST_DIGITS = 4.0
 
 
 def cases(cycles: int = CYCLES) -> Iterator[HardCase]:
-    """One case, in full length or shorter."""
+    """Yield the one case, with ``cycles`` cycles."""
     length = 2 * cycles * (paper_robot().trajectory.duration + DWELL)
     hard = f"{length:.0f} s at tolerance {TOLERANCE:g}: rounding and the integrator's errors could add up"
     yield HardCase(f"{cycles} cycles in one run", hard, partial(_run, cycles))

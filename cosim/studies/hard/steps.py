@@ -45,7 +45,7 @@ SOLVER = Solver("DOP853", 1e-10)
 
 
 DAMPING = 0.01
-"""Ratio of the links' modal damping: little, so that vibrations last."""
+"""Modal damping ratio of the links, small so that vibrations last."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +104,10 @@ TINY, TINY_STEPS = 1e-9, 10_000
 """Length [s] and number of the shortest steps."""
 
 JUMP = 0.02
-"""Of joint angles [rad]: no motor turns that far in no time."""
+"""Jump of the joint angles [rad], physically impossible for a motor."""
 
 ACCELERATION = 200.0
-"""Of joints [rad/s2], switched on and off at once."""
+"""Joint acceleration [rad/s2], switched on and off."""
 
 
 def step_cases() -> Iterator[HardCase]:
@@ -159,18 +159,18 @@ def _run_stepwise(make: Callable[[], StepwiseRun]) -> CaseReport:
 
 
 INERTIA = 0.1
-"""Of each motor [kg.m2]."""
+"""Inertia of each motor [kg.m2]."""
 
 PROPORTIONAL, DERIVATIVE = 1e4, 300.0
-"""Gains [N.m/rad], [N.m.s/rad]."""
+"""Gains of the PD controller [N.m/rad], [N.m.s/rad]."""
 
 SHORT_STEP = 1e-4
-"""Step and sample time [s] at which the same gains are right."""
+"""Step and sample time [s] at which the loop with the same gains is stable."""
 
 STABILITY_STEPS = (STEP, SHORT_STEP)
 
 TRACKING = 0.05
-"""Largest error of the joints [rad] of a loop that is stable: a tenth of what they move."""
+"""Limit of the tracking error [rad] of a stable loop: a tenth of the joints' motion."""
 
 NAMED = ("unstable", "plant", "pd", " s: ")
 """Parts of the message: the failure, the slaves, the time."""

@@ -22,10 +22,10 @@ from flexfmu.model.scene.schema import Scene
 FrictionModes = tuple[int, ...]
 
 COULOMB, BREAKAWAY = 2.0, 3.0
-"""Of both motors [N.m]."""
+"""Coulomb and breakaway torque of both motors [N.m]."""
 
 INTERVAL, COUNT = 5e-3, 200
-"""Communication step [s], over which torques stay, and number of steps."""
+"""Communication step [s], over which torques are constant, and number of steps."""
 
 SWING = np.array([[5.0, 4.0], [3.0, 4.5]])
 """Amplitudes [N.m] and frequencies [Hz] of the torques beyond those that hold the robot."""
@@ -41,7 +41,7 @@ def cases() -> Iterator[HardCase]:
 
 
 def sticking_robot() -> Scene:
-    """Rigid links, so that an hour of standstill shows friction alone, and motors that stick."""
+    """Return a robot with rigid links and stiction in the motors, so that an hour of standstill shows friction alone."""
     friction = {"kind": "stiction", "viscous": 0.5, "coulomb": COULOMB, "breakaway": BREAKAWAY}
     return paper_robot().replace(
         {
@@ -71,7 +71,7 @@ class Reference:
         return np.asarray(self._model.functions["residual"](x[:2], x[2:], a, u, d).full()).ravel()
 
     def acceleration(self, x: RealArray, u: RealArray, modes: FrictionModes) -> RealArray:
-        """(2,) Zero for motors that stick [rad/s2]."""
+        """Return the accelerations (2,) [rad/s2], zero for motors that stick."""
         mass = self._model.functions["mass_matrix"](x[:2], u, self._derived).full()
         free, a = np.flatnonzero(modes), np.zeros(2)
         a[free] = np.linalg.solve(mass[np.ix_(free, free)], -self.forces(x, a, u, modes)[free])

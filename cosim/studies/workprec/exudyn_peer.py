@@ -141,7 +141,7 @@ SPECTRAL_RADIUS = 0.8
 """Of the generalised-alpha method at infinity: damps what is much faster than a step, and keeps second order."""
 
 NEWTON_TOLERANCE = 1e-6
-"""Of residuals; 1e-8 is below their rounding, since links are stiff along their axis."""
+"""Relative tolerance of Newton's method; 1e-8 is below rounding, since links are axially stiff."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.scene.loop import SampledSection
 
 Announce = Callable[[str], None]
-"""Called with what is being tried."""
+"""Function of a sentence on the current trial."""
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 
@@ -25,7 +25,7 @@ CONTROLLED = ("automatic", "gauss2", "gauss3", "gauss4", "radau3", "dopri5")
 """Integrators with error control."""
 
 FIXED_STEPS = (1e-4, 5e-5, 2e-5, 1e-5, 5e-6)
-"""Of the classical Runge-Kutta method [s]."""
+"""Fixed steps of the classical Runge-Kutta method [s]."""
 
 STEPS = (5e-3, 2e-3, 1e-3, 5e-4, 2e-4)
 """Communication steps [s]."""
@@ -34,7 +34,7 @@ ORDERS = (0, 1, 2, 3, 5, 9)
 """Degrees of the input polynomials: what a master can send, from values alone to two-point Hermite."""
 
 TIGHT = 1e-10
-"""Tolerance of the integrator where the coupling is looked at."""
+"""Relative tolerance of the integrator in coupling trials."""
 
 FAILURES = (CosimError, BuildError)
 
@@ -127,9 +127,9 @@ class Rung:
     """A set of effects.
 
     Attributes:
-        line: ladder that it belongs to.
-        label: what it is called.
-        changes: of the rigid scene.
+        line: line of the diagram.
+        label: name of the set.
+        changes: changes of the rigid scene.
     """
 
     line: str
@@ -138,7 +138,7 @@ class Rung:
 
 
 def ladder() -> tuple[Rung, ...]:
-    """From rigid links to all families."""
+    """Return the rungs of the fidelity ladder, from rigid links to more families of shapes."""
     # assumed modes, one family after the other
     bending = [{"effects.proximal_bending": k} for k in (1, 2, 3)]
     axial = bending[2] | {"effects.distal_axial": 3}

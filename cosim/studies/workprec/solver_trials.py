@@ -35,7 +35,7 @@ ScipyMethod = Literal["Radau", "BDF", "LSODA", "DOP853"]
 
 SCIPY: tuple[ScipyMethod, ...] = ("Radau", "BDF", "LSODA", "DOP853")
 IMPLICIT: tuple[ScipyMethod, ...] = ("Radau", "BDF", "LSODA")
-"""Those that take a Jacobian."""
+"""Methods that use a Jacobian."""
 
 TOLERANCES = tuple(float(f"1e-{digits}") for digits in range(2, 13))
 """Relative tolerances from which a sweep takes as many as it needs."""

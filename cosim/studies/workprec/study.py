@@ -29,7 +29,7 @@ OURS = "flexfmu"
 """Line of the best of our integrators' settings among other tools."""
 
 LADDER_TOLERANCE = 1e-8
-"""Of the integrator while effects are compared."""
+"""Relative tolerance of the integrator in the comparison of effects."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ CHOICES = ("integrators", "communication")
 
 
 def cheapest(trials: Iterable[WorkPrecisionTrial], error: float) -> WorkPrecisionTrial | None:
-    """The fastest trial that is at least so accurate."""
+    """Return the fastest trial with at most this error; None if there is none."""
     good = [each for each in trials if each.error is not None and each.error <= error and each.time is not None]
     return min(good, key=lambda each: each.time or 0.0, default=None)
 

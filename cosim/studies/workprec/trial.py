@@ -18,7 +18,7 @@ from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.model.scene.schema import Scene
 
 SAMPLING = 1e-3
-"""Distance of the instants at which positions are compared [s]."""
+"""Spacing of the instants at which positions are compared [s]."""
 
 REFERENCE_TOLERANCE = 1e-12
 REFERENCE_STEP = 2.5e-4
@@ -84,7 +84,7 @@ def completed(run: Run) -> Run:
     """The run, if it came to its end.
 
     Raises:
-        RunError: it didn't; the message is the run's.
+        RunError: it ended early; the message is the run's.
     """
     if not run.completed:
         raise RunError(run.message)
@@ -92,7 +92,7 @@ def completed(run: Run) -> Run:
 
 
 class RunError(CosimError):
-    """A run under test ended before its time."""
+    """A run under test ended before its stop time."""
 
 
 TOO_SLOW = 100.0
