@@ -46,9 +46,9 @@ class Lag:
 
         y(t + h) = exp(-z) y(t) + sum of u_k h^k z phi_k+1(-z)        u(t + s) = sum of u_k s^k / k!
 
-    It offers the output derivatives y' = (u - y) / T, y'' = (u' - y') / T .., from which the robot's input polynomial
-    over a step is made; for steps up to T the polynomial's error is 3e-10 of a jump of the input. No output has direct
-    feedthrough, which breaks algebraic loops.
+    The output derivatives y' = (u - y) / T, y'' = (u' - y') / T .. determine the robot's input polynomial over a step.
+    For steps up to T the polynomial's error is 3e-10 of a jump of the input. No output has direct feedthrough, which
+    breaks algebraic loops.
 
     Args:
         channels: the commands, usually torques, with initial values.
