@@ -119,7 +119,7 @@ class QuantisationSection(SignalSection):
 
 
 class EncoderSection(LoopSection):
-    """Incremental encoders of both joints: angles rounded to counts, velocities from the change over `window` samples."""
+    """Incremental encoders of both joints: angles rounded to counts, velocities as change over `window` samples."""
 
     kind: Literal["encoder"]
     counts_per_turn: Annotated[float, quantity("1", ge=1.0)]

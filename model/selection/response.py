@@ -101,6 +101,7 @@ class LinearTimeVaryingSystem:
 
 def _predictor(h: float) -> RealArray:
     """Matrix (4, 4) that predicts the next instant without its new acceleration."""
+    # predicted auxiliary and old acceleration, as rows over the state of `_cross`
     auxiliary = np.array([0.0, 0.0, _ALPHA_F, -_ALPHA_M]) / (1 - _ALPHA_M)
     old = np.array([0.0, 0.0, 0.0, 1.0])
     return np.array(
