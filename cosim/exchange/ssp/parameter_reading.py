@@ -53,7 +53,7 @@ def read_transformation(node: XmlElement) -> SspTransformation:
     """The transformation of a connection or mapping entry.
 
     Raises:
-        SspError: it makes no sense.
+        SspError: an attribute is missing or invalid.
     """
     for kind in ("Boolean", "Integer", "Enumeration"):
         if (table := node.child(f"{kind}MappingTransformation")) is not None:
@@ -125,7 +125,7 @@ def _mapping(node: XmlElement, archive: SspArchive) -> tuple[MappingEntry, ...]:
 
 
 def _parameter_set(root: XmlElement) -> ParameterSet:
-    """A parameter set; the last value of a name counts.
+    """Return a parameter set; for a repeated name the last value counts.
 
     Raises:
         SspError: a parameter has no value.

@@ -26,7 +26,7 @@ OSP_STEP = ("FixedStepAlgorithm", "baseStepSize")
 """Element and attribute of the Open Simulation Platform's annotation with the communication step."""
 
 OMS_STEPS = (("FixedStepMaster", "stepSize"), ("SimulationInformation", "fixedStepSize"))
-"""The same in annotations of OMSimulator 2 and 3."""
+"""Elements and attributes with the communication step in annotations of OMSimulator 2 and 3."""
 
 
 def read_structure(archive: SspArchive) -> Structure:
@@ -64,7 +64,7 @@ def read_structure(archive: SspArchive) -> Structure:
 
 
 def _system(node: XmlElement, archive: SspArchive) -> Subsystem:
-    """A system with all within it."""
+    """Return a system with its elements and subsystems."""
     elements = [*node.children("Elements", "*")]
     systems = tuple(_system(each, archive) for each in elements if each.tag == "System")
     return Subsystem(
@@ -79,7 +79,7 @@ def _system(node: XmlElement, archive: SspArchive) -> Subsystem:
 
 
 def _step(experiment: XmlElement | None, system: XmlElement) -> float | None:
-    """The communication step [s], which SSP 1.0 leaves to annotations; None where none of those known has it.
+    """Return the communication step [s] from the known annotations, as SSP 1.0 has no attribute for it; None if absent.
 
     Raises:
         SspError: it isn't positive.
@@ -117,7 +117,7 @@ def _component(node: XmlElement, archive: SspArchive) -> Component:
     Raises:
         SspError: it is anything else.
     """
-    # the file lies in the archive or beside it
+    # path within the archive
     _check_kind(node)
     source = archive.resolve(node.required("source"), node.where)
     name = node.required("name")
@@ -154,7 +154,7 @@ def _sampling(node: XmlElement) -> tuple[float, float] | None:
 
 
 def _check_kind(node: XmlElement) -> None:
-    """The element is an FMU.
+    """Check that the element is an FMU.
 
     Raises:
         SspError: it is something else.

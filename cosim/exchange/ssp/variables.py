@@ -39,7 +39,7 @@ class ComponentFmu:
         return NUMBERS.get(found, found)
 
     def items(self, name: str) -> Mapping[str, int]:
-        """Name → number of a variable's items; none of one that is no enumeration."""
+        """Return item name → number of an enumeration; empty for other types."""
         return items(self.variables[name])
 
 
@@ -122,7 +122,7 @@ def missing(owner: ComponentFmu, connector: Connector | str, causality: str | No
 
 
 def _check(connector: Connector, owner: ComponentFmu, units: Mapping[str, SspUnit]) -> None:
-    """A connector agrees with the FMU's variable in direction, type and unit.
+    """Check a connector against the FMU's variable: direction, type and unit.
 
     Raises:
         SspError: it doesn't.

@@ -237,7 +237,7 @@ def wires(network: Network, fmus: Mapping[str, ComponentFmu], names: Mapping[str
 
 
 def shown(structure: Structure, network: Network) -> dict[str, Origin]:
-    """Full names of systems' connectors → where their signals come from, for the results."""
+    """Return full name of a system's connector → origin of its signal, for the results."""
     nodes = [(prefix[:-1], each.name) for prefix, level in levels(structure) for each in level.connectors]
     found = {_full_name(node): network.origin(node) for node in nodes}
     return {name: origin for name, origin in found.items() if origin is not None}
@@ -249,6 +249,6 @@ def _full_name(node: ConnectorName) -> str:
 
 
 def _hint(name: str, known: list[str]) -> str:
-    """A hint at the nearest known name."""
+    """Return a hint with the nearest known name."""
     near = get_close_matches(name, known, n=1)
     return f"; did you mean {near[0]!r}?" if near else f"; there are: {', '.join(known) or 'none'}"

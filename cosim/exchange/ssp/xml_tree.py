@@ -94,7 +94,7 @@ class XmlElement:
         """A number, None where it is missing.
 
         Raises:
-            SspError: it isn't finite or no number.
+            SspError: it is no finite number.
         """
         text = self.text(attribute)
         try:
@@ -129,7 +129,7 @@ class XmlElement:
         return default if text is None else _BOOLEANS[text.strip()]
 
     def children(self, *path: str) -> Iterator[XmlElement]:
-        """Elements of SSP below this one along a path of names; all of the last level for ``*``."""
+        """Yield SSP elements below this one along a path of names; ``*`` matches every name."""
         head, *rest = path
         for child in self.element.iterchildren(etree.Element):
             name = etree.QName(child)
@@ -171,7 +171,7 @@ def parse(content: bytes, file: str, root: str) -> XmlElement:
 
 
 def _with_prefixes(content: bytes) -> bytes:
-    """The document with the standard's prefixes declared, which some tools leave out."""
+    """Return the document with declarations of the standard's prefixes, which some tools omit."""
     for prefix, uri in NAMESPACES.items():
         used, known = f"<{prefix}:".encode(), re.search(rf"xmlns:{prefix}\s*=".encode(), content)
         if used in content and not known:

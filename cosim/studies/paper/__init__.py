@@ -1,1 +1,1 @@
-"""The paper's experiment: its tables and figures beside ours."""
+"""Reproduction of the paper's experiment: printed and computed tables and figures side by side."""

@@ -1,4 +1,4 @@
-"""`flexfmu paper`: compute every table and figure, and write them as they become ready."""
+"""`flexfmu paper`: compute every table and figure, and write each as soon as it is computed."""
 
 from __future__ import annotations
 
@@ -92,24 +92,24 @@ def draw_figure(figure: PaperFigure, draw: DrawFigure, folder: Path) -> None:
 
 
 DEFAULT_FOLDER = RESULTS / "paper"
-"""Where the results go unless the user says otherwise."""
+"""Default folder of the results."""
 
 TRAJECTORY_TABLES = ("table-02", "table-05", "table-06")
 
 PaperProgress = Callable[[str, float], None]
-"""Called with what is being done and the finished fraction, 0..1."""
+"""Function of the current activity and the finished fraction, 0 to 1."""
 
 
 def run_paper(out: Path = DEFAULT_FOLDER, *, progress: PaperProgress | None = None) -> PaperReport:
     """Run the paper's experiment and write tables and figures.
 
-    Everything is written as soon as it is known: a run that is interrupted leaves what it has computed so far.
+    Results are written as soon as they are computed, so that an interrupted run keeps those it has.
     ``out`` gets ``report.html``, ``paper.md``, ``paper.json``, ``tables/*.csv``, ``simulations.csv`` (every metric of
     every simulation), ``figures/*.png|svg`` and ``overview.png|svg``.
 
     Args:
-        out: folder of the results, made if it isn't there.
-        progress: called with what is being done and the finished fraction.
+        out: folder of the results, created if missing.
+        progress: called with the current activity and the finished fraction.
 
     Returns:
         The report: `to_markdown()`, `to_json()`, and `flexfmu.cosim.studies.paper.report.print_report` for a terminal.
@@ -190,4 +190,4 @@ STAGES: Mapping[str, Callable[[PaperReport, Path, PaperProgress], PaperReport]] 
     "frequencies": _frequencies,
     "simulations": _simulations,
 }
-"""The parts of the experiment in their order; each adds to the report."""
+"""Name → stage of the experiment, in order; each stage returns the report with its results added."""

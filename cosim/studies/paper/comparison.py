@@ -22,7 +22,7 @@ class Cell:
     Attributes:
         printed: the figure as printed.
         computed: the computed figure.
-        remarks: what has to be said about this cell.
+        remarks: remarks on this cell.
     """
 
     row: str
@@ -44,7 +44,7 @@ class Cell:
 
     @property
     def agrees_to_the_digits(self) -> bool:
-        """True where the computed figure, rounded like the printed one, is the printed one."""
+        """Whether the computed figure, rounded to the printed digits, equals the printed one."""
         return abs(self.computed - float(self.printed)) <= 0.5000001 * 10.0**-self.decimals
 
     @property
@@ -206,7 +206,7 @@ class Agreement:
 
 
 def count_agreement(cells: Iterable[Cell]) -> Agreement:
-    """Count how closely cells agree; cells whose printed figure can't be right are only counted as such."""
+    """Count the cells within each of `BOUNDS`; misprinted cells are counted separately."""
     cells = tuple(cells)
     believable = [cell for cell in cells if cell.believable]
     return Agreement(

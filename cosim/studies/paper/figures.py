@@ -167,14 +167,14 @@ PARITY = {
 """Metric of Tables 7 and 9 → label and marker."""
 
 ROOM_FOR_LEGEND = 1.35
-"""Factor by which the axis of the errors reaches beyond them."""
+"""Upper limit of the error axis over the largest error."""
 
 UNITS = {"mm": 1e3}
 """Unit → factor by which its figures are shown, so that all metrics share one pair of axes; 1 for the others."""
 
 
 def overview(simulations: Mapping[PaperCase, SimulatedCase], tables: Sequence[ComparisonTable]) -> Figure:
-    """The picture for the README."""
+    """Draw the overview for the README: robot and path, path error, printed and computed figures."""
     drawing = draw(11.0, 5.0)
     grid = drawing.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
     # the robot at the left

@@ -83,7 +83,7 @@ class PrintedQuantity:
         metric: name of the computed number (SI), which ``scale`` converts to ``unit``.
         rows, columns: labels as printed.
         values: figures as printed, so that their digits are kept, ``values[row][column]``.
-        remarks: what has to be said about cells.
+        remarks: remarks on cells.
     """
 
     name: str
@@ -104,7 +104,7 @@ class PrintedTable:
     Attributes:
         key: name of the data file without its suffix.
         label, title: for example ``Table 7`` and its caption.
-        scene: shipped scene that it is about; empty for tables of trajectories alone.
+        scene: name of the shipped scene simulated for it; empty for tables of trajectories alone.
         quantities: the blocks of the table.
         remarks: what holds for the whole table.
     """

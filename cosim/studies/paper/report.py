@@ -42,15 +42,15 @@ class PaperFigure:
 
 @dataclass(frozen=True)
 class PaperReport:
-    """The results so far: a part of them while the command is running.
+    """The results computed so far.
 
     Attributes:
         source: the paper.
         tables: comparisons in the order of the report.
         figures: the figures drawn, in the order of the report.
-        overview: one picture that sums it up.
+        overview: the figure that summarises the experiment.
         timing: wall-clock time of the parts in seconds.
-        versions: what it was computed with: packages, platform, compiler; None where unknown.
+        versions: versions of packages, platform and compiler; None if unknown.
     """
 
     source: PaperSource

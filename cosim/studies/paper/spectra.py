@@ -23,7 +23,7 @@ from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.trajectory import Trajectory
 
 SAMPLING_FREQUENCY = 20_000.0
-"""Samples per second: 100 times the highest frequency shown, so that folded parts of a jump stay 1e-4 below."""
+"""Sampling frequency [Hz], 100 times the highest one shown, so that aliasing of jumps stays below 1e-4."""
 
 WINDOW = 4.0
 """Length of the window [s]: the motion, then standstill; the same for all motions, so that densities compare."""

@@ -34,8 +34,8 @@ from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 
 CVODE_SETTINGS = ((1e-3, 1e-4), (1e-3, 1e-5), (2.5e-4, 1e-5), (2.5e-4, 1e-6), (1e-4, 1e-6), (1e-4, 1e-7), (5e-5, 1e-8))
-"""Output intervals [s] and relative tolerances. Inputs are constant over an interval, and beyond its end within CVODE's last step, so that
-a smaller tolerance pays with a shorter interval only."""
+"""Output intervals [s] and relative tolerances. Inputs are constant over an interval, so that a smaller tolerance reduces the error
+only with a shorter interval."""
 
 PAPER_LINE = "fixed step of 10 MHz"
 
@@ -43,7 +43,7 @@ PAPER_STEP = 1e-7
 """The paper's fixed step: 10 MHz."""
 
 PAPER_SHARE = 50
-"""A run at 10 MHz is simulated over this fraction of the whole time, and its time multiplied: it would take a minute."""
+"""Ratio of the whole time to the part simulated at 10 MHz; a whole run would take a minute."""
 
 
 def model_exchange_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> Iterator[WorkPrecisionTrial]:
@@ -174,12 +174,12 @@ def exudyn_trials(subject: SceneUnderTest, ours: Curve, announce: Announce) -> I
 
 
 def comparable(scene: Scene) -> Scene:
-    """With damping that Exudyn has, proportional to stiffness, where the scene's belongs to modes."""
+    """Return the scene with stiffness-proportional damping instead of modal damping, which Exudyn lacks."""
     if not isinstance(scene.effects.damping, ModalDampingSection):
         return scene
     return scene.replace({"effects.damping": {"kind": "stiffness", "time": DAMPING_TIME}})
 
 
 def failed(label: str, failure: Exception) -> WorkPrecisionTrial:
-    """Why there is no result."""
+    """Return a failed trial with its reason."""
     return WorkPrecisionTrial("tools", EXUDYN_LINE, label, None, None, " ".join(str(failure).split()))
