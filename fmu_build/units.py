@@ -159,7 +159,7 @@ def unit_definitions(names: Iterable[str]) -> tuple[Unit, ...]:
 
 
 def quantity(unit: str) -> str | None:
-    """Name of the quantity that is measured in ``unit``, None where it has no name of its own."""
+    """Name of the physical quantity with this unit; None if it has no name."""
     return _QUANTITIES.get(unit)
 
 

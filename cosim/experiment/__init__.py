@@ -1,1 +1,1 @@
-"""From a scene to its run: the planned motion, the FMU, the wired system, and variants of it."""
+"""Runs scenes: planned motion, FMU, connected system, simulation, and variants of a scene."""

@@ -1,4 +1,4 @@
-"""A motion there and back, repeated for learning controllers."""
+"""Repeated forward and reverse motions, for learning controllers."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
 
 ROUNDING = 4.0
-"""Rounding error of a time after some operations, in units in the last place of the longest time."""
+"""Bound of rounding errors of times, in units in the last place of the longest time."""
 
 
 @dataclass(frozen=True)
 class ThereAndBack:
-    """A motion, a standstill, the motion reversed in time, a standstill; and so on.
+    """Cycles of a motion, a dwell, the motion reversed in time, and a dwell.
 
     Attributes:
-        motion: what is repeated.
-        dwell: length of each standstill [s].
-        cycles: how often it is repeated, at least once.
+        motion: the motion.
+        dwell: duration of each dwell [s].
+        cycles: number of cycles, at least 1.
 
     Raises:
         InputError: the dwell is negative, or the number of cycles isn't a positive whole number.
@@ -44,17 +44,17 @@ class ThereAndBack:
 
     @property
     def period(self) -> float:
-        """Length of a cycle [s]."""
+        """Duration of a cycle [s]."""
         return 2.0 * (self.motion.duration + self.dwell)
 
     @property
     def duration(self) -> float:
-        """From the first motion's start to the last one's end [s]."""
+        """Time from the start of the first motion to the end of the last one [s]."""
         return self.cycles * self.period - self.dwell
 
     @property
     def breakpoints(self) -> tuple[float, ...]:
-        """Those of all motions [s]."""
+        """Breakpoints of all motions [s]."""
         there = np.array(self.motion.breakpoints)
         back = self.motion.duration - there[::-1]
         legs = [leg * self._leg + (back if leg % 2 else there) for leg in range(2 * self.cycles)]
@@ -64,7 +64,7 @@ class ThereAndBack:
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Coordinates and their time derivatives; see `flexfmu.trajectories.trajectory.Trajectory.evaluate`."""
-        # the leg of each instant; at its limits the side decides
+        # the leg (motion and dwell) of each instant; at its ends ``side`` decides
         instants = np.atleast_1d(np.asarray(time, dtype=float))
         near = max(SAME_TIME * self.motion.duration, ROUNDING * float(np.spacing(self.duration)))
         count = (
@@ -72,7 +72,7 @@ class ThereAndBack:
         )
         leg = np.clip(count, 0, 2 * self.cycles - 1)
         within = self._at_breakpoints(instants - leg * self._leg, leg % 2 == 1, near)
-        # on the way back time runs backwards: odd derivatives change their sign, sides are exchanged
+        # in reverse motions odd derivatives change sign, and sides are exchanged
         there = self.motion.evaluate(within, order, side)
         opposite: Side = "left" if side == "right" else "right"
         back = self.motion.evaluate(self.motion.duration - within, order, opposite)
@@ -80,8 +80,10 @@ class ThereAndBack:
         return np.asarray(np.where((leg % 2 == 1)[:, np.newaxis], signs[:, np.newaxis, np.newaxis] * back, there))
 
     def _at_breakpoints(self, within: RealArray, back: NDArray[np.bool_], near: float) -> RealArray:
-        """Times from the start of a leg, exact where they mean a breakpoint: after hours, rounding of the time is larger than
-        what the motion takes for the same instant, and limits would come from the wrong side."""
+        """Times from the start of a leg, snapped to breakpoints within ``near`` [s].
+
+        After hours, rounding errors exceed the tolerance of the motion, and limits would be from the wrong side.
+        """
         there = np.array(self.motion.breakpoints)
         for points, here in ((there, ~back), (self.motion.duration - there[::-1], back)):
             after = points.searchsorted(within).clip(1, points.size - 1)
@@ -91,18 +93,18 @@ class ThereAndBack:
 
     @property
     def _leg(self) -> float:
-        """Length of a motion with its standstill [s]."""
+        """Duration of a motion with its dwell [s]."""
         return self.motion.duration + self.dwell
 
 
 def repeated(plan: MotionPlan, cycles: int, sample_time: float | None = None) -> MotionPlan:
-    """A scene's motion there and back, its dwell between, again and again.
+    """The plan with its motion repeated forward and reverse, with dwells between.
 
     Args:
-        plan: the motion.
-        cycles: how often.
-        sample_time: [s]; the dwell is lengthened to make each motion with its dwell a whole number of samples. None to
-            leave it.
+        plan: plan of the single motion.
+        cycles: number of cycles.
+        sample_time: [s]; each dwell is extended so that motion and dwell are a whole number of samples. None keeps the
+            dwell.
 
     Raises:
         InputError: the number of cycles isn't a positive whole number.

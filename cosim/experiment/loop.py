@@ -1,4 +1,4 @@
-"""What stands between the planned motion and the robot: controllers, shapers and imperfections."""
+"""The loop around the robot: planned motion, controllers, shapers and imperfections."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from flexfmu.trajectories.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Loop:
-    """What stands between the planned motion and the robot.
+    """The loop around the robot: planned motion, controllers, shapers and imperfections.
 
     Attributes:
-        motion: the planned motion with shapers, as a perfect controller would follow it.
-        driving: joint trajectory that is streamed; that of the motion but for sampled shapers.
-        controllers: slaves that output torques (or whatever the robot takes).
-        inline_blocks: slaves that signals pass.
+        motion: the planned motion with all shapers.
+        driving: joint trajectory of the references; equal to that of the motion, but without sampled shapers.
+        controllers: slaves that output torques or other inputs of the robot.
+        inline_blocks: slaves in series with signals.
         connect: ``slave.input`` → source, beyond equal names.
         parameters: parameters of the robot that differ from the scene's.
     """
@@ -42,9 +42,9 @@ class ShapedMotion:
     """A motion with its shapers.
 
     Attributes:
-        motion: with all shapers.
-        driving: joint trajectory that is streamed; that of the motion but for sampled shapers.
-        inline_blocks: the sampled shapers, and others that are slaves.
+        motion: the motion with all shapers.
+        driving: joint trajectory of the references; equal to that of the motion, but without sampled shapers.
+        inline_blocks: sampled shapers and other slaves in series with references.
     """
 
     motion: MotionPlan
@@ -59,13 +59,13 @@ def make_loop(
     imperfections: Iterable[Any] = (),
     connect: Mapping[str, str] | None = None,
 ) -> Loop:
-    """A loop of blocks, slaves, python-control systems and FMU files.
+    """Make a loop of blocks, slaves, python-control systems and FMU files, see `as_slave`.
 
     Args:
         motion: the scene's planned motion.
-        controllers: what calculates torques from references and measurements.
-        shapers: `Shaper`, a bare `ImpulseSequence` for the joint references, or what else references may pass.
-        imperfections: what signals pass on their way, in this order, or `PayloadError`.
+        controllers: slaves that calculate torques from references and measurements.
+        shapers: `Shaper`, `ImpulseSequence` for the joint references, or slaves in series with references.
+        imperfections: slaves in series with signals, in this order, or `PayloadError`.
         connect: ``slave.input`` → source, beyond equal names.
 
     Raises:
@@ -83,12 +83,12 @@ def close_loop(
     connect: Mapping[str, str],
     names: SlaveNames,
 ) -> Loop:
-    """A loop about a motion whose shapers have acted; otherwise as `make_loop`.
+    """Make a loop from a motion to which the shapers have been applied; errors as for `make_loop`.
 
     Args:
         shaped: the motion with its shapers.
         controllers, imperfections, connect: as for `make_loop`.
-        names: names given so far.
+        names: names assigned so far.
     """
     acting = tuple(as_slave(each, names) for each in controllers)
     inline_blocks, parameters = list(shaped.inline_blocks), dict[str, float]()
@@ -106,13 +106,13 @@ def shape(
     names: SlaveNames,
     repeat: Callable[[MotionPlan], MotionPlan] = lambda motion: motion,
 ) -> ShapedMotion:
-    """Let the shapers act, those along the path first, sampled ones as slaves.
+    """Apply the shapers: along the path, then of the joints, then sampled ones as slaves.
 
     Args:
         motion: the planned motion.
         shapers: as for `make_loop`.
-        names: names given so far.
-        repeat: repeats the motion that is streamed.
+        names: names assigned so far.
+        repeat: function that repeats the motion for learning controllers; applied before the sampled shapers.
 
     Raises:
         InputError: something is of a kind that can't be a slave.
@@ -129,7 +129,7 @@ def shape(
             if isinstance(each, Shaper) and each.apply == place:
                 motion = APPLICATIONS[place](motion, each.sequence)
     motion = repeat(motion)
-    # shapers that act in the loop, sample by sample; the motion is what they make of it
+    # sampled shapers act in the loop; the motion includes their effect
     driving, inline_blocks = motion.joints, []
     for each in chosen:
         if not isinstance(each, Shaper):
@@ -139,7 +139,7 @@ def shape(
 
             block = shaper_block(each.sequence, each.sample_time, offset=each.offset, name=each.name)
             inline_blocks.append(inline_block(as_slave(block, names)))
-            # the streamed motion is shaped, and so is what it repeats
+            # shape the motion and its single repetition
             sequence = each.sequence.split(each.sample_time)
             shaped = shape_joints(motion, sequence)
             if motion.repetition is not None:

@@ -1,4 +1,4 @@
-"""The values that a scene gives to the parameters of an FMU."""
+"""Values of FMU parameters from a scene, and scenes with changed FMU parameters."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ PERMANENT = {
     "joint_friction.breakaway": "friction that sticks, that of scene {} is smooth",
     "joint_friction.stribeck_velocity": "friction that falls smoothly from breakaway, that of scene {} doesn't",
 }
-"""Parameters of effects that no number switches off → what the FMU has then, and what the scene has instead."""
+"""Parameters of effects that no value switches off → text on the effect of the FMU, and of the scene."""
 
 SMOOTHING = "joint_friction.velocity"
-"""The only parameter of an effect that makes no effect by itself."""
+"""The only parameter of an effect that has no influence alone."""
 
 CHOICE_KEYS = ("tolerance", "choice")
-"""Keys of `effects` that are about the choice of effects, not about the robot."""
+"""Keys of `effects` for the choice of effects, which are no parameters of the robot."""
 
 
 @dataclass(frozen=True)
 class SceneValue:
-    """A parameter's key in the scene file (of the whole vector for a component) and its value."""
+    """Key of a parameter in the scene file (for a component, of the whole vector), and its value."""
 
     key: str
     value: float
 
 
 def scene_parameters(scene: Scene) -> dict[str, float]:
-    """All parameters that an FMU of any effects may have, named as in the FMU, in SI units.
+    """Values of all parameters that an FMU with any effects may have: name in the FMU → value in SI units.
 
-    What the scene leaves out is zero; the stiffness of a transmission that isn't elastic has no value.
+    Effects that the scene lacks have zeros; the stiffness of a rigid transmission is left out.
     """
     return {name: known.value for name, known in _scene_values(scene).items()}
 
 
 def _scene_values(scene: Scene) -> dict[str, SceneValue]:
-    """Parameters of FMUs with the scene's keys and values.
+    """Name of the FMU parameter → key and value in the scene.
 
-    A parameter is named like its key, without the sections `mechanism` and `effects`; `.x` and `.y` are a vector's components.
+    The name is the key without the sections `mechanism` and `effects`; components of vectors end in `.x` and `.y`.
     """
     x, y = scene.trajectory.start
     found = {
@@ -55,10 +55,10 @@ def _scene_values(scene: Scene) -> dict[str, SceneValue]:
         "start.x": SceneValue("trajectory.start", x),
         "start.y": SceneValue("trajectory.start", y),
     }
-    # kinds of damping that the scene doesn't have are zero
+    # kinds of damping that the scene lacks are zero
     for key in ("ratio", "rate", "time"):
         found.setdefault(f"damping.{key}", SceneValue(f"effects.damping.{key}", 0.0))
-    # a breakaway torque holds by default what Coulomb friction does; no friction is one of zero
+    # the breakaway torque is by default the Coulomb torque; without friction it is zero
     friction, breakaway = scene.effects.joint_friction, "joint_friction.breakaway"
     if isinstance(friction, StictionSection):
         found[breakaway] = SceneValue(f"effects.{breakaway}", friction.holding)
@@ -68,7 +68,7 @@ def _scene_values(scene: Scene) -> dict[str, SceneValue]:
 
 
 def _section_values(section: Section, name: str, key: str) -> Iterator[tuple[str, SceneValue]]:
-    """The quantities of a section and of those in it; `name` and `key` are what stands before theirs."""
+    """Yield the values of a section and its subsections; `name` and `key` are prefixes."""
     for field in type(section).model_fields:
         value = getattr(section, field)
         if field in CHOICE_KEYS:
@@ -83,10 +83,10 @@ def _section_values(section: Section, name: str, key: str) -> Iterator[tuple[str
 
 
 def parameters_for(scene: Scene, available: Collection[str]) -> dict[str, float]:
-    """The scene's values of those parameters that an FMU has.
+    """The scene's values of the parameters in ``available``, those of the FMU.
 
     Raises:
-        InputError: the scene has an effect that the FMU lacks, or lacks one of the FMU's that no number switches off.
+        InputError: the FMU lacks an effect of the scene, or has an effect that the scene lacks and no value switches off.
     """
     known = _scene_values(scene)
     # an effect of the scene that the FMU lacks
@@ -104,7 +104,7 @@ def parameters_for(scene: Scene, available: Collection[str]) -> dict[str, float]
 
 
 def scene_with_parameters(scene: Scene, parameters: Mapping[str, float]) -> Scene:
-    """The scene whose robot has these values of FMU parameters; those that belong to no robot are left out.
+    """The scene with these values of FMU parameters; the start point and parameters unknown to scenes are ignored.
 
     Raises:
         SceneError: a value is out of range.
@@ -115,7 +115,7 @@ def scene_with_parameters(scene: Scene, parameters: Mapping[str, float]) -> Scen
         if name not in known or name.startswith("start."):
             continue
         key = known[name].key
-        # components change their whole vector
+        # a component replaces its vector
         if name.endswith((".x", ".y")):
             vector = changes.setdefault(key, [known[f"{name[:-1]}{axis}"].value for axis in "xy"])
             vector["xy".index(name[-1])] = value
@@ -125,7 +125,7 @@ def scene_with_parameters(scene: Scene, parameters: Mapping[str, float]) -> Scen
 
 
 def holding_torques(scene: Scene) -> Mapping[str, float]:
-    """Torques that hold the start pose of a scene that is driven by torques; nothing for one driven by motion."""
+    """Torques [N.m] by input name that hold the start pose statically; empty for a scene driven by motion."""
     if scene.cosimulation.drive != "torque":
         return {}
     from flexfmu.model.statics import static_equilibrium

@@ -1,4 +1,4 @@
-"""The slaves of a scene, their connections and their coupling: planned motion, robot, and what stands between them."""
+"""The slaves of a scene (planned motion, robot, controllers, shapers, imperfections), their connections and coupling."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from flexfmu.model.scene import cosimulation as sections
 from flexfmu.model.scene.schema import Scene
 
 PLANT, REFERENCES = "plant", "trajectory"
-"""Names of the robot and of the planned motion in the system."""
+"""Names of the slaves for the robot and for the planned motion."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class SceneSystem:
     """The slaves of a scene with their connections.
 
     Attributes:
-        references: streams the planned motion.
+        references: slave that outputs the planned motion.
         plant: the robot.
         others: controllers, shapers and imperfections.
         wiring: connections between the slaves.
         changes: parameters of the robot that differ from those of the scene.
-        unfed: values of the robot's inputs where nothing feeds them.
+        unfed: values of the robot's inputs if they are not connected.
     """
 
     references: TrajectorySlave
@@ -48,17 +48,17 @@ class SceneSystem:
 
     @property
     def slaves(self) -> tuple[Slave, ...]:
-        """All slaves: planned motion, robot, and what stands between them."""
+        """All slaves: planned motion, robot, then the others."""
         return (self.references, self.plant, *self.others)
 
     @property
     def constants(self) -> Mapping[str, float]:
-        """Inputs of the robot that nothing feeds, with the values that they keep."""
+        """Unconnected inputs of the robot with their constant values."""
         feeding = self.wiring.feeding
         return {name: self.changes.get(name, value) for name, value in self.unfed.items() if name not in feeding}
 
     def with_parameters(self, parameters: Mapping[str, float]) -> SceneSystem:
-        """The same slaves, the robot with further changed parameters in its next run.
+        """The system with further changed parameters of the robot; the shared robot uses them in its next run.
 
         Raises:
             InputError: a parameter doesn't exist or is out of range.
@@ -77,28 +77,28 @@ def scene_system(
     initial: str | None = None,
     input_order: int | None = None,
 ) -> SceneSystem:
-    """Wire a scene's motion, its robot and what stands between them.
+    """Load the robot's FMU and connect it with the motion, controllers, shapers and imperfections.
 
     Args:
         scene: the scene.
-        loop: its planned motion, controllers, shapers and imperfections.
-        fmu_path: the robot.
+        loop: planned motion, controllers, shapers and imperfections.
+        fmu_path: FMU of the robot.
         parameters: FMU parameters that differ from the scene's.
-        initial: ``static`` or ``undeformed``; the scene's own when None.
-        input_order: degree of the input polynomials; None for the highest that the FMU states.
+        initial: ``static`` or ``undeformed``; None for the scene's value.
+        input_order: degree of the input polynomials; None for the highest that the FMU supports.
 
     Raises:
         InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
-            slaves can't be wired.
+            slaves can't be connected.
     """
-    # the scene's values of the FMU's parameters, and how it shall start and integrate
+    # parameters of the FMU from the scene: physical ones, initial state, integrator
     section, available = scene.cosimulation, parameter_names(open_fmu(fmu_path).description)
     settings: dict[str, Value] = {**parameters_for(scene, available), INITIAL.name: initial or section.initial}
     if section.integrator != "automatic":
         settings[INTEGRATOR.name] = section.integrator
     if section.integrator_step > 0.0:
         settings[FIXED_STEP] = section.integrator_step
-    # a robot without a controller gets the torques that hold its start pose
+    # without a controller, constant torques hold the start pose
     unfed = {} if loop.controllers else holding_torques(scene)
     settings |= unfed
     # the slaves and their connections
@@ -113,12 +113,12 @@ def scene_system(
 
 @dataclass(frozen=True)
 class CouplingMethod:
-    """How the master couples the slaves of a scene.
+    """Co-simulation algorithm of a scene.
 
     Attributes:
-        algorithm: how slaves are coupled over a step.
-        loops: how algebraic loops are solved; None refuses them.
-        step_control: chooses the communication steps; None for a constant step.
+        algorithm: coupling of the slaves over a communication step.
+        loops: solver of algebraic loops; None refuses them.
+        step_control: control of the communication step size; None for a constant step.
     """
 
     algorithm: Algorithm
@@ -127,7 +127,7 @@ class CouplingMethod:
 
 
 def coupling_of(section: sections.Cosimulation) -> CouplingMethod:
-    """The coupling that a scene asks for."""
+    """The co-simulation algorithm of a scene's section."""
     solver: LoopSolver | None = None
     if section.loop_solver is not None:
         tolerance, rounds = Tolerance(relative=section.loop_solver.tolerance), section.loop_solver.iterations
@@ -136,7 +136,7 @@ def coupling_of(section: sections.Cosimulation) -> CouplingMethod:
                 solver = FixedPoint(relaxation, tolerance, rounds)
             case sections.AndersonSection():
                 solver = Anderson(tolerance=tolerance, rounds=rounds)
-    # the implicit coupling has a solver of its own unless the scene names one
+    # implicit coupling has a default solver
     implicit = Implicit() if solver is None else Implicit(solver)
     algorithms: dict[str, Algorithm] = {"jacobi": Jacobi(), "gauss-seidel": GaussSeidel(), "implicit": implicit}
     control, doubling = section.step_control, None

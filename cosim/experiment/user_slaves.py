@@ -1,4 +1,4 @@
-"""Slaves from a user's blocks, python-control systems, FMUs, Python slaves, and code named by ``module:name``."""
+"""Makes slaves from a user's blocks, python-control systems, FMUs, Python slaves and functions ``module:name``."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from flexfmu.model.symbolic import SymbolicBlock
 
 
 class SlaveNames:
-    """Unique names for slaves that can be renamed."""
+    """Assigns unique names to slaves."""
 
     def __init__(self) -> None:
         self._given = set(RESERVED)
 
     def __contains__(self, name: str) -> bool:
-        """Whether a slave has this name."""
+        """Whether the name is assigned or reserved."""
         return name in self._given
 
     def unused(self, wanted: str) -> str:
-        """The name, or the name with a number."""
+        """Assign the name, with a number appended if it is taken."""
         name, number = wanted, 1
         while name in self._given:
             number += 1
@@ -40,10 +40,10 @@ class SlaveNames:
         return name
 
     def chosen(self, name: str | None, default: str) -> str:
-        """The name that a user has chosen, as it is; otherwise the default, with a number where it is taken.
+        """Assign the user's name unchanged, else the default, with a number appended if it is taken.
 
         Raises:
-            InputError: a slave has the chosen name already.
+            InputError: the user's name is taken.
         """
         if name is None:
             return self.unused(default)
@@ -54,23 +54,24 @@ class SlaveNames:
         return self.unused(name)
 
     def of_file(self, path: str, name: str | None = None) -> str:
-        """The name that a user has chosen, or one from a file's name; errors as for `chosen`."""
+        """Assign the user's name, or one from the file's name; errors as for `chosen`."""
         return self.chosen(name, "".join(c if c.isalnum() else "_" for c in Path(path).stem) or "fmu")
 
 
 def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = None) -> Slave:
-    """A slave from a block, a python-control system, the path of an FMU, or a slave.
+    """Make a slave from a block, a python-control system, the path of an FMU, or a slave.
 
-    The FMU of a block is sampled like the block, one that can't vary its step at the step size of its default experiment,
-    any other is stepped; `flexfmu.cosim.engine.fmu.sampled_slave.fmu_slave` makes one with a sample time.
+    The FMU of a block has the sample time of the block; an FMU without variable step is sampled at the step size of its
+    default experiment; all others make communication steps. For another sample time use
+    `flexfmu.cosim.engine.fmu.sampled_slave.fmu_slave`.
 
     Args:
-        source: what it is made from.
-        names: names given so far.
-        name: its name; by default what the block, file or slave is called.
+        source: block, python-control system, path or slave.
+        names: names assigned so far.
+        name: name of the slave; by default from the block, file or slave.
 
     Raises:
-        InputError: it is none of these, the name is taken, or the FMU can't be loaded.
+        InputError: the source is none of these, the name is taken, or the FMU can't be loaded.
     """
     from flexfmu.cosim.control.blocks.slave import BlockSlave
     from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
@@ -96,18 +97,18 @@ def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = No
 
 
 def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = ".") -> Any:
-    """What a class or function returns.
+    """Import ``module:name`` and call it with the arguments; an object that is not callable is returned as it is.
 
     Args:
         source: ``module:name``, for example ``my_controllers:Damper``.
-        arguments: its keyword arguments.
-        folder: where the module is looked for first; then among installed modules, then in the working directory. Modules
-            of the same name in different folders are different modules.
+        arguments: keyword arguments of the call.
+        folder: folder that is searched first, before installed modules and the working directory. Modules of the same
+            name in different folders are different modules.
 
     Raises:
-        InputError: there is no such module or name, it can't be imported, or the call fails.
+        InputError: the module or name doesn't exist, the import fails, or the call fails.
     """
-    # the module, from the folder or installed
+    # import the module from the folder or the installed ones
     module_name, _, name = source.partition(":")
     try:
         with _searched(Path(folder), Path.cwd()):
@@ -121,7 +122,7 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
         found = reduce(getattr, name.split("."), module)
     except AttributeError:
         raise InputError(f"{source!r}: module {module_name} has no {name!r}") from None
-    # an object as it is, or what the callable returns
+    # return the object, or the result of calling it
     if not callable(found):
         return found
     try:
@@ -132,7 +133,7 @@ def from_source(source: str, arguments: Mapping[str, Any], folder: str | Path = 
 
 
 def _described(error: Exception | SystemExit) -> str:
-    """Kind, message and place of an error in a user's code."""
+    """Type, message and location of an error in a user's code."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"
@@ -140,19 +141,19 @@ def _described(error: Exception | SystemExit) -> str:
 
 @cache
 def _loaded(file: Path) -> ModuleType:
-    """The module of a file, under a unique name; executed once."""
+    """The module of a file, imported once under a unique name."""
     spec = spec_from_file_location(f"{file.stem} of {file.parent}", file)
     if spec is None or spec.loader is None:
         raise ImportError(f"{file} is no Python file")
     module = module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
+    sys.modules[spec.name] = module  # dataclasses need their module here
     spec.loader.exec_module(module)
     return module
 
 
 @contextmanager
 def _searched(*folders: Path) -> Iterator[None]:
-    """Let modules be imported from these folders, after all others."""
+    """Append these folders to the module search path temporarily."""
     added = [str(folder) for folder in folders]
     sys.path.extend(added)
     try:

@@ -1,4 +1,4 @@
-"""Connections between trajectory, controllers, imperfections and robot: by equal names unless a scene connects them explicitly."""
+"""Connections between trajectory, controllers, imperfections and robot: by equal names, or explicit."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from flexfmu.cosim.engine.errors import WiringError
 from flexfmu.cosim.engine.slave import Causality, Slave
 
 OPTIONAL = ".feedforward"
-"""Suffix of inputs that may stay unconnected, at their start values."""
+"""Suffix of inputs that may stay unconnected; they keep their start values."""
 
 
 INPUT, SHAPED = ".input", "shaped."
-"""Suffix of a signal's name as the input of an imperfection, and prefix as the output of a shaper."""
+"""Suffix of an imperfection's inputs, and prefix of a shaper's outputs, around the name of the signal."""
 
 
 @dataclass(frozen=True)
 class InlineBlock:
-    """A slave that signals pass through: its outputs replace them.
+    """A slave in series with signals: its outputs replace them.
 
     Attributes:
         slave: the slave.
-        takes: name of the signal that each of its inputs takes, for example ``joint1.position``.
-        replaces: name of the signal in whose place each of its outputs goes on.
+        takes: name of the signal for each of its inputs, for example ``joint1.position``.
+        replaces: name of the signal that each of its outputs replaces.
     """
 
     slave: Slave
@@ -33,9 +33,10 @@ class InlineBlock:
 
 
 def inline_block(slave: Slave) -> InlineBlock:
-    """A slave whose variables are named like the signals that pass it, as those of shapers and imperfections are:
-    ``joint1.position.input`` or ``joint1.position`` takes ``joint1.position``; ``joint1.position`` or
-    ``shaped.joint1.position`` replaces it.
+    """The inline block of a slave whose variables are named after signals, such as a shaper or an imperfection.
+
+    The inputs ``joint1.position.input`` and ``joint1.position`` take the signal ``joint1.position``; the outputs
+    ``joint1.position`` and ``shaped.joint1.position`` replace it.
 
     Raises:
         WiringError: the slave has no outputs.
@@ -53,7 +54,7 @@ class Wiring:
 
     Attributes:
         connections: pairs (``slave.output``, ``slave.input``).
-        feeding: name of an input of the robot → ``slave.output`` that feeds it in the end.
+        feeding: name of an input of the robot → ``slave.output`` connected to it.
     """
 
     connections: tuple[tuple[str, str], ...]
@@ -67,28 +68,27 @@ def wire(
     inline_blocks: Sequence[InlineBlock] = (),
     explicit: Mapping[str, str] | None = None,
 ) -> Wiring:
-    """Connect equal names.
+    """Connect variables with equal names.
 
-    References pass their inline blocks (shapers, for example) and the plant's outputs theirs (encoders) on the way to the
-    controllers; what the controllers output passes its own (amplifiers) on the way to the plant. A controller's input
-    takes the signal of its name, from another controller before all others. In names, underscores stand for dots where
-    nothing else fits, since python-control allows no dots.
+    Inline blocks act on references (shapers, for example) and on the plant's outputs (encoders) before the controllers,
+    and on the controllers' outputs (amplifiers) before the plant. A controller's input takes the signal of its name,
+    preferably from another controller. If no name is equal, underscores match dots, which python-control doesn't allow.
 
     Args:
-        references: outputs ``joint1.reference.position`` and so on.
+        references: slave with outputs such as ``joint1.reference.position``.
         plant: the robot.
-        controllers: slaves whose inputs all have to find a source, but for those that end in ``.feedforward``.
-        inline_blocks: what signals pass, in this order.
+        controllers: slaves whose inputs all need a source, except those that end in ``.feedforward``.
+        inline_blocks: slaves in series with signals, in this order.
         explicit: ``slave.input`` → its source, ``slave.output`` or the name of a signal.
 
     Raises:
-        WiringError: an input finds no source, a signal that shall pass an inline block doesn't exist, two controllers output
-            the same signal, one outputs what the plant itself does, nothing that they output reaches the plant, there
-            are none and nothing else takes what passes an inline block, or an explicit connection names something unknown.
+        WiringError: an input has no source, an inline block acts on an unknown signal, two controllers (or a controller and
+            the plant) output the same signal, no output of a controller is connected to the plant, there is no controller
+            and an inline block's outputs are unused, or an explicit connection has an unknown name.
     """
     slaves = (references, plant, *controllers, *(inline.slave for inline in inline_blocks))
     bus = _Bus({slave.name: slave for slave in slaves}, dict(explicit or {}))
-    # references and measurements, with the inline blocks that they pass
+    # references and measurements, with their inline blocks
     waiting = list(inline_blocks)
     for source in (references, plant):
         bus.publish(source)
@@ -99,13 +99,13 @@ def wire(
                 f"{controller.name} outputs {name}, but so does the robot, which is driven by its motion; for a robot that "
                 'takes torques set `cosimulation.drive` = "torque"'
             )
-    # controllers, then what their outputs pass on the way to the plant
+    # controllers, then the inline blocks between them and the plant
     bus.connect_controllers(controllers)
     bus.publish_to(plant)
     stuck = bus.pass_through(waiting)
     if stuck:
         raise WiringError(_nothing_to_pass(stuck[0], bus, controllers, plant))
-    # nothing may be left over
+    # controllers and inline blocks must be connected
     wiring = bus.finished(plant)
     if controllers and not wiring.feeding:
         raise WiringError(_nothing_arrives(controllers, plant))
@@ -116,7 +116,7 @@ def wire(
 
 @dataclass
 class _Bus:
-    """The signals that are available so far, and the connections made so far."""
+    """The signals (name → ``slave.output``) and connections so far; ``explicit`` loses those that have been made."""
 
     slaves: Mapping[str, Slave]
     explicit: dict[str, str]
@@ -132,7 +132,7 @@ class _Bus:
         self.sources |= {name: f"{slave.name}.{name}" for name in _names(slave, "output")}
 
     def pass_through(self, inline_blocks: Iterable[InlineBlock]) -> list[InlineBlock]:
-        """Let signals pass the inline blocks whose signals exist; returns the others."""
+        """Insert the inline blocks whose signals exist; return the others."""
         waiting = []
         for inline in inline_blocks:
             if self.missing(inline) is None:
@@ -142,14 +142,14 @@ class _Bus:
         return waiting
 
     def missing(self, inline: InlineBlock) -> str | None:
-        """The first signal that an inline block needs or replaces but that has no source; None if all have one or are connected explicitly."""
+        """The first signal that an inline block needs or replaces and that has no source; None if there is none."""
         name = inline.slave.name
         taken = zip(inline.takes, _names(inline.slave, "input"), strict=True)
         needed = [signal for signal, target in taken if f"{name}.{target}" not in self.explicit]
         return next((signal for signal in (*needed, *inline.replaces) if signal not in self.sources), None)
 
     def _pass(self, inline: InlineBlock) -> None:
-        """Let signals pass an inline block."""
+        """Insert an inline block."""
         name = inline.slave.name
         for signal, target in zip(inline.takes, _names(inline.slave, "input"), strict=True):
             chosen = self.explicit.pop(f"{name}.{target}", None)
@@ -158,8 +158,8 @@ class _Bus:
         self.sources |= {signal: f"{name}.{output}" for signal, output in zip(inline.replaces, outputs, strict=True)}
 
     def connect_controllers(self, controllers: Sequence[Slave]) -> None:
-        """Feed the controllers and make their outputs available."""
-        # each signal has one owner
+        """Connect the controllers' inputs, then make their outputs available."""
+        # each signal is the output of one controller
         owners: dict[str, str] = {}
         for controller in controllers:
             for name in _names(controller, "output"):
@@ -172,11 +172,15 @@ class _Bus:
         for controller in controllers:
             for name in _names(controller, "input"):
                 self._feed(controller, name, owners)
-        # now the robot may take them
+        # make the outputs available
         self.sources |= {name: f"{owner}.{name}" for name, owner in owners.items()}
 
     def _feed(self, controller: Slave, name: str, owners: Mapping[str, str]) -> None:
-        """Find the source of a controller's input."""
+        """Connect a controller's input.
+
+        Raises:
+            WiringError: it has no source.
+        """
         target = f"{controller.name}.{name}"
         if target in self.explicit:
             # connected explicitly, to a controller's output or to a signal
@@ -197,13 +201,13 @@ class _Bus:
         self.connections.append((source, target))
 
     def find(self, name: str) -> str | None:
-        """The source of a signal, underscores standing for dots if need be."""
+        """``slave.output`` of a signal, else of one whose name differs in dots and underscores only; None if there is none."""
         if name in self.sources:
             return self.sources[name]
         return next((full for signal, full in self.sources.items() if _plain(signal) == _plain(name)), None)
 
     def source(self, name: str) -> str:
-        """``slave.output`` of a source that a user names, with its slave or as a signal.
+        """``slave.output`` of a source named by the user as ``slave.output`` or as a signal.
 
         Raises:
             WiringError: there is none.
@@ -219,7 +223,7 @@ class _Bus:
         return found
 
     def publish_to(self, plant: Slave) -> None:
-        """Let explicit connections to the plant stand in for signals of its inputs' names; torques may have underscores."""
+        """Find the sources of the plant's inputs: explicit connections, else signals of equal names."""
         for name in _names(plant, "input"):
             chosen = self.explicit.pop(f"{plant.name}.{name}", None)
             found = self.find(name) if chosen is None else self.source(chosen)
@@ -227,7 +231,7 @@ class _Bus:
                 self.sources[name] = found
 
     def finished(self, plant: Slave) -> Wiring:
-        """Feed the plant."""
+        """Make the remaining explicit connections and those to the plant; return the wiring."""
         for target, source in self.explicit.items():
             self.connections.append((self.source(source), target))
         feeding = {name: self.sources[name] for name in _names(plant, "input") if name in self.sources}
@@ -240,7 +244,7 @@ def _check_takers(inline_blocks: Sequence[InlineBlock], wiring: Wiring) -> None:
     """Check that the outputs of every inline block are used.
 
     Raises:
-        WiringError: nothing does.
+        WiringError: they are not.
     """
     feeding = {source.partition(".")[0] for source, _ in wiring.connections}
     for inline in inline_blocks:
@@ -252,7 +256,7 @@ def _check_takers(inline_blocks: Sequence[InlineBlock], wiring: Wiring) -> None:
 
 
 def _nothing_arrives(controllers: Sequence[Slave], plant: Slave) -> str:
-    """Controllers whose outputs have names that the plant doesn't know."""
+    """Message: no output of a controller has the name of an input of the plant."""
     outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
     inputs = _names(plant, "input")
     return (
@@ -263,7 +267,7 @@ def _nothing_arrives(controllers: Sequence[Slave], plant: Slave) -> str:
 
 
 def _nothing_to_pass(inline: InlineBlock, bus: _Bus, controllers: Sequence[Slave], plant: Slave) -> str:
-    """Which signal an inline block misses, and what would supply it."""
+    """Message: the signal that an inline block needs doesn't exist."""
     missing = bus.missing(inline) or ""
     outputs = [f"{each.name}.{name}" for each in controllers for name in _names(each, "output")]
     # controllers with outputs of other names
