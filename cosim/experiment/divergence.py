@@ -1,4 +1,4 @@
-"""Detects an unstable control loop in its recorded motion, however the run ended.
+"""Detects an unstable control loop from the recorded motion of a completed or failed run.
 
 The joints' velocities are compared with the planned ones. A stable loop follows its references, or at least comes to rest with them.
 The error of an unstable linear loop grows exponentially; its factor per sample is the largest magnitude of the loop's eigenvalues.
@@ -19,34 +19,34 @@ if TYPE_CHECKING:
     from flexfmu.cosim.experiment.scene_run import Run
 
 BEYOND, BEYOND_BEFORE_FAILURE = 3.0, 1.0
-"""Velocity error from which a run has diverged, relative to the largest velocity that the motion needs or a fall
-reaches: for a completed run, and for a failed one."""
+"""Velocity error of a diverged run, for a completed and for a failed one, relative to the largest velocity of the planned
+motion or of a fall."""
 
 AT_REST, ON_THE_MOVE = 0.05, 0.5
-"""The same during the standstill: for an error that grows (smaller ones may be stick-slip or beats of undamped links),
-and for one that doesn't decay."""
+"""Relative velocity error of an unstable loop during the dwell: for an error that grows (smaller ones may be stick-slip or
+beats of undamped links), and for one that doesn't decay."""
 
 GROWTH_AT_REST, LASTING = 1.3, 0.8
-"""Least ratio of the errors in the last and the first third of the standstill: of one that grows, and of one that
+"""Smallest ratio of the errors in the last and the first third of the dwell: for an error that grows, and for one that
 doesn't decay."""
 
 ONSET, FULL = 0.01, 0.5
-"""Shares of the error from which and to which its growth is measured."""
+"""Shares of the bound between which the growth of the error is measured."""
 
 ROUNDING = 1e-12
 """Relative difference within which two times are the same instant."""
 
 SATURATED = 0.05
-"""Share of instants at its largest value from which a torque counts as limited."""
+"""Share of instants at the largest value from which a torque is considered limited."""
 
 INSTANTS = 500
 """Number of instants searched for the largest velocity of the planned motion."""
 
 
 def divergence(run: Run) -> str | None:
-    """A sentence that says what grew, how fast, and what to do; None for a stable loop, and for runs without one.
+    """Message with the diverging signal, its growth and remedies; None for a stable loop.
 
-    Without the joints' recorded velocities nothing can be said.
+    Also None without a control loop, or if the joints' velocities are not recorded.
     """
     columns = [run.recording.columns.get(f"joint{joint}.velocity") for joint in (1, 2)]
     if run.scene.cosimulation.drive != "torque" or len(run.slaves) <= len(("trajectory", "plant")):
@@ -76,11 +76,11 @@ def divergence(run: Run) -> str | None:
 
 
 Growth = tuple[float, float]
-"""Factor from step to step, and since when [s]."""
+"""Growth factor per step, and time at which the growth begins [s]."""
 
 
 def _runaway(time: RealArray, error: RealArray, step: float, bound: float) -> Growth | None:
-    """Growth of an error (N,) to a bound, by its largest values in each step."""
+    """Growth of an error (N,) from the largest values in each step; None if it stays within the bound."""
     if not error.max() > bound:
         return None
     starts = np.flatnonzero(np.diff(np.floor(time / step * (1.0 + ROUNDING)), prepend=-1.0))
@@ -92,8 +92,8 @@ def _runaway(time: RealArray, error: RealArray, step: float, bound: float) -> Gr
 
 
 def _unrest(time: RealArray, error: RealArray, step: float, begin: float, scale: float) -> Growth | None:
-    """Growth of an error (N,) through all of the standstill from ``begin`` [s] on, or of one that doesn't decay there."""
-    # largest error in each third of the standstill
+    """Growth of an error (N,) that grows or doesn't decay during the dwell, from ``begin`` [s]; None if it does neither."""
+    # largest error in each third of the dwell
     parts = [(time >= early) & (time <= late) for early, late in pairwise(np.linspace(begin, time[-1], 4))]
     if begin >= time[-1] or not all(part.any() for part in parts):
         return None
@@ -109,7 +109,7 @@ def _unrest(time: RealArray, error: RealArray, step: float, begin: float, scale:
 
 
 def _step(run: Run) -> tuple[float, str]:
-    """Length of the steps [s] in which the loop is closed, and what they are called."""
+    """Shortest sample time, else the communication step [s], and its name."""
     samples = [slave.sample_time for slave in run.slaves if slave.sample_time]
     return (min(samples), "sample") if samples else (run.communication_step, "communication step")
 
@@ -118,18 +118,18 @@ def _remedies(run: Run) -> str:
     """Remedies, in one sentence."""
 
     def remedies() -> Iterator[str]:
-        # what always helps, and delays above a step
+        # general remedies, and delays longer than a step
         scene, latest = run.scene, max(run.delays, key=lambda delay: delay.average, default=None)
         yield "lower the gains, sample faster"
         if latest is not None and latest.average > _step(run)[0]:
             yield f"shorten the delays ({latest.average:.3g} s of {latest.connection})"
-        # what this scene lacks
+        # missing motor inertia
         if not scene.effects.motor_inertia:
             yield (
                 "give the motors their inertia (`effects.motor_inertia`), without which velocity feedback acts on next to "
                 "massless joints"
             )
-        # torques that stayed at their largest value were limited
+        # limited torques
         for joint in (1, 2):
             torque = run.recording.columns.get(f"joint{joint}.torque")
             limit = 0.0 if torque is None else float(abs(torque.values).max())

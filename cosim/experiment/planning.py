@@ -1,4 +1,4 @@
-"""From a scene to the planned motion: path, task-space trajectory and joint trajectory, and their shaping."""
+"""Plans the motion of a scene: path, task-space trajectory, joint trajectory, and their shaping."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
 
 @dataclass(frozen=True)
 class Repetition:
-    """A motion that is made there and back, again and again.
+    """Repetition of a motion, forward and reverse.
 
     Attributes:
-        once: the motion.
-        cycles: how often.
-        period: length of a cycle [s].
+        once: plan of the single motion.
+        cycles: number of cycles.
+        period: duration of a cycle [s].
     """
 
     once: MotionPlan
@@ -37,15 +37,15 @@ class Repetition:
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """The motion that a scene asks for; standstill at the end point during the dwell.
+    """The planned motion of a scene; during the dwell it stands still at the end point.
 
     Attributes:
-        scene: where it comes from.
-        along_path: the scene's own motion along its path, before any shaping, in x, y [m].
+        scene: the scene.
+        along_path: the scene's motion along its path, before shaping, in x, y [m].
         kinematics: the mechanism's rigid inverse kinematics.
         task: end-effector trajectory of the rigid mechanism in x, y [m].
         joints: joint trajectory in q11, q21 [rad].
-        repetition: what is repeated, and how often; None for a motion that is made once.
+        repetition: single motion and number of cycles; None for a motion without repetition.
     """
 
     scene: Scene
@@ -57,7 +57,7 @@ class MotionPlan:
 
     @property
     def once(self) -> MotionPlan:
-        """The motion itself, without its repetitions."""
+        """The plan of the single motion, without repetitions."""
         return self if self.repetition is None else self.repetition.once
 
     @property
@@ -82,7 +82,7 @@ def plan(scene: Scene) -> MotionPlan:
     corner = section.blend.kind, section.blend.height, section.blend.width
     path = _path(section.start, section.lift, section.height, section.width, corner)
     profile = PROFILES[section.profile.kind].make(**section.profile.parameters)
-    # joints follow by inverse kinematics, which checks the margins along the path
+    # joint trajectory by inverse kinematics, which checks the margins along the path
     task = TaskTrajectory(path, profile, section.duration)
     kinematics = RigidKinematics(scene.mechanism)
     return MotionPlan(scene, task, kinematics, task, JointTrajectory(task, kinematics))
@@ -90,7 +90,7 @@ def plan(scene: Scene) -> MotionPlan:
 
 @lru_cache(maxsize=64)
 def _path(start: Point, lift: Point, height: float, width: float, corner: tuple[str, float, float]) -> PickAndPlacePath:
-    """The path; equal ones share their table of arc lengths."""
+    """The path, cached, so that equal paths share their table of arc lengths."""
     kind, *extent = corner
     return PickAndPlacePath(start, lift, height, width, BLENDS[kind].make(*extent))
 
@@ -108,7 +108,7 @@ def shape_joints(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
 
 
 def shape_path(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
-    """The motion along its path with shaped s(t), once more where it is shaped so already; the rigid end effector keeps to the path.
+    """The motion with shaped s(t) along its path, in addition to earlier shaping; the rigid end effector stays on the path.
 
     Raises:
         TrajectoryError: negative impulses make the motion go backwards, or the joint references are shaped already.
@@ -123,7 +123,7 @@ APPLICATIONS: Mapping[str, Callable[[MotionPlan, ImpulseSequence], MotionPlan]] 
     "joints": shape_joints,
     "path": shape_path,
 }
-"""What is shaped → how."""
+"""Place of shaping → function that applies an impulse sequence there."""
 
 
 def deviation(motion: MotionPlan) -> float:

@@ -1,4 +1,4 @@
-"""One experiment, from the plan to the recording: scene → planned motion → FMU → wired system → run."""
+"""Runs a scene: planned motion → FMU → connected system → simulation → recording."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from flexfmu.model.scene.schema import Scene
 __all__ = ["Health", "Options", "PreparedScene", "Run", "Timing", "run_loop", "run_scene"]
 
 COMPANION_TOLERANCE = 1e-2
-"""A companion's tolerance over the run's. A tenth isn't enough: errors scatter about their tolerance by as much."""
+"""Ratio of a companion's tolerance to the run's; 0.1 isn't enough, since errors scatter by a factor of 10."""
 
 COMPANION_COUPLING = 0.1
-"""The same for the tolerance of step control, which shortens the steps faster."""
+"""Ratio of the tolerances of step control, which shortens the steps faster."""
 
 COMPANION_STEPS = 2000
-"""Least number of communication steps of a companion over the motion; with fewer, both runs could miss the same
-between their communication points."""
+"""Smallest number of communication steps of a companion over the motion; with fewer, both runs could miss the same
+motion between communication points."""
 
 
 class Options(TypedDict, total=False):
-    """Keywords of `run_scene` that don't concern what stands between motion and robot."""
+    """Keywords of `run_scene`, except ``motion`` and ``loop``."""
 
     communication_step: float | None
     tolerance: float | None
@@ -73,34 +73,33 @@ def run_scene(
 ) -> Run:
     """Plan the scene's motion, build its FMU or take it from the cache, and co-simulate motion and dwell.
 
-    The scene's controllers, shapers and imperfections take part. A robot that is driven by torques and has no controller
-    gets the torques that hold its start pose.
+    The system includes the scene's controllers, shapers and imperfections. A robot driven by torques without a controller
+    gets constant torques that hold its start pose.
 
     Args:
-        scene: what to simulate.
-        communication_step: communication step [s]; the scene's own when None.
-        tolerance: relative tolerance for the FMU; the scene's own when None.
-        input_order: degree of the input polynomials, 0 (values only) to 9; None for the highest that the FMU states.
-        fmu_path: an FMU of a scene with the same effects, instead of building one; its parameters are set from this scene.
-        progress: called from time to time with the simulated fraction, 0..1.
+        scene: the scene.
+        communication_step: communication step [s]; None for the scene's value.
+        tolerance: relative tolerance for the FMU; None for the scene's value.
+        input_order: degree of the input polynomials, 0 (values only) to 9; None for the highest that the FMU supports.
+        fmu_path: FMU of a scene with the same effects, instead of building one; its parameters are set from this scene.
+        progress: called repeatedly with the simulated fraction, 0..1.
         parameters: FMU parameters that differ from the scene's, for example ``{"payload.mass": 0.1}``.
-        initial: ``static`` or ``undeformed``; the scene's own when None.
-        motion: a motion to run instead of the scene's own with its shapers, planned from the same scene.
-        loop: what stands between motion and robot, instead of the scene's own sections; see
-            `run_loop`.
-        isolate: whether to simulate in a child process, so that a slave which crashes, exits or hangs ends the run alone (Linux
-            only); the scene's own when None. Where the scene leaves it open too, runs with FMUs of other tools or with
-            the scene's Python slaves are isolated, but not runs with Python slaves passed as objects: what these
-            change in themselves would stay in the child.
-        call_limit: how long a slave may stay in one call of an isolated run [s]; the scene's own when None.
+        initial: ``static`` or ``undeformed``; None for the scene's value.
+        motion: motion, planned from the same scene, instead of the scene's own motion with its shapers.
+        loop: controllers, shapers and imperfections instead of the scene's sections; see `run_loop`.
+        isolate: whether to simulate in a child process, so that a slave that crashes, exits or hangs ends only the run
+            (Linux only); None for the scene's value. If that is open too, runs with FMUs of other tools or with the
+            scene's Python slaves are isolated, but not runs with Python slaves passed as objects, whose changes would be
+            lost in the child process.
+        call_limit: time limit of one call of a slave in an isolated run [s]; None for the scene's value.
 
     Returns:
-        The run; when a slave fails on the way, with what was recorded until then.
+        The run; if a slave fails, with the recording up to then.
 
     Raises:
         TrajectoryError: the motion is not feasible, or can't be shaped.
         InputError: an FMU can't be loaded or lacks a variable, a parameter doesn't exist or is out of range, or the
-            slaves can't be wired.
+            slaves can't be connected.
         BuildError: the FMU can't be built (no compiler, for example).
     """
     prepared = PreparedScene(
@@ -129,26 +128,26 @@ def run_loop(
 ) -> Run:
     """Run a scene with these controllers, shapers and imperfections instead of its own sections.
 
-    Anything may be a `SymbolicBlock` (what `flexfmu.cosim.control.controllers` and `flexfmu.cosim.control.imperfections` return), a
-    slave of your own, a `control.StateSpace` or `control.TransferFunction`, or the path of an FMU.
+    Each may be a `SymbolicBlock` (from `flexfmu.cosim.control.controllers` or `flexfmu.cosim.control.imperfections`), a
+    slave, a `control.StateSpace` or `control.TransferFunction`, or the path of an FMU.
 
     Example:
         ``run_loop(scene, controllers=[pd(2e4, 200.0, sample_time=1e-3)], imperfections=[encoder(2**17, sample_time=1e-3)])``
 
     Args:
-        scene: the scene; with controllers, one that is driven by torques.
-        controllers: what calculates torques from references and measurements; equal names are connected.
-        shapers: `flexfmu.cosim.control.shapers.Shaper`, an `ImpulseSequence` for the joint references, or another slave that the
-            references pass.
-        imperfections: what signals pass on their way, in this order, or
+        scene: the scene; driven by torques if there are controllers.
+        controllers: slaves that calculate torques from references and measurements; equal names are connected.
+        shapers: `flexfmu.cosim.control.shapers.Shaper`, an `ImpulseSequence` for the joint references, or slaves in series
+            with references.
+        imperfections: slaves in series with signals, in this order, or
             `flexfmu.cosim.control.imperfections.payload_error.PayloadError`.
-        connect: ``slave.input`` → ``slave.output`` or name of a signal, beyond equal names.
-        motion: a motion instead of the scene's own, planned from the same scene.
+        connect: ``slave.input`` → ``slave.output`` or name of a signal, in addition to equal names.
+        motion: motion, planned from the same scene, instead of the scene's own.
         options: as for `run_scene`.
 
     Raises:
         TrajectoryError: the motion is not feasible, or can't be shaped.
-        InputError: something can't be a slave, or the slaves can't be wired.
+        InputError: an argument can't be made a slave, or the slaves can't be connected.
         BuildError: the FMU can't be built.
     """
     planned = plan(scene) if motion is None else motion
@@ -156,13 +155,12 @@ def run_loop(
 
 
 class PreparedScene:
-    """A scene that has been planned, built, loaded and wired, to be run again and again with other parameters.
+    """A scene that is planned, built, loaded and connected once, for repeated runs with different parameters.
 
     Example:
         ``prepared = PreparedScene(scene); runs = [prepared.run({"payload.mass": mass}) for mass in masses]``
 
-    Args and errors: as for `run_scene`; ``record`` says which signals of a run's recording to keep, with how many
-    derivatives.
+    Args and errors: as for `run_scene`; ``record`` selects the recorded signals and the number of their derivatives.
     """
 
     def __init__(
@@ -185,7 +183,7 @@ class PreparedScene:
                 f"scene {scene.name} leaves the choice of effects open: run it with `flexfmu.run`, or choose first, with "
                 f"`flexfmu.cosim.choices.effects.choice.resolved(scene)`"
             )
-        # plan the motion, with what stands between it and the robot
+        # plan the motion; make controllers, shapers and imperfections
         watch = Stopwatch()
         section = scene.cosimulation
         theirs, self._loop = loop is not None, loop_of(scene, motion) if loop is None else loop
@@ -194,11 +192,11 @@ class PreparedScene:
         # build the FMU, or take it from the cache
         self._fmu_path = build_scene(scene).path if fmu_path is None else fmu_path
         building = watch.lap()
-        # load the FMU and wire the system
+        # load the FMU and connect the system
         self._parts = scene_system(scene, self._loop, self._fmu_path, initial=initial, input_order=input_order)
         self._coupling = coupling_of(section)
         self._system = connect(self._parts.slaves, self._parts.wiring.connections, loops=self._coupling.loops)
-        # how to run it: step, tolerance, isolation, recorded signals
+        # settings: step, tolerance, isolation, recorded signals
         self._step = section.step if communication_step is None else communication_step
         _check_step(self._step, self._loop.motion.duration)
         self._tolerance = section.tolerance if tolerance is None else tolerance
@@ -207,7 +205,7 @@ class PreparedScene:
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=theirs)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
         self._facts = slave_facts(self._parts.slaves)
-        # made at the first run; a companion is prepared from the same arguments
+        # the simulator is made at the first run; a companion has the same arguments
         self._simulator: Simulator | None = None
         self._again: Mapping[str, Any] = {
             "scene": scene,
@@ -226,10 +224,10 @@ class PreparedScene:
 
         Args:
             parameters: FMU parameters that differ from the scene's in this run, for example ``{"payload.mass": 0.1}``.
-            progress: called now and then with the simulated fraction, 0..1.
+            progress: called repeatedly with the simulated fraction, 0..1.
 
         Returns:
-            The run; when a slave fails on the way, with what was recorded until then.
+            The run; if a slave fails, with the recording up to then.
 
         Raises:
             InputError: a parameter doesn't exist or is out of range.
@@ -237,7 +235,7 @@ class PreparedScene:
         parts, watch = self._parts.with_parameters(parameters or {}), Stopwatch()
         simulation = self._ready().run(self._tolerance, progress)
         timing = Timing(*self._times, watch.lap())
-        # a run that failed names the values that suggest another unit, too
+        # the message of a failed run includes values with suspicious units
         hints = () if simulation.outcome is Outcome.COMPLETED else self._loop.motion.scene.unit_hints
         run = Run(
             plan=self._loop.motion,
@@ -255,7 +253,7 @@ class PreparedScene:
             parameters=parts.changes,
             companion=self._companion(parts.changes),
         )
-        # a slave that fails far from where its controller should keep it isn't the cause
+        # if the loop has diverged before a slave fails, the loop is the cause
         failed = run.outcome not in (Outcome.COMPLETED, Outcome.INTERRUPTED, Outcome.COUPLING_UNSTABLE)
         if failed and (unstable := divergence(run)) is not None:
             return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
@@ -263,7 +261,7 @@ class PreparedScene:
 
     @property
     def stop_time(self) -> float:
-        """When runs end [s]; the end of motion and dwell unless it is changed."""
+        """End of the simulation [s]; by default the end of motion and dwell."""
         return self._stop_time
 
     @stop_time.setter
@@ -271,7 +269,7 @@ class PreparedScene:
         self._stop_time, self._simulator = value, None
 
     def _ready(self) -> Simulator:
-        """The simulator up to the present stop time."""
+        """The simulator with the current stop time."""
         if self._simulator is None:
             self._simulator = Simulator(
                 self._system,
@@ -285,7 +283,7 @@ class PreparedScene:
         return self._simulator
 
     def _companion(self, parameters: Mapping[str, float]) -> Companion:
-        """The same with shorter communication steps, which divide this one, and tighter tolerances."""
+        """The companion: communication steps that divide those of the run, and tighter tolerances."""
         samples = [slave.sample_time for slave in self._parts.slaves if isinstance(slave, Sampled)]
         longest = min(0.5 * self._step, self._loop.motion.duration / COMPANION_STEPS, *(0.5 * each for each in samples))
         step = self._step / ceil(self._step / longest * (1.0 - 1e-9))
@@ -294,16 +292,15 @@ class PreparedScene:
         return Companion(step, tolerance, partial(_run_companion, finer, self._stop_time, dict(parameters)))
 
     def isolate_python_slaves(self) -> None:
-        """Isolate the caller's own Python slaves too, unless isolation is switched off: the run must not change
-        them."""
+        """Isolate Python slaves passed as objects too, so that runs don't change them, unless isolation is switched off."""
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=False)
 
 
 def _check_step(step: float, duration: float) -> None:
-    """A communication step [s] must fit into the motion [s].
+    """Check that a communication step [s] is not longer than the motion [s].
 
     Raises:
-        InputError: it doesn't.
+        InputError: it is.
     """
     if step > duration:
         raise InputError(
@@ -315,10 +312,10 @@ def _check_step(step: float, duration: float) -> None:
 def _run_companion(
     arguments: Mapping[str, Any], stop_time: float, parameters: Mapping[str, float], progress: Progress | None = None
 ) -> Run:
-    """Prepare a companion anew, with a finer fixed step or step control where the scene has these, and run it."""
+    """Prepare and run a companion, also with a finer fixed integrator step or step control if the scene has them."""
     scene = arguments["scene"]
     section, changes = scene.cosimulation, dict[str, Any]()
-    # whatever else limits the accuracy gets finer too
+    # finer settings of everything else that limits the accuracy
     if section.integrator_step > 0.0:
         changes["cosimulation.integrator_step"] = 0.5 * section.integrator_step
     if section.step_control is not None:

@@ -1,4 +1,4 @@
-"""The recording of a scene from that of the master: short names, and the rigid motion beside the robot's."""
+"""The recording of a scene from the master's recording: short names, constant inputs, rigid motion."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class SceneRecording:
     Args:
         parts: slaves and wiring.
         rigid: the motion of the rigid robot.
-        selection: what to keep, by the names in the finished recording.
+        selection: recorded signals, by names in the scene's recording.
 
     Attributes:
-        needed: the same by the names of the master.
+        needed: recorded signals, by names in the master's recording.
 
     Raises:
-        InputError: there is no such signal.
+        InputError: a selected signal doesn't exist.
     """
 
     def __init__(self, parts: SceneSystem, rigid: RigidMotion, selection: Selection) -> None:
@@ -41,7 +41,7 @@ class SceneRecording:
             if variable.causality == "output"
         }
         selection.check({*map(_short, outputs), *outputs, *parts.wiring.feeding, *parts.constants, *rigid.names})
-        # outputs that the signals to keep are made of, by the master's names; None for all
+        # outputs needed for the selected signals, by the master's names; None for all
         sources: set[str] | None = None
         if selection.names is not None:
             feeding = parts.wiring.feeding
@@ -50,7 +50,7 @@ class SceneRecording:
         self.needed = Selection(sources, selection.order)
 
     def of(self, recorded: Recording, parts: SceneSystem) -> Recording:
-        """What was recorded, with short names and the torques that nothing feeds."""
+        """The scene's recording from the master's, with short names, unconnected inputs and the rigid motion."""
         time, columns = recorded.time, plain_names(recorded.columns, PLANT, REFERENCES, parts.wiring.feeding)
         columns |= constants(parts.plant, parts.constants, time.size)
         if self._with_rigid:
@@ -59,7 +59,7 @@ class SceneRecording:
 
 
 def _short(name: str) -> str:
-    """The name that a finished recording may have for an output."""
+    """The short name of an output in the scene's recording."""
     owner, _, variable = name.partition(".")
     return variable if owner in (PLANT, REFERENCES) else name
 
@@ -69,7 +69,7 @@ KINDS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s2"))
 
 
 class RigidMotion:
-    """The rigid end-effector motion of a plan; runs at the same instants calculate it once."""
+    """The rigid end-effector motion of a plan, cached for runs with the same instants."""
 
     def __init__(self, motion: MotionPlan) -> None:
         self._motion = motion
@@ -82,8 +82,10 @@ class RigidMotion:
         return tuple(f"end_effector.reference.{kind}.{axis}" for kind, _ in KINDS for axis in "xy")
 
     def columns(self, time: RealArray) -> Mapping[str, Column]:
-        """``end_effector.reference.position.x`` and so on at a recording's times, with their derivatives, on both sides of
-        every instant that appears twice."""
+        """Columns such as ``end_effector.reference.position.x`` at a recording's times, with derivatives.
+
+        An instant that appears twice has the left limit, then the right one.
+        """
         if not np.array_equal(time, self._time):
             self._time, self._columns = time, self._calculate(time)
         return self._columns
@@ -100,11 +102,11 @@ class RigidMotion:
 
 @dataclass(frozen=True)
 class SlaveFacts:
-    """A slave as the summary lists it.
+    """Facts about a slave for the summary.
 
     Attributes:
-        name: its name in the system.
-        description: what it is.
+        name: name of the slave.
+        description: kind of the slave.
         sample_time, offset: [s]; None for a slave that isn't sampled.
     """
 
@@ -115,7 +117,7 @@ class SlaveFacts:
 
 
 def slave_facts(slaves: Sequence[Slave]) -> tuple[SlaveFacts, ...]:
-    """The slaves as the summary lists them."""
+    """Facts about the slaves for the summary."""
     return tuple(
         SlaveFacts(slave.name, _description(slave), slave.sample_time, offset(slave))
         if isinstance(slave, Sampled)
@@ -127,15 +129,15 @@ def slave_facts(slaves: Sequence[Slave]) -> tuple[SlaveFacts, ...]:
 def plain_names(
     recorded: Mapping[str, Column], plant: str, references: str, feeding: Mapping[str, str]
 ) -> dict[str, Column]:
-    """What was recorded, with short names.
+    """The recorded columns with short names.
 
-    What the plant outputs, what acts on it in the end (such as ``joint1.torque``) and, where the name isn't taken, what
-    the trajectory outputs have their own names; all others, and whatever was superseded, are ``slave.variable``.
+    Outputs of the plant, its inputs (such as ``joint1.torque``) and the trajectory's outputs have their own names. All other
+    signals, and references that an inline block replaces, have the name ``slave.variable``.
 
     Args:
         recorded: columns named ``slave.variable``.
         plant, references: names of these slaves.
-        feeding: input of the plant → ``slave.output`` that feeds it; left out where that wasn't recorded.
+        feeding: input of the plant → ``slave.output`` connected to it; ignored if that isn't recorded.
     """
     columns: dict[str, Column] = {}
     for name, column in recorded.items():
@@ -147,20 +149,20 @@ def plain_names(
 
 
 def held(column: Column) -> Column:
-    """The column with zero for derivatives that its slave doesn't give: the signal is held."""
+    """The column with zeros for missing derivatives, since the signal is held constant."""
     zero = np.zeros_like(column.values)
     first = zero if column.first is None else column.first
     return Column(column.unit, column.values, first, zero if column.second is None else column.second)
 
 
 def constants(plant: Slave, values: Mapping[str, float], count: int) -> dict[str, Column]:
-    """The plant's inputs that nothing feeds, at the values that they keep at so many instants."""
+    """Columns of the plant's unconnected inputs with constant values, at ``count`` instants."""
     units = {each.name: each.unit for each in plant.variables if each.name in values}
     return {name: held(Column(units[name], np.full(count, value))) for name, value in values.items()}
 
 
 def _description(slave: Slave) -> str:
-    """What a slave is."""
+    """Description of a slave's kind."""
     # blocks describe themselves
     block = getattr(slave, "block", None)
     if block is not None:

@@ -1,4 +1,4 @@
-"""The FMU of a scene, and which parts of the scene determine it."""
+"""Builds the FMU of a scene, with a cache key from the parts of the scene that determine it."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _RUN_KEYS = {
 }
 _LOOP = dict.fromkeys(("controller", "shaper", "imperfection"), True)
 _WITHOUT_INFLUENCE: Any = {"trajectory": _PATH_KEYS, "cosimulation": _RUN_KEYS, **_LOOP}
-"""Keys of the scene that the model never sees; whatever is not listed here counts."""
+"""Keys of the scene without influence on the model; all other keys belong to the cache key."""
 
 
 def scene_key(scene: Scene) -> str:
-    """All of the scene that determines its model, as text."""
+    """Text that determines the scene's model: the scene as JSON without the keys that have no influence."""
     return scene.model_dump_json(exclude=_WITHOUT_INFLUENCE)
 
 
@@ -44,17 +44,17 @@ def build_scene(
     cache: bool = True,
     progress: BuildProgress = lambda message: None,
 ) -> BuiltFmu:
-    """Build the FMU of ``scene``, or take it from the cache without ever loading CasADi.
+    """Build the FMU of ``scene``, or take it from the cache without importing CasADi.
 
-    The default experiment is the scene's own: its communication step, its tolerance, motion and dwell.
+    The default experiment has the scene's communication step and tolerance, over motion and dwell.
 
     Args:
-        scene: what to build.
+        scene: the scene.
         output, platforms, naming, enumerations, cache, progress: as for `flexfmu.fmu_build.build.build_fmu`.
 
     Raises:
         BuildError: as for `build_fmu`.
-        SceneError: the scene asks for a plant that doesn't exist.
+        SceneError: there is no plant for the scene.
     """
 
     def make_model() -> SymbolicModel:
@@ -62,7 +62,7 @@ def build_scene(
 
         return build_model(scene)
 
-    # end of motion and dwell without the sum's rounding: 0.43 and 0.25 make 0.68
+    # end of motion and dwell, rounded: 0.43 + 0.25 = 0.68
     stop_time = float(f"{scene.trajectory.duration + scene.trajectory.dwell:.12g}")
     return build_fmu(
         make_model,

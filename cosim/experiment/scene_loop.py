@@ -1,4 +1,4 @@
-"""From the sections of a scene file to its loop: controllers, shapers and imperfections, built, named and connected."""
+"""Builds the loop of a scene from the sections for controllers, shapers and imperfections."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from flexfmu.model.scene.schema import Scene
 
 
 def loop_of(scene: Scene, motion: MotionPlan | None = None) -> Loop:
-    """The loop that a scene's sections describe.
+    """Build the loop of a scene.
 
     Args:
         scene: the scene.
-        motion: a motion instead of the scene's own with its shapers.
+        motion: motion instead of the scene's own with its shapers.
 
     Raises:
-        InputError: a slave can't be made or wired.
+        InputError: a slave can't be made or connected.
         TrajectoryError: the motion is not feasible, or can't be shaped.
     """
     shapers = scene.shaper if motion is None else ()
@@ -39,7 +39,7 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None) -> Loop:
         return Loop(planned, planned.joints)
     names = SlaveNames()
     builder = _Builder(scene, planned, names)
-    # shapers change the motion, controllers learn over its cycles, imperfections sample with the controllers
+    # in this order: controllers need the shaped, repeated motion; imperfections the controllers' sample time
     course = shape(planned, [builder.shaper(each) for each in shapers], names, lambda shaped: _repeated(scene, shaped))
     controllers = [builder.slave(each, course.motion) for each in scene.controller]
     imperfections = [builder.imperfection(each, controllers) for each in scene.imperfection]
@@ -47,7 +47,7 @@ def loop_of(scene: Scene, motion: MotionPlan | None = None) -> Loop:
 
 
 def _repeated(scene: Scene, motion: MotionPlan) -> MotionPlan:
-    """The motion, repeated where a controller learns.
+    """The motion, repeated if a controller learns.
 
     Raises:
         InputError: controllers learn over different numbers of cycles, or at different sample times.
@@ -67,12 +67,12 @@ def _repeated(scene: Scene, motion: MotionPlan) -> MotionPlan:
 
 
 class _Builder:
-    """Builds what a scene's sections ask for; errors as for `loop_of`.
+    """Builds shapers, imperfections and slaves from a scene's sections; errors as for `loop_of`.
 
     Args:
         scene: the scene.
         planned: its planned motion, before shapers.
-        names: gives every slave a name of its own.
+        names: assigns unique names.
 
     Attributes:
         connect: ``slave.input`` → source, from the sections built so far.
@@ -91,7 +91,7 @@ class _Builder:
         return shaper
 
     def imperfection(self, section: Any, controllers: Sequence[Slave]) -> PayloadError | Slave:
-        """The imperfection of a section; without a sample time of its own it has that of the first controller with one."""
+        """The imperfection of a section; its default sample time is that of the first sampled controller."""
         own = (slave.sample_time for slave in controllers if isinstance(slave, Sampled))
         sample_time = next(own, self._scene.cosimulation.step)
         if isinstance(section, PayloadErrorSection):
@@ -100,12 +100,12 @@ class _Builder:
         return self.slave(section, self._planned, sample_time)
 
     def slave(self, section: Any, motion: MotionPlan, sample_time: float = 0.0) -> Slave:
-        """The slave of a section, named and connected.
+        """The slave of a section, named, with its connections in ``connect``.
 
         Args:
             section: the section.
-            motion: what its builder knows of the motion.
-            sample_time: [s] of a section that has none of its own.
+            motion: motion for the section's builder.
+            sample_time: default sample time [s].
         """
         slave: Slave
         if isinstance(section, PythonSection):
@@ -121,10 +121,10 @@ class _Builder:
                 output_order=section.output_order,
             )
         else:
-            # the name comes first: random numbers follow from it
+            # the name first: it seeds random numbers
             name = self._names.chosen(section.name, section.kind.replace("-", "_"))
             slave = build(section, self._context(motion, name, sample_time))
-        # an input without a slave's name is the slave's own, misspelt or not
+        # targets without the name of another slave are inputs of this slave, even if misspelt
         own = {variable.name for variable in slave.variables if variable.causality == "input"}
         heads = {head for name in own if (head := name.partition(".")[0]) not in self._names}
         for target, source in section.connect.items():
@@ -134,14 +134,14 @@ class _Builder:
         return slave
 
     def _context(self, motion: MotionPlan, name: str, sample_time: float) -> LoopContext:
-        """What the builder of a section may need."""
+        """The context for the builder of a section."""
         period = None if motion.repetition is None else motion.repetition.period
         return LoopContext(
             motion.scene, motion.along_path, self._planned.joints, period, name, sample_time, self._before
         )
 
     def _before(self, kind: str) -> Sequence[float]:
-        """Values of both joints before the start, at rest; no torques for a robot that is driven by its motion."""
+        """Values of a signal of both joints before the start, at rest; no torques for a robot driven by motion."""
         if kind == "position":
             return tuple(float(angle) for angle in self._planned.joints.evaluate(0.0, 0, "left")[0, 0])
         if kind != "torque":

@@ -28,7 +28,7 @@ END_EFFECTOR = ("end_effector.position.x", "end_effector.position.y")
 
 @dataclass(frozen=True)
 class Timing:
-    """Wall times [s] of planning, building (or finding) the FMU, loading it, and simulating."""
+    """Wall times [s] of planning, building the FMU (or finding it in the cache), loading it, and simulating."""
 
     plan: float
     build: float
@@ -43,7 +43,7 @@ class Health:
     Attributes:
         statistics: the FMU's Integer variables ``statistics.*`` at the end, without that prefix: steps, rejections,
             evaluations, iterations, factorisations; empty for an FMU without them.
-        messages: what the FMU logged.
+        messages: log messages of the FMU.
     """
 
     statistics: Mapping[str, int]
@@ -52,12 +52,12 @@ class Health:
 
 @dataclass(frozen=True)
 class Companion:
-    """The same run once more, more precisely: the difference is the error of the first one.
+    """A more accurate repetition of a run, to estimate the run's error.
 
     Attributes:
-        communication_step: [s], at most half of the run's, and of every sample time.
-        tolerance: for the FMU.
-        run: simulates it and reports the simulated fraction to a function, or to None.
+        communication_step: [s], at most half of the run's and of every sample time.
+        tolerance: relative tolerance for the FMU.
+        run: function that simulates it; takes a progress function or None.
     """
 
     communication_step: float
@@ -71,13 +71,13 @@ class Run:
 
     Attributes:
         plan: the scene and its planned motion.
-        recording: every output of the FMU with first and second derivatives, what acted on it (torques, or joint
-            references ``joint1.reference.position`` and so on) and the rigid end-effector motion
-            (``end_effector.reference.position.x`` and so on: position, velocity, acceleration), over motion and dwell,
-            up to where the run came; what other slaves output as ``slave.variable``. The first instant appears twice
-            (standstill, motion), so does every breakpoint and every sample instant.
-        outcome: how the run ended; `Outcome.COMPLETED` when all went well.
-        message: what happened, in one line.
+        recording: outputs of the FMU with first and second derivatives, its inputs (torques, or joint references such as
+            ``joint1.reference.position``), the rigid end-effector motion (position, velocity and acceleration, such as
+            ``end_effector.reference.position.x``), and outputs of other slaves as ``slave.variable``; over motion and
+            dwell, or up to a failure. The first instant (standstill, motion), every breakpoint and every sample instant
+            appear twice.
+        outcome: how the run ended; `Outcome.COMPLETED` if it reached its stop time.
+        message: the outcome in one line.
         fmu_path: the FMU that was simulated.
         communication_step: communication step [s].
         tolerance: relative tolerance passed to the FMU.
@@ -85,9 +85,9 @@ class Run:
         health: statistics and messages of the FMU.
         timing: wall times.
         slaves: all slaves of the system.
-        delays: for each connection how late its signals arrive.
+        delays: delay of the signals of each connection.
         parameters: parameters of the robot that differ from the scene's.
-        companion: a more precise run of the same, to be run when its errors are asked for; None where there is none.
+        companion: more accurate repetition, run only to estimate errors; None if there is none.
     """
 
     plan: MotionPlan
@@ -112,7 +112,7 @@ class Run:
 
     @property
     def robot(self) -> Scene:
-        """The scene with the parameters that the robot had."""
+        """The scene with the parameters of the robot in this run."""
         return scene_with_parameters(self.scene, self.parameters)
 
     @property
@@ -122,10 +122,10 @@ class Run:
 
 
 def rest_position(run: Run) -> RealArray:
-    """Where the end effector rests after a run's motion, (2,) [m]: static equilibrium at the end pose, motors locked.
+    """End-effector position at rest after a run's motion, (2,) [m]: static equilibrium at the end pose, motors locked.
 
-    The run's FMU finds it while it initialises at the end pose instead of the start pose, in a hundredth of the time that
-    the equations take in CasADi; these serve where the FMU can't.
+    The run's FMU calculates it by initialising at the end pose, a hundred times faster than the equations in CasADi, which
+    are used if the FMU can't.
 
     Raises:
         EquilibriumError: the end pose has no static equilibrium.
@@ -133,7 +133,7 @@ def rest_position(run: Run) -> RealArray:
     end = np.array([run.plan.duration])
     joints, position = (each.evaluate(end, 0, side="left")[0, 0] for each in (run.plan.joints, run.plan.task))
     robot = run.robot
-    # a robot driven by torques takes its pose from the end effector's, so that its links must have the planned lengths
+    # a robot driven by torques gets its pose from the end effector, so its links must have the planned lengths
     if robot.cosimulation.drive == "motion":
         pose = {f"joint{i}.reference.position": float(angle) for i, angle in enumerate(joints, start=1)}
     elif robot.mechanism == run.scene.mechanism:
@@ -150,7 +150,7 @@ def _rest_by_fmu(path: Path, robot: Scene, pose: Mapping[str, float]) -> RealArr
     parameters: dict[str, Value] = {**parameters_for(robot, parameter_names(open_fmu(path).description)), **pose}
     slave = FmuSlave(path, "plant", {**parameters, INITIAL.name: "static"}, output_order=0)
     names, position = [variable.name for variable in slave.variables], np.empty(2)
-    # the equilibrium is found in initialisation, no step is needed
+    # initialisation finds the equilibrium, without a step
     slave.initialize(0.0, 1.0, None)
     try:
         slave.get(np.array([names.index(name) for name in END_EFFECTOR]), position)

@@ -1,4 +1,4 @@
-"""Measuring wall time and processor time."""
+"""Measurement of wall time and processor time."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from time import perf_counter, process_time
 
 ENOUGH = 0.1
-"""Processor time [s] after which a trial isn't repeated any more."""
+"""Total processor time [s] per trial after which it is no longer repeated."""
 
 MOST = 15
 """Most repetitions of a trial."""
 
 
 class Stopwatch:
-    """Wall time from lap to lap."""
+    """Measures wall time between laps."""
 
     def __init__(self) -> None:
         self._since = perf_counter()
@@ -25,12 +25,12 @@ class Stopwatch:
 
 
 def fastest(run: Callable[[], object]) -> float:
-    """Processor time [s] of the fastest of several runs; the first of them warms up."""
+    """Processor time [s] of the fastest of several runs, the first of which warms up."""
     return fastest_in_turns([run])[0]
 
 
 def fastest_in_turns(runs: Sequence[Callable[[], object]]) -> tuple[float, ...]:
-    """Processor times [s] of the fastest of several runs of each, taken in turns since a machine's speed varies."""
+    """Processor time [s] of the fastest of several runs of each function, run in turns since a machine's speed varies."""
     best = [_timed(run) for run in runs]
     total = sum(best)
     for _ in range(MOST):

@@ -1,4 +1,4 @@
-"""Many variants of one scene through one FMU: payloads, trajectories, and whatever else is a parameter."""
+"""Runs many variants of a scene with one FMU: other payloads, trajectories and FMU parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from flexfmu.model.scene.schema import Scene
 T = TypeVar("T")
 
 Changes = Mapping[str, Any]
-"""What a variant changes: keys of the scene's section ``trajectory``, such as ``trajectory.duration``, and parameters of
+"""Changes of a variant: keys of the scene's section ``trajectory``, such as ``trajectory.duration``, and parameters of
 the FMU, such as ``payload.mass``."""
 
 MOTION = "trajectory."
@@ -29,9 +29,9 @@ class VariantResult(Generic[T]):
     """The result of a variant.
 
     Attributes:
-        changes: what it changes.
-        value: what was measured; None where there is an error.
-        error: what went wrong; None where nothing did.
+        changes: changes of the variant.
+        value: result of ``measure``; None after an error.
+        error: the exception; None if there was none.
     """
 
     changes: Changes
@@ -40,7 +40,7 @@ class VariantResult(Generic[T]):
 
 
 class VariantError(CosimError):
-    """A variant's run ended before its time; the message is the run's."""
+    """The run of a variant didn't reach its stop time; the message is that of the run."""
 
 
 def run_variants(
@@ -53,22 +53,21 @@ def run_variants(
     record: Selection = EVERYTHING,
     progress: Progress | None = None,
 ) -> list[VariantResult[T]]:
-    """Simulate variants of a scene one after the other, and keep of each run what is asked for.
+    """Simulate variants of a scene one after the other and measure each run.
 
-    The FMU is built and loaded once; each motion is planned once, and its references are calculated once for all
-    variants that share it.
+    The FMU is built once; each motion is planned, and its references calculated, once for all variants with this motion.
 
     Args:
         scene: the scene.
-        variants: what each changes.
-        measure: what to keep of a completed run, `flexfmu.cosim.metrics.metrics.metrics_of` for example.
+        variants: changes of each variant.
+        measure: function from a completed run to the result, `flexfmu.cosim.metrics.metrics.metrics_of` for example.
         communication_step, tolerance: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
-        record: which signals ``measure`` needs; less takes less time.
-        progress: called after each variant with the fraction that is done.
+        record: signals that ``measure`` needs; fewer take less time.
+        progress: called after each variant with the completed fraction, 0..1.
 
     Returns:
-        The results in the order of the variants. Where one can't be planned, simulated or measured, it has an error
-        instead of a value, and the others are as if it weren't there.
+        The results in the order of the variants. A variant that can't be planned, simulated or measured has an error instead
+        of a value and doesn't affect the others.
 
     Raises:
         BuildError: the FMU can't be built.
@@ -96,13 +95,13 @@ def run_variants(
 
 
 def _part(variant: Changes, *, motion: bool) -> dict[str, Any]:
-    """The changes to the motion, or all others."""
+    """The changes of the motion, or all others."""
     return {key: value for key, value in variant.items() if key.startswith(MOTION) == motion}
 
 
 def _result(variant: Changes, ready: PreparedScene | Exception, measure: Callable[[Run], T]) -> VariantResult[T]:
     """Simulate and measure one variant."""
-    # the motion itself could not be planned
+    # the motion can't be planned
     if isinstance(ready, Exception):
         return VariantResult(variant, None, ready)
 
@@ -112,13 +111,13 @@ def _result(variant: Changes, ready: PreparedScene | Exception, measure: Callabl
             raise VariantError(run.message)
         return measure(run)
 
-    # an error is the result of this variant alone
+    # an error affects only this variant
     outcome = _attempt(measured)
     return VariantResult(variant, None, outcome) if isinstance(outcome, Exception) else VariantResult(variant, outcome)
 
 
 def _attempt(action: Callable[..., T], *arguments: Any) -> T | Exception:
-    """The result of an action, or its error: one variant that fails must not end a sweep."""
+    """The result of an action, or its exception, so that one failing variant doesn't end the sweep."""
     try:
         return action(*arguments)
     except Exception as error:
