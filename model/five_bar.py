@@ -1,9 +1,9 @@
 """The five-bar of a scene as a sum of effects, the common base of plants, statics and modes.
 
 Quasi-static families have no states and no inertia of their own: they deflect statically under the present loads. The
-loads f on such a family follow from the motion of all other coordinates with the family undeformed; the deflection is
-q = -K^-1 f. It displaces the end effector and enters the effects' outputs, but doesn't act back on the other
-coordinates: this is the static correction of the mode acceleration method. Its relative error is of the order of (frequency of the
+loads f on such a family follow from the motion of all other coordinates with the family undeformed; the deflection is q
+= -K^-1 f. It displaces the end effector and enters the effects' outputs, but doesn't act back on the other coordinates:
+this is the static correction of the mode acceleration method. Its relative error is of the order of (frequency of the
 motion / natural frequency of the family)².
 
 Sources: Craig and Kurdila, Fundamentals of Structural Dynamics (2006), section 11.4; Dickens, Nakagawa and Wittbrodt, A
