@@ -170,6 +170,7 @@ def compare_motions(
     ours: ComputedMotion, theirs: ComputedMotion, motion: MotionPlan, instants: RealArray
 ) -> MotionAgreement:
     """Compare two motions at the same instants (N,) [s]; differences are relative to ``theirs``."""
+    # metrics of both motions against the rigid robot
     rigid = motion.task.evaluate(instants, 2, side="left")
     moving = instants <= motion.duration
     peaks = [np.linalg.norm(each.position - rigid[0], axis=1).max() for each in (ours, theirs)]

@@ -74,6 +74,7 @@ class SspArchive:
         Raises:
             SspError: there is no such file, it is damaged or too large.
         """
+        # the file must exist and be of reasonable size
         prefix = f"{where} names {file!r}, which" if where else self.label(file)
         if file not in self._entries:
             known = ", ".join(sorted(name for name in self._entries if not name.endswith("/")))

@@ -141,11 +141,13 @@ def _parameter_set(root: XmlElement) -> ParameterSet:
 
 def _parameter(node: XmlElement) -> SspParameter:
     """One parameter with its typed value."""
+    # the element with the value, which FMI 2.0 must know
     value = next((each for each in node.children("*") if each.tag in (*_READ, *NUMBERS, "Binary")), None)
     if value is None:
         raise node.error(f"has no value; give it one of {', '.join(get_args(Type))}")
     if value.tag == "Binary":
         raise node.error("is Binary, which FMI 2.0 doesn't have; leave it out")
+    # its value in the type of FMI 2.0
     kind = NUMBERS.get(value.tag, cast(Type, value.tag))
     if len((value.text("value") or "").split()) > 1 and value.tag != kind:
         raise value.error("is an array of SSP 2.0, which this program doesn't read; give each element its own value")

@@ -69,6 +69,7 @@ def _system(node: Any, system: Structure | Subsystem) -> None:
     """The content of a system and of those within it."""
     _connectors(node, system.connectors)
     _bindings(node, system.bindings)
+    # components and subsystems, then their connections
     elements = _add(node, "ssd:Elements") if system.components or system.systems else None
     for component in system.components:
         _component(elements, component)

@@ -157,6 +157,7 @@ def parse(content: bytes, file: str, root: str) -> XmlElement:
     Raises:
         SspError: it is no XML, has a document type declaration, or another root.
     """
+    # no entities, no network
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
     try:
         element = etree.fromstring(_with_prefixes(content), parser)
@@ -164,6 +165,7 @@ def parse(content: bytes, file: str, root: str) -> XmlElement:
         raise SspError(f"{file} is no XML: {' '.join(str(error.msg).split())}; export it again") from None
     if element.getroottree().docinfo.doctype:
         raise SspError(f"{file} has a document type declaration, which SSP files don't need; remove the DOCTYPE")
+    # the expected kind of file
     node = XmlElement(element, file)
     if node.tag != root or not (etree.QName(element).namespace or "").startswith(NAMESPACE):
         raise SspError(f"{file} begins with <{element.tag}>, must begin with <{root}> of SSP 1; check the file")

@@ -232,10 +232,12 @@ def index_one(model: ConstrainedModel, rate: float) -> casadi.Function:
     size = 10 + model.n
     t, z, piece = casadi.MX.sym("t"), casadi.MX.sym("z", 2 * size), casadi.MX.sym("piece", NUMBERS)
     q, v = z[:size], z[size:]
+    # constraints of the loop, and of the driven motors
     psi = model.jacobian(q)
     motors = casadi.horzcat(casadi.DM.eye(2), casadi.DM.zeros(2, size - 2))
     rows = casadi.vertcat(psi, motors)
     drift = model.curvature(q, v) + 2.0 * rate * (psi @ v) + rate**2 * model.constraints(q)
+    # accelerations and multipliers from M a + Jᵀ λ = -b and J a = (-drift, planned joint accelerations)
     matrix = casadi.blockcat([[model.mass_matrix(q), rows.T], [rows, casadi.DM.zeros(PASSIVE + 2, PASSIVE + 2)]])
     known = casadi.vertcat(-model.bias(q, v), -drift, joint_motion(t, piece)[4:])
     acceleration = casadi.solve(matrix, known, "qr")[:size]
