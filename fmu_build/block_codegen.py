@@ -95,6 +95,7 @@ def check_block(block: SymbolicBlock) -> None:
     Raises:
         ModelError: the sample time isn't positive, the offset is negative, or a start state isn't finite.
     """
+    # sampling, then start states
     name = block.name
     if not (isfinite(block.sample_time) and block.sample_time > 0.0):
         raise ModelError(

@@ -69,6 +69,7 @@ def build_trajectory_fmu(
             trajectory, experiment, axes=axes, unit=unit, name=name, naming=naming, progress=progress
         )
 
+    # the default experiment lasts as long as the trajectory
     end = float(f"{trajectory.duration:.12g}") if stop_time is None else stop_time
     experiment = DefaultExperiment(stop_time=end, step=step)
     return build_from_sources(

@@ -18,10 +18,12 @@ NO_VARIABLE = 0x7FFFFFF1
 
 def refuses_illegal_calls(fmu: FmuUnderTest) -> Iterator[Finding]:
     """Check illegal calls (unknown value references, wrong state), calls without variables, and writes out of bounds."""
+    # calls without variables, and writes out of bounds
     with fmu.instance("calls") as instance:
         instance.initialize()
         yield from _empty_call(instance)
         yield from _overrun(fmu, instance)
+    # unknown value references, and calls in the wrong state
     when = f"for the value reference {NO_VARIABLE}, which no variable has"
     yield from _accepted(fmu, _UNKNOWN, True, when, Severity.WARNING)
     yield from _accepted(fmu, _EARLY[fmu.kind], False, "before the initialisation")

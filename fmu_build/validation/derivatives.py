@@ -387,6 +387,7 @@ def _jets(fmu: FmuUnderTest, jet: Callable[[Any], list[Any]], parts: int) -> Rea
     """
     jets: list[list[Any]] = []
     begin = _begin(fmu)
+    # perturbed start, then short steps
     with fmu.instance("derivatives") as instance:
         instance.initialize(perturbed_states(fmu))
         instance.set(fmu.inputs, np.array([moved(variable, PERTURBATION) for variable in fmu.inputs]))
