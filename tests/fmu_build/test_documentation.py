@@ -112,6 +112,7 @@ def test_coordinates_say_which_shape_and_link_they_belong_to(
     assert len(set(texts.values())) == len(texts) == 12
 
 
+@pytest.mark.slow
 def test_page_needs_nothing_else(robot: SymbolicModel) -> None:
     """It reads the same without a network: every element is closed, nothing is loaded."""
     page = _Page(_page(robot))

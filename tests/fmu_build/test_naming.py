@@ -68,6 +68,7 @@ def test_names_without_a_flat_one_are_refused(name: str) -> None:
         flat_name(name)
 
 
+@pytest.mark.slow
 def test_flat_fmu_is_valid_and_computes_the_same(make_oscillators: Callable[..., SymbolicModel]) -> None:
     """The names change and nothing else: fmpy's checks of flat names pass, its results are equal."""
     paths = [build_fmu(make_oscillators(), stop_time=0.1, naming=naming).path for naming in ("structured", "flat")]

@@ -58,6 +58,7 @@ def scene() -> Scene:
     return load_scene("barnard2012-6kg")
 
 
+@pytest.mark.slow
 def test_path_does_not_matter(scene: Scene) -> None:
     """All motions of a robot share one model: what the key leaves out has no influence on the generated sources."""
     changed = scene.replace(PATH_CHANGES)
@@ -72,6 +73,7 @@ def test_all_else_matters(scene: Scene, changes: dict[str, Any]) -> None:
     assert scene_key(scene.replace(changes)) != scene_key(scene)
 
 
+@pytest.mark.slow
 def test_default_experiment_is_the_scene_s(scene: Scene) -> None:
     """The FMU proposes the scene's step and tolerance, and ends with its dwell."""
     description = fmpy.read_model_description(str(build_scene(scene).path))

@@ -159,6 +159,7 @@ def test_fixed_steps_are_made_as_they_are_asked_for() -> None:
         assert run.health.statistics["rejections"] == 0
 
 
+@pytest.mark.slow
 def test_an_explicit_method_with_steps_too_long_says_so() -> None:
     """An unstable run ends with a sentence and what was recorded before, not with numbers that look like results."""
     scene = load_scene("barnard2012-6kg").replace(

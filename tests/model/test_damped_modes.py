@@ -44,6 +44,7 @@ def test_stiffness_damping_has_known_ratios(scene: Scene, end_joints: np.ndarray
     np.testing.assert_allclose(modes.frequencies, natural_frequencies(weightless, end_joints), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_free_vibration_decays_as_the_first_mode_says(scene: Scene, end_joints: np.ndarray) -> None:
     """A free vibration of the nonlinear model from its first mode shape, integrated by SciPy, has that frequency and decay."""
     model, u = numeric_model(scene), standstill(end_joints)

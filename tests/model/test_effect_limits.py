@@ -86,6 +86,7 @@ def test_proximal_links_stretch_as_rods(basis: str, modes: int, tolerance: float
     np.testing.assert_allclose(frequencies(scene)[:6], expected, rtol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("basis", "modes", "tolerance"), [("assumed-modes", 4, 1e-7), ("craig-bampton", 14, 3e-4)])
 def test_thick_proximal_links_vibrate_as_timoshenko_cantilevers(basis: str, modes: int, tolerance: float) -> None:
     """Han, Benaroya and Wei (1999): characteristic equation of the clamped-free Timoshenko beam."""
@@ -187,6 +188,7 @@ def test_cantilevers_sag_under_their_weight(basis: str, modes: int, tolerance: f
     np.testing.assert_allclose(sag, -9.81 * np.cos(joints) / (8.0 * rate**2), rtol=tolerance)
 
 
+@pytest.mark.slow
 def test_a_payload_with_rotary_inertia_slows_the_pinned_link_that_carries_it() -> None:
     """2 = j beta³ (coth beta - cot beta) with j = J/(m l²): a pinned beam with a rotary inertia at one end.
 

@@ -93,6 +93,7 @@ def test_old_linux_systems_can_load_it(name: str, library_for: LibraryFor) -> No
     assert max(_glibc_versions(library_for(name))) <= OLDEST_GLIBC[name]
 
 
+@pytest.mark.slow
 def test_the_native_compiler_keeps_to_old_versions_too(library_for: LibraryFor) -> None:
     """Not only zig, which is told so, but whatever compiler this machine has."""
     native = native_platform()

@@ -301,6 +301,7 @@ def test_bad_tolerances_are_refused(tolerance: float) -> None:
             attempt()
 
 
+@pytest.mark.slow
 @settle
 @given(st.floats(0.3, 0.999), shapers)
 def test_high_damping_gives_a_sequence_or_a_reason(ratio: float, name: str) -> None:

@@ -83,6 +83,7 @@ def result(motion: MotionPlan, name: str, added: float, settling: float | None, 
     return CandidateResult(candidate, added, stray, (Trial(0.0, 1e-6 if settling == 0.0 else 5e-5, settling, 50.0),))
 
 
+@pytest.mark.slow
 def test_design_modes_are_those_of_the_end_pose(motion: MotionPlan) -> None:
     """The two low modes of the loaded robot; a lighter payload raises them, a heavier one lowers them."""
     found = design_modes(motion, [-0.3, 0.0, 0.3])

@@ -66,6 +66,7 @@ def test_run_json_is_the_summary_and_nothing_else(simulated: Callable[..., None]
     assert json.loads(result.stdout)["scene"]["name"] == SCENE
 
 
+@pytest.mark.slow
 def test_results_go_to_a_folder_named_after_the_scene(
     simulated: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -74,6 +74,7 @@ def test_useless_cache(tmp_path: Path) -> None:
     assert json.loads(outcome.stdout)["health"]["outcome"] == "completed"
 
 
+@pytest.mark.slow
 def test_reader_that_goes_away() -> None:
     """`flexfmu modes ... | head -1` ends without a traceback."""
     command = f"{shlex.join(FLEXFMU)} modes {SCENE} --poses 3 --json | head -c 1"

@@ -135,6 +135,7 @@ def test_delays_and_lags_begin_with_the_static_torque(robot: Scene) -> None:
     assert "lag.joint1.torque" in run.recording.columns
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_a_lag_without_a_sample_time_is_the_limit_of_short_ones(robot: Scene, signal: str) -> None:
     """In torques, measurements and references: samples that are half as long are half as far from continuous time."""

@@ -143,6 +143,7 @@ def test_coarse_step_is_said(make_run: MakeRun) -> None:
     assert all("communication step of 0.016 s is too coarse" in warning["message"] for warning in warnings)
 
 
+@pytest.mark.slow
 def test_large_deflections_are_said(make_run: MakeRun) -> None:
     """A link bent by half its length is no linear beam: summary and report say so, here by the deflection alone, since the
     coordinates weren't recorded."""
@@ -249,6 +250,7 @@ def test_report_escapes_what_it_shows(make_run: MakeRun) -> None:
     assert "&lt;b&gt;solver &amp; state&lt;/b&gt;" in render_report(summary, [])
 
 
+@pytest.mark.slow
 def test_same_run_same_report(make_run: MakeRun) -> None:
     """Reports can be compared: nothing in them depends on when they were drawn."""
     assert report_of(make_run()) == report_of(make_run())

@@ -108,6 +108,7 @@ def test_breaks_away_at_its_torque(instantiate: Any, excess: float) -> None:
     assert (plant.get(RATES)[0] > 0.0) == (excess > 0.0)
 
 
+@pytest.mark.slow
 def test_costs_less_than_three_smooth_ones(instantiate: Any) -> None:
     """Events cost evaluations, but not three times those of friction that is smoothed at 0.01 rad/s."""
     work = {}

@@ -155,6 +155,7 @@ ENDLESS = FORGETFUL.replace("res[0][i] = calls", "res[0][i] = 1.0 / (calls - cal
 DEADLY = FORGETFUL.replace("calls += 1.0", "__builtin_trap()")
 
 
+@pytest.mark.slow
 def test_hidden_state_is_found(sources: Sources, tmp_path: Path) -> None:
     """Memory outside the instance shows after a reset, in saved states and between instances."""
     findings = validate_fmu(_recompiled(sources, tmp_path, "model_outputs.c", FORGETFUL))

@@ -198,6 +198,7 @@ def processes(group_of: str) -> list[str]:
     return [line for line in lines if group_of in line and "validation.worker" in line]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_killed_validation_leaves_no_process_behind(library: bytes, tmp_path: Path, how: signal.Signals) -> None:
     """However the validation ends, the process that hangs in the FMU ends with it."""

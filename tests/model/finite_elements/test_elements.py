@@ -60,6 +60,7 @@ def first_frequency(section: BeamSection, elements: int) -> float:
     return float(np.sqrt(squares[0]))
 
 
+@pytest.mark.slow
 def test_cantilevers_frequency_converges_with_the_fourth_power() -> None:
     """Hermite's cubics: the error falls sixteenfold when elements are halved, towards Blevins' root."""
     exact = BETA**2 * np.sqrt(SLENDER.bending / SLENDER.mass)
@@ -79,6 +80,7 @@ def test_thick_cantilever_sags_by_bending_and_shear() -> None:
     assert beam.x[-2] == pytest.approx(1.0 / (3.0 * THICK.bending) + 1.0 / THICK.shear, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_moment_rolls_a_beam_into_a_circle() -> None:
     """Pure bending without limits: 2 pi EI / l at the tip brings it back to the clamp (the elastica's textbook case)."""
     beam = Cantilever(SLENDER, 24)

@@ -65,6 +65,7 @@ def linear(export: Export) -> Any:
     return block, export(block)()
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(sizes=st.tuples(st.integers(0, 5), st.integers(1, 3), st.integers(1, 3)), seed=st.integers(0, 1000))
 def test_blocks_of_any_size(export: Export, sizes: tuple[int, int, int], seed: int) -> None:

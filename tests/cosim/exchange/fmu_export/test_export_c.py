@@ -86,6 +86,7 @@ def test_sanitizers_find_nothing_in_a_whole_life(kind: str, tmp_path: Path) -> N
     run(program)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("size") is None, reason="no size")
 @pytest.mark.parametrize("kind", SOURCES)
 def test_nothing_is_shared_between_instances(kind: str, tmp_path: Path) -> None:

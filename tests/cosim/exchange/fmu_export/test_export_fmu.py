@@ -202,6 +202,7 @@ def test_thousands_of_states(export: Export) -> None:
     assert instance.samples() == 10_300
 
 
+@pytest.mark.slow
 def test_long_delay_lines_stay_linear(export: Export) -> None:
     """A delay line of thousands of scalars is a loop in C; statement by statement it took GCC half a minute."""
     sizes = [
@@ -214,6 +215,7 @@ def test_long_delay_lines_stay_linear(export: Export) -> None:
     assert (found[:2000] == 0.5).all()
 
 
+@pytest.mark.slow
 def test_runs_are_copied_between_computed_states(export: Export) -> None:
     """Delay lines beside other states, one after the other, in both directions and shorter than a run."""
     mixed = block(

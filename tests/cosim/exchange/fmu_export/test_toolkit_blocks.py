@@ -91,6 +91,7 @@ def test_rate_of_an_encoder_in_fmpy(window: int) -> None:
     np.testing.assert_allclose(rate, [0.0, *np.minimum(np.arange(19) / window, 1.0) * 2.0], rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pid", "computed_torque", "iterative_learning", "shaper_block"])
 def test_exported_block_is_valid(name: str) -> None:
     """Descriptions with every unit and limit, and a short life with the start values of all inputs."""

@@ -121,6 +121,7 @@ def test_times_come_with_the_file(motion_scene: Scene, motion_ssp: Path) -> None
     assert (other.start, other.stop, other.step) == (0.1, 0.2, 1e-3)
 
 
+@pytest.mark.slow
 def test_a_torque_driven_robot_without_controller_is_held(controlled_scene: Scene, tmp_path: Path) -> None:
     """The torques that hold the start pose are in the parameter set: inputs that nothing feeds keep them."""
     scene = controlled_scene.replace({"controller": [], "shaper": [], "imperfection": []})

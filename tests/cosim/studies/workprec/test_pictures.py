@@ -39,6 +39,7 @@ def labels(figure: Figure) -> dict[str, tuple[Annotation, np.ndarray]]:
     return {f"{each.get_text()} of {each.xy[1]:.3f}": (each, each.get_window_extent().extents) for each in texts}
 
 
+@pytest.mark.slow
 def test_labels_lie_apart(crowded: Figure) -> None:
     """None covers another, a point or the legend, and all are within the diagram; as many as there is room for."""
     keep_apart(crowded)
@@ -58,6 +59,7 @@ def test_labels_lie_apart(crowded: Figure) -> None:
     assert 7 <= len(found) <= 11
 
 
+@pytest.mark.slow
 def test_a_label_with_room_stays_where_it_is_looked_for(crowded: Figure) -> None:
     """To the right above its point."""
     keep_apart(crowded)
