@@ -200,7 +200,7 @@ def _chosen(slaves: Sequence[Slave], names: Collection[str] | None, step: float)
         if not isinstance(exported, (FmuSlave, SampledFmu, FmuTask, BlockSlave, TrajectorySlave)):
             raise InputError(
                 f"slave {slave.name!r} is a {type(slave).__name__} in Python and can't be exported as an FMU; make it a "
-                "SymbolicBlock (flexfmu.model.block) or a python-control system, or name the other slaves to export"
+                "SymbolicBlock (flexfmu.model.symbolic) or a python-control system, or name the other slaves to export"
             )
         chosen.append(exported)
     return tuple(chosen)
