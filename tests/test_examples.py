@@ -85,6 +85,7 @@ def test_many_variants(tmp_path: Path) -> None:
     assert rows[2, 4] == pytest.approx(73.634, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_frequencies(tmp_path: Path) -> None:
     """The paper's bands of the first and third frequency; bending of the distal links puts modes below the third."""
     _, *poses, last = run_example("frequencies.py", tmp_path).splitlines()

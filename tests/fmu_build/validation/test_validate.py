@@ -61,6 +61,7 @@ def _findings(path: Path) -> str:
     return "\n".join(str(finding) for finding in validate_fmu(path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["make_oscillators", "make_lever"])
 def test_sound_fmu_has_no_findings(
     model: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

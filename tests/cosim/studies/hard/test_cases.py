@@ -12,6 +12,7 @@ CYCLES = 200
 
 SLOW = (
     "200 cycles",
+    "elbows 1 mm",
     "motion at 26 g",
     "stiffness",
     "20 bending",
