@@ -20,45 +20,14 @@ import json
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
+from speed_figure import SpeedFigure
 from speed_measurements import Peers, Whole, cold_build, overheads, variants, whole_runs, yardstick
 
 REPEAT = 30
 """Rounds of runs of which the fastest counts."""
-
-
-@dataclass(frozen=True)
-class SpeedFigure:
-    """A measured figure.
-
-    Attributes:
-        name: what was measured.
-        value: its value in the unit.
-        target: what it should be.
-        unit: ms, µs, s, or × for a ratio.
-        at_least: whether more is better; otherwise less.
-        note: remarks.
-    """
-
-    name: str
-    value: float
-    target: float
-    unit: str
-    at_least: bool = False
-    note: str = ""
-
-    @property
-    def met(self) -> bool:
-        """Whether the target is met."""
-        return self.value >= self.target if self.at_least else self.value <= self.target
-
-    def line(self) -> str:
-        """One line of the table."""
-        comparison = "≥" if self.at_least else "≤"
-        verdict = "met" if self.met else "missed"
-        return f"{self.name:53} {self.value:9.2f} {self.unit:2}  {comparison} {self.target:<6g} {verdict:7} {self.note}"
 
 
 WHOLE_TARGETS = {(12, 1e-3): 2.0, (12, 1e-5): 4.0, (6, 1e-3): 2.0, (6, 1e-5): 2.0}
@@ -158,7 +127,8 @@ def main() -> int:
         folder = Path(name)
         unit, runs = yardstick(folder), whole_runs(folder, REPEAT)
         figures = [*printed(whole_figures(runs)), *printed(overhead_figures(folder))]
-    figures += [*printed(build_figures()), *printed(variant_figures()), *printed(peer_figures())]
+    for measure in (build_figures, variant_figures, peer_figures):
+        figures += printed(measure())
     # compare with the baseline
     compared = {"counters": counters(runs), "times": times(figures, unit)}
     write(options.out, figures, compared)
