@@ -52,6 +52,7 @@ def test_import_is_fast() -> None:
     assert float(seconds) < 0.1
 
 
+@pytest.mark.slow
 def test_completion_knows_every_name_before_it_is_used() -> None:
     """`dir` lists what hasn't been imported yet, and every listed name can be."""
     names = python("-c", "import flexfmu; print(*dir(flexfmu)); [getattr(flexfmu, name) for name in flexfmu.__all__]")

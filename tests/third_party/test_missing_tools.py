@@ -29,6 +29,7 @@ def test_that_passes():
 WHOLE_FILE = 'import pytest\n\npytest.importorskip("no_such_package")\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("required", "summary", "status"),
     [("1", "1 failed, 1 passed, 1 skipped, 1 xfailed, 1 error", 1), ("0", "1 passed, 3 skipped, 1 xfailed", 0)],

@@ -64,6 +64,7 @@ def test_a_fixed_step_controller_equals_its_python_twin(
     assert {each.seconds for each in found.delays} == {0.0}
 
 
+@pytest.mark.slow
 def test_the_default_experiment_is_the_sample_time(robot: Scene, make_task: MakeTask) -> None:
     """An FMU that can't vary its step takes it from its default experiment; from Python by its path alone."""
     found = run_loop(robot, [fmu_slave(make_task(), "task", GAINS)])

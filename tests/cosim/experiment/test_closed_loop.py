@@ -94,6 +94,7 @@ def test_peak_torque_is_that_of_the_acting_torque(run: Run) -> None:
     assert abs(held).max() == 0.0
 
 
+@pytest.mark.slow
 def test_motion_driven_scenes_have_their_metrics_alone(robot: Scene) -> None:
     """Joints that follow their references exactly have no tracking error."""
     run = run_scene(robot.replace({"cosimulation.drive": "motion"}))

@@ -50,6 +50,7 @@ def test_every_key_is_named(section: Any) -> None:
         assert re.search(rf"\b{key}\b", PAGE), f"{section.__name__}.{key}"
 
 
+@pytest.mark.slow
 def test_the_example_of_imperfections_settles(robot: Scene) -> None:
     """Whoever copies it gets a loop that comes to rest, with the lag alone and with all of its imperfections: within twice
     the deflection of a spring like the proportional gain."""

@@ -70,6 +70,7 @@ def test_agrees_with_differences_in_motion(instantiate: Any, name: str) -> None:
         outputs(at)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_agrees_with_differences_at_the_start(instantiate: Any, name: str) -> None:
     """Before the motion states follow from parameters, while the inputs are held."""

@@ -95,6 +95,7 @@ def test_holds_for_an_hour(instantiate: Any) -> None:
     assert np.array_equal(plant.get(RATES), [0.0, 0.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("excess", [-1e-6, 1e-6])
 def test_breaks_away_at_its_torque(instantiate: Any, excess: float) -> None:
     """A millionth less than the breakaway torque beyond balance holds a motor, a millionth more moves it."""

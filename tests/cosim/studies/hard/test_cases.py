@@ -31,6 +31,9 @@ SLOW = (
     "start away",
     "steps of 1 ns",
     "motors that stick",
+    "Young's modulus x 1e-3",
+    "no dwell",
+    "inputs that jump",
 )
 """How the names of cases begin that take more than about a second, FMUs and references of their own included."""
 
