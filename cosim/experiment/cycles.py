@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.engine.slave import Indices, RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan, Repetition
-from flexfmu.trajectories.curves import Side
-from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory
+from flexfmu.trajectories.curves import Side, checked_side
+from flexfmu.trajectories.trajectory import SAME_TIME, Trajectory, limits
 
 ROUNDING = 4.0
 """Bound of rounding errors of times, in units in the last place of the longest time."""
@@ -64,20 +64,28 @@ class ThereAndBack:
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Coordinates and their time derivatives; see `flexfmu.trajectories.trajectory.Trajectory.evaluate`."""
-        # the leg (motion and dwell) of each instant; at its ends ``side`` decides
+        instants = np.atleast_1d(np.asarray(time, dtype=float))
+        return self.limits(instants, np.full(instants.shape, checked_side(side) == "left"), order)
+
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
+        """See `flexfmu.trajectories.trajectory.HasLimits`; instants at the same place of all cycles are evaluated once."""
+        # the leg (motion and dwell) of each instant; at its ends the side decides
         instants = np.atleast_1d(np.asarray(time, dtype=float))
         near = max(SAME_TIME * self.motion.duration, ROUNDING * float(np.spacing(self.duration)))
-        count = (
-            np.floor((instants + near) / self._leg) if side == "right" else np.ceil((instants - near) / self._leg) - 1
-        )
+        count = np.where(left, np.ceil((instants - near) / self._leg) - 1, np.floor((instants + near) / self._leg))
         leg = np.clip(count, 0, 2 * self.cycles - 1)
-        within = self._at_breakpoints(instants - leg * self._leg, leg % 2 == 1, near)
-        # in reverse motions odd derivatives change sign, and sides are exchanged
-        there = self.motion.evaluate(within, order, side)
-        opposite: Side = "left" if side == "right" else "right"
-        back = self.motion.evaluate(self.motion.duration - within, order, opposite)
-        signs = (-1.0) ** np.arange(order + 1)
-        return np.asarray(np.where((leg % 2 == 1)[:, np.newaxis], signs[:, np.newaxis, np.newaxis] * back, there))
+        back = leg % 2 == 1
+        within = self._at_breakpoints(instants - leg * self._leg, back, near)
+        # time and side within the motion, which reverse motions exchange; standstill is its outer limit at both ends
+        duration = self.motion.duration
+        own = np.where(back, duration - within, within)
+        before = np.where(own < 0.0, True, np.where(own > duration, False, left != back))
+        own = np.clip(own, 0.0, duration)
+        first, place = _distinct(own, before, near)
+        jets = limits(self.motion, own[first], before[first], order)[:, place]
+        # in reverse motions odd derivatives change sign
+        np.negative(jets[1::2], out=jets[1::2], where=back[:, np.newaxis])
+        return jets
 
     def _at_breakpoints(self, within: RealArray, back: NDArray[np.bool_], near: float) -> RealArray:
         """Times from the start of a leg, snapped to breakpoints within ``near`` [s].
@@ -95,6 +103,17 @@ class ThereAndBack:
     def _leg(self) -> float:
         """Duration of a motion with its dwell [s]."""
         return self.motion.duration + self.dwell
+
+
+def _distinct(time: RealArray, left: NDArray[np.bool_], near: float) -> tuple[Indices, Indices]:
+    """The first of the instants that differ by at most ``near`` [s] and have the same side, and the index of each among them."""
+    # sort by side and time, stable so that the first instant, whose rounding error is smallest, stays the first
+    order = np.lexsort((time, left))
+    apart = np.concatenate([[True], (np.diff(time[order]) > near) | (np.diff(left[order].astype(int)) > 0)])
+    first = np.minimum.reduceat(order, np.flatnonzero(apart))
+    place = np.empty_like(order)
+    place[order] = np.cumsum(apart) - 1
+    return first, place
 
 
 def repeated(plan: MotionPlan, cycles: int, sample_time: float | None = None) -> MotionPlan:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.cycles import ThereAndBack, repeated
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.model.scene.file import load_scene
+from flexfmu.trajectories.curves import Side
+from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.trajectory import Trajectory
 
 
 def bang_bang(dwell: float) -> MotionPlan:
@@ -59,3 +63,29 @@ def test_late_cycles_have_the_limits_of_early_ones() -> None:
         second = motion.evaluate(points[marks : 2 * marks], 4, side)
         last = motion.evaluate(points[-marks:], 4, side)
         np.testing.assert_array_equal(last, second)
+
+
+class Counting:
+    """A trajectory that counts the evaluated instants."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self.trajectory, self.count = trajectory, 0
+        self.duration, self.breakpoints = trajectory.duration, trajectory.breakpoints
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
+        """As `Trajectory.evaluate`."""
+        self.count += np.size(time)
+        return self.trajectory.evaluate(time, order, side)
+
+
+def test_equal_instants_of_all_cycles_are_evaluated_once() -> None:
+    """The references of a hundred cycles cost those of one, have the same bits in all cycles, and in the first one those of the
+    motion itself."""
+    counting = Counting(plan(load_scene("barnard2012-6kg")).joints)
+    motion = ThereAndBack(counting, 0.25, 100)
+    cycle = round(motion.period / 1e-3)
+    times = 1e-3 * np.arange(100 * cycle)
+    found = motion.evaluate(times, 6).reshape(7, 100, cycle, 2)
+    assert counting.count <= cycle
+    np.testing.assert_array_equal(found, np.broadcast_to(found[:, :1], found.shape))
+    np.testing.assert_array_equal(found[:, 0, :430], counting.trajectory.evaluate(times[:430], 6))
