@@ -1,8 +1,14 @@
-"""Calls that transfer values between fixed variables and fixed buffers; bound once if the slave is a `BindsBuffers`."""
+"""Calls with fixed buffers: transfers of values, bound once if the slave is a `BindsBuffers`, and what a sample consists of.
+
+The loop in C makes most of them without Python.
+"""
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Callable
+from ctypes import c_void_p
+from functools import partial
+from typing import Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -55,23 +61,92 @@ class Both:
 
 
 class Copy:
-    """A call that copies ``source`` (n,) to the elements ``indices`` of ``target``.
+    """A call that copies ``source`` (n,) to the elements ``indices`` of ``target``."""
 
-    Attributes:
-        source, target: the buffers.
-        place: elements of the target; a slice if the indices are consecutive.
-        is_contiguous: whether source and destination are contiguous blocks of memory.
-    """
-
-    __slots__ = ("is_contiguous", "place", "source", "target")
+    __slots__ = ("_place", "indices", "source", "target")
 
     def __init__(self, source: RealArray, target: RealArray, indices: Indices) -> None:
-        self.source, self.target = source, target
-        self.place = slice(int(indices[0]), int(indices[-1]) + 1) if is_range(indices) else indices
-        self.is_contiguous = is_range(indices) and source.flags.c_contiguous and target.flags.c_contiguous
+        self.source, self.target, self.indices = source, target, indices
+        self._place = slice(int(indices[0]), int(indices[-1]) + 1) if is_range(indices) else indices
 
     def __call__(self) -> None:
-        self.target[self.place] = self.source
+        self.target[self._place] = self.source
+
+
+class Take:
+    """A call that writes the elements ``indices`` of ``source`` into ``target`` (n,)."""
+
+    __slots__ = ("_take", "indices", "source", "target")
+
+    def __init__(self, source: RealArray, indices: Indices, target: RealArray) -> None:
+        self.source, self.indices, self.target = source, indices, target
+        self._take = partial(source.take, indices, None, target, "clip")
+
+    def __call__(self) -> None:
+        self._take()
+
+
+class Evaluation:
+    """A call of ``void function(void *argument)`` in C, which needs no Python and raises nothing.
+
+    Attributes:
+        function: address of the function.
+        argument: its argument, which lives as long as the slave.
+    """
+
+    __slots__ = ("argument", "function")
+
+    def __init__(self, function: int, argument: int) -> None:
+        self.function, self.argument = function, c_void_p(argument)
+
+
+class SampleStep:
+    """A call of fmi2DoStep at a sample instant.
+
+    Attributes:
+        step: fmi2DoStep with its component bound.
+        state: {time reached, step, or 0 up to the instant} of a step to the instant, or {first instant, sample time,
+            number of steps} of a task, which steps from the instant to the next one.
+    """
+
+    __slots__ = ("_error", "state", "step")
+
+    def __init__(
+        self, step: partial[int], error: Callable[[int, float, float], BaseException], state: RealArray
+    ) -> None:
+        self.step, self._error, self.state = step, error, state
+
+    @property
+    def is_task(self) -> bool:
+        """Whether it steps from the sample instant."""
+        return self.state.size == TASK_NUMBERS
+
+    def failure(self, status: int, time: float) -> BaseException:
+        """The error of a step that failed at the instant ``time`` [s]."""
+        first, step, *count = self.state.tolist()
+        return (
+            self._error(status, first + count[0] * step, step)
+            if count
+            else self._error(status, first, step or time - first)
+        )
+
+
+TASK_NUMBERS = 3
+"""Size of the state of a task's step; that of a step to the instant is smaller by one."""
+
+SampleCall = Evaluation | SampleStep | Call
+"""What a sample consists of."""
+
+Phase = Literal["sample", "output", "update"]
+"""What is calculated at a sample instant, as in `flexfmu.cosim.engine.slave.SamplesInTwoPhases`."""
+
+
+@runtime_checkable
+class SamplesInC(Protocol):
+    """Can be sampled by calls that the loop in C makes: `Evaluation`, `SampleStep`, `Copy`, `Take` and FMI transfers."""
+
+    def sample_calls(self, phase: Phase) -> tuple[SampleCall, ...] | None:
+        """The calls that do what the method ``phase`` does; None if it takes Python. The slave has been initialised."""
 
 
 def is_range(indices: Indices) -> bool:

@@ -1,12 +1,19 @@
-"""Output and update of a block as one CasADi function, evaluated in CasADi's virtual machine or in compiled C."""
+"""Output and update of a block as one CasADi function, evaluated in CasADi's virtual machine or in compiled C.
+
+Either way the loop in C calls CasADi's evaluation directly: the virtual machine is C++ itself.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+import os
+from ctypes import CDLL, c_char_p, c_void_p, cast, py_object, pythonapi
+from functools import cache, lru_cache
 from pathlib import Path
+from typing import Any
 
 import casadi
 
+from flexfmu.cosim.engine.binding import Evaluation
 from flexfmu.fmu_build.block_codegen import sample_function
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.codegen import with_elementary_functions
@@ -27,6 +34,27 @@ EXPORTED_FLAGS = (*GENERATED_FLAGS, "-DGCC_HASCLASSVISIBILITY")
 """Compiler flags of an FMU's generated code, so that both round alike; the macro makes CasADi export its functions."""
 
 
+QUIET_FUNCTIONS = (
+    "SXFunction",
+    "MXFunction",
+    "Map",
+    "Switch",
+    "LinearInterpolant",
+    "BSplineInterpolant",
+    "GenericExternal",
+)
+"""CasADi's classes of functions that need no Python and raise nothing; compiled C is a GenericExternal."""
+
+LOUD_OPERATIONS = tuple(
+    getattr(casadi, f"OP_{name}")
+    for name in ("ASSERTION", "MONITOR", "PRINTME", "DUMP", "SOLVE", "INVERSE", "DETERMINANT")
+)
+"""Operations that raise or print."""
+
+_pointer: Any = pythonapi.PyCapsule_GetPointer
+_pointer.argtypes, _pointer.restype = (py_object, c_char_p), c_void_p
+
+
 def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi.Function:
     """Return output and update of a block as one function (x, u, p) → (y, next x) with dense vectors.
 
@@ -42,6 +70,37 @@ def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi
     if compiled is None:
         compiled = function.n_instructions() >= COMPILED_FROM
     return compile_function(function) if compiled else function
+
+
+def evaluation(function: casadi.Function, call: Any) -> Evaluation | None:
+    """Return the evaluation of a function's buffer for C; None if it may take Python or raise, or isn't known to be called.
+
+    Args:
+        function: the function.
+        call: what ``function.buffer()`` has returned as the call.
+    """
+    address = _evaluator()
+    if address is None or not all(_needs_no_python(each) for each in (function, *function.find_functions())):
+        return None
+    (capsule,) = call.args
+    return Evaluation(address, _pointer(capsule, None))
+
+
+@cache
+def _evaluator() -> int | None:
+    """Address of ``void casadi::_function_buffer_eval(void *)``, which the call of a buffer makes; None if not found."""
+    library = Path(casadi.__file__).with_name("libcasadi.dll" if os.name == "nt" else "_casadi.so")
+    try:
+        return cast(CDLL(str(library))["_ZN6casadi21_function_buffer_evalEPv"], c_void_p).value
+    except (OSError, AttributeError):
+        return None
+
+
+def _needs_no_python(function: casadi.Function) -> bool:
+    """Whether the evaluation neither calls Python, nor prints, nor raises: no callback, assertion, linear solver and so on."""
+    kind = function.class_name()
+    count = function.n_instructions() if kind in ("SXFunction", "MXFunction") else 0
+    return kind in QUIET_FUNCTIONS and not any(function.instruction_id(i) in LOUD_OPERATIONS for i in range(count))
 
 
 def compile_function(function: casadi.Function, *companions: casadi.Function) -> casadi.Function:

@@ -8,8 +8,8 @@ from typing import Any
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.code import block_function
-from flexfmu.cosim.engine.binding import Copy, is_range
+from flexfmu.cosim.control.blocks.code import block_function, evaluation
+from flexfmu.cosim.engine.binding import Copy, Phase, SampleCall, Take, is_range
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
 from flexfmu.fmu_build.block_codegen import check_block
@@ -51,7 +51,7 @@ class BlockSlave:
         self._states, self._next = self._memory[len(self.variables) :].reshape(2, -1)
         # calls of the function on these buffers: output and update together, and each alone
         self._buffers: list[object] = []
-        function = block_function(block, compiled)
+        self._function = function = block_function(block, compiled)
         self._sample = self._bound(function, output=True, update=True)
         self._output = self._bound(function, output=True, update=False)
         self._update = self._bound(function, output=False, update=True)
@@ -107,6 +107,15 @@ class BlockSlave:
         self._update()
         self._states[:] = self._next
 
+    def sample_calls(self, phase: Phase) -> tuple[SampleCall, ...] | None:
+        """The evaluation of a sample, and the copy of the next states; None if it can't be called from C."""
+        found = evaluation(
+            self._function, {"sample": self._sample, "output": self._output, "update": self._update}[phase]
+        )
+        if found is None or phase == "output" or not self._next.size:
+            return None if found is None else (found,)
+        return found, Copy(self._next, self._states, np.arange(self._next.size))
+
     def step(self, time: float, step: float) -> None:
         """Do nothing: the outputs are constant between the sample instants."""
 
@@ -144,10 +153,7 @@ class BlockSlave:
         if is_range(indices):
             return Copy(memory[indices[0] : indices[-1] + 1], values, np.arange(indices.size))
 
-        def read() -> None:
-            memory.take(indices, None, values, "clip")
-
-        return read
+        return Take(memory, indices, values)
 
     def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
         """Refuse: sampled inputs have no derivatives.

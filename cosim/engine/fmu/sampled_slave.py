@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flexfmu.cosim.engine.binding import nothing
+from flexfmu.cosim.engine.binding import Copy, Phase, SampleCall, SampleStep, Take, nothing
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveError
 from flexfmu.cosim.engine.fmu.capabilities import fixed_step
@@ -141,7 +141,8 @@ class FmuTask:
         self.bind_set, self.bind_get = slave.bind_set, slave.bind_get
         self.bind_set_derivatives, self.bind_get_derivatives = slave.bind_set_derivatives, slave.bind_get_derivatives
         self.terminate, self.report, self.take_report = slave.terminate, slave.report, slave.take_report
-        self._first, self._count = 0.0, 0
+        # first instant, sample time, number of steps
+        self._steps = np.array([0.0, sample_time, 0.0])
 
     @property
     def messages(self) -> tuple[str, ...]:
@@ -155,20 +156,27 @@ class FmuTask:
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Initialise at the first sample instant; the FMU's stop time includes its steps beyond the end of the run."""
-        self._first, self._count = start_time + self.offset, 0
-        self._fmu.initialize(self._first, max(stop_time, self._first) + 2.0 * self.sample_time, tolerance)
+        first = start_time + self.offset
+        self._steps[:] = first, self.sample_time, 0.0
+        self._fmu.initialize(first, max(stop_time, first) + 2.0 * self.sample_time, tolerance)
 
     def sample(self, time: float) -> None:
         """Calculate outputs from the inputs just set, in a step to the next sample instant."""
-        self._fmu.step(self._first + self._count * self.sample_time, self.sample_time)
-        self._count += 1
+        first, sample_time, count = self._steps.tolist()
+        self._fmu.step(first + count * sample_time, sample_time)
+        self._steps[2] += 1.0
+
+    def sample_calls(self, phase: Phase) -> tuple[SampleCall, ...] | None:
+        """The step of a sample; None if fmi2DoStep is more than one call."""
+        bound = self._fmu.bound_step()
+        return None if bound is None else (SampleStep(*bound, self._steps),)
 
     def step(self, time: float, step: float) -> None:
         """Do nothing: between sample instants the outputs are held."""
 
     def save(self) -> object:
         """Return the state of the FMU and the number of samples."""
-        return self._fmu.save(), self._count
+        return self._fmu.save(), self._steps.copy()
 
     def restore(self, state: object) -> None:
         """Restore a state returned by `save`.
@@ -178,8 +186,9 @@ class FmuTask:
         """
         if not (isinstance(state, tuple) and len(state) == 2):
             raise InputError(f"{self.name}: this state was not saved by this slave")
-        saved, self._count = state
+        saved, steps = state
         self._fmu.restore(saved)
+        self._steps[:] = steps
 
     def release(self, state: object) -> None:
         """Keep the memory of a saved state for the next one to be saved."""
@@ -233,20 +242,22 @@ class SampledFmu:
         self.variables, self.can_save = self._fmu.variables, self._fmu.can_save
         self.feedthrough = self._fmu.feedthrough if feedthrough is None else feedthrough
         # inputs, stored until the next sample instant
-        self._inputs = np.array([i for i, each in enumerate(self.variables) if each.causality == "input"], np.intp)
-        self._values = np.zeros(len(self.variables))
-        self._send = nothing
-        self._time: float | None = None
+        self._is_input = np.array([each.causality == "input" for each in self.variables])
+        self._inputs = np.flatnonzero(self._is_input)
+        self._values, self._sent = np.zeros(len(self.variables)), np.empty(self._inputs.size)
+        self._take = Take(self._values, self._inputs, self._sent)
+        self._send = self._fmu.bind_set(self._inputs, self._sent) if self._inputs.size else nothing
+        # time reached, and the step from there; 0 for a step to the next instant
+        self._reached = np.array([0.0, self.sample_time if self._equal_steps else 0.0])
+        self._initialized = False
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Initialise a run; inputs set before are the initial ones."""
         begin = start_time + self.offset if self._equal_steps else start_time
         self._fmu.initialize(begin, max(stop_time, begin + self.sample_time), tolerance)
-        buffer = np.empty(self._inputs.size)
-        self._fmu.get(self._inputs, buffer)
-        self._values[self._inputs] = buffer
-        self._time = begin
-        self._send = self._sender()
+        self._fmu.get(self._inputs, self._sent)
+        self._values[self._inputs] = self._sent
+        self._reached[0], self._initialized = begin, True
 
     @property
     def messages(self) -> tuple[str, ...]:
@@ -258,39 +269,33 @@ class SampledFmu:
         """Remarks as in `FmuSlave`."""
         return self._fmu.remarks
 
-    def _sender(self) -> Call:
-        """Return a call that sets the FMU's inputs to the stored values."""
-        if not self._inputs.size:
-            return nothing
-        # copy the stored values to a buffer in the order of the inputs
-        buffer = np.empty(self._inputs.size)
-        send = self._fmu.bind_set(self._inputs, buffer)
-
-        def call() -> None:
-            self._values.take(self._inputs, None, buffer, "clip")
-            send()
-
-        return call
-
     def set(self, indices: Indices, values: RealArray) -> None:
         """Set inputs for the next sample instant.
 
         Raises:
             InputError: a variable isn't an input.
         """
-        if not np.isin(indices, self._inputs).all():
-            raise InputError(f"{self.name}: only inputs can be set; give parameters when the slave is made")
+        self._check_inputs(indices)
         self._values[indices] = values
-        if self._time is None:
+        if not self._initialized:
             self._fmu.set(indices, values)
+
+    def _check_inputs(self, indices: Indices) -> None:
+        if not self._is_input[indices].all():
+            raise InputError(f"{self.name}: only inputs can be set; give parameters when the slave is made")
 
     def get(self, indices: Indices, values: RealArray) -> None:
         """Write current values of the FMU's variables into ``values`` (n,)."""
         self._fmu.get(indices, values)
 
     def bind_set(self, indices: Indices, values: RealArray) -> Call:
-        """Return a call that sets inputs from ``values`` (n,)."""
-        return lambda: self.set(indices, values)
+        """Return a call that sets inputs from ``values`` (n,).
+
+        Raises:
+            InputError: a variable isn't an input.
+        """
+        self._check_inputs(indices)
+        return Copy(values, self._values, indices)
 
     def bind_get(self, indices: Indices, values: RealArray) -> Call:
         """Return a call that reads variables into ``values`` (n,)."""
@@ -306,10 +311,18 @@ class SampledFmu:
 
     def output(self, time: float) -> None:
         """Step to ``time`` [s] if it isn't reached yet, and set the inputs; may be repeated at the same instant."""
-        if self._time is not None and time > self._time:
-            self._fmu.step(self._time, self.sample_time if self._equal_steps else time - self._time)
-            self._time = time
+        reached, step = self._reached.tolist()
+        if self._initialized and time > reached:
+            self._fmu.step(reached, step or time - reached)
+            self._reached[0] = time
+        self._take()
         self._send()
+
+    def sample_calls(self, phase: Phase) -> tuple[SampleCall, ...] | None:
+        """The step and the inputs of a sample; None if fmi2DoStep is more than one call."""
+        bound = self._fmu.bound_step()
+        inputs = (self._take, self._send) if self._inputs.size else ()
+        return None if bound is None else (SampleStep(*bound, self._reached), *inputs)
 
     def update(self, time: float) -> None:
         """Set the final inputs of the sample instant, with which the FMU makes its next step."""
@@ -324,7 +337,7 @@ class SampledFmu:
 
     def save(self) -> object:
         """Return the state of the FMU, its time [s] and the stored inputs."""
-        return self._fmu.save(), self._time, self._values.copy()
+        return self._fmu.save(), float(self._reached[0]), self._values.copy()
 
     def restore(self, state: object) -> None:
         """Restore a state returned by `save`.
@@ -334,7 +347,7 @@ class SampledFmu:
         """
         if not (isinstance(state, tuple) and len(state) == 3):
             raise InputError(f"{self.name}: this state was not saved by this slave")
-        saved, self._time, values = state
+        saved, self._reached[0], values = state
         self._fmu.restore(saved)
         self._values[:] = values
 
@@ -345,6 +358,5 @@ class SampledFmu:
 
     def terminate(self) -> None:
         """End the run and free the FMU's instance."""
-        self._time = None
-        self._send = nothing
+        self._initialized = False
         self._fmu.terminate()

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flexfmu.cosim.engine.binding import Evaluation, SampleStep, is_range
 from flexfmu.cosim.engine.fmu.calls import address
 from flexfmu.cosim.engine.master.plan import When
-from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.engine.slave import Indices, RealArray
 
 CALLBACK = CFUNCTYPE(c_int, c_size_t, c_double, c_double)
 """A Python function that C calls with the index of the point, begin and end [s]; it returns 0, else the run stops."""
@@ -32,10 +33,12 @@ class Opcode(IntEnum):
     DERIVATIVES = 1
     STEP = 2
     COPY = 3
-    TABLE = 4
-    GATHER = 5
-    FINITE = 6
-    CALL = 7
+    GATHER = 4
+    FINITE = 5
+    EVALUATE = 6
+    SAMPLE = 7
+    TASK = 8
+    CALL = 9
 
 
 class CInstruction(Structure):
@@ -135,24 +138,37 @@ def _reached(call: partial[int]) -> dict[str, int | None]:
     return {"function": pointer(call.func), "component": addressof(call.args[0])}
 
 
-def table_row(table: RealArray, signals: RealArray, owner: int, rows: int) -> Instruction:
-    """Copies the first ``rows`` rows of ``table[point]`` into ``signals``; ``table`` is (points, orders, n)."""
-    stride = int(np.prod(table.shape[1:]))
-    numbers = {"count": rows * signals.shape[1], "stride": stride}
-    pointers: dict[str, int | None] = {"source": address(table), "target": address(signals)}
-    return Instruction(Opcode.TABLE, When.ALWAYS, owner, _never, numbers, pointers, (table, signals))
+def evaluation(call: Evaluation, when: When, owner: int) -> Instruction:
+    """Evaluates the equations of a block."""
+    pointers: dict[str, int | None] = {"function": call.function, "component": addressof(call.argument)}
+    return Instruction(Opcode.EVALUATE, when, owner, _never, {}, pointers, (call,))
 
 
-def copy(source: RealArray, target: RealArray, when: When, owner: int) -> Instruction:
-    """Copies ``source`` into ``target``; both are contiguous."""
+def sample_step(call: SampleStep, when: When, owner: int) -> Instruction:
+    """fmi2DoStep of a sampled FMU to its sample instant, or of a task from it."""
+    kind = Opcode.TASK if call.is_task else Opcode.SAMPLE
+    pointers = {**_reached(call.step), "target": address(call.state)}
+    return Instruction(kind, when, owner, lambda status, begin, end: call.failure(status, end), {}, pointers, (call,))
+
+
+def copy(source: RealArray, target: RealArray, when: When, owner: int, stride: int = 0) -> Instruction:
+    """Copies ``source`` into ``target``, which are contiguous; with a stride from row ``point`` of a table."""
+    numbers = {"count": target.size, "stride": stride}
     pointers: dict[str, int | None] = {"source": address(source), "target": address(target)}
-    return Instruction(Opcode.COPY, when, owner, _never, {"count": source.size}, pointers, (source, target))
+    return Instruction(Opcode.COPY, when, owner, _never, numbers, pointers, (source, target))
 
 
 def gather(
-    source: RealArray, columns: NDArray[np.int64], target: RealArray, places: NDArray[np.int64], when: When, owner: int
+    source: RealArray, columns: Indices, target: RealArray, places: Indices, when: When, owner: int, stride: int = 0
 ) -> Instruction:
-    """``target.flat[places] = source.flat[columns]``."""
+    """``target.flat[places] = source.flat[columns]``; one copy if both are consecutive.
+
+    With a stride ``source`` is a table, and the columns count from the beginning of its row ``point``.
+    """
+    flat = source.reshape(-1), target.reshape(-1)
+    if is_range(columns) and is_range(places):
+        return copy(flat[0][columns[0] :], flat[1][places[0] : places[-1] + 1], when, owner, stride)
+    columns, places = (np.ascontiguousarray(each, dtype=np.int64) for each in (columns, places))
     pointers: dict[str, int | None] = {
         "source": address(source),
         "columns": address(columns),
@@ -160,7 +176,8 @@ def gather(
         "places": address(places),
     }
     kept = (source, columns, target, places)
-    return Instruction(Opcode.GATHER, when, owner, _never, {"count": columns.size}, pointers, kept)
+    numbers = {"count": columns.size, "stride": stride}
+    return Instruction(Opcode.GATHER, when, owner, _never, numbers, pointers, kept)
 
 
 def finite(signals: RealArray, when: When, owner: int, failure: Failure) -> Instruction:

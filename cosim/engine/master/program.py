@@ -1,7 +1,7 @@
 """Translates the operations of a plan into instructions for the loop in C.
 
-An operation that isn't an FMI call, a copy or a row of a table becomes a callback to the Python call of
-`Schedule.bind`, so that the results are those of the loop in Python.
+An operation that isn't an FMI call, a copy, a row of a table or the evaluation of a block becomes a callback to the Python call
+of `Schedule.bind`, so that the results are those of the loop in Python.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from flexfmu.cosim.engine.binding import Both, Copy, is_range
+from flexfmu.cosim.engine.binding import Both, Copy, Evaluation, Phase, SamplesInC, SampleStep, Take
 from flexfmu.cosim.engine.fmu.instance import Checked
 from flexfmu.cosim.engine.master.instructions import (
     Instruction,
-    copy,
+    evaluation,
     finite,
     flags,
     fmi_step,
     fmi_transfer,
     gather,
     python_callback,
-    table_row,
+    sample_step,
 )
 from flexfmu.cosim.engine.master.plan import Action, Operation, When
-from flexfmu.cosim.engine.master.ports import SignalGroup
+from flexfmu.cosim.engine.master.ports import OutputPort, SignalGroup
 from flexfmu.cosim.engine.master.schedule import Schedule
 from flexfmu.cosim.engine.slave import Call, RealArray
 
@@ -56,6 +56,10 @@ class StepsInC(Protocol):
         """fmi2DoStep with its component bound, and the function that creates the error; None if `step` does more."""
 
 
+PHASES: Mapping[Action, Phase] = {Action.SAMPLE: "sample", Action.OUTPUT: "output", Action.UPDATE: "update"}
+"""What a slave calculates in an operation at a sample instant."""
+
+
 def can_compile(schedule: Schedule) -> bool:
     """Whether the plan can run in C: it has no loops to iterate."""
     return not schedule.plan.has_loops
@@ -63,11 +67,7 @@ def can_compile(schedule: Schedule) -> bool:
 
 def instructions(schedule: Schedule, operations: Iterable[Operation]) -> list[Instruction]:
     """The instructions for these operations, in the same order."""
-    tables = {
-        i: slave
-        for i, slave in schedule.predicting.items()
-        if isinstance(slave, HasTables) and schedule.outputs[i].reads_all
-    }
+    tables = {i: slave for i, slave in schedule.predicting.items() if isinstance(slave, HasTables)}
     return [found for each in operations for found in _translation(schedule, tables, each)]
 
 
@@ -79,9 +79,9 @@ def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation:
     match operation.action:
         # outputs from a row of a table
         case Action.ANNOUNCE if table is not None and table.announced.shape[1] >= rows:
-            yield table_row(table.announced, outputs.signals, i, rows)
+            yield _table_row(table.announced, outputs, i, rows)
         case Action.STEP if table is not None:
-            yield table_row(table.ended, outputs.signals, i, outputs.recorded)
+            yield _table_row(table.ended, outputs, i, outputs.recorded)
         case Action.READ if table is not None:
             return
         # calls of an FMU, and copies between buffers
@@ -96,12 +96,41 @@ def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation:
         case Action.STEP if isinstance(slave, StepsInC) and (bound := slave.bound_step()) is not None:
             step, failure = bound
             yield fmi_step(step, i, lambda status, begin, end: failure(status, begin, end - begin))
+        # samples
+        case Action.SAMPLE | Action.OUTPUT | Action.UPDATE:
+            due = flags(schedule.due[i])
+            for each in _sample(schedule, operation):
+                each.due(due)
+                yield each
         # all other operations
         case _:
-            callback = python_callback(schedule.bind(operation), when, i)
-            if when is When.WHEN_DUE:
-                callback.due(flags(schedule.due[i]))
-            yield callback
+            yield python_callback(schedule.bind(operation), when, i)
+
+
+def _sample(schedule: Schedule, operation: Operation) -> Iterator[Instruction]:
+    """The instructions of a sample, where the slave is due."""
+    i, when = operation.slave, operation.when
+    slave = schedule.slaves[i]
+    calls = slave.sample_calls(PHASES[operation.action]) if isinstance(slave, SamplesInC) else None
+    if calls is None:
+        yield python_callback(schedule.bind(operation), when, i)
+        return
+    for call in calls:
+        match call:
+            case Evaluation():
+                yield evaluation(call, when, i)
+            case SampleStep():
+                yield sample_step(call, when, i)
+            case _:
+                yield from _transfer(call, when, i)
+
+
+def _table_row(table: RealArray, outputs: OutputPort, owner: int, rows: int) -> Instruction:
+    """Copies row ``point`` of a table (points, orders, variables) into the port: its first ``rows`` orders."""
+    _, orders, count = table.shape
+    columns = np.arange(rows)[:, None] * count + outputs.indices
+    places = np.arange(rows * outputs.indices.size)
+    return gather(table, columns.ravel(), outputs.signals, places, When.ALWAYS, owner, orders * count)
 
 
 def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -> Instruction:
@@ -113,25 +142,23 @@ def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -
     rows = np.arange(group.coupling.order + 1)[:, None]
     columns = rows * group.source.signals.shape[1] + group.columns
     places = rows * fed.shape[1] + np.arange(fed.shape[1])[group.slots]
-    columns, places = (np.ascontiguousarray(each.ravel(), dtype=np.int64) for each in (columns, places))
-    # one copy if both are contiguous
-    source, target = group.source.signals.reshape(-1), fed.reshape(-1)
-    if is_range(columns) and is_range(places):
-        return copy(source[columns[0] : columns[-1] + 1], target[places[0] : places[-1] + 1], when, owner)
-    return gather(source, columns, target, places, when, owner)
+    return gather(group.source.signals, columns.ravel(), fed, places.ravel(), when, owner)
 
 
 def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:
     """The instructions of a bound transfer: in C where there is an equivalent, else a Python callback."""
-    # values first, then derivatives
-    if isinstance(call, Both):
-        yield from _transfer(call.first, when, owner)
-        yield from _transfer(call.second, when, owner)
-    # an FMI function on fixed buffers
-    elif isinstance(call, Checked) and isinstance(call.call, partial):
-        checked = call
-        yield fmi_transfer(call.call, when, owner, lambda status, begin, end: checked.error(status))
-    elif isinstance(call, Copy) and call.is_contiguous:
-        yield copy(call.source, call.target[call.place], when, owner)
-    else:
-        yield python_callback(lambda point, begin, end: call(), when, owner)
+    match call:
+        # values first, then derivatives
+        case Both():
+            yield from _transfer(call.first, when, owner)
+            yield from _transfer(call.second, when, owner)
+        # an FMI function on fixed buffers
+        case Checked() if isinstance(call.call, partial):
+            yield fmi_transfer(call.call, when, owner, lambda status, begin, end: call.error(status))
+        # copies between buffers
+        case Copy() if call.source.flags.c_contiguous and call.target.flags.c_contiguous:
+            yield gather(call.source, np.arange(call.source.size), call.target, call.indices, when, owner)
+        case Take() if call.target.flags.c_contiguous:
+            yield gather(call.source, call.indices, call.target, np.arange(call.target.size), when, owner)
+        case _:
+            yield python_callback(lambda point, begin, end: call(), when, owner)

@@ -1,5 +1,6 @@
 /* The loop over communication points, see master.h: instructions on fixed buffers, in the order in which they are listed.
- * Whatever isn't an FMI call or a copy is a callback into Python, so that the numbers are those of the loop in Python. */
+ * Whatever isn't an FMI call, a copy or the equations of a block is a callback into Python, so that the numbers are those of the
+ * loop in Python. */
 #include "master.h"
 
 #include <string.h>
@@ -17,6 +18,7 @@ typedef int (*values_call)(void *component, const unsigned *references, size_t c
 typedef int (*derivatives_call)(void *component, const unsigned *references, size_t count, const int *orders,
                                 double *values);
 typedef int (*step_call)(void *component, double time, double step, int no_rollback);
+typedef void (*evaluation)(void *equations);
 typedef int (*python_callback)(size_t point, double begin, double end);
 
 /* 0 * x is 0 for a finite x and NaN otherwise, so that the sum is 0 if all are finite; four independent sums, no branches */
@@ -30,8 +32,27 @@ static int all_finite(const double *values, size_t count) {
   return sums[0] + sums[1] + sums[2] + sums[3] == 0.0;
 }
 
-static void gather(const master_instruction *op) {
-  for (size_t i = 0; i < op->count; i++) op->target[op->places[i]] = op->source[op->columns[i]];
+static void gather(const master_instruction *op, const double *source) {
+  for (size_t i = 0; i < op->count; i++) op->target[op->places[i]] = source[op->columns[i]];
+}
+
+/* from the last sample instant to this one, unless it is reached already */
+static int step_to(const master_instruction *op, double time) {
+  double *reached = &op->target[0];
+  const double step = op->target[1] > 0.0 ? op->target[1] : time - *reached;
+  if (!(time > *reached)) return 0;
+  const int status = ((step_call)op->function)(*op->component, *reached, step, NO_ROLLBACK);
+  if (status <= FMI2_WARNING) *reached = time;
+  return status;
+}
+
+/* from this sample instant to the next one */
+static int step_task(const master_instruction *op) {
+  const double first = op->target[0], sample_time = op->target[1];
+  double *count = &op->target[2];
+  const int status = ((step_call)op->function)(*op->component, first + *count * sample_time, sample_time, NO_ROLLBACK);
+  if (status <= FMI2_WARNING) *count += 1.0;
+  return status;
 }
 
 /* one instruction; returns 0, or 1 with the status of the failure */
@@ -48,16 +69,22 @@ static int carry_out(const master_instruction *op, size_t point, double begin, d
       *status = ((step_call)op->function)(*op->component, begin, end - begin, NO_ROLLBACK);
       return *status > FMI2_WARNING;
     case MASTER_COPY:
-      memcpy(op->target, op->source, op->count * sizeof(double));
-      return 0;
-    case MASTER_TABLE:
       memcpy(op->target, op->source + point * op->stride, op->count * sizeof(double));
       return 0;
     case MASTER_GATHER:
-      gather(op);
+      gather(op, op->source + point * op->stride);
       return 0;
     case MASTER_FINITE:
       return !all_finite(op->target, op->count);
+    case MASTER_EVALUATE:
+      ((evaluation)op->function)(*op->component);
+      return 0;
+    case MASTER_SAMPLE:
+      *status = step_to(op, end);
+      return *status > FMI2_WARNING;
+    case MASTER_TASK:
+      *status = step_task(op);
+      return *status > FMI2_WARNING;
     default:
       return ((python_callback)op->function)(point, begin, end);
   }

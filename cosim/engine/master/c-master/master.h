@@ -13,9 +13,11 @@ enum {
   MASTER_DERIVATIVES, /* fmi2SetRealInputDerivatives or fmi2GetRealOutputDerivatives: the same and orders */
   MASTER_STEP,        /* fmi2DoStep: function, component */
   MASTER_COPY,        /* target[0 .. count - 1] = source[..] */
-  MASTER_TABLE,       /* the same from row `point` of a table: source, stride between the rows */
   MASTER_GATHER,      /* target[places[i]] = source[columns[i]], i < count */
   MASTER_FINITE,      /* fails unless target[0 .. count - 1] are finite */
+  MASTER_EVALUATE,    /* the equations of a block: function(what component points to) */
+  MASTER_SAMPLE,      /* fmi2DoStep to a sample instant: function, component, target = {time reached, step or 0} */
+  MASTER_TASK,        /* fmi2DoStep from a sample instant: function, component, target = {first, sample time, count} */
   MASTER_CALL         /* a Python callback: function(point, begin, end), begin = end in an exchange */
 };
 
@@ -34,7 +36,7 @@ typedef struct {
   const unsigned *references;
   const int *orders;
   const long long *columns, *places;
-  const double *source;
+  const double *source; /* of a table: its first row, `stride` between the rows, of which `point` is read */
   double *target;
   const unsigned char *due;
 } master_instruction;
