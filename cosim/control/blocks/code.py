@@ -26,9 +26,8 @@ from flexfmu.model.symbolic import SymbolicBlock
 COMPILED_FROM = 200
 """Blocks of at least this many operations are compiled by default.
 
-The virtual machine takes 2.5 ns for an operation, compiled C a tenth of that, and a call of either takes 0.4 us. In
-smaller blocks the call costs more than the evaluation. The rigid inverse dynamics of a five-bar have 240 operations
-or more."""
+The virtual machine takes 2.5 ns for an operation, compiled C a tenth of that, and a compiler some 0.2 s: for smaller blocks it
+would take more than a million samples to pay. The rigid inverse dynamics of a five-bar have 240 operations or more."""
 
 EXPORTED_FLAGS = (*GENERATED_FLAGS, "-DGCC_HASCLASSVISIBILITY")
 """Compiler flags of an FMU's generated code, so that both round alike; the macro makes CasADi export its functions."""
@@ -41,9 +40,9 @@ QUIET_FUNCTIONS = (
     "Switch",
     "LinearInterpolant",
     "BSplineInterpolant",
-    "GenericExternal",
+    "External",
 )
-"""CasADi's classes of functions that need no Python and raise nothing; compiled C is a GenericExternal."""
+"""CasADi's classes of functions that need no Python and raise nothing; compiled C is an External."""
 
 LOUD_OPERATIONS = tuple(
     getattr(casadi, f"OP_{name}")

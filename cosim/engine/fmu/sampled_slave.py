@@ -311,8 +311,10 @@ class SampledFmu:
 
     def output(self, time: float) -> None:
         """Step to ``time`` [s] if it isn't reached yet, and set the inputs; may be repeated at the same instant."""
+        if not self._initialized:
+            return
         reached, step = self._reached.tolist()
-        if self._initialized and time > reached:
+        if time > reached:
             self._fmu.step(reached, step or time - reached)
             self._reached[0] = time
         self._take()

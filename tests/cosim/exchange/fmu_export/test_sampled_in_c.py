@@ -1,0 +1,232 @@
+"""Blocks and sampled FMUs are sampled by the loop in C, and give the bits of the loop in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+from export_support.blocks import SAMPLE_TIME, pd_controller
+from export_support.kinds import KINDS, signals_of, source
+
+from flexfmu.cosim.control.blocks.slave import BlockSlave
+from flexfmu.cosim.engine.fmu.sampled_slave import FmuTask, SampledFmu
+from flexfmu.cosim.engine.fmu.slave import FmuSlave
+from flexfmu.cosim.engine.master.master import Outcome, Simulation, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.results import EVERYTHING, Selection
+from flexfmu.cosim.engine.slave import Indices, RealArray, Slave, SlaveVariable
+from flexfmu.fmu_build.block_build import build_block_fmu
+from flexfmu.model.symbolic import SymbolicBlock, Variable
+
+COUNT = 200
+"""Samples of a run: all stages of the source, and more than the memory of what delays."""
+
+
+class Clock:
+    """y = (t, sin t), stepped in Python."""
+
+    name = "clock"
+    variables = (SlaveVariable("t", "output"), SlaveVariable("sine", "output"))
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.time = start_time
+
+    def set(self, indices: Indices, values: RealArray) -> None: ...
+
+    def get(self, indices: Indices, values: RealArray) -> None:
+        values[:] = np.array([self.time, np.sin(self.time)])[indices]
+
+    def step(self, time: float, step: float) -> None:
+        self.time = time + step
+
+
+class Counted:
+    """Counts the samples that Python takes of a slave."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *kinds: type) -> None:
+        self.calls = 0
+        for kind in kinds:
+            for phase in {"sample", "output", "update"} & set(vars(kind)):
+                monkeypatch.setattr(kind, phase, self._counting(getattr(kind, phase)))
+
+    def _counting(self, method: Callable[[Any, float], None]) -> Callable[[Any, float], None]:
+        def counted(slave: Any, time: float) -> None:
+            self.calls += 1
+            method(slave, time)
+
+        return counted
+
+
+def fed(slaves: list[Any]) -> Any:
+    """The slaves' inputs fed by the source as in `motion`, beside a slave in Python."""
+    signals = [
+        (f"source.signal{i}", f"{slave.name}.{each.name}")
+        for slave in slaves
+        for i, each in zip(signals_of(slave.block), slave.block.inputs, strict=True)
+    ]
+    return connect([BlockSlave(source()), Clock(), *slaves], signals)
+
+
+def runs(system: Any, record: Selection = EVERYTHING) -> tuple[Simulation, Simulation]:
+    """In C and in Python; the communication step isn't the sample time."""
+    return tuple(  # type: ignore[return-value]
+        simulate(system, COUNT * SAMPLE_TIME, 0.4 * SAMPLE_TIME, compiled=each, record=record) for each in (True, False)
+    )
+
+
+def assert_same_bits(found: Simulation, exact: Simulation) -> None:
+    """All signals, zeros with their signs."""
+    assert (found.outcome, found.message, found.steps) == (exact.outcome, exact.message, exact.steps)
+    assert found.recording.time.tobytes() == exact.recording.time.tobytes()
+    assert list(found.recording.columns) == list(exact.recording.columns)
+    for name, column in found.recording.columns.items():
+        assert column.values.tobytes() == exact.recording[name].values.tobytes(), name
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_kind_at_several_rates(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block, and the same one slower and later, beside a slave in Python: Python takes the first samples alone."""
+    block = KINDS[name]()
+    slower = replace(block, name="slower", sample_time=2.0 * SAMPLE_TIME, offset=0.5 * SAMPLE_TIME)
+    slaves = [BlockSlave(block), BlockSlave(slower)]
+    found, exact = runs(fed(slaves))
+    assert found.outcome is Outcome.COMPLETED
+    assert_same_bits(found, exact)
+    outputs = np.array([found.recording[f"{block.name}.{each.name}"].values for each in block.outputs])
+    assert np.ptp(outputs) > 0.0
+    # a third run counts
+    counted = Counted(monkeypatch, BlockSlave)
+    simulate(fed(slaves), COUNT * SAMPLE_TIME, 0.4 * SAMPLE_TIME, compiled=True)
+    assert 0 < counted.calls <= 2 * 3, "the first instant"
+
+
+@pytest.mark.parametrize("kept", ["pd.out1", "source.signal3", "clock.sine"])
+def test_parts_of_the_outputs(kept: str) -> None:
+    """Signals that are neither recorded nor connected are left out of all copies."""
+    system = fed([BlockSlave(replace(pd_controller(), name="pd"))])
+    found, exact = runs(system, Selection([kept]))
+    assert list(found.recording.columns) == [kept]
+    assert_same_bits(found, exact)
+    everything, _ = runs(system)
+    assert found.recording[kept].values.tobytes() == everything.recording[kept].values.tobytes()
+
+
+class WithBlock(SampledFmu):
+    """A sampled FMU that knows its block, for `fed`."""
+
+    def __init__(self, block: SymbolicBlock, *arguments: Any) -> None:
+        self.block = block
+        super().__init__(build_block_fmu(block).path, block.name, *arguments)
+
+
+class Task(FmuTask):
+    """An exported block that is sampled in its step."""
+
+    def __init__(self, block: SymbolicBlock, offset: float) -> None:
+        self.block = block
+        slave = FmuSlave(build_block_fmu(block).path, block.name, input_order=0, output_order=0)
+        super().__init__(slave, 2.0 * SAMPLE_TIME, offset)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: WithBlock(KINDS["pid"]()),
+        lambda: WithBlock(replace(KINDS["pid"](), sample_time=2.0 * SAMPLE_TIME, offset=0.5 * SAMPLE_TIME)),
+        lambda: WithBlock(KINDS["pid"](), None, (2.0 * SAMPLE_TIME, 0.5 * SAMPLE_TIME)),
+        lambda: Task(KINDS["pid"](), 0.0),
+        lambda: Task(KINDS["pid"](), 0.5 * SAMPLE_TIME),
+    ],
+    ids=["block", "later", "equal steps", "task", "later task"],
+)
+def test_sampled_fmus(make: Callable[[], Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stepped, set and read at the same instants with the same numbers."""
+    slave = make()
+    found, exact = runs(fed([slave]))
+    assert found.outcome is Outcome.COMPLETED
+    assert np.ptp(found.recording[f"{slave.name}.joint1.torque"].values) > 0.0
+    assert_same_bits(found, exact)
+    counted = Counted(monkeypatch, SampledFmu, FmuTask)
+    simulate(fed([slave]), COUNT * SAMPLE_TIME, 0.4 * SAMPLE_TIME, compiled=True)
+    assert counted.calls <= 3, "the first instant"
+
+
+def test_an_fmu_that_fails_at_a_sample() -> None:
+    """The sentence, its instant and the recording up to there."""
+    system = fed([WithBlock(raising(lambda u: casadi.sqrt(0.5 - u)))])
+    found, exact = runs(system)
+    assert found.outcome is Outcome.STEP_FAILED
+    assert_same_bits(found, exact)
+
+
+def raising(equation: Callable[[Any], Any], symbol: Any = casadi.SX) -> SymbolicBlock:
+    """A block of one input and one output."""
+    u, no = symbol.sym("u"), symbol.sym("no", 0)
+    return SymbolicBlock(
+        name="block",
+        description="Own",
+        sample_time=SAMPLE_TIME,
+        inputs=(Variable("u", "1", "Input", "input", 0.0),),
+        outputs=(Variable("y", "1", "Output", "output"),),
+        output=casadi.Function("output", [no, u, no], [equation(u)]),
+        update=casadi.Function("update", [no, u, no], [no]),
+    )
+
+
+class Doubled(casadi.Callback):  # type: ignore[misc]
+    """2 u, in Python."""
+
+    def __init__(self) -> None:
+        casadi.Callback.__init__(self)
+        self.construct("doubled", {})
+
+    def eval(self, arguments: list[Any]) -> list[Any]:
+        return [2.0 * arguments[0]]
+
+
+def test_equations_that_take_python() -> None:
+    """A callback, or an assertion that fails: sampled in Python, in the loop in C too."""
+    doubled = Doubled()
+    found, exact = runs(fed([BlockSlave(raising(doubled, casadi.MX))]))
+    assert found.outcome is Outcome.COMPLETED
+    assert_same_bits(found, exact)
+    assert found.recording["block.y"].values[-1] == 2.0 * found.recording["source.signal0"].values[-1]
+    found, exact = runs(fed([BlockSlave(raising(lambda u: u.attachAssert(u < 0.5, "too large"), casadi.MX))]))
+    assert found.outcome is Outcome.STEP_FAILED
+    assert "too large" in found.message
+    assert_same_bits(found, exact)
+
+
+def test_a_ring_of_random_systems() -> None:
+    """Discrete systems with and without direct feedthrough, of several rates and offsets, in a ring."""
+    rng = np.random.default_rng(3)
+    slaves: list[Slave] = [Clock()]
+    for i in range(5):
+        a, b, c = 0.4 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
+        d = np.diag([0.0, float(rng.normal())])
+        slaves.append(BlockSlave(linear(f"s{i}", a, b, c, d, int(rng.integers(1, 4)), int(rng.integers(0, 2)))))
+    ring = [(f"s{i}.y0", f"s{(i + 1) % 5}.u1") for i in range(5)]
+    found, exact = runs(connect(slaves, [*ring, *(("clock.sine", f"s{i}.u0") for i in range(5))]))
+    assert found.outcome is Outcome.COMPLETED, found.message
+    assert_same_bits(found, exact)
+
+
+def linear(name: str, a: Any, b: Any, c: Any, d: Any, rate: int, late: int) -> SymbolicBlock:
+    """x_k+1 = A x + B u, y = C x + D u, every ``rate`` samples and half a sample late, or on time."""
+    x, u, no = casadi.SX.sym("x", 3), casadi.SX.sym("u", 2), casadi.SX.sym("no", 0)
+    return SymbolicBlock(
+        name=name,
+        description="Linear",
+        sample_time=rate * SAMPLE_TIME,
+        offset=0.5 * late * SAMPLE_TIME,
+        inputs=tuple(Variable(f"u{i}", "1", "Input", "input", 0.0) for i in range(2)),
+        outputs=tuple(Variable(f"y{i}", "1", "Output", "output") for i in range(2)),
+        states=(0.1, 0.2, 0.3),
+        output=casadi.Function("output", [x, u, no], [c @ x + d @ u]),
+        update=casadi.Function("update", [x, u, no], [a @ x + b @ u]),
+        feedthrough={"y0": (), "y1": ("u1",)},
+    )
