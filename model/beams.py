@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import brentq
 
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.roots import root_between
 
 Evaluate = Callable[[RealArray], RealArray]
 Basis = Literal["assumed-modes", "craig-bampton"]
@@ -67,7 +67,7 @@ def pinned_pinned(mode: int) -> str:
 
 def _root_near(centre: float, function: Callable[[float], float]) -> float:
     """The root of a characteristic equation within ±0.5 of an approximate wave number."""
-    return float(brentq(function, centre - 0.5, centre + 0.5, xtol=1e-15, rtol=1e-15))
+    return root_between(function, centre - 0.5, centre + 0.5, absolute=1e-15, relative=1e-15)
 
 
 def clamped_free_bending(mode: int) -> Shape:

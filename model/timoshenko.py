@@ -18,7 +18,6 @@ from typing import TypeVar
 import casadi
 import numpy as np
 from numpy.polynomial import Legendre
-from scipy.linalg import eigh
 
 from flexfmu.model.beams import STATIC, Basis, Evaluate, Shape, fixed_interface, ordinal, pinned_pinned
 from flexfmu.model.robot import LinkGroup
@@ -96,6 +95,8 @@ def pinned_pinned_timoshenko(mode: int, slenderness: Slenderness) -> Shape:
 
 def _clamped_modes(modes: int, slenderness: Slenderness, tip_held: bool) -> tuple[Shape, ...]:
     """Modes of a clamped beam with a free or a pinned tip, by a Ritz method in polynomials, converged to rounding."""
+    from scipy.linalg import eigh  # here, since other beams need no scipy
+
     if not modes:
         return ()
     # trial functions that satisfy the clamp, and the pin if there is one

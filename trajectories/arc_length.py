@@ -14,16 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicHermiteSpline
 
 NODES = 20
 """Legendre coefficients per panel; a panel whose series has not converged with so many is bisected."""
@@ -53,6 +49,35 @@ _PROJECTION = (np.arange(NODES)[:, None] + 0.5) * legendre.legvander(_POINTS, NO
 
 
 @dataclass(frozen=True, eq=False)
+class PiecewiseCubic:
+    """A cubic polynomial between every two knots: scipy's `CubicHermiteSpline`, which takes long to load.
+
+    Attributes:
+        knots: ascending, shape (K + 1,).
+        coefficients: of the powers 0 to 3 of the distance from the knot before, shape (4, K).
+    """
+
+    knots: RealArray
+    coefficients: RealArray
+
+    def __call__(self, x: RealArray) -> RealArray:
+        """Return the values at x (N,)."""
+        index = np.clip(np.searchsorted(self.knots, x, side="right") - 1, 0, len(self.knots) - 2)
+        distance = x - self.knots[index]
+        c0, c1, c2, c3 = self.coefficients[:, index]
+        square = distance * distance
+        return np.asarray(c0 + c1 * distance + c2 * square + c3 * (square * distance))
+
+
+def piecewise_cubic(x: RealArray, y: RealArray, slopes: RealArray) -> PiecewiseCubic:
+    """Return the cubics through the values y (K + 1,) with the slopes dy/dx (K + 1,) at the ascending knots x (K + 1,)."""
+    width = np.diff(x)
+    chord = np.diff(y) / width
+    bend = (slopes[:-1] + slopes[1:] - 2.0 * chord) / width
+    return PiecewiseCubic(x, np.stack([y[:-1], slopes[:-1], (chord - slopes[:-1]) / width - bend, bend / width]))
+
+
+@dataclass(frozen=True, eq=False)
 class ArcLengthTable:
     """The arc length s(u) of a curve with the parameter u, as Legendre series on panels.
 
@@ -70,7 +95,7 @@ class ArcLengthTable:
     starts: RealArray
     speeds: RealArray
     lengths: RealArray
-    guess: CubicHermiteSpline
+    guess: PiecewiseCubic
 
     @property
     def length(self) -> float:
@@ -116,15 +141,13 @@ def tabulate(speed: Callable[[RealArray], RealArray], end: float) -> ArcLengthTa
     speeds = np.stack([_expansion(speed, a, b) for a, b in pairwise(edges)], axis=1)
     lengths = legendre.legint(speeds, lbnd=-1.0) * (0.5 * np.diff(edges))
     starts = np.concatenate([[0.0], np.cumsum(lengths.sum(axis=0))])  # every Legendre polynomial is 1 at the end
-    from scipy.interpolate import CubicHermiteSpline  # here, since reading a scene needs no scipy
-
     # a piecewise cubic u(s) through points on every panel, with exact slopes, as the first guess of the inverse
     xi = np.linspace(-1.0, 1.0, GUESSES_PER_PANEL, endpoint=False)
     u = edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (xi + 1.0)
     s = starts[:-1, None] + legendre.legval(xi, lengths)
     slope = 1.0 / legendre.legval(xi, speeds)
     last = 1.0 / speeds[:, -1].sum()
-    guess = CubicHermiteSpline(np.append(s, starts[-1]), np.append(u, edges[-1]), np.append(slope, last))
+    guess = piecewise_cubic(np.append(s, starts[-1]), np.append(u, edges[-1]), np.append(slope, last))
     return ArcLengthTable(edges, starts, speeds, lengths, guess)
 
 

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-import numpy as np
-
 from flexfmu.trajectories.curves import ParametricPiece, PiecewiseCurve, PlacedPiece, PlaneJets
 from flexfmu.trajectories.errors import TrajectoryError, positive
 from flexfmu.trajectories.jets import Jet, RealArray, power, sincos
+from flexfmu.trajectories.roots import root_between
 
 QUARTER = 0.5 * math.pi
 """The turning of a blend [rad]."""
@@ -142,10 +141,8 @@ class ClothoidPair(Blend):
     @cached_property
     def first_turning(self) -> float:
         """α [rad], the turning of the first clothoid; π/4 for e = d."""
-        from scipy.optimize import brentq  # here, since reading a scene needs no scipy
-
         ratio = self.width / self.height
-        return float(brentq(lambda a: aspect_ratio(a) - ratio, 0.0, QUARTER, xtol=1e-16, rtol=4 * np.finfo(float).eps))
+        return root_between(lambda a: aspect_ratio(a) - ratio, 0.0, QUARTER, absolute=1e-16)
 
     @cached_property
     def curve(self) -> PiecewiseCurve:

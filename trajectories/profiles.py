@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from flexfmu.trajectories.curves import Side, checked_side
 from flexfmu.trajectories.errors import TrajectoryError, within
 from flexfmu.trajectories.jets import Jet, RealArray, checked_order
+from flexfmu.trajectories.roots import root_between
 
 
 class SmoothPiece(Protocol):
@@ -211,8 +212,6 @@ def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Sid
 
 def time_at(profile: Profile, fraction: float) -> float:
     """Return the fraction of the duration η at which σ(η) = ``fraction``, 0 < ``fraction`` < 1."""
-    from scipy.optimize import brentq  # here, since reading a scene needs no scipy
-
     # one root, since a profile is monotonic
     pieces = profile.pieces
     starts = [piece.start for piece in pieces[1:]]
@@ -220,8 +219,8 @@ def time_at(profile: Profile, fraction: float) -> float:
     def excess(eta: float) -> float:
         return pieces[bisect_right(starts, eta)].value(eta) - fraction
 
-    eta = float(brentq(excess, 0.0, 1.0, xtol=1e-17, rtol=4 * np.finfo(float).eps))
-    # one Newton step, since brentq stops within a few roundings of the root
+    eta = root_between(excess, 0.0, 1.0, absolute=1e-17)
+    # one Newton step, since Brent's method stops within a few roundings of the root
     value, slope = evaluate_profile(profile, eta, 1).derivatives()[:, 0]
     return eta - float((value - fraction) / slope)
 

@@ -13,7 +13,6 @@ from functools import cached_property, lru_cache
 
 import casadi
 import numpy as np
-from scipy.interpolate import interp1d
 
 from flexfmu.model.numeric import numeric_model
 from flexfmu.model.scene.effects import Effects
@@ -70,8 +69,8 @@ class LinearizedMotion:
         found = _full(_matrices(self._scene).map(count)(grid.joints[coarse].T))
         matrices = [matrix.reshape(n, count, n).transpose(1, 0, 2) for matrix in found]
         # interpolate over the index: a jump is two instants at the same time
-        between = interp1d(coarse, np.stack(matrices), axis=1)(np.arange(grid.time.size))
-        return LinearTimeVaryingSystem(between[0], between[1], between[2], grid.spans, grid.steps)
+        between = _interpolated(coarse, np.stack(matrices, axis=1), np.arange(grid.time.size))
+        return LinearTimeVaryingSystem(between[:, 0], between[:, 1], between[:, 2], grid.spans, grid.steps)
 
     @cached_property
     def load(self) -> RealArray:
@@ -159,6 +158,14 @@ class LinearizedMotion:
         function = self._model.motion.map(motion.position.shape[0])
         arguments = motion.position.T, motion.velocity.T, motion.acceleration.T, self._joints
         return Outputs(*(result.T for result in _full(function(*arguments))))
+
+
+def _interpolated(knots: Indices, values: RealArray, at: Indices) -> RealArray:
+    """Values (N, ...) at indices (N,), linear between those (K, ...) at ascending knots (K,)."""
+    upper = np.clip(np.searchsorted(knots, at), 1, len(knots) - 1)
+    lower, shape = upper - 1, (-1,) + (1,) * (values.ndim - 1)
+    slope = (values[upper] - values[lower]) / (knots[upper] - knots[lower]).reshape(shape)
+    return np.asarray(slope * (at - knots[lower]).reshape(shape) + values[lower])
 
 
 def _full(results: Iterable[casadi.DM]) -> list[RealArray]:

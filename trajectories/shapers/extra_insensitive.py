@@ -22,7 +22,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import root
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
@@ -49,6 +48,8 @@ def extra_insensitive(mode: Oscillator, tolerance: float = 0.05, humps: int = 1)
     Raises:
         TrajectoryError: an argument is out of range, or the damping is too high for a sequence of this kind.
     """
+    from scipy.optimize import root  # here, since most motions need no scipy
+
     checked_fraction("tolerable residual", tolerance)
     if not 1 <= humps <= MOST_HUMPS:
         raise TrajectoryError(f"number of humps must be 1 to {MOST_HUMPS}, got {humps}")

@@ -13,10 +13,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 
 from flexfmu.trajectories.errors import TrajectoryError, positive
 from flexfmu.trajectories.jets import RealArray
+from flexfmu.trajectories.roots import root_between
 
 SUM_ROUNDING = 1e-9
 """Largest deviation of the amplitudes' sum from 1 that counts as rounding of published amplitudes."""
@@ -199,10 +199,8 @@ class ImpulseSequence:
         above = np.flatnonzero(self.residual(grid, ratio) > limit)
         if not above.size:
             return math.inf if end > start else 0.0
-        return float(
-            brentq(
-                lambda frequency: float(self.residual(frequency, ratio)[0]) - limit, grid[above[0] - 1], grid[above[0]]
-            )
+        return root_between(
+            lambda frequency: float(self.residual(frequency, ratio)[0]) - limit, grid[above[0] - 1], grid[above[0]]
         )
 
     def convolve(self, other: ImpulseSequence) -> ImpulseSequence:

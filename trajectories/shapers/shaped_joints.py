@@ -13,7 +13,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from flexfmu.trajectories.curves import Side
 from flexfmu.trajectories.errors import times
@@ -117,6 +116,8 @@ def path_deviation(motion: Trajectory, path: PickAndPlacePath) -> float:
         motion: motion of the end effector, x and y [m].
         path: the planned path.
     """
+    from scipy.spatial import cKDTree  # here, since most motions need no scipy
+
     arc_lengths = np.linspace(0.0, path.length, POINTS_ON_PATH)
     tree = cKDTree(np.stack([jet.value for jet in path.jets(arc_lengths, 0)], axis=-1))
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import Bounds, minimize
 
 from flexfmu.trajectories.errors import TrajectoryError, positive
 from flexfmu.trajectories.jets import RealArray
@@ -78,6 +77,8 @@ class _Problem:
 
     def solve(self) -> tuple[RealArray, RealArray]:
         """Return amplitudes and times, both (N,); with too few impulses the residual exceeds the tolerance."""
+
+        from scipy.optimize import Bounds, minimize  # here, since most motions need no scipy
 
         def last_time(x: RealArray) -> float:
             return float(x[-1])

@@ -10,7 +10,6 @@ import cmath
 import math
 
 import numpy as np
-from scipy.optimize import root
 
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.jets import RealArray
@@ -65,6 +64,8 @@ def unity_magnitude(mode: Oscillator) -> ImpulseSequence:
     Raises:
         TrajectoryError: there is no such shaper for this damping ratio.
     """
+    from scipy.optimize import root  # here, since most motions need no scipy
+
     # continuation from the undamped angles, in small steps of the damping ratio
     angles = np.array([np.pi / 3.0, 2.0 * np.pi / 3.0])
     for ratio in np.linspace(0.0, mode.ratio, math.ceil(mode.ratio / CONTINUATION_STEP) + 1):
