@@ -18,11 +18,12 @@ from time import sleep
 from typing import TYPE_CHECKING, Any, Never, TextIO
 
 import typer
-from rich.console import Console, RenderableType
 
 from flexfmu.cosim.engine.errors import ResultsError
 
 if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
     from flexfmu.cosim.choices.effects.choice import ShowProgress
     from flexfmu.model.scene.schema import Scene
 
@@ -63,6 +64,8 @@ def rich_output() -> Iterator[Console]:
     Raises:
         ResultsError: standard output is closed or can't be written.
     """
+    from rich.console import Console
+
     is_terminal, text = _stdout().isatty(), StringIO()
     yield Console(
         file=text, force_terminal=is_terminal or None, width=None if is_terminal else PIPED_WIDTH, highlight=False
@@ -77,6 +80,7 @@ def progress() -> Iterator[ShowProgress]:
     if stderr is None or not stderr.isatty():
         yield lambda text, fraction: None
         return
+    from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())

@@ -6,9 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich import box
-from rich.table import Table
-from rich.text import Text
 
 from flexfmu.cosim.cli.console import load_resolved, print_rich, print_text, progress
 from flexfmu.cosim.cli.options import JsonOption, NamingOption, PlatformOption, SceneArgument, naming_convention
@@ -16,6 +13,8 @@ from flexfmu.cosim.engine.files import RESULTS
 from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from flexfmu.cosim.exchange.slave_export import ExportedSystem
 
 
@@ -51,6 +50,8 @@ def fmus(
     if json:
         print_text(to_json(_facts(system)))
     else:
+        from rich.text import Text
+
         connected = f"connections between them: {len(system.connections)}, listed by --json"
         print_rich(_table(system), Text(f"{folder}: {len(system.slaves)} FMUs; {connected}"))
     return 0
@@ -76,6 +77,10 @@ def _facts(system: ExportedSystem) -> dict[str, object]:
 
 def _table(system: ExportedSystem) -> Table:
     """A line for each slave."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in ("FMU", "what it is", "sample time", "set before the start"):
         table.add_column(heading)

@@ -64,6 +64,14 @@ def run(
             show_default=False,
         ),
     ] = None,
+    report: Annotated[
+        bool | None,
+        typer.Option(
+            "--report/--no-report",
+            help="Draw report.html. Default: draw it, but with --json don't.",
+            show_default=False,
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> int:
     """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
@@ -74,6 +82,8 @@ def run(
     from zipfile import is_zipfile
 
     if scene.lower().endswith(".ssp") or is_zipfile(scene):
+        if report:
+            raise InputError("--report goes with a scene; an SSP file has no report")
         from flexfmu.cosim.cli.run_ssp import run_ssp_command
 
         return run_ssp_command(Path(scene), out, step, stop_time, json, isolate, ssd, output_order)
@@ -86,4 +96,6 @@ def run(
         raise InputError("--output-order goes with an SSP file; in a scene each FMU has its own `output_order`")
     from flexfmu.cosim.cli.run_scene import run_command
 
-    return run_command(scene, out, json, step, isolate, 1 if verify is None else 2 * verify)
+    return run_command(
+        scene, out, json, step, isolate, 1 if verify is None else 2 * verify, not json if report is None else report
+    )

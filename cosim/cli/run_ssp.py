@@ -16,7 +16,8 @@ from flexfmu.cosim.engine.master.master import Simulation
 from flexfmu.cosim.exchange.ssp.archive import DESCRIPTION
 from flexfmu.cosim.exchange.ssp.loading import SspSystem, load_ssp
 from flexfmu.cosim.experiment.recording import slave_facts
-from flexfmu.cosim.reports.text import titled_table, to_json
+from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.cosim.reports.text import to_json
 
 TEXT_WIDTH = 40
 """Characters of a text in the table of results."""

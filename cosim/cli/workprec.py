@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.text import Text
 
 from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress
 from flexfmu.cosim.cli.options import JsonOption, OptionalScene
@@ -56,6 +55,8 @@ def workprec(
 
 def _study(source: str | None, out: Path | None, families: Sequence[str], as_json: bool) -> int:
     """Measure, write the results, and print them; the exit status."""
+    from rich.text import Text
+
     from flexfmu.cosim.studies.workprec.figures import html, save_figures
     from flexfmu.cosim.studies.workprec.study import FAMILIES, data, markdown, notes, run_study, terminal_table
 
@@ -87,6 +88,8 @@ def _study(source: str | None, out: Path | None, families: Sequence[str], as_jso
 
 def _hard_cases(source: str | None, out: Path | None, names: Sequence[str], as_json: bool) -> int:
     """Run the hard cases, write what happened, and print it; the exit status."""
+    from rich.text import Text
+
     from flexfmu.cosim.studies.hard.suite import conclusion, data, hard_cases, markdown, run_cases, terminal_table
 
     if source is not None:

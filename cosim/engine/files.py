@@ -41,6 +41,17 @@ class OutputFolder:
         """Write a file in the folder and return its path; see `write_whole`."""
         return write_whole(self.path / name, text)
 
+    def remove(self, name: str) -> None:
+        """Remove a file of an earlier run, if there is one.
+
+        Raises:
+            ResultsError: it can't be removed, with the system's reason.
+        """
+        try:
+            (self.path / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise _cannot_write(self.path / name, error) from error
+
 
 def write_whole(path: Path, text: str) -> Path:
     """Write a file atomically (temporary file, then rename) and return its path; creates its folder if needed.

@@ -14,7 +14,7 @@ from rich.text import Text
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.reports.text import titled_table
+from flexfmu.cosim.reports.terminal import titled_table
 
 SHOWN_FREQUENCIES = 6
 """Largest number of frequency columns in the table; the JSON has all frequencies."""

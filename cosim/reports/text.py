@@ -1,4 +1,4 @@
-"""Results as text: JSON, tables for the terminal, tables in Markdown."""
+"""Results as text: JSON and tables in Markdown."""
 
 from __future__ import annotations
 
@@ -6,18 +6,10 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from rich import box
-from rich.table import Column, Table
-
 
 def to_json(data: Mapping[str, Any]) -> str:
     """Return JSON text with a final line break; raise ValueError for NaN and infinity, which JSON doesn't have."""
     return json.dumps(data, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
-
-
-def titled_table(title: str, *columns: Column | str, expand: bool = False) -> Table:
-    """Return an empty table for the terminal, with a bold title at the left."""
-    return Table(*columns, box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", expand=expand)
 
 
 def markdown_table(head: Sequence[str], rule: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

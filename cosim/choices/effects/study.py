@@ -29,7 +29,7 @@ from flexfmu.cosim.experiment.timing import fastest_in_turns
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.reports.modes_table import ModalPose, modes_along_path
 from flexfmu.cosim.reports.summary import choice_summary
-from flexfmu.cosim.reports.text import titled_table
+from flexfmu.cosim.reports.terminal import titled_table
 from flexfmu.model.choice_text import percent, set_text
 from flexfmu.model.scene.choice import (
     INTEGRATOR_SHARE,

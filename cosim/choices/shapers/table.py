@@ -13,7 +13,8 @@ from rich.table import Column, Table
 from flexfmu.cosim.choices.shapers.design import DesignModes
 from flexfmu.cosim.choices.shapers.recommendation import Recommendation, shaper_toml
 from flexfmu.cosim.choices.shapers.study import CandidateResult, Trial
-from flexfmu.cosim.reports.text import markdown_table, titled_table
+from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.cosim.reports.text import markdown_table
 
 COLUMNS = ("shaper", "shapes", "added ms", "nominal µm", "worst µm", "at rest ms", "deviation mm", "torque N·m")
 """Columns of the table on the terminal."""

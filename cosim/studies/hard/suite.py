@@ -13,7 +13,8 @@ from rich.text import Text
 
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.reports.summary import versions
-from flexfmu.cosim.reports.text import markdown_table, titled_table
+from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.cosim.reports.text import markdown_table
 from flexfmu.cosim.studies.hard import repetition, singularity, sticking
 from flexfmu.cosim.studies.hard.case import CaseReport, HardCase
 from flexfmu.cosim.studies.hard.extremes import motion_cases, parameter_cases, stiffness_cases

@@ -15,7 +15,8 @@ from typing import Any
 from rich.table import Column, Table
 
 from flexfmu.cosim.reports.summary import versions
-from flexfmu.cosim.reports.text import markdown_table, titled_table
+from flexfmu.cosim.reports.terminal import titled_table
+from flexfmu.cosim.reports.text import markdown_table
 from flexfmu.cosim.studies.workprec import fmu_trials, solver_trials, tool_trials
 from flexfmu.cosim.studies.workprec.fmu_trials import Announce
 from flexfmu.cosim.studies.workprec.tool_trials import PAPER_LINE

@@ -66,6 +66,18 @@ def test_run_json_is_the_summary_and_nothing_else(simulated: Callable[..., None]
     assert json.loads(result.stdout)["scene"]["name"] == SCENE
 
 
+def test_the_report_is_drawn_on_request(simulated: Callable[..., None], tmp_path: Path) -> None:
+    """--json doesn't draw unless --report is given, and leaves no report of an earlier run; --no-report saves the time."""
+    simulated()
+    drawn = []
+    for options in (["--json", "--report"], ["--json"], [], ["--no-report"]):
+        result = flexfmu("run", SCENE, "--out", str(tmp_path), *options)
+        assert result.exit_code == 0
+        drawn.append((tmp_path / "report.html").is_file())
+    assert drawn == [True, False, True, False]
+    assert "results.csv and summary.json are in" in result.stdout
+
+
 @pytest.mark.slow
 def test_results_go_to_a_folder_named_after_the_scene(
     simulated: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

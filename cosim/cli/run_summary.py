@@ -1,0 +1,69 @@
+"""What `flexfmu run` prints of a scene: the metrics with their errors, how the run went, and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import RenderableType
+from rich.table import Column, Table
+from rich.text import Text
+
+from flexfmu.cosim.cli.console import print_rich
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display
+from flexfmu.cosim.reports.terminal import titled_table
+
+
+def print_summary(summary: Mapping[str, Any], choice: str, folder: Path, has_report: bool) -> None:
+    """What was chosen, the metrics of a complete run, the FMU's statistics, warnings, and where the files are."""
+    name, health, metrics = summary["scene"]["name"], summary["health"], summary["metrics"]
+    parts: list[RenderableType] = [Text(choice)] if choice else []
+    if health["outcome"] == "completed":
+        parts += [_metrics_table(name, metrics, summary["errors"]), Text(health["errors_from"])]
+    # how the run went
+    parts.append(Text(_health_line(health, summary["timing"])))
+    parts += _learning_line(summary.get("learning"))
+    late = [delay for delay in summary["delays"] if delay["seconds"] > 0.0 or delay["average"] > 0.0]
+    if late:
+        parts.append(Text("late: " + "; ".join(delay["description"] for delay in late)))
+    # what spoils the results
+    if health["warnings"]:
+        parts.append(Text(_warning_line(health), style="yellow"))
+    sentences = [*health["large_deflections"], *filter(None, [health["unstable_loop"]])]
+    parts += [Text(f"warning: {sentence}", style="yellow") for sentence in sentences]
+    files = "results.csv, summary.json and report.html" if has_report else "results.csv and summary.json"
+    parts.append(Text(f"{files} are in {folder}"))
+    print_rich(*parts)
+
+
+def _metrics_table(title: str, metrics: Mapping[str, float | None], errors: Mapping[str, float | None]) -> Table:
+    table = titled_table(title, "Metric", Column("Value", justify="right"))
+    for name, value in metrics.items():
+        table.add_row(ALL_METRICS[name].label, display(name, value, error=errors[name]))
+    return table
+
+
+def _health_line(health: Mapping[str, Any], timing: Mapping[str, float]) -> str:
+    statistics = ", ".join(f"{count} {name}" for name, count in health["statistics"].items())
+    return (
+        f"{health['outcome']}: {health['end_time'] or 0.0:g} s simulated in {timing['simulate']:.3f} s "
+        f"(FMU ready in {timing['build']:.3f} s)" + (f"; {statistics}" if statistics else "")
+    )
+
+
+def _learning_line(learning: Mapping[str, Any] | None) -> list[RenderableType]:
+    """The tracking error of the cycles, where a motion is repeated."""
+    if learning is None:
+        return []
+    errors = [1e3 * max(each["rms"]) for each in learning["tracking_errors"]]
+    return [Text("tracking error of the cycles, mrad RMS: " + ", ".join(f"{error:.4g}" for error in errors))]
+
+
+def _warning_line(health: Mapping[str, Any]) -> str:
+    """All metrics for which the communication step is too coarse, each with its estimated error."""
+    coarse = "; ".join(
+        f"{ALL_METRICS[warning['metric']].label} ± {display(warning['metric'], warning['estimated_error'], digits=1)}"
+        for warning in health["warnings"]
+    )
+    return f"warning: the communication step of {health['communication_step']:g} s is too coarse for: {coarse}"
