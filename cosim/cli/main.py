@@ -39,7 +39,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
+    # a default for --help: to check one that isn't given, typer would load pydantic
+    context_settings={"help_option_names": ["-h", "--help"], "default_map": {"help": False}},
     epilog="Exit status: 0 done, 1 it ran and failed, 2 wrong usage or input, 143 ended by SIGTERM. Results go to "
     "standard output, progress to standard error.",
 )
