@@ -29,7 +29,18 @@ BUILD_DESCRIPTION = "sources/buildDescription.xml"
 OPTIONS = ("-O2", *COMMON_FLAGS)
 """Options for GCC and Clang that reproduce the numbers of the binaries; other compilers only need C99."""
 
-_COMMON = ("backend.", "clock.", "elementary", "fmi2", "memory.", "model.", "old_glibc.", "private.", "refusal.")
+_COMMON = (
+    "backend.",
+    "clock.",
+    "elementary",
+    "fmi2",
+    "memory.",
+    "model.",
+    "old_glibc.",
+    "private.",
+    "real.",
+    "refusal.",
+)
 """Prefixes of the runtime's files for all kinds."""
 
 _OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",)}

@@ -29,8 +29,8 @@
 static void predict_from_history(flex_integrator *integrator, double h) {
   const flex_history history = {integrator->history, 1};
   int n = integrator->n, s = integrator->stages.tableau->stages;
-  const double *end_a = integrator->history + (s + 1) * n;
-  double *a = integrator->stages.acceleration;
+  const real *end_a = integrator->history + (s + 1) * n;
+  real *a = integrator->stages.acceleration;
 
   // without a last step the acceleration stays as it is
   if (integrator->record->history_step == 0.0) {
@@ -55,7 +55,7 @@ static double bend(const flex_integrator *integrator, double h) {
 static void step_increments(flex_integrator *integrator, double h) {
   const flex_tableau *tableau = integrator->stages.tableau;
   int n = integrator->n;
-  double *dy = integrator->change, *dv = dy + n;
+  real *dy = integrator->change, *dv = dy + n;
   flex_combine(n, tableau->stages, tableau->b_position, integrator->stages.acceleration, dy);
   flex_combine(n, tableau->stages, tableau->b, integrator->stages.acceleration, dv);
   for (int c = 0; c < n; c++) {
@@ -71,7 +71,7 @@ static flex_outcome accelerate_at_end(flex_integrator *integrator, double t, dou
 
   // the last stage is the end of the step
   if (flex_ends_in_stage(stages->tableau)) {
-    memcpy(integrator->a, stages->acceleration + (s - 1) * n, (size_t)n * sizeof(double));
+    memcpy(integrator->a, stages->acceleration + (s - 1) * n, (size_t)n * sizeof(real));
     integrator->record->is_factored = 0;
     return flex_step_check_margin(integrator, stages->u + (s - 1) * stages->inputs->count, margin);
   }
@@ -87,7 +87,7 @@ static flex_outcome accelerate_at_end(flex_integrator *integrator, double t, dou
 static flex_outcome finish(flex_integrator *integrator, double t, double h, double *margin) {
   flex_integrator_record *record = integrator->record;
   int n = integrator->n, s = integrator->stages.tableau->stages;
-  size_t size = (size_t)n * sizeof(double);
+  size_t size = (size_t)n * sizeof(real);
 
   // end of the quadrature
   step_increments(integrator, h);
@@ -119,7 +119,7 @@ static flex_outcome solve(flex_integrator *integrator, double t, double h, doubl
 static double cheap_error(flex_integrator *integrator, double h) {
   const flex_tableau *tableau = integrator->stages.tableau;
   int n = integrator->n;
-  double *defect = integrator->defect;
+  real *defect = integrator->defect;
 
   // defect of the polynomial at the start, filtered so that stiff modes do not dominate it
   flex_combine(n, tableau->stages, tableau->at_start, integrator->stages.acceleration, defect);
@@ -127,13 +127,14 @@ static double cheap_error(flex_integrator *integrator, double h) {
   flex_newton_filter(&integrator->stages.matrix, defect);
 
   // norm of the defect in rates and positions
-  double rate = DEFECT_RATE * h, position = DEFECT_POSITION * h * h, sum = 0.0;
+  double rate = DEFECT_RATE * h, position = DEFECT_POSITION * h * h;
+  real sum = flex_real(0.0);
   for (int c = 0; c < n; c++) {
-    double of_rate = rate * rate * integrator->stages.rate_weight[c];
-    double of_position = position * position * integrator->stages.position_weight[c];
+    real of_rate = rate * rate * integrator->stages.rate_weight[c];
+    real of_position = position * position * integrator->stages.position_weight[c];
     sum += (of_rate + of_position) * defect[c] * defect[c];
   }
-  return sqrt(sum);
+  return flex_worst(flex_sqrt(sum), integrator->record->scale);
 }
 
 // two steps of half the size, predicted by the full step
@@ -163,8 +164,8 @@ static flex_outcome calibrate(flex_integrator *integrator, const flex_integrator
     integrator->full_y[c] = integrator->y[c] + integrator->change[c];
     integrator->full_v[c] = integrator->v[c] + integrator->change[n + c];
   }
-  memcpy(integrator->full_a, integrator->a, (size_t)n * sizeof(double));
-  memcpy(integrator->full_a + n, integrator->stages.acceleration, (size_t)(s * n) * sizeof(double));
+  memcpy(integrator->full_a, integrator->a, (size_t)n * sizeof(real));
+  memcpy(integrator->full_a + n, integrator->stages.acceleration, (size_t)(s * n) * sizeof(real));
 
   // the same interval by two halves, which are kept
   flex_outcome outcome = take_halves(integrator, t, h, allowed, value);
@@ -175,14 +176,14 @@ static flex_outcome calibrate(flex_integrator *integrator, const flex_integrator
     integrator->full_y[c] -= integrator->y[c];
     integrator->full_v[c] -= integrator->v[c];
   }
-  double error = flex_error_norm(&integrator->stages, integrator->full_y, integrator->full_v);
+  double error = flex_error_norm(&integrator->stages, integrator->full_y, integrator->full_v, record->scale);
   if (!isfinite(error)) return flex_step_reject(integrator, before, FLEX_FAILED_SHRINK * h, FLEX_NOT_FINITE);
 
   // the halves' own error decides; the full one says what the cheap estimate is worth
   double fitting = flex_fitting_step(h, record->step, error, allowed, integrator->method->local_order);
   double halves_error = error / (ldexp(1.0, order) - 1.0);
   if (halves_error > allowed) {
-    *value = halves_error / record->scale;
+    *value = halves_error / flex_common(record->scale);
     return flex_step_reject(integrator, before, flex_smaller_step(h, fitting, FLEX_HALVED_SHRINK), FLEX_INACCURATE);
   }
   flex_accuracy_calibrate(&record->accuracy, evidence, error);
@@ -215,7 +216,7 @@ static flex_outcome control(flex_integrator *integrator, const flex_integrator_r
   if (applies) {
     double error = flex_accuracy_error(&record->accuracy, method->local_order - (s + 1), &evidence);
     double sharp_fitting = flex_fitting_step(h, record->step, error, allowed, method->local_order);
-    *value = error / record->scale;
+    *value = error / flex_common(record->scale);
     if (!is_small && error > allowed) {
       double smaller = flex_smaller_step(h, sharp_fitting, FLEX_INACCURATE_SHRINK);
       return flex_step_reject(integrator, before, smaller, FLEX_INACCURATE);

@@ -25,14 +25,14 @@ void flex_equations_take(flex_equations *equations, const flex_model *model, fle
   equations->arg = flex_take(arena, (size_t)n_arg * sizeof *equations->arg);
   equations->res = flex_take(arena, (size_t)n_res * sizeof *equations->res);
   equations->iw = flex_take_ints(arena, (size_t)n_iw);
-  equations->w = flex_take_doubles(arena, (size_t)n_w);
-  equations->holding = flex_take_doubles(arena, (size_t)model->n_frictions);
+  equations->w = flex_take_reals(arena, (size_t)n_w);
+  equations->holding = flex_take_reals(arena, (size_t)model->n_frictions);
   equations->earlier_modes = flex_take_ints(arena, (size_t)model->n_frictions);
 }
 
 void flex_set_mode(flex_equations *equations, int friction, int mode) {
   equations->modes[friction] = mode;
-  equations->d[equations->model->frictions[friction].direction] = (mode == FLEX_FORWARD) - (mode == FLEX_BACKWARD);
+  equations->d[equations->model->frictions[friction].direction] = flex_real((mode == FLEX_FORWARD) - (mode == FLEX_BACKWARD));
 }
 
 void flex_show_modes(flex_equations *equations) {
@@ -46,14 +46,14 @@ int flex_is_held(const flex_equations *equations, int unknown) {
   return 0;
 }
 
-void flex_hold(const flex_equations *equations, double *rates) {
+void flex_hold(const flex_equations *equations, real *rates) {
   const flex_model *model = equations->model;
   for (int k = 0; k < model->n_frictions; k++)
-    if (equations->modes[k] == FLEX_STUCK) rates[model->frictions[k].unknown] = 0.0;
+    if (equations->modes[k] == FLEX_STUCK) rates[model->frictions[k].unknown] = flex_real(0.0);
 }
 
 // what the residual lacks is the force of friction; the equation becomes a = 0
-static void hold_residual(flex_equations *equations, const double *a, double *r) {
+static void hold_residual(flex_equations *equations, const real *a, real *r) {
   for (int k = 0; k < equations->model->n_frictions; k++) {
     int i = equations->model->frictions[k].unknown;
     if (equations->modes[k] != FLEX_STUCK) continue;
@@ -62,18 +62,18 @@ static void hold_residual(flex_equations *equations, const double *a, double *r)
   }
 }
 
-static void hold_mass(const flex_equations *equations, double *mass) {
+static void hold_mass(const flex_equations *equations, real *mass) {
   int n = equations->model->n;
   for (int k = 0; k < equations->model->n_frictions; k++) {
     int i = equations->model->frictions[k].unknown;
     if (equations->modes[k] != FLEX_STUCK) continue;
-    for (int j = 0; j < n; j++) mass[i * n + j] = mass[j * n + i] = 0.0;
-    mass[i * n + i] = 1.0;
+    for (int j = 0; j < n; j++) mass[i * n + j] = mass[j * n + i] = flex_real(0.0);
+    mass[i * n + i] = flex_real(1.0);
   }
 }
 
-int flex_residual(flex_equations *equations, const double *y, const double *v, const double *a, const double *u, double *r) {
-  const double **arg = equations->arg;
+int flex_residual(flex_equations *equations, const real *y, const real *v, const real *a, const real *u, real *r) {
+  const real **arg = equations->arg;
   arg[0] = y;
   arg[1] = v;
   arg[2] = a;
@@ -88,42 +88,47 @@ int flex_residual(flex_equations *equations, const double *y, const double *v, c
 
 int flex_lanes_serve(const flex_equations *equations) {
   const flex_model *model = equations->model;
-  return equations->has_lanes && model->residual_lanes != 0 && model->n_frictions == 0;
+  return FLEX_WIDTH == 1 && equations->has_lanes && model->residual_lanes != 0 && model->n_frictions == 0;
 }
 
-void flex_residual_lanes(flex_equations *equations, int count, const double *y, const double *v, const double *a,
-                         const double *u, double *r) {
+#if FLEX_WIDTH == 1
+void flex_residual_lanes(flex_equations *equations, int count, const real *y, const real *v, const real *a,
+                         const real *u, real *r) {
   *equations->evaluations += count;
   equations->model->residual_lanes(y, v, a, u, equations->d, r);
 }
+#endif
 
-int flex_mass_matrix(flex_equations *equations, const double *y, const double *u, double *mass) {
-  const double *const arguments[] = {y, u, equations->d};
+int flex_mass_matrix(flex_equations *equations, const real *y, const real *u, real *mass) {
+  const real *const arguments[] = {y, u, equations->d};
   int refused = flex_call(equations, &equations->model->mass_matrix, 3, arguments, mass);
   if (equations->model->n_frictions > 0) hold_mass(equations, mass);
   return refused;
 }
 
-int flex_margin(flex_equations *equations, const double *y, const double *u, double *margin) {
-  const double *const arguments[] = {y, u, equations->d};
-  return flex_call(equations, &equations->model->singularity, 3, arguments, margin);
+int flex_margin(flex_equations *equations, const real *y, const real *u, double *margin) {
+  const real *const arguments[] = {y, u, equations->d};
+  real margins;
+  int refused = flex_call(equations, &equations->model->singularity, 3, arguments, &margins);
+  *margin = flex_least(margins);
+  return refused;
 }
 
-int flex_call(flex_equations *equations, const flex_function *function, int n_arguments, const double *const *arguments,
-              double *result) {
+int flex_call(flex_equations *equations, const flex_function *function, int n_arguments, const real *const *arguments,
+              real *result) {
   for (int i = 0; i < n_arguments; i++) equations->arg[i] = arguments[i];
   equations->res[0] = result;
   return function->call(equations->arg, equations->res, equations->iw, equations->w, 0);
 }
 
-int flex_motion_forward(flex_equations *equations, const flex_point *at, const flex_point *change, double *changes) {
-  const double *const arguments[] = {at->y, at->v, at->a, at->u, at->d, change->y, change->v, change->u, change->d};
+int flex_motion_forward(flex_equations *equations, const flex_point *at, const flex_point *change, real *changes) {
+  const real *const arguments[] = {at->y, at->v, at->a, at->u, at->d, change->y, change->v, change->u, change->d};
   int refused = flex_call(equations, &equations->model->motion_forward, 9, arguments, changes);
   flex_hold(equations, changes);
   return refused;
 }
 
-void flex_add_acceleration(const flex_model *model, const double *entries, const double *a, double *outputs) {
+void flex_add_acceleration(const flex_model *model, const real *entries, const real *a, real *outputs) {
   const flex_term *terms = model->acceleration_terms;
   for (int k = 0; k < model->n_acceleration_terms; k++) outputs[terms[k].output] += entries[k] * a[terms[k].unknown];
 }

@@ -4,25 +4,25 @@
 #ifndef FLEXFMU_EQUATIONS_H
 #define FLEXFMU_EQUATIONS_H
 
-#include "memory.h"
 #include "model.h"
+#include "real.h"
 
 typedef struct {
   const flex_model *model;
-  double *d;  /* derived parameters */
+  real *d;  /* derived parameters */
   int *modes; /* of the frictions, FLEX_FREE and so on */
   long long *evaluations;
 
   /* forces with which frictions hold what sticks, at the last residual [n_frictions] */
-  double *holding;
+  real *holding;
   int *earlier_modes; /* scratch */
   int has_lanes;      /* the processor's registers can be used */
 
   /* work space of the generated functions */
-  const double **arg;
-  double **res;
+  const real **arg;
+  real **res;
   int *iw;
-  double *w;
+  real *w;
 } flex_equations;
 
 /* what a friction does: nothing of its own, since it has no force or the motion hasn't begun; holds; slips */
@@ -38,29 +38,29 @@ void flex_show_modes(flex_equations *equations);
 int flex_is_held(const flex_equations *equations, int unknown);
 
 /* zero where friction holds an unknown: its equation doesn't change */
-void flex_hold(const flex_equations *equations, double *rates);
+void flex_hold(const flex_equations *equations, real *rates);
 
 /* r(y, v, a, u), n numbers, a itself where friction holds; counted as an evaluation */
-int flex_residual(flex_equations *equations, const double *y, const double *v, const double *a, const double *u, double *r);
+int flex_residual(flex_equations *equations, const real *y, const real *v, const real *a, const real *u, real *r);
 
 /* the same for `count` points side by side, four numbers for each coordinate; only where `flex_lanes_serve` */
 int flex_lanes_serve(const flex_equations *equations);
-void flex_residual_lanes(flex_equations *equations, int count, const double *y, const double *v, const double *a,
-                         const double *u, double *r);
+void flex_residual_lanes(flex_equations *equations, int count, const real *y, const real *v, const real *a,
+                         const real *u, real *r);
 
 /* M(y, u), n x n by columns, rows and columns of the unit matrix where friction holds */
-int flex_mass_matrix(flex_equations *equations, const double *y, const double *u, double *mass);
+int flex_mass_matrix(flex_equations *equations, const real *y, const real *u, real *mass);
 
-/* singularity margin, one number */
-int flex_margin(flex_equations *equations, const double *y, const double *u, double *margin);
+/* singularity margin, the least of all lanes */
+int flex_margin(flex_equations *equations, const real *y, const real *u, double *margin);
 
 /* any function of the model: up to 9 arguments, then the result */
-int flex_call(flex_equations *equations, const flex_function *function, int n_arguments, const double *const *arguments,
-              double *result);
+int flex_call(flex_equations *equations, const flex_function *function, int n_arguments, const real *const *arguments,
+              real *result);
 
 /* arguments of residual and outputs, or their changes; a is held where changes are meant */
 typedef struct {
-  const double *y, *v, *a, *u, *d;
+  const real *y, *v, *a, *u, *d;
 } flex_point;
 
 /* how many numbers flex_motion_forward gives */
@@ -68,9 +68,9 @@ size_t flex_changes_count(const flex_model *model);
 
 /* changes of residual, zero where friction holds, and outputs with those of everything but the acceleration, and the entries
  * of do/da */
-int flex_motion_forward(flex_equations *equations, const flex_point *at, const flex_point *change, double *changes);
+int flex_motion_forward(flex_equations *equations, const flex_point *at, const flex_point *change, real *changes);
 
 /* adds do/da a to changes of the outputs */
-void flex_add_acceleration(const flex_model *model, const double *entries, const double *a, double *outputs);
+void flex_add_acceleration(const flex_model *model, const real *entries, const real *a, real *outputs);
 
 #endif

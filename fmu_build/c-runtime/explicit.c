@@ -10,14 +10,14 @@
 static flex_outcome solve_stages(flex_integrator *integrator, double t, double h) {
   const flex_explicit_tableau *tableau = integrator->method->runge_kutta;
   int n = integrator->n;
-  double *y = integrator->explicit_y, *v = integrator->explicit_v, *a = integrator->explicit_a;
+  real *y = integrator->explicit_y, *v = integrator->explicit_v, *a = integrator->explicit_a;
   memcpy(v, integrator->v, (size_t)n * sizeof *v);
   memcpy(a, integrator->a, (size_t)n * sizeof *a);
 
   for (int i = 1; i < tableau->stages; i++) {
     // position and rate of the stage
     for (int c = 0; c < n; c++) {
-      double dy = 0.0, dv = 0.0;
+      real dy = flex_real(0.0), dv = dy;
       for (int j = 0; j < i; j++) {
         dy += tableau->a[i][j] * v[j * n + c];
         dv += tableau->a[i][j] * a[j * n + c];
@@ -36,8 +36,8 @@ static flex_outcome solve_stages(flex_integrator *integrator, double t, double h
 }
 
 // h times the sum over the stages with the given weights, for one coordinate
-static double weighted(const flex_integrator *integrator, const double *weights, const double *x, double h, int c) {
-  double sum = 0.0;
+static real weighted(const flex_integrator *integrator, const double *weights, const real *x, double h, int c) {
+  real sum = flex_real(0.0);
   for (int i = 0; i < integrator->method->runge_kutta->stages; i++) sum += weights[i] * x[i * integrator->n + c];
   return h * sum;
 }
@@ -55,7 +55,7 @@ static flex_outcome take(flex_integrator *integrator, double t, double h, double
                    weighted(integrator, tableau->b, integrator->explicit_a, h, c));
 
   // acceleration at the end
-  memcpy(integrator->a, integrator->explicit_a + (tableau->stages - 1) * n, (size_t)n * sizeof(double));
+  memcpy(integrator->a, integrator->explicit_a + (tableau->stages - 1) * n, (size_t)n * sizeof(real));
   flex_inputs_evaluate(integrator->stages.inputs, t, h, integrator->end_u);
   if (!tableau->ends_last) outcome = flex_integrator_accelerate(integrator, integrator->end_u);
   if (outcome == FLEX_DONE) outcome = flex_step_check_margin(integrator, integrator->end_u, margin);
@@ -69,15 +69,15 @@ static double embedded_error(flex_integrator *integrator, double h) {
     integrator->full_y[c] = weighted(integrator, weights, integrator->explicit_v, h, c);
     integrator->full_v[c] = weighted(integrator, weights, integrator->explicit_a, h, c);
   }
-  return flex_error_norm(&integrator->stages, integrator->full_y, integrator->full_v);
+  return flex_error_norm(&integrator->stages, integrator->full_y, integrator->full_v, integrator->record->scale);
 }
 
 // after a full step: the way again in two steps of half the size, which are kept; error: theirs
 static flex_outcome take_halves(flex_integrator *integrator, double t, double h, double *error, double *margin) {
-  size_t size = (size_t)integrator->n * sizeof(double);
+  size_t size = (size_t)integrator->n * sizeof(real);
   memcpy(integrator->full_y, integrator->y, size);
   memcpy(integrator->full_v, integrator->v, size);
-  memcpy(integrator->y, integrator->saved, integrator->motion_count * sizeof(double));
+  memcpy(integrator->y, integrator->saved, integrator->motion_count * sizeof(real));
 
   // from the saved start again
   for (int half = 0; half < 2; half++) {
@@ -90,7 +90,7 @@ static flex_outcome take_halves(flex_integrator *integrator, double t, double h,
     integrator->full_y[c] -= integrator->y[c];
     integrator->full_v[c] -= integrator->v[c];
   }
-  double difference = flex_error_norm(&integrator->stages, integrator->full_y, integrator->full_v);
+  double difference = flex_error_norm(&integrator->stages, integrator->full_y, integrator->full_v, integrator->record->scale);
   *error = difference / (ldexp(1.0, integrator->method->order) - 1.0);
   return FLEX_DONE;
 }
@@ -115,7 +115,7 @@ flex_outcome flex_explicit_step(flex_integrator *integrator, double t, double h,
   // step size that would fit
   double fitting = flex_fitting_step(h, record->step, error, allowed, integrator->method->local_order);
   if (error > allowed) {
-    *value = error / record->scale;
+    *value = error / flex_common(record->scale);
     return flex_step_reject(integrator, &before, flex_smaller_step(h, fitting, FLEX_INACCURATE_SHRINK), FLEX_INACCURATE);
   }
   flex_step_count(integrator);

@@ -13,7 +13,7 @@
 
 /* modes that belong to the present y, v and inputs u, with acceleration and factor of the mass matrix. What has passed through
  * rest since its mode was chosen is stopped; *stopped = 1 if anything was */
-flex_outcome flex_friction_settle(flex_integrator *integrator, const double *u, int *stopped);
+flex_outcome flex_friction_settle(flex_integrator *integrator, const real *u, int *stopped);
 
 /* a step of the method from t to t + *h, or to the first event in between: then *h becomes shorter, and the modes are those
  * after the event; attempts: counts the steps that finding it takes */
@@ -22,6 +22,6 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
 
 /* a number for every friction that is positive while its mode is right, for importers that look for events themselves: a
  * little above zero where the mode begins. The acceleration must be there */
-flex_outcome flex_friction_indicators(flex_integrator *integrator, const double *u, double *indicators);
+flex_outcome flex_friction_indicators(flex_integrator *integrator, const real *u, double *indicators);
 
 #endif

@@ -5,25 +5,25 @@
 void flex_inputs_take(flex_inputs *inputs, int count, int order, flex_arena *arena) {
   inputs->count = count;
   inputs->order = order;
-  inputs->coefficients = flex_take_doubles(arena, (size_t)count * (size_t)(order + 1));
+  inputs->coefficients = flex_take_reals(arena, (size_t)count * (size_t)(order + 1));
   inputs->base = flex_take_doubles(arena, (size_t)count);
   inputs->degree = flex_take_ints(arena, (size_t)count);
   inputs->given = flex_take_ints(arena, (size_t)count);
 }
 
-static double *polynomial(const flex_inputs *inputs, int index) {
+static real *polynomial(const flex_inputs *inputs, int index) {
   return inputs->coefficients + index * (inputs->order + 1);
 }
 
 void flex_inputs_clear(flex_inputs *inputs) {
   for (int i = 0; i < inputs->count; i++) {
-    flex_inputs_set(inputs, i, 0.0, 0.0);
+    flex_inputs_set(inputs, i, 0.0, flex_real(0.0));
     inputs->given[i] = 0;
   }
 }
 
-void flex_inputs_set(flex_inputs *inputs, int index, double time, double value) {
-  double *c = polynomial(inputs, index);
+void flex_inputs_set(flex_inputs *inputs, int index, double time, real value) {
+  real *c = polynomial(inputs, index);
   memset(c, 0, (size_t)(inputs->order + 1) * sizeof *c);
   c[0] = value;
   inputs->base[index] = time;
@@ -31,13 +31,13 @@ void flex_inputs_set(flex_inputs *inputs, int index, double time, double value) 
   inputs->given[index] = 1;
 }
 
-void flex_inputs_default(flex_inputs *inputs, int index, double value) {
+void flex_inputs_default(flex_inputs *inputs, int index, real value) {
   polynomial(inputs, index)[0] = value;
 }
 
 // taylor shift
 void flex_inputs_expand(flex_inputs *inputs, int index, double time) {
-  double *c = polynomial(inputs, index);
+  real *c = polynomial(inputs, index);
   double shift = time - inputs->base[index];
   int degree = inputs->degree[index];
   if (shift != 0.0)
@@ -46,19 +46,20 @@ void flex_inputs_expand(flex_inputs *inputs, int index, double time) {
   inputs->base[index] = time;
 }
 
-void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset, double *u) {
+void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset, real *u) {
   for (int i = 0; i < inputs->count; i++) {
-    const double *c = polynomial(inputs, i);
+    const real *c = polynomial(inputs, i);
     double tau = time - inputs->base[i] + offset;
-    double value = c[inputs->degree[i]];
+    real value = c[inputs->degree[i]];
     for (int k = inputs->degree[i] - 1; k >= 0; k--) value = value * tau + c[k];
     u[i] = value;
   }
 }
 
+#if FLEX_WIDTH == 1
 void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const double *restrict offsets, double *restrict u) {
   for (int i = 0; i < inputs->count; i++, u += 4) {
-    const double *c = polynomial(inputs, i);
+    const real *c = polynomial(inputs, i);
     double start = time - inputs->base[i], tau[4];
     for (int lane = 0; lane < 4; lane++) tau[lane] = start + offsets[lane];
     for (int lane = 0; lane < 4; lane++) u[lane] = c[inputs->degree[i]];
@@ -66,12 +67,13 @@ void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const do
       for (int lane = 0; lane < 4; lane++) u[lane] = u[lane] * tau[lane] + c[k];
   }
 }
+#endif
 
-void flex_inputs_rates(const flex_inputs *inputs, double time, double *u1, double *u2) {
+void flex_inputs_rates(const flex_inputs *inputs, double time, real *u1, real *u2) {
   for (int i = 0; i < inputs->count; i++) {
-    const double *c = polynomial(inputs, i);
+    const real *c = polynomial(inputs, i);
     double tau = time - inputs->base[i];
-    double value = 0.0, first = 0.0, half_second = 0.0;
+    real value = flex_real(0.0), first = value, half_second = value;
     for (int k = inputs->degree[i]; k >= 0; k--) {
       half_second = half_second * tau + first;
       first = first * tau + value;

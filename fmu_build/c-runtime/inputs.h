@@ -2,12 +2,12 @@
 #ifndef FLEXFMU_INPUTS_H
 #define FLEXFMU_INPUTS_H
 
-#include "memory.h"
+#include "real.h"
 
 typedef struct {
   int count, order;     /* number of inputs, highest order of a derivative */
-  double *coefficients; /* (order + 1) for every input, normalised: k-th derivative / k! */
-  double *base;         /* [s] */
+  real *coefficients; /* (order + 1) for every input, normalised: k-th derivative / k! */
+  double *base;       /* [s] */
   int *degree;          /* highest order in use */
   int *given;           /* 1 = set by the importer */
 } flex_inputs;
@@ -18,10 +18,10 @@ void flex_inputs_take(flex_inputs *inputs, int count, int order, flex_arena *are
 void flex_inputs_clear(flex_inputs *inputs);
 
 /* a constant value from `time` on */
-void flex_inputs_set(flex_inputs *inputs, int index, double time, double value);
+void flex_inputs_set(flex_inputs *inputs, int index, double time, real value);
 
 /* the value of an input that was never set; derivatives that were set stay */
-void flex_inputs_default(flex_inputs *inputs, int index, double value);
+void flex_inputs_default(flex_inputs *inputs, int index, real value);
 
 /* the same polynomial, expanded about another time */
 void flex_inputs_expand(flex_inputs *inputs, int index, double time);
@@ -35,19 +35,19 @@ static inline double flex_factorial(int order) {
 }
 
 /* the derivative of the given order at `time`; the rest of the polynomial stays. An importer may set dozens in every step */
-static inline void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, double value) {
+static inline void flex_inputs_set_derivative(flex_inputs *inputs, int index, double time, int order, real value) {
   if (inputs->base[index] != time) flex_inputs_expand(inputs, index, time);
   inputs->coefficients[index * (inputs->order + 1) + order] = value / flex_factorial(order);
   if (order > inputs->degree[index]) inputs->degree[index] = order;
 }
 
 /* values at time + offset; kept apart since the sum would lose the digits of short steps */
-void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset, double *u);
+void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset, real *u);
 
 /* values at four offsets, side by side: four numbers for each input */
-void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const double *offsets, double *u);
+void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const double *offsets, real *u);
 
 /* first and second time derivatives at `time` */
-void flex_inputs_rates(const flex_inputs *inputs, double time, double *u1, double *u2);
+void flex_inputs_rates(const flex_inputs *inputs, double time, real *u1, real *u2);
 
 #endif

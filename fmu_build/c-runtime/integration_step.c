@@ -8,13 +8,13 @@
 #include "linear_algebra.h"
 
 void flex_step_save(flex_integrator *integrator) {
-  memcpy(integrator->saved, integrator->y, integrator->motion_count * sizeof(double));
+  memcpy(integrator->saved, integrator->y, integrator->motion_count * sizeof(real));
 }
 
 flex_outcome flex_step_reject(flex_integrator *integrator, const flex_integrator_record *before, double step,
                               flex_outcome outcome) {
   flex_integrator_record *record = integrator->record;
-  memcpy(integrator->y, integrator->saved, integrator->motion_count * sizeof(double));
+  memcpy(integrator->y, integrator->saved, integrator->motion_count * sizeof(real));
   long long rejections = record->rejections + 1;
   *record = *before;
   record->rejections = rejections;
@@ -24,56 +24,56 @@ flex_outcome flex_step_reject(flex_integrator *integrator, const flex_integrator
 }
 
 // x + dx with the rounding error kept in rest (Knuth's two-sum)
-static void add_compensated(double *x, double *rest, double dx) {
-  double increment = dx + *rest, sum = *x + increment;
-  double back = sum - *x;
+static void add_compensated(real *x, real *rest, real dx) {
+  real increment = dx + *rest, sum = *x + increment;
+  real back = sum - *x;
   *rest = (*x - (sum - back)) + (increment - back);
   *x = sum;
 }
 
-void flex_step_move(flex_integrator *integrator, int coordinate, double dy, double dv) {
+void flex_step_move(flex_integrator *integrator, int coordinate, real dy, real dv) {
   add_compensated(integrator->y + coordinate, integrator->y_rest + coordinate, dy);
   add_compensated(integrator->v + coordinate, integrator->v_rest + coordinate, dv);
 }
 
-static double sum_of(const double *x, int count) {
-  double sum = 0.0;
+static real sum_of(const real *x, int count) {
+  real sum = flex_real(0.0);
   for (int i = 0; i < count; i++) sum += x[i];
   return sum;
 }
 
 // a mass matrix without a factor has entries that are no numbers, or isn't positive definite
-static flex_outcome why_no_factor(flex_integrator *integrator, const double *y, const double *u) {
+static flex_outcome why_no_factor(flex_integrator *integrator, const real *y, const real *u) {
   int n = integrator->n;
   if (flex_mass_matrix(integrator->stages.equations, y, u, integrator->mass_factor)) return FLEX_NOT_FINITE;
-  return isfinite(sum_of(integrator->mass_factor, n * n)) ? FLEX_NOT_DEFINITE : FLEX_NOT_FINITE;
+  return flex_is_finite(sum_of(integrator->mass_factor, n * n)) ? FLEX_NOT_DEFINITE : FLEX_NOT_FINITE;
 }
 
-flex_outcome flex_step_factor(flex_integrator *integrator, const double *y, const double *u) {
+flex_outcome flex_step_factor(flex_integrator *integrator, const real *y, const real *u) {
   if (flex_mass_matrix(integrator->stages.equations, y, u, integrator->mass_factor)) return FLEX_NOT_FINITE;
   if (flex_cholesky_factor(integrator->n, integrator->mass_factor)) return why_no_factor(integrator, y, u);
   integrator->record->is_factored = 1;
   return FLEX_DONE;
 }
 
-flex_outcome flex_step_accelerate(flex_integrator *integrator, const double *y, const double *v, const double *u, double *a) {
+flex_outcome flex_step_accelerate(flex_integrator *integrator, const real *y, const real *v, const real *u, real *a) {
   int n = integrator->n;
   if (n == 0) return FLEX_DONE;
 
   // M a = -b by one correction of the guess: r(a) = M a + b
-  double *r = integrator->defect;
+  real *r = integrator->defect;
   flex_outcome outcome = flex_step_factor(integrator, y, u);
   if (outcome != FLEX_DONE) return outcome;
   if (flex_residual(integrator->stages.equations, y, v, a, u, r)) return FLEX_NOT_FINITE;
   flex_cholesky_solve(n, integrator->mass_factor, r);
 
   // a correction that is no number must not spoil the next attempt
-  if (!isfinite(sum_of(r, n))) return FLEX_NOT_FINITE;
+  if (!flex_is_finite(sum_of(r, n))) return FLEX_NOT_FINITE;
   for (int i = 0; i < n; i++) a[i] -= r[i];
   return FLEX_DONE;
 }
 
-flex_outcome flex_step_check_margin(flex_integrator *integrator, const double *u, double *margin) {
+flex_outcome flex_step_check_margin(flex_integrator *integrator, const real *u, double *margin) {
   const flex_model *model = integrator->stages.equations->model;
   if (flex_margin(integrator->stages.equations, integrator->y, u, margin)) return FLEX_NOT_FINITE;
   return *margin >= model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR;
@@ -81,6 +81,6 @@ flex_outcome flex_step_check_margin(flex_integrator *integrator, const double *u
 
 void flex_step_count(flex_integrator *integrator) {
   flex_integrator_record *record = integrator->record;
-  record->scale = fmax(record->scale, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
+  record->scale = flex_larger(record->scale, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
   record->steps++;
 }

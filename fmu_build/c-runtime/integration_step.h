@@ -23,16 +23,16 @@ flex_outcome flex_step_reject(flex_integrator *integrator, const flex_integrator
                               flex_outcome outcome);
 
 /* adds the change over a step to one coordinate, without losing what rounding leaves of it */
-void flex_step_move(flex_integrator *integrator, int coordinate, double dy, double dv);
+void flex_step_move(flex_integrator *integrator, int coordinate, real dy, real dv);
 
 /* factor of the mass matrix for positions y and inputs u */
-flex_outcome flex_step_factor(flex_integrator *integrator, const double *y, const double *u);
+flex_outcome flex_step_factor(flex_integrator *integrator, const real *y, const real *u);
 
 /* the same and the acceleration a, with rates v; a: a guess before */
-flex_outcome flex_step_accelerate(flex_integrator *integrator, const double *y, const double *v, const double *u, double *a);
+flex_outcome flex_step_accelerate(flex_integrator *integrator, const real *y, const real *v, const real *u, real *a);
 
 /* margin of the mechanism at the present position for the inputs u */
-flex_outcome flex_step_check_margin(flex_integrator *integrator, const double *u, double *margin);
+flex_outcome flex_step_check_margin(flex_integrator *integrator, const real *u, double *margin);
 
 /* counts a step whose end was reached with everything belonging to it, and follows the size of the motion */
 void flex_step_count(flex_integrator *integrator);

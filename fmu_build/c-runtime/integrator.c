@@ -42,7 +42,7 @@ void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *
   size_t size = (size_t)n;
   integrator->n = n;
   integrator->motion_count = (7 + FLEX_MAX_STAGES + size) * size;
-  double *motion = flex_take_doubles(arena, integrator->motion_count);
+  real *motion = flex_take_reals(arena, integrator->motion_count);
   if (motion) {
     integrator->y = motion;
     integrator->v = integrator->y + n;
@@ -57,16 +57,16 @@ void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *
 
 void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inputs, flex_arena *arena) {
   size_t size = (size_t)n;
-  integrator->saved = flex_take_doubles(arena, integrator->motion_count);
-  integrator->full_y = flex_take_doubles(arena, size);
-  integrator->full_v = flex_take_doubles(arena, size);
-  integrator->full_a = flex_take_doubles(arena, (FLEX_MAX_STAGES + 1) * size);
-  integrator->change = flex_take_doubles(arena, 2 * size);
-  integrator->defect = flex_take_doubles(arena, size);
-  integrator->end_u = flex_take_doubles(arena, (size_t)n_inputs);
-  integrator->explicit_y = flex_take_doubles(arena, size);
-  integrator->explicit_v = flex_take_doubles(arena, FLEX_MAX_EXPLICIT_STAGES * size);
-  integrator->explicit_a = flex_take_doubles(arena, FLEX_MAX_EXPLICIT_STAGES * size);
+  integrator->saved = flex_take_reals(arena, integrator->motion_count);
+  integrator->full_y = flex_take_reals(arena, size);
+  integrator->full_v = flex_take_reals(arena, size);
+  integrator->full_a = flex_take_reals(arena, (FLEX_MAX_STAGES + 1) * size);
+  integrator->change = flex_take_reals(arena, 2 * size);
+  integrator->defect = flex_take_reals(arena, size);
+  integrator->end_u = flex_take_reals(arena, (size_t)n_inputs);
+  integrator->explicit_y = flex_take_reals(arena, size);
+  integrator->explicit_v = flex_take_reals(arena, FLEX_MAX_EXPLICIT_STAGES * size);
+  integrator->explicit_a = flex_take_reals(arena, FLEX_MAX_EXPLICIT_STAGES * size);
   flex_stages_take_scratch(&integrator->stages, n, n_inputs, arena);
 }
 
@@ -79,12 +79,12 @@ void flex_integrator_use(flex_integrator *integrator, const flex_method *method,
 
 void flex_integrator_start(flex_integrator *integrator) {
   flex_integrator_record *record = integrator->record;
-  size_t size = (size_t)integrator->n * sizeof(double);
+  size_t size = (size_t)integrator->n * sizeof(real);
   memset(integrator->y_rest, 0, size);
   memset(integrator->v_rest, 0, size);
   integrator->work_left = FLEX_WORK_AT_START;
   record->step = 0.0;
-  record->scale = fmax(*integrator->floor, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
+  record->scale = flex_larger(*integrator->floor, flex_motion_norm(&integrator->stages, integrator->y, integrator->v));
   flex_integrator_restart(integrator);
 }
 
@@ -94,18 +94,19 @@ void flex_integrator_restart(flex_integrator *integrator) {
   flex_stages_clear(&integrator->stages);
 }
 
-flex_outcome flex_integrator_accelerate(flex_integrator *integrator, const double *u) {
+flex_outcome flex_integrator_accelerate(flex_integrator *integrator, const real *u) {
   return flex_step_accelerate(integrator, integrator->y, integrator->v, u, integrator->a);
 }
 
-flex_outcome flex_integrator_factor(flex_integrator *integrator, const double *u) {
+flex_outcome flex_integrator_factor(flex_integrator *integrator, const real *u) {
   return integrator->n == 0 || integrator->record->is_factored ? FLEX_DONE : flex_step_factor(integrator, integrator->y, u);
 }
 
 // a step in which the motion changes by about its own size, for lack of anything better
 static double first_step(const flex_integrator *integrator, double span) {
-  double change = flex_error_norm(&integrator->stages, integrator->v, integrator->a);
-  return change * span > integrator->record->scale ? integrator->record->scale / change : span;
+  double scale = flex_common(integrator->record->scale);
+  double change = flex_error_norm(&integrator->stages, integrator->v, integrator->a, integrator->record->scale);
+  return change * span > scale ? scale / change : span;
 }
 
 // a rigid model has nothing to integrate
@@ -126,7 +127,7 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, long long
   double start = result->time, remaining = t1 - start, fixed = *integrator->fixed_step;
   double count = fmax(1.0, ceil(remaining / record->step * (1.0 - 1e-9)));
   double h = remaining / count, taken = h;
-  int has_friction = integrator->stages.equations->model->n_frictions > 0;
+  int has_friction = FLEX_WIDTH == 1 && integrator->stages.equations->model->n_frictions > 0;
   integrator->wants_longer_steps = count > 1.0;
 
   // their times are start + i h
@@ -142,7 +143,7 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, long long
     }
 
     // one step; with friction it may end earlier, at an event
-    double allowed = integrator->local_error * record->scale;
+    double allowed = integrator->local_error * flex_common(record->scale);
     flex_outcome outcome =
         has_friction ? flex_friction_step(integrator, start + i * h, &taken, allowed, attempts, &result->value)
                      : integrator->method->step(integrator, start + i * h, h, allowed, &result->value);

@@ -5,8 +5,8 @@
 #include <math.h>
 
 // y += f0 x0 + f1 x1; without aliases and in pairs, which compilers turn into vector instructions also where they are careful
-static inline void add_two(int n, double f0, const double *restrict x0, double f1, const double *restrict x1,
-                           double *restrict y) {
+static inline void add_two(int n, real f0, const real *restrict x0, real f1, const real *restrict x1,
+                           real *restrict y) {
   int i = 0;
   for (; i + 2 <= n; i += 2) {
     y[i] = y[i] + f0 * x0[i] + f1 * x1[i];
@@ -16,7 +16,7 @@ static inline void add_two(int n, double f0, const double *restrict x0, double f
 }
 
 // y += f x
-static inline void add_one(int n, double f, const double *restrict x, double *restrict y) {
+static inline void add_one(int n, real f, const real *restrict x, real *restrict y) {
   int i = 0;
   for (; i + 2 <= n; i += 2) {
     y[i] += f * x[i];
@@ -25,8 +25,8 @@ static inline void add_one(int n, double f, const double *restrict x, double *re
   if (i < n) y[i] += f * x[i];
 }
 
-static inline double dot(int n, const double *restrict x, const double *restrict y) {
-  double even = 0.0, odd = 0.0;
+static inline real dot(int n, const real *restrict x, const real *restrict y) {
+  real even = flex_real(0.0), odd = even;
   int i = 0;
   for (; i + 2 <= n; i += 2) {
     even += x[i] * y[i];
@@ -37,18 +37,18 @@ static inline double dot(int n, const double *restrict x, const double *restrict
 }
 
 // the same for complex numbers: y -= f x
-static inline void subtract_complex(int n, const double *f, const double *restrict x, double *restrict y) {
-  double re = f[0], im = f[1], minus_im = -f[1];
+static inline void subtract_complex(int n, const real *f, const real *restrict x, real *restrict y) {
+  real re = f[0], im = f[1], minus_im = -f[1];
   for (int i = 0; i < n; i++) {
-    double x_re = x[2 * i], x_im = x[2 * i + 1];
+    real x_re = x[2 * i], x_im = x[2 * i + 1];
     y[2 * i] -= re * x_re + minus_im * x_im;
     y[2 * i + 1] -= re * x_im + im * x_re;
   }
 }
 
 // y = f0 x0 + f1 x1
-static inline void set_two(int n, double f0, const double *restrict x0, double f1, const double *restrict x1,
-                           double *restrict y) {
+static inline void set_two(int n, real f0, const real *restrict x0, real f1, const real *restrict x1,
+                           real *restrict y) {
   int i = 0;
   for (; i + 2 <= n; i += 2) {
     y[i] = f0 * x0[i] + f1 * x1[i];
@@ -57,99 +57,122 @@ static inline void set_two(int n, double f0, const double *restrict x0, double f
   if (i < n) y[i] = f0 * x0[i] + f1 * x1[i];
 }
 
-void flex_combine(int n, int count, const double *factors, const double *columns, double *y) {
+void flex_combine(int n, int count, const double *factors, const real *columns, real *y) {
   int j = 2;
   if (count == 1) {
     for (int i = 0; i < n; i++) y[i] = factors[0] * columns[i];
     return;
   }
-  set_two(n, factors[0], columns, factors[1], columns + n, y);
-  for (; j + 2 <= count; j += 2) add_two(n, factors[j], columns + j * n, factors[j + 1], columns + (j + 1) * n, y);
-  if (j < count) add_one(n, factors[j], columns + j * n, y);
+  set_two(n, flex_real(factors[0]), columns, flex_real(factors[1]), columns + n, y);
+  for (; j + 2 <= count; j += 2)
+    add_two(n, flex_real(factors[j]), columns + j * n, flex_real(factors[j + 1]), columns + (j + 1) * n, y);
+  if (j < count) add_one(n, flex_real(factors[j]), columns + j * n, y);
 }
 
-static void swap_rows(int columns, int stride, int width, double *a, int i, int k) {
+void flex_multiply(int n, const real *matrix, const real *x, real *y) {
+  int j = 0;
+  for (int i = 0; i < n; i++) y[i] = flex_real(0.0);
+  for (; j + 2 <= n; j += 2) add_two(n, x[j], matrix + j * n, x[j + 1], matrix + (j + 1) * n, y);
+  if (j < n) add_one(n, x[j], matrix + j * n, y);
+}
+
+static void swap_rows(int columns, int stride, int width, real *a, int i, int k) {
   if (i == k) return;
   for (int j = 0; j < columns; j++)
     for (int c = 0; c < width; c++) {
-      double *column = a + j * stride + c;
-      double kept = column[i * width];
+      real *column = a + j * stride + c;
+      real kept = column[i * width];
       column[i * width] = column[k * width];
       column[k * width] = kept;
     }
 }
 
-int flex_lu_factor(int n, double *a, int *pivots) {
+// size of an entry of `width` numbers
+static inline real entry_size(int width, const real *x) {
+  return width == 1 ? flex_fabs(x[0]) : flex_fabs(x[0]) + flex_fabs(x[1]);
+}
+
+// row with the largest entry of a column; of several lanes the least entry counts, in units of the lane's largest
+static inline int find_pivot(int rows, int width, const real *column) {
+  real unit = flex_real(1.0);
+  if (FLEX_WIDTH > 1) {
+    real largest = flex_real(0.0);
+    for (int i = 0; i < rows; i++) largest = flex_larger(largest, entry_size(width, column + width * i));
+    unit = 1.0 / largest;
+  }
+  int pivot = 0;
+  double best = flex_least_of(entry_size(width, column), unit);
+  for (int i = 1; i < rows; i++) {
+    double size = flex_least_of(entry_size(width, column + width * i), unit);
+    if (size > best) best = size, pivot = i;
+  }
+  return pivot;
+}
+
+int flex_lu_factor(int n, real *a, int *pivots) {
   for (int k = 0; k < n; k++) {
-    double *column = a + k * n;
+    real *column = a + k * n;
 
     // largest entry of the column becomes the pivot
-    int pivot = k;
-    for (int i = k + 1; i < n; i++)
-      if (fabs(column[i]) > fabs(column[pivot])) pivot = i;
+    int pivot = k + find_pivot(n - k, 1, column + k);
     pivots[k] = pivot;
     swap_rows(n, n, 1, a, k, pivot);
-    if (!isfinite(column[k]) || column[k] == 0.0) return 1;
+    if (!flex_is_finite(column[k]) || flex_has_zero(column[k])) return 1;
 
     // multipliers
-    double inverse = 1.0 / column[k];
+    real inverse = 1.0 / column[k];
     column[k] = inverse;
     for (int i = k + 1; i < n; i++) column[i] *= inverse;
 
     // rank-one update of the rest
     for (int j = k + 1; j < n; j++) {
-      double *target = a + j * n;
+      real *target = a + j * n;
       add_one(n - k - 1, -target[k], column + k + 1, target + k + 1);
     }
   }
   return 0;
 }
 
-static void permute(int n, const int *pivots, double *x) {
+static void permute(int n, const int *pivots, real *x) {
   for (int k = 0; k < n; k++) {
-    double kept = x[k];
+    real kept = x[k];
     x[k] = x[pivots[k]];
     x[pivots[k]] = kept;
   }
 }
 
 // substitution with columns k and k + 1 of the factors
-static inline void forward(int n, int k, const double *lu, double *x) {
-  const double *left = lu + k * n, *right = left + n;
+static inline void forward(int n, int k, const real *lu, real *x) {
+  const real *left = lu + k * n, *right = left + n;
   x[k + 1] -= x[k] * left[k + 1];
   add_two(n - k - 2, -x[k], left + k + 2, -x[k + 1], right + k + 2, x + k + 2);
 }
 
 // with columns k and k - 1, or with the first alone
-static inline void backward(int n, int k, const double *lu, double *x) {
-  const double *right = lu + k * n, *left = right - n;
+static inline void backward(int n, int k, const real *lu, real *x) {
+  const real *right = lu + k * n, *left = right - n;
   x[k] *= right[k];
   if (k == 0) return;
   x[k - 1] = (x[k - 1] - x[k] * right[k - 1]) * left[k - 1];
   add_two(k - 1, -x[k], right, -x[k - 1], left, x);
 }
 
-void flex_lu_solve(int n, const double *lu, const int *pivots, double *x) {
+void flex_lu_solve(int n, const real *lu, const int *pivots, real *x) {
   permute(n, pivots, x);
   for (int k = 0; k + 2 <= n; k += 2) forward(n, k, lu, x);
   for (int k = n - 1; k >= 0; k -= 2) backward(n, k, lu, x);
 }
 
-int flex_complex_lu_factor(int n, double *a, int *pivots) {
+int flex_complex_lu_factor(int n, real *a, int *pivots) {
   for (int k = 0; k < n; k++) {
-    double *column = a + 2 * k * n;
+    real *column = a + 2 * k * n;
 
     // largest entry of the column becomes the pivot
-    int pivot = k;
-    double largest = fabs(column[2 * k]) + fabs(column[2 * k + 1]);
-    for (int i = k + 1; i < n; i++) {
-      double size = fabs(column[2 * i]) + fabs(column[2 * i + 1]);
-      if (size > largest) largest = size, pivot = i;
-    }
+    int pivot = k + find_pivot(n - k, 2, column + 2 * k);
     pivots[k] = pivot;
     swap_rows(n, 2 * n, 2, a, k, pivot);
-    double re = column[2 * k], im = column[2 * k + 1], square = re * re + im * im;
-    if (!isfinite(square) || square == 0.0) return 1;
+    real re = column[2 * k], im = column[2 * k + 1], square = re * re + im * im;
+    if (!flex_is_finite(square) || flex_has_zero(square)) return 1;
 
     // multipliers
     re /= square;
@@ -157,46 +180,46 @@ int flex_complex_lu_factor(int n, double *a, int *pivots) {
     column[2 * k] = re;
     column[2 * k + 1] = im;
     for (int i = k + 1; i < n; i++) {
-      double x = column[2 * i], y = column[2 * i + 1];
+      real x = column[2 * i], y = column[2 * i + 1];
       column[2 * i] = x * re - y * im;
       column[2 * i + 1] = x * im + y * re;
     }
 
     // rank-one update of the rest
     for (int j = k + 1; j < n; j++) {
-      double *target = a + 2 * (j * n + k);
+      real *target = a + 2 * (j * n + k);
       subtract_complex(n - k - 1, target, column + 2 * (k + 1), target + 2);
     }
   }
   return 0;
 }
 
-static void permute_complex(int n, const int *pivots, double *x) {
+static void permute_complex(int n, const int *pivots, real *x) {
   for (int k = 0; k < n; k++) swap_rows(1, 0, 2, x, k, pivots[k]);
 }
 
 // substitution with column k of the factors
-static inline void complex_forward(int n, int k, const double *lu, double *x) {
+static inline void complex_forward(int n, int k, const real *lu, real *x) {
   subtract_complex(n - k - 1, x + 2 * k, lu + 2 * (k * n + k + 1), x + 2 * (k + 1));
 }
 
-static inline void complex_backward(int n, int k, const double *lu, double *x) {
-  const double *column = lu + 2 * k * n;
-  double re = column[2 * k], im = column[2 * k + 1];
-  const double value[2] = {x[2 * k] * re - x[2 * k + 1] * im, x[2 * k] * im + x[2 * k + 1] * re};
+static inline void complex_backward(int n, int k, const real *lu, real *x) {
+  const real *column = lu + 2 * k * n;
+  real re = column[2 * k], im = column[2 * k + 1];
+  const real value[2] = {x[2 * k] * re - x[2 * k + 1] * im, x[2 * k] * im + x[2 * k + 1] * re};
   x[2 * k] = value[0];
   x[2 * k + 1] = value[1];
   subtract_complex(k, value, column, x);
 }
 
-void flex_complex_lu_solve(int n, const double *lu, const int *pivots, double *x) {
+void flex_complex_lu_solve(int n, const real *lu, const int *pivots, real *x) {
   permute_complex(n, pivots, x);
   for (int k = 0; k < n; k++) complex_forward(n, k, lu, x);
   for (int k = n - 1; k >= 0; k--) complex_backward(n, k, lu, x);
 }
 
-void flex_lu_solve_both(int n, const double *lu, const int *pivots, double *x, const double *complex_lu,
-                        const int *complex_pivots, double *z) {
+void flex_lu_solve_both(int n, const real *lu, const int *pivots, real *x, const real *complex_lu,
+                        const int *complex_pivots, real *z) {
   permute(n, pivots, x);
   permute_complex(n, complex_pivots, z);
   for (int k = 0; k < n; k++) {
@@ -209,32 +232,32 @@ void flex_lu_solve_both(int n, const double *lu, const int *pivots, double *x, c
   }
 }
 
-int flex_cholesky_factor(int n, double *a) {
+int flex_cholesky_factor(int n, real *a) {
   for (int k = 0; k < n; k++) {
-    double *column = a + k * n;
+    real *column = a + k * n;
 
     // the columns to the left, two by two
     int j = 0;
     for (; j + 2 <= k; j += 2) {
-      const double *left = a + j * n + k, *right = left + n;
+      const real *left = a + j * n + k, *right = left + n;
       add_two(n - k, -*left, left, -*right, right, column + k);
     }
     if (j < k) add_one(n - k, -a[j * n + k], a + j * n + k, column + k);
 
     // column k of L
-    if (!(column[k] > 0.0) || !isfinite(column[k])) return 1;
-    double inverse = 1.0 / sqrt(column[k]);
+    if (!flex_is_positive(column[k]) || !flex_is_finite(column[k])) return 1;
+    real inverse = 1.0 / flex_sqrt(column[k]);
     column[k] = inverse;
     for (int i = k + 1; i < n; i++) column[i] *= inverse;
   }
   return 0;
 }
 
-void flex_cholesky_solve(int n, const double *l, double *x) {
+void flex_cholesky_solve(int n, const real *l, real *x) {
   // L z = x, two columns at once
   int k = 0;
   for (; k + 2 <= n; k += 2) {
-    const double *left = l + k * n + k, *right = left + n;
+    const real *left = l + k * n + k, *right = left + n;
     x[k] *= left[0];
     x[k + 1] = (x[k + 1] - x[k] * left[1]) * right[1];
     add_two(n - k - 2, -x[k], left + 2, -x[k + 1], right + 2, x + k + 2);
@@ -243,7 +266,7 @@ void flex_cholesky_solve(int n, const double *l, double *x) {
 
   // L' x = z
   for (k = n - 1; k >= 0; k--) {
-    const double *diagonal = l + k * n + k;
+    const real *diagonal = l + k * n + k;
     x[k] = (x[k] - dot(n - k - 1, diagonal + 1, x + k + 1)) * diagonal[0];
   }
 }

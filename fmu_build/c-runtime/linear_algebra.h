@@ -4,28 +4,33 @@
 #ifndef FLEXFMU_LINEAR_ALGEBRA_H
 #define FLEXFMU_LINEAR_ALGEBRA_H
 
+#include "real.h"
+
 /* y [n] = the sum of factors [count] times columns [count n], count > 0; y is none of them */
-void flex_combine(int n, int count, const double *factors, const double *columns, double *y);
+void flex_combine(int n, int count, const double *factors, const real *columns, real *y);
+
+/* y = A x; y is neither of them */
+void flex_multiply(int n, const real *a, const real *x, real *y);
 
 /* LU = P A in place, pivots [n]; the diagonal of U is stored inverted. Returns 0, or 1 if a pivot is zero or not finite. */
-int flex_lu_factor(int n, double *a, int *pivots);
+int flex_lu_factor(int n, real *a, int *pivots);
 
 /* x = inverse(A) x with the factors above */
-void flex_lu_solve(int n, const double *lu, const int *pivots, double *x);
+void flex_lu_solve(int n, const real *lu, const int *pivots, real *x);
 
 /* the same for complex matrices: a [2 n n], x [2 n] */
-int flex_complex_lu_factor(int n, double *a, int *pivots);
-void flex_complex_lu_solve(int n, const double *lu, const int *pivots, double *x);
+int flex_complex_lu_factor(int n, real *a, int *pivots);
+void flex_complex_lu_solve(int n, const real *lu, const int *pivots, real *x);
 
 /* x and z replaced by the solutions of a real and a complex system. Either solution is a chain of operations that wait for one
  * another; side by side they take little longer than one */
-void flex_lu_solve_both(int n, const double *lu, const int *pivots, double *x, const double *complex_lu,
-                        const int *complex_pivots, double *z);
+void flex_lu_solve_both(int n, const real *lu, const int *pivots, real *x, const real *complex_lu,
+                        const int *complex_pivots, real *z);
 
 /* A = L L' in place, lower triangle; the diagonal of L is stored inverted. Returns 0, or 1 if A is not positive definite. */
-int flex_cholesky_factor(int n, double *a);
+int flex_cholesky_factor(int n, real *a);
 
 /* x = inverse(A) x with the factor above */
-void flex_cholesky_solve(int n, const double *l, double *x);
+void flex_cholesky_solve(int n, const real *l, real *x);
 
 #endif

@@ -1,7 +1,9 @@
 #include "memory.h"
 
-/* bytes; enough for every fundamental type and for vector loads of two doubles */
-#define ALIGNMENT ((size_t)16)
+#include "real.h"
+
+/* bytes; enough for every fundamental type, vector loads of two doubles, and all lanes */
+#define ALIGNMENT (sizeof(real) > 16 ? sizeof(real) : (size_t)16)
 
 void *flex_take(flex_arena *arena, size_t size) {
   void *piece = arena->block ? arena->block + arena->used : NULL;

@@ -10,9 +10,10 @@
 #define FLEXFMU_MODEL_H
 
 #include "private.h"
+#include "real.h"
 
-/* signature of every function that CasADi generates (casadi_real = double, casadi_int = int) */
-typedef int (*flex_casadi_call)(const double **arg, double **res, int *iw, double *w, int mem);
+/* signature of every function that CasADi generates (casadi_real = real, casadi_int = int) */
+typedef int (*flex_casadi_call)(const real **arg, real **res, int *iw, real *w, int mem);
 
 /* a generated function with the sizes of the work arrays that it needs */
 typedef struct {

@@ -20,21 +20,21 @@ enum { LANES = 4 };
 void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena) {
   size_t square = (size_t)n * (size_t)n;
   matrix->n = n;
-  matrix->mass = flex_take_doubles(arena, square);
-  matrix->damping = flex_take_doubles(arena, square);
-  matrix->stiffness = flex_take_doubles(arena, square);
-  matrix->factors = flex_take_doubles(arena, 2 * FLEX_MAX_BLOCKS * square);
+  matrix->mass = flex_take_reals(arena, square);
+  matrix->damping = flex_take_reals(arena, square);
+  matrix->stiffness = flex_take_reals(arena, square);
+  matrix->factors = flex_take_reals(arena, 2 * FLEX_MAX_BLOCKS * square);
   matrix->pivots = flex_take_ints(arena, (size_t)(FLEX_MAX_BLOCKS * n));
 }
 
 void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, int n_inputs, flex_arena *arena) {
   size_t size = (size_t)n;
-  matrix->component = flex_take_doubles(arena, FLEX_MAX_STAGES * size);
-  matrix->pairs = flex_take_doubles(arena, 2 * size);
-  matrix->y = flex_take_doubles(arena, size);
-  matrix->v = flex_take_doubles(arena, size);
-  matrix->r = flex_take_doubles(arena, size);
-  matrix->lanes = flex_take_doubles(arena, LANES * (4 * size + (size_t)n_inputs));
+  matrix->component = flex_take_reals(arena, FLEX_MAX_STAGES * size);
+  matrix->pairs = flex_take_reals(arena, 2 * size);
+  matrix->y = flex_take_reals(arena, size);
+  matrix->v = flex_take_reals(arena, size);
+  matrix->r = flex_take_reals(arena, size);
+  matrix->lanes = flex_take_reals(arena, LANES * (4 * size + (size_t)n_inputs));
 }
 
 void flex_newton_clear(flex_newton_matrix *matrix) {
@@ -43,32 +43,33 @@ void flex_newton_clear(flex_newton_matrix *matrix) {
 }
 
 // a coordinate's share of the scale; a coordinate without weight is taken to be of order one
-static double coordinate_scale(double scale, double weight) {
-  return weight > 0.0 ? scale / sqrt(weight) : 1.0;
+static real coordinate_scale(real scale, real weight) {
+  return flex_if_positive(weight, scale / flex_sqrt(weight), flex_real(1.0));
 }
 
 // one column of dr/dx: x is the y or the v of the matrix, r the residual there
-static int difference_column(flex_newton_matrix *matrix, flex_equations *equations, const double *a, const double *u,
-                             double *x, int i, double size, double *column) {
-  double kept = x[i];
-  x[i] = kept + DIFFERENCE * fmax(size, fabs(kept));
-  double step = x[i] - kept;
+static int difference_column(flex_newton_matrix *matrix, flex_equations *equations, const real *a, const real *u,
+                             real *x, int i, real size, real *column) {
+  real kept = x[i];
+  x[i] = kept + DIFFERENCE * flex_larger(size, flex_fabs(kept));
+  real step = x[i] - kept;
   int refused = flex_residual(equations, matrix->y, matrix->v, a, u, column);
   x[i] = kept;
   for (int k = 0; k < matrix->n; k++) column[k] = (column[k] - matrix->r[k]) / step;
   return refused;
 }
 
-static void spread(int n, const double *x, double *lanes) {
+#if FLEX_WIDTH == 1
+static void spread(int n, const real *x, real *lanes) {
   for (int c = 0; c < n; c++)
     for (int lane = 0; lane < LANES; lane++) lanes[LANES * c + lane] = x[c];
 }
 
 // all columns of dr/dy and dr/dv, those of two coordinates side by side
-static void difference_lanes(flex_newton_matrix *matrix, flex_equations *equations, const double *a, const double *u,
-                             const double *position_weight, const double *rate_weight, double scale) {
+static void difference_lanes(flex_newton_matrix *matrix, flex_equations *equations, const real *a, const real *u,
+                             const real *position_weight, const real *rate_weight, double scale) {
   int n = matrix->n;
-  double *y = matrix->lanes, *v = y + LANES * n, *at = v + LANES * n, *r = at + LANES * n, *inputs = r + LANES * n;
+  real *y = matrix->lanes, *v = y + LANES * n, *at = v + LANES * n, *r = at + LANES * n, *inputs = r + LANES * n;
   spread(n, matrix->y, y);
   spread(n, matrix->v, v);
   spread(n, a, at);
@@ -80,7 +81,7 @@ static void difference_lanes(flex_newton_matrix *matrix, flex_equations *equatio
     for (int lane = 0; lane < LANES; lane++) {
       int i = first + lane / 2;
       if (i == n) continue;
-      double *x = (lane % 2 ? v : y) + LANES * i + lane, kept = *x;
+      real *x = (lane % 2 ? v : y) + LANES * i + lane, kept = *x;
       double size = coordinate_scale(scale, (lane % 2 ? rate_weight : position_weight)[i]);
       *x = kept + DIFFERENCE * fmax(size, fabs(kept));
       step[lane] = *x - kept;
@@ -89,23 +90,26 @@ static void difference_lanes(flex_newton_matrix *matrix, flex_equations *equatio
     for (int lane = 0; lane < LANES; lane++) {
       int i = first + lane / 2;
       if (i == n) continue;
-      double *column = (lane % 2 ? matrix->damping : matrix->stiffness) + i * n;
+      real *column = (lane % 2 ? matrix->damping : matrix->stiffness) + i * n;
       for (int k = 0; k < n; k++) column[k] = (r[LANES * k + lane] - matrix->r[k]) / step[lane];
       (lane % 2 ? v : y)[LANES * i + lane] = (lane % 2 ? matrix->v : matrix->y)[i];
     }
   }
 }
+#endif
 
-int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *v,
-                        const double *a, const double *u, const double *position_weight, const double *rate_weight,
-                        double scale) {
+int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const real *y, const real *v,
+                        const real *a, const real *u, const real *position_weight, const real *rate_weight,
+                        real scale) {
   int n = matrix->n;
   memcpy(matrix->y, y, (size_t)n * sizeof *y);
   memcpy(matrix->v, v, (size_t)n * sizeof *v);
   int refused = flex_mass_matrix(equations, y, u, matrix->mass);
   refused |= flex_residual(equations, y, v, a, u, matrix->r);
   int has_lanes = flex_lanes_serve(equations);
+#if FLEX_WIDTH == 1
   if (has_lanes) difference_lanes(matrix, equations, a, u, position_weight, rate_weight, scale);
+#endif
   for (int i = 0; i < n && !has_lanes; i++) {
     // what is held doesn't move: with anything in its columns, rounding errors of the factors would move it
     if (flex_is_held(equations, i)) {
@@ -113,7 +117,7 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
       memset(matrix->damping + i * n, 0, (size_t)n * sizeof *y);
       continue;
     }
-    double dy = coordinate_scale(scale, position_weight[i]), dv = coordinate_scale(scale, rate_weight[i]);
+    real dy = coordinate_scale(scale, position_weight[i]), dv = coordinate_scale(scale, rate_weight[i]);
     refused |= difference_column(matrix, equations, a, u, matrix->y, i, dy, matrix->stiffness + i * n);
     refused |= difference_column(matrix, equations, a, u, matrix->v, i, dv, matrix->damping + i * n);
   }
@@ -122,14 +126,14 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
   return refused;
 }
 
-int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *u) {
+int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations, const real *y, const real *u) {
   matrix->record->factored_step = 0.0;
   return flex_mass_matrix(equations, y, u, matrix->mass);
 }
 
 // matrix of one eigenvalue z: M + h z D + h^2 z^2 K
-static void assemble(const flex_newton_matrix *matrix, const flex_eigenvalue *z, double h, double *block) {
-  const double *mass = matrix->mass, *damping = matrix->damping, *stiffness = matrix->stiffness;
+static void assemble(const flex_newton_matrix *matrix, const flex_eigenvalue *z, double h, real *block) {
+  const real *mass = matrix->mass, *damping = matrix->damping, *stiffness = matrix->stiffness;
   int count = matrix->n * matrix->n;
   double re = h * z->value[0], im = h * z->value[1];
   double square_re = re * re - im * im, square_im = 2.0 * re * im;
@@ -144,7 +148,7 @@ static void assemble(const flex_newton_matrix *matrix, const flex_eigenvalue *z,
 }
 
 // place of the factors and the pivots of one eigenvalue
-static double *factors_of(const flex_newton_matrix *matrix, int block) {
+static real *factors_of(const flex_newton_matrix *matrix, int block) {
   return matrix->factors + 2 * block * matrix->n * matrix->n;
 }
 
@@ -157,7 +161,7 @@ int flex_newton_factor(flex_newton_matrix *matrix, double h) {
   int singular = 0;
   if (fabs(h - matrix->record->factored_step) <= STEP_CHANGE * h) return 0;
   for (int k = 0; k < tableau->n_blocks; k++) {
-    double *factors = factors_of(matrix, k);
+    real *factors = factors_of(matrix, k);
     assemble(matrix, &tableau->blocks[k], h, factors);
     singular |= tableau->blocks[k].is_complex ? flex_complex_lu_factor(matrix->n, factors, pivots_of(matrix, k))
                                               : flex_lu_factor(matrix->n, factors, pivots_of(matrix, k));
@@ -188,14 +192,14 @@ static void real_basis(const flex_tableau *tableau, basis *found) {
 }
 
 // real parts, then imaginary parts → pairs, and back
-static void to_pairs(int n, const double *x, double *pairs) {
+static void to_pairs(int n, const real *x, real *pairs) {
   for (int c = 0; c < n; c++) {
     pairs[2 * c] = x[c];
     pairs[2 * c + 1] = x[n + c];
   }
 }
 
-static void from_pairs(int n, const double *pairs, double *x) {
+static void from_pairs(int n, const real *pairs, real *x) {
   for (int c = 0; c < n; c++) {
     x[c] = pairs[2 * c];
     x[n + c] = pairs[2 * c + 1];
@@ -203,7 +207,7 @@ static void from_pairs(int n, const double *pairs, double *x) {
 }
 
 // the system of a pair of complex eigenvalues; x: real, then imaginary parts
-static void solve_complex(flex_newton_matrix *matrix, int block, double *x) {
+static void solve_complex(flex_newton_matrix *matrix, int block, real *x) {
   int n = matrix->n;
   to_pairs(n, x, matrix->pairs);
   flex_complex_lu_solve(n, factors_of(matrix, block), pivots_of(matrix, block), matrix->pairs);
@@ -211,7 +215,7 @@ static void solve_complex(flex_newton_matrix *matrix, int block, double *x) {
 }
 
 // the systems of a real eigenvalue and of a pair of complex ones
-static void solve_both(flex_newton_matrix *matrix, double *x) {
+static void solve_both(flex_newton_matrix *matrix, real *x) {
   int n = matrix->n;
   to_pairs(n, x + n, matrix->pairs);
   flex_lu_solve_both(n, factors_of(matrix, 0), pivots_of(matrix, 0), x, factors_of(matrix, 1), pivots_of(matrix, 1),
@@ -219,7 +223,7 @@ static void solve_both(flex_newton_matrix *matrix, double *x) {
   from_pairs(n, matrix->pairs, x + n);
 }
 
-void flex_newton_solve(flex_newton_matrix *matrix, double *x) {
+void flex_newton_solve(flex_newton_matrix *matrix, real *x) {
   const flex_tableau *tableau = matrix->tableau;
   int n = matrix->n, s = tableau->stages;
   basis eigenvectors;
@@ -234,10 +238,10 @@ void flex_newton_solve(flex_newton_matrix *matrix, double *x) {
   for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.back[i], matrix->component, x + i * n);
 }
 
-void flex_newton_filter(flex_newton_matrix *matrix, double *x) {
+void flex_newton_filter(flex_newton_matrix *matrix, real *x) {
   int n = matrix->n;
-  double *rhs = matrix->component;
-  flex_combine(n, n, x, matrix->mass, rhs);
+  real *rhs = matrix->component;
+  flex_multiply(n, matrix->mass, x, rhs);
   if (!matrix->tableau->blocks[0].is_complex) {
     flex_lu_solve(n, matrix->factors, matrix->pivots, rhs);
     memcpy(x, rhs, (size_t)n * sizeof *x);
@@ -245,5 +249,5 @@ void flex_newton_filter(flex_newton_matrix *matrix, double *x) {
   }
   memset(rhs + n, 0, (size_t)n * sizeof *rhs);
   solve_complex(matrix, 0, rhs);
-  for (int i = 0; i < n; i++) x[i] = hypot(rhs[i], rhs[n + i]);
+  for (int i = 0; i < n; i++) x[i] = flex_hypot(rhs[i], rhs[n + i]);
 }

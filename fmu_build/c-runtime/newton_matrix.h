@@ -6,7 +6,7 @@
 #define FLEXFMU_NEWTON_MATRIX_H
 
 #include "equations.h"
-#include "memory.h"
+#include "real.h"
 #include "tableaus.h"
 
 /* plain numbers, saved and restored with the state of the plant */
@@ -22,11 +22,11 @@ typedef struct {
   flex_newton_record *record;
 
   /* numeric state: M, D, K [n n] and the factors of the matrices of all eigenvalues */
-  double *mass, *damping, *stiffness, *factors;
+  real *mass, *damping, *stiffness, *factors;
   int *pivots;
 
   /* scratch */
-  double *component, *pairs, *y, *v, *r, *lanes;
+  real *component, *pairs, *y, *v, *r, *lanes;
 } flex_newton_matrix;
 
 void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena);
@@ -37,20 +37,20 @@ void flex_newton_clear(flex_newton_matrix *matrix);
 
 /* M, D, K at a point by differences. position_weight, rate_weight, scale: the error norm and the size of the motion in it,
  * which give each coordinate its own difference. Returns 0, or 1 if the model refused to be evaluated. */
-int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *v,
-                        const double *a, const double *u, const double *position_weight, const double *rate_weight,
-                        double scale);
+int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, const real *y, const real *v,
+                        const real *a, const real *u, const real *position_weight, const real *rate_weight,
+                        real scale);
 
 /* M alone, D and K as they are. Returns 0, or 1 if the model refused to be evaluated. */
-int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations, const double *y, const double *u);
+int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations, const real *y, const real *u);
 
 /* factors for the step size h, unless those that are there do. Returns 0, or 1 if a matrix is singular. */
 int flex_newton_factor(flex_newton_matrix *matrix, double h);
 
 /* x [stages n] replaced by the solution */
-void flex_newton_solve(flex_newton_matrix *matrix, double *x);
+void flex_newton_solve(flex_newton_matrix *matrix, real *x);
 
 /* x [n] replaced by the size of inverse(M + h z D + h^2 z^2 K) M x, which leaves slow modes and takes stiff ones away */
-void flex_newton_filter(flex_newton_matrix *matrix, double *x);
+void flex_newton_filter(flex_newton_matrix *matrix, real *x);
 
 #endif

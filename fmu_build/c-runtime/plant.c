@@ -28,14 +28,14 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   // numeric state
   size_t begin = arena->used;
   plant->record = flex_take(arena, sizeof *plant->record);
-  plant->p = flex_take_doubles(arena, (size_t)model->n_parameters);
-  plant->d = flex_take_doubles(arena, (size_t)model->n_derived);
-  plant->scale = flex_take_doubles(arena, 2 * n + 1);
-  plant->u = flex_take_doubles(arena, m);
-  plant->previous_u = flex_take_doubles(arena, m);
-  plant->outputs = flex_take_doubles(arena, outputs);
-  plant->jerk = flex_take_doubles(arena, flex_changes_count(model));
-  plant->snap = flex_take_doubles(arena, n + outputs);
+  plant->p = flex_take_reals(arena, (size_t)model->n_parameters);
+  plant->d = flex_take_reals(arena, (size_t)model->n_derived);
+  plant->scale = flex_take_reals(arena, 2 * n + 1);
+  plant->u = flex_take_reals(arena, m);
+  plant->previous_u = flex_take_reals(arena, m);
+  plant->outputs = flex_take_reals(arena, outputs);
+  plant->jerk = flex_take_reals(arena, flex_changes_count(model));
+  plant->snap = flex_take_reals(arena, n + outputs);
   plant->modes = flex_take_ints(arena, (size_t)model->n_frictions);
   flex_inputs_take(&plant->inputs, model->n_inputs, model->max_input_order, arena);
   flex_integrator_take_state(&plant->integrator, model->n, arena);
@@ -45,11 +45,11 @@ static void take(flex_plant *plant, const flex_model *model, flex_arena *arena) 
   flex_integrator_take_scratch(&plant->integrator, model->n, model->n_inputs, arena);
   flex_equations_take(&plant->equations, model, arena);
   flex_statics_take(&plant->statics, model->n, arena);
-  plant->u1 = flex_take_doubles(arena, m);
-  plant->u2 = flex_take_doubles(arena, m);
-  plant->shown_u = flex_take_doubles(arena, m);
+  plant->u1 = flex_take_reals(arena, m);
+  plant->u2 = flex_take_reals(arena, m);
+  plant->shown_u = flex_take_reals(arena, m);
   plant->indicators = flex_take_doubles(arena, (size_t)model->n_frictions);
-  plant->zero = flex_take_doubles(arena, n + m + (size_t)model->n_derived);
+  plant->zero = flex_take_reals(arena, n + m + (size_t)model->n_derived);
   flex_tangent_take(&plant->tangent, model, arena);
 }
 
@@ -104,7 +104,7 @@ void flex_plant_reset(flex_plant *plant) {
   plant->record->tolerance = model->default_tolerance;
   plant->record->starts_static = model->static_start;
   plant->record->method = FLEX_AUTOMATIC;
-  for (int i = 0; i < model->n_parameters; i++) plant->p[i] = model->parameter_variables[i].start;
+  for (int i = 0; i < model->n_parameters; i++) plant->p[i] = flex_real(model->parameter_variables[i].start);
   flex_inputs_clear(&plant->inputs);
   plant->message[0] = '\0';
   choose_method(plant);
@@ -138,72 +138,66 @@ static flex_failure outcome_now(const flex_plant *plant, flex_outcome outcome, d
   return failure;
 }
 
-static int all_finite(const double *x, int count) {
-  double sum = 0.0;
-  for (int i = 0; i < count; i++) sum += x[i] - x[i];
-  return sum == 0.0;
-}
-
 // derived parameters and error norm
 static flex_outcome need_derived(flex_plant *plant) {
   const flex_model *model = plant->model;
   if (plant->record->have & FLEX_HAVE_DERIVED) return FLEX_DONE;
-  const double *const p[] = {plant->p}, *const d[] = {plant->d};
+  const real *const p[] = {plant->p}, *const d[] = {plant->d};
   if (flex_call(&plant->equations, &model->derive, 1, p, plant->d)) return FLEX_NOT_FINITE;
-  if (!all_finite(plant->d, model->n_derived)) return FLEX_NOT_FINITE;
+  if (!flex_all_finite(plant->d, model->n_derived)) return FLEX_NOT_FINITE;
   flex_show_modes(&plant->equations);
   if (flex_call(&plant->equations, &model->error_scale, 1, d, plant->scale)) return FLEX_BAD_SCALE;
 
   // weights must be usable as such
   for (int i = 0; i < 2 * model->n; i++)
-    if (!(plant->scale[i] >= 0.0) || !isfinite(plant->scale[i])) return FLEX_BAD_SCALE;
-  double floor = *plant->integrator.floor;
-  if (model->n > 0 && (!(floor > 0.0) || !isfinite(floor))) return FLEX_BAD_SCALE;
+    if (!flex_is_zero_or_more(plant->scale[i]) || !flex_is_finite(plant->scale[i])) return FLEX_BAD_SCALE;
+  real floor = *plant->integrator.floor;
+  if (model->n > 0 && (!flex_is_positive(floor) || !flex_is_finite(floor))) return FLEX_BAD_SCALE;
   plant->record->have |= FLEX_HAVE_DERIVED;
   return FLEX_DONE;
 }
 
 // values of inputs that were never set
 static flex_outcome need_start_inputs(flex_plant *plant) {
-  const double *const p[] = {plant->p};
+  const real *const p[] = {plant->p};
   if (flex_call(&plant->equations, &plant->model->initial_inputs, 1, p, plant->shown_u)) return FLEX_NOT_FINITE;
   for (int i = 0; i < plant->inputs.count; i++)
     if (!plant->inputs.given[i]) flex_inputs_default(&plant->inputs, i, plant->shown_u[i]);
   flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->u);
-  return all_finite(plant->u, plant->inputs.count) ? FLEX_DONE : FLEX_NOT_FINITE;
+  return flex_all_finite(plant->u, plant->inputs.count) ? FLEX_DONE : FLEX_NOT_FINITE;
 }
 
 // the undeformed pose at rest, which must be admissible
 static flex_outcome start_undeformed(flex_plant *plant, double *margin) {
   flex_integrator *integrator = &plant->integrator;
-  const double *const p[] = {plant->p};
-  size_t size = (size_t)plant->model->n * sizeof(double);
+  const real *const p[] = {plant->p};
+  size_t size = (size_t)plant->model->n * sizeof(real);
   memset(integrator->v, 0, size);
   memset(integrator->a, 0, size);
   for (int k = 0; k < plant->model->n_frictions; k++) flex_set_mode(&plant->equations, k, FLEX_FREE);
   if (flex_call(&plant->equations, &plant->model->initial_coordinates, 1, p, integrator->y)) return FLEX_NOT_FINITE;
-  if (!all_finite(integrator->y, plant->model->n)) return FLEX_NOT_FINITE;
+  if (!flex_all_finite(integrator->y, plant->model->n)) return FLEX_NOT_FINITE;
   flex_outcome outcome = need_start_inputs(plant);
   if (outcome != FLEX_DONE) return outcome;
   if (flex_margin(&plant->equations, integrator->y, plant->u, margin)) return FLEX_NOT_FINITE;
   return *margin >= plant->model->minimum_margin ? FLEX_DONE : FLEX_TOO_SINGULAR;
 }
 
-const double *flex_plant_inputs_at_rest(flex_plant *plant) {
+const real *flex_plant_inputs_at_rest(flex_plant *plant) {
   int count = plant->inputs.count, rates = plant->model->n_rate_inputs;
-  memcpy(plant->u2, plant->u, (size_t)count * sizeof(double));
-  for (int i = count - rates; i < count; i++) plant->u2[i] = 0.0;
+  memcpy(plant->u2, plant->u, (size_t)count * sizeof(real));
+  for (int i = count - rates; i < count; i++) plant->u2[i] = flex_real(0.0);
   return plant->u2;
 }
 
 // forces that were never set hold the locked unknowns against the static loads
-static flex_outcome hold_locked(flex_plant *plant, const double *u, const double *y) {
+static flex_outcome hold_locked(flex_plant *plant, const real *u, const real *y) {
   flex_statics *statics = &plant->statics;
   if (flex_statics_forces(statics, &plant->equations, u, y)) return FLEX_NOT_FINITE;
   for (int i = 0; i < plant->model->n_locked; i++)
     if (!plant->inputs.given[i]) flex_inputs_default(&plant->inputs, i, u[i] + statics->residual[i]);
   flex_inputs_evaluate(&plant->inputs, plant->record->time, 0.0, plant->u);
-  return all_finite(plant->u, plant->inputs.count) ? FLEX_DONE : FLEX_NOT_FINITE;
+  return flex_all_finite(plant->u, plant->inputs.count) ? FLEX_DONE : FLEX_NOT_FINITE;
 }
 
 static int needs_holding(const flex_plant *plant) {
@@ -217,9 +211,9 @@ static flex_outcome start_static(flex_plant *plant, double *value) {
   flex_integrator *integrator = &plant->integrator;
   int holds = needs_holding(plant);
   if (!plant->record->starts_static && !holds) return FLEX_DONE;
-  size_t size = (size_t)plant->model->n * sizeof(double);
-  const double *u = flex_plant_inputs_at_rest(plant);
-  double *y = integrator->full_y;
+  size_t size = (size_t)plant->model->n * sizeof(real);
+  const real *u = flex_plant_inputs_at_rest(plant);
+  real *y = integrator->full_y;
   memcpy(y, integrator->y, size);
   flex_outcome outcome =
       flex_statics_solve(&plant->statics, &plant->equations, plant->scale, *integrator->floor, u, y, value);
@@ -241,8 +235,8 @@ static int find_overdamped(flex_plant *plant) {
 
   // each coordinate by itself
   for (int i = 0; !refused && i < n; i++) {
-    double m = matrix->mass[i * n + i], d = matrix->damping[i * n + i], k = matrix->stiffness[i * n + i];
-    found |= d > OVERDAMPED * sqrt(fabs(k) * m) && d > FAST_DECAY * m;
+    real m = matrix->mass[i * n + i], d = matrix->damping[i * n + i], k = matrix->stiffness[i * n + i];
+    found |= !flex_is_zero_or_more(flex_larger(OVERDAMPED * flex_sqrt(flex_fabs(k) * m) - d, FAST_DECAY * m - d));
   }
   flex_newton_clear(matrix);
   *plant->equations.evaluations = evaluations;
@@ -277,10 +271,10 @@ flex_failure flex_plant_need_inputs(flex_plant *plant) {
 }
 
 // whether inputs that were set anew are what their polynomials had come to, but for rounding errors
-static int go_on(const flex_plant *plant, const double *u) {
+static int go_on(const flex_plant *plant, const real *u) {
   for (int i = 0; i < plant->inputs.count; i++) {
-    double reached = fmax(fabs(plant->u[i]), fabs(plant->previous_u[i]));
-    if (!(fabs(u[i] - plant->u[i]) <= INPUT_ROUNDING * reached)) return 0;
+    real reached = flex_larger(flex_fabs(plant->u[i]), flex_fabs(plant->previous_u[i]));
+    if (!flex_is_zero_or_more(INPUT_ROUNDING * reached - flex_fabs(u[i] - plant->u[i]))) return 0;
   }
   return 1;
 }
@@ -288,7 +282,7 @@ static int go_on(const flex_plant *plant, const double *u) {
 // acceleration for the inputs u, with the modes of friction that belong to them unless these are held
 static flex_outcome accelerate(flex_plant *plant, int modes_are_held, int *stopped) {
   flex_integrator *integrator = &plant->integrator;
-  int settles = plant->model->n_frictions > 0 && !modes_are_held;
+  int settles = FLEX_WIDTH == 1 && plant->model->n_frictions > 0 && !modes_are_held;
   plant->record->have &= ~POINT;
   flex_outcome outcome = settles ? flex_friction_settle(integrator, plant->u, stopped)
                                  : flex_integrator_accelerate(integrator, plant->u);
@@ -306,7 +300,7 @@ flex_failure flex_plant_settle(flex_plant *plant, int *stopped) {
 
 flex_failure flex_plant_indicators(flex_plant *plant, double *indicators) {
   flex_failure failure = flex_plant_need_acceleration(plant);
-  if (failure.outcome != FLEX_DONE || plant->model->n_frictions == 0) return failure;
+  if (failure.outcome != FLEX_DONE || FLEX_WIDTH > 1 || plant->model->n_frictions == 0) return failure;
   return outcome_now(plant, flex_friction_indicators(&plant->integrator, plant->u, indicators), 0.0);
 }
 
@@ -331,7 +325,7 @@ flex_failure flex_plant_need_acceleration(flex_plant *plant) {
   if ((record->have & FLEX_HAVE_ACCELERATION) && go_on(plant, plant->u1)) return failure;
 
   // inputs that jump: a new acceleration, and new modes of friction
-  memcpy(plant->u, plant->u1, (size_t)plant->inputs.count * sizeof(double));
+  memcpy(plant->u, plant->u1, (size_t)plant->inputs.count * sizeof(real));
   int stopped = 0;
   flex_outcome outcome = accelerate(plant, record->modes_are_held, &stopped);
   if (outcome != FLEX_DONE) record->inputs_changed = 1;
@@ -365,7 +359,7 @@ flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1) {
   if (failure.outcome != FLEX_DONE) return failure;
 
   // where the integrator fails, what it has reached is kept
-  memcpy(plant->previous_u, plant->u, (size_t)plant->inputs.count * sizeof(double));
+  memcpy(plant->previous_u, plant->u, (size_t)plant->inputs.count * sizeof(real));
   failure = flex_integrator_advance(&plant->integrator, t0, t1);
   if (failure.time > t0) {
     record->time = failure.time;
@@ -380,16 +374,16 @@ flex_failure flex_plant_need_outputs(flex_plant *plant) {
   if (flex_plant_has(plant, FLEX_HAVE_OUTPUTS)) return outcome_now(plant, FLEX_DONE, 0.0);
   flex_failure failure = flex_plant_need_acceleration(plant);
   if (failure.outcome != FLEX_DONE || (plant->record->have & FLEX_HAVE_OUTPUTS)) return failure;
-  const double *const arguments[] = {integrator->y, integrator->v, integrator->a, plant->u, plant->d};
+  const real *const arguments[] = {integrator->y, integrator->v, integrator->a, plant->u, plant->d};
   if (flex_call(&plant->equations, &plant->model->outputs, 5, arguments, plant->outputs) ||
-      !all_finite(plant->outputs, plant->model->n_outputs))
+      !flex_all_finite(plant->outputs, plant->model->n_outputs))
     return outcome_now(plant, FLEX_NOT_FINITE, 0.0);
   plant->record->have |= FLEX_HAVE_OUTPUTS;
   return failure;
 }
 
 // M x = -(rate of the residual without x), x being jerk or snap, which then adds its part to the rates of the outputs
-static void solve_rate(const flex_plant *plant, double *x, double *rates) {
+static void solve_rate(const flex_plant *plant, real *x, real *rates) {
   flex_cholesky_solve(plant->model->n, plant->integrator.mass_factor, x);
   for (int i = 0; i < plant->model->n; i++) x[i] = -x[i];
   flex_add_acceleration(plant->model, plant->acceleration_entries, x, rates);
@@ -400,17 +394,17 @@ static int first_rates(flex_plant *plant) {
   const flex_point now = {g->y, g->v, g->a, plant->u, plant->d}, rates = {g->v, g->a, NULL, plant->u1, plant->zero};
   int refused = flex_motion_forward(&plant->equations, &now, &rates, plant->jerk);
   solve_rate(plant, plant->jerk, plant->first_rates);
-  return refused || !all_finite(plant->jerk, plant->model->n + plant->model->n_outputs);
+  return refused || !flex_all_finite(plant->jerk, plant->model->n + plant->model->n_outputs);
 }
 
 static int second_rates(flex_plant *plant) {
   const flex_model *model = plant->model;
   const flex_integrator *g = &plant->integrator;
-  const double *const arguments[] = {g->y, g->v, g->a, plant->jerk, plant->u, plant->u1, plant->u2, plant->d};
+  const real *const arguments[] = {g->y, g->v, g->a, plant->jerk, plant->u, plant->u1, plant->u2, plant->d};
   int refused = flex_call(&plant->equations, &model->motion_rate2, 8, arguments, plant->snap);
   flex_hold(&plant->equations, plant->snap);
   solve_rate(plant, plant->snap, plant->second_rates);
-  return refused || !all_finite(plant->snap, model->n + model->n_outputs);
+  return refused || !flex_all_finite(plant->snap, model->n + model->n_outputs);
 }
 
 flex_failure flex_plant_need_rates(flex_plant *plant, int order) {

@@ -43,7 +43,7 @@ typedef struct {
 
   /* numeric state; u, previous_u: inputs now and when the last communication step began; rates: o1, o2; jerk da/dt, snap
    * d2a/dt2; entries of do/da */
-  double *p, *d, *scale, *u, *previous_u, *outputs, *jerk, *first_rates, *acceleration_entries, *snap, *second_rates;
+  real *p, *d, *scale, *u, *previous_u, *outputs, *jerk, *first_rates, *acceleration_entries, *snap, *second_rates;
   int *modes; /* of the frictions */
   flex_inputs inputs;
   flex_integrator integrator;
@@ -51,9 +51,10 @@ typedef struct {
   /* scratch */
   flex_equations equations;
   flex_statics statics;
-  double *u1, *u2, *zero, *indicators;
+  real *u1, *u2, *zero;
+  double *indicators;
   flex_tangent tangent;
-  double *shown_u; /* inputs at the present time, after flex_plant_need_inputs */
+  real *shown_u; /* inputs at the present time, after flex_plant_need_inputs */
 
   char message[FLEX_MESSAGE_SIZE]; /* why the last call was refused */
 } flex_plant;
@@ -104,7 +105,7 @@ flex_failure flex_plant_begin(flex_plant *plant);
 flex_failure flex_plant_advance(flex_plant *plant, double t0, double t1);
 
 /* the present inputs with zero rates, valid until the next call */
-const double *flex_plant_inputs_at_rest(flex_plant *plant);
+const real *flex_plant_inputs_at_rest(flex_plant *plant);
 
 /* make valid: coordinates and rates at the start; accelerations; accelerations at a point that is not too singular */
 flex_failure flex_plant_need_start(flex_plant *plant);

@@ -21,7 +21,7 @@ static void interpolation_weights(int n_nodes, const double *nodes, double x, do
 }
 
 void flex_predict(int n, const flex_tableau *tableau, const flex_history *history, double first, double ratio,
-                  double *prediction) {
+                  real *prediction) {
   int s = tableau->stages, n_nodes = history->has_end && !flex_ends_in_stage(tableau) ? s + 2 : s + 1;
   double nodes[FLEX_MAX_STAGES + 2], weights[FLEX_MAX_STAGES + 2];
 

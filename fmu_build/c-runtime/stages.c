@@ -42,13 +42,13 @@ void flex_stages_take_state(flex_stages *stages, int n, flex_arena *arena) {
 
 void flex_stages_take_scratch(flex_stages *stages, int n, int n_inputs, flex_arena *arena) {
   size_t size = (size_t)(FLEX_MAX_STAGES * n);
-  stages->acceleration = flex_take_doubles(arena, size);
-  stages->position = flex_take_doubles(arena, size);
-  stages->rate = flex_take_doubles(arena, size);
-  stages->residual = flex_take_doubles(arena, size);
-  stages->u = flex_take_doubles(arena, (size_t)(2 * FLEX_MAX_STAGES * n_inputs));
-  stages->lanes = flex_take_doubles(arena, 2 * size);
-  stages->weight = flex_take_doubles(arena, (size_t)n);
+  stages->acceleration = flex_take_reals(arena, size);
+  stages->position = flex_take_reals(arena, size);
+  stages->rate = flex_take_reals(arena, size);
+  stages->residual = flex_take_reals(arena, size);
+  stages->u = flex_take_reals(arena, (size_t)(2 * FLEX_MAX_STAGES * n_inputs));
+  stages->lanes = flex_take_reals(arena, 2 * size);
+  stages->weight = flex_take_reals(arena, (size_t)n);
   flex_newton_take_scratch(&stages->matrix, n, n_inputs, arena);
 }
 
@@ -76,23 +76,23 @@ void flex_stages_clear(flex_stages *stages) {
   record->unchecked_steps = UNCHECKED_STEPS;
 }
 
-double flex_motion_norm(const flex_stages *stages, const double *y, const double *v) {
-  double sum = 0.0;
+real flex_motion_norm(const flex_stages *stages, const real *y, const real *v) {
+  real sum = flex_real(0.0);
   for (int i = 0; i < stages->n; i++) sum += stages->rate_weight[i] * v[i] * v[i];
   for (int i = stages->equations->model->n_locked; i < stages->n; i++) sum += stages->position_weight[i] * y[i] * y[i];
-  return sqrt(sum);
+  return flex_sqrt(sum);
 }
 
-double flex_error_norm(const flex_stages *stages, const double *dy, const double *dv) {
-  double sum = 0.0;
+double flex_error_norm(const flex_stages *stages, const real *dy, const real *dv, real scale) {
+  real sum = flex_real(0.0);
   for (int i = 0; i < stages->n; i++)
     sum += stages->position_weight[i] * dy[i] * dy[i] + stages->rate_weight[i] * dv[i] * dv[i];
-  return sqrt(sum);
+  return flex_worst(flex_sqrt(sum), scale);
 }
 
 // integrals of the accelerations in units of the step → positions and rates
-static void move(int n, double h, double drift, const double *restrict y, const double *restrict v, double *restrict q,
-                 double *restrict w) {
+static void move(int n, double h, double drift, const real *restrict y, const real *restrict v, real *restrict q,
+                 real *restrict w) {
   double square = h * h;
   int c = 0;
   for (; c + 2 <= n; c += 2) {
@@ -106,10 +106,11 @@ static void move(int n, double h, double drift, const double *restrict y, const 
   w[c] = v[c] + h * w[c];
 }
 
+#if FLEX_WIDTH == 1
 /* one coordinate of all stages, from its accelerations; the operations of `flex_combine` and `move` in their order */
 static inline void move_lanes(int s, double (*restrict to_position)[FLEX_MAX_STAGES],
                               double (*restrict to_rate)[FLEX_MAX_STAGES], const double *restrict drift, double h,
-                              double y, double v, const double *restrict a, double *restrict q, double *restrict w) {
+                              double y, double v, const real *restrict a, real *restrict q, real *restrict w) {
   double square = h * h;
   for (int i = 0; i < FLEX_MAX_STAGES; i++) {
     double position = to_position[0][i] * a[0] + to_position[1][i] * a[1], rate = to_rate[0][i] * a[0] + to_rate[1][i] * a[1];
@@ -127,22 +128,24 @@ static inline void move_lanes(int s, double (*restrict to_position)[FLEX_MAX_STA
 }
 
 // residuals of all stages, side by side
-static void evaluate_lanes(flex_stages *stages, double h, const double *y, const double *v) {
+static void evaluate_lanes(flex_stages *stages, double h, const real *y, const real *v) {
   const flex_tableau *tableau = stages->tableau;
   int n = stages->n, s = tableau->stages;
   double drift[FLEX_MAX_STAGES], *q = stages->position, *w = stages->rate, *a = stages->lanes, *r = a + FLEX_MAX_STAGES * n;
   for (int i = 0; i < FLEX_MAX_STAGES; i++) drift[i] = tableau->c[i < s ? i : s - 1] * h;
   for (int c = 0; c < n; c++) {
-    double *each = a + FLEX_MAX_STAGES * c;
+    real *each = a + FLEX_MAX_STAGES * c;
     for (int i = 0; i < FLEX_MAX_STAGES; i++) each[i] = stages->acceleration[(i < s ? i : s - 1) * n + c];
     move_lanes(s, stages->to_position, stages->to_rate, drift, h, y[c], v[c], each, q + FLEX_MAX_STAGES * c,
                w + FLEX_MAX_STAGES * c);
   }
-  const double *u = stages->u + FLEX_MAX_STAGES * stages->inputs->count;
+  const real *u = stages->u + FLEX_MAX_STAGES * stages->inputs->count;
   flex_residual_lanes(stages->equations, s, q, w, a, u, r);
   for (int c = 0; c < n; c++)
     for (int i = 0; i < s; i++) stages->residual[i * n + c] = r[FLEX_MAX_STAGES * c + i];
 }
+
+#endif
 
 // inputs of the stages, and side by side where they are evaluated so
 static void evaluate_inputs(flex_stages *stages, double t, double h) {
@@ -152,24 +155,28 @@ static void evaluate_inputs(flex_stages *stages, double t, double h) {
     for (int i = 0; i < s; i++) flex_inputs_evaluate(stages->inputs, t, tableau->c[i] * h, stages->u + i * m);
     return;
   }
+#if FLEX_WIDTH == 1
   double offsets[FLEX_MAX_STAGES], *lanes = stages->u + FLEX_MAX_STAGES * m;
   for (int i = 0; i < FLEX_MAX_STAGES; i++) offsets[i] = tableau->c[i < s ? i : s - 1] * h;
   flex_inputs_evaluate_lanes(stages->inputs, t, offsets, lanes);
   for (int k = 0; k < m; k++)
     for (int i = 0; i < s; i++) stages->u[i * m + k] = lanes[FLEX_MAX_STAGES * k + i];
+#endif
 }
 
 // residuals of all stages at the present accelerations
-static int evaluate(flex_stages *stages, double h, const double *y, const double *v) {
+static int evaluate(flex_stages *stages, double h, const real *y, const real *v) {
+#if FLEX_WIDTH == 1
   if (flex_lanes_serve(stages->equations)) {
     evaluate_lanes(stages, h, y, v);
     return 0;
   }
+#endif
   const flex_tableau *tableau = stages->tableau;
   int n = stages->n, s = tableau->stages, m = stages->inputs->count, refused = 0;
-  const double *a = stages->acceleration;
+  const real *a = stages->acceleration;
   for (int i = 0; i < s; i++) {
-    double *q = stages->position + i * n, *w = stages->rate + i * n;
+    real *q = stages->position + i * n, *w = stages->rate + i * n;
     flex_combine(n, s, tableau->a_squared[i], a, q);
     flex_combine(n, s, tableau->a[i], a, w);
     move(n, h, tableau->c[i] * h, y, v, q, w);
@@ -185,17 +192,17 @@ static void weigh(flex_stages *stages, double h) {
     stages->weight[c] = h * h * stages->rate_weight[c] + position * position * stages->position_weight[c];
 }
 
-// size of stage accelerations in the error norm of the positions and rates that they make in one step
-static double stage_norm(const flex_stages *stages, const double *x) {
+// size of stage accelerations in the error norm of the positions and rates that they make in one step, of the worst lane
+static double stage_norm(const flex_stages *stages, const real *x, real scale) {
   const flex_tableau *tableau = stages->tableau;
   int n = stages->n;
-  double sum = 0.0;
+  real sum = flex_real(0.0);
   for (int i = 0; i < tableau->stages; i++) {
-    double part = 0.0;
+    real part = flex_real(0.0);
     for (int c = 0; c < n; c++) part += stages->weight[c] * x[i * n + c] * x[i * n + c];
     sum += tableau->b[i] * part;
   }
-  return sqrt(sum);
+  return flex_worst(flex_sqrt(sum), scale);
 }
 
 // what a correction leaves, for its own size: the contraction that was measured, grown in proportion with the matrix's age
@@ -211,11 +218,11 @@ static void note_contraction(flex_stages_record *record, double h, double contra
 }
 
 // newton iterations with the present matrix
-static flex_outcome iterate(flex_stages *stages, double h, const double *y, const double *v, double scale, double target) {
+static flex_outcome iterate(flex_stages *stages, double h, const real *y, const real *v, real scale, double target) {
   flex_stages_record *record = stages->record;
   int count = stages->tableau->stages * stages->n;
   int least = record->unchecked_steps >= UNCHECKED_STEPS ? 2 : 1;
-  double floor = ROUNDING * DBL_EPSILON * (scale + stage_norm(stages, stages->acceleration));
+  double floor = ROUNDING * DBL_EPSILON * (flex_common(scale) + stage_norm(stages, stages->acceleration, scale));
   double enough = fmax(target, floor / ROUNDING);
   double previous = 0.0, contraction = expected_contraction(record, h);
 
@@ -224,7 +231,7 @@ static flex_outcome iterate(flex_stages *stages, double h, const double *y, cons
     if (evaluate(stages, h, y, v)) return FLEX_NOT_FINITE;
     flex_newton_solve(&stages->matrix, stages->residual);
     for (int i = 0; i < count; i++) stages->acceleration[i] -= stages->residual[i];
-    double correction = stage_norm(stages, stages->residual);
+    double correction = stage_norm(stages, stages->residual, scale);
     record->iterations++;
     if (!isfinite(correction)) return FLEX_NOT_FINITE;
     if (k == 1) record->misprediction = correction;
@@ -260,8 +267,8 @@ static int is_worn(const flex_stages *stages) {
 }
 
 // matrix at the start of the step, with the inputs at its middle
-static int refresh(flex_stages *stages, double t, double h, const double *y, const double *v, const double *a,
-                   double scale) {
+static int refresh(flex_stages *stages, double t, double h, const real *y, const real *v, const real *a,
+                   real scale) {
   flex_stages_record *record = stages->record;
   int mass_alone = renews_mass_alone(record);
   flex_inputs_evaluate(stages->inputs, t, 0.5 * h, stages->u);
@@ -286,8 +293,8 @@ static void note_iterations(flex_stages_record *record, double h, int taken, int
   record->unchecked_steps++;
 }
 
-flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const double *y, const double *v, const double *a0,
-                               double scale, double target) {
+flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const real *y, const real *v, const real *a0,
+                               real scale, double target) {
   flex_stages_record *record = stages->record;
   const flex_tableau *tableau = stages->tableau;
   weigh(stages, h);

@@ -10,9 +10,9 @@
 
 #include "equations.h"
 #include "inputs.h"
-#include "memory.h"
 #include "newton_matrix.h"
 #include "outcome.h"
+#include "real.h"
 #include "tableaus.h"
 
 /* plain numbers, saved and restored with the state of the plant */
@@ -39,13 +39,13 @@ typedef struct {
   flex_newton_matrix matrix;
 
   /* error norm: sqrt(sum of position_weight dy^2 + rate_weight dv^2) */
-  const double *position_weight, *rate_weight;
+  const real *position_weight, *rate_weight;
 
   /* the unknowns, stages x n: prediction before, result after a solution */
-  double *acceleration;
+  real *acceleration;
 
   /* scratch; inputs: stages x inputs */
-  double *position, *rate, *residual, *u, *weight, *lanes;
+  real *position, *rate, *residual, *u, *weight, *lanes;
 
   /* coefficients of the stages side by side: of each stage's acceleration in the positions and rates of all */
   double to_position[FLEX_MAX_STAGES][FLEX_MAX_STAGES], to_rate[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
@@ -61,13 +61,13 @@ void flex_stages_clear(flex_stages *stages);
 /* solves for the step from t to t + h, starting from the prediction in `acceleration`.
  * a0 is the acceleration at t, scale the size of the motion in the error norm; the error that is left in the end
  * positions and rates is at most `target` in the same norm. */
-flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const double *y, const double *v, const double *a0,
-                               double scale, double target);
+flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const real *y, const real *v, const real *a0,
+                               real scale, double target);
 
 /* size of a motion in the error norm, without the positions of locked unknowns */
-double flex_motion_norm(const flex_stages *stages, const double *y, const double *v);
+real flex_motion_norm(const flex_stages *stages, const real *y, const real *v);
 
-/* sqrt(sum of position_weight dy^2 + rate_weight dv^2) */
-double flex_error_norm(const flex_stages *stages, const double *dy, const double *dv);
+/* sqrt(sum of position_weight dy^2 + rate_weight dv^2), of the worst lane in units of its scale */
+double flex_error_norm(const flex_stages *stages, const real *dy, const real *dv, real scale);
 
 #endif

@@ -23,35 +23,36 @@
 
 void flex_statics_take(flex_statics *statics, int n, flex_arena *arena) {
   size_t size = (size_t)n;
-  statics->zero = flex_take_doubles(arena, size);
-  statics->trial = flex_take_doubles(arena, size);
-  statics->residual = flex_take_doubles(arena, size);
-  statics->correction = flex_take_doubles(arena, size);
-  statics->simplified = flex_take_doubles(arena, size);
-  statics->stiffness = flex_take_doubles(arena, size * size);
+  statics->zero = flex_take_reals(arena, size);
+  statics->trial = flex_take_reals(arena, size);
+  statics->residual = flex_take_reals(arena, size);
+  statics->correction = flex_take_reals(arena, size);
+  statics->simplified = flex_take_reals(arena, size);
+  statics->stiffness = flex_take_reals(arena, size * size);
   statics->pivots = flex_take_ints(arena, size);
 }
 
-static double norm(int n, const double *weight, const double *x) {
-  double sum = 0.0;
+static real norm(int n, const real *weight, const real *x) {
+  real sum = flex_real(0.0);
   for (int i = 0; i < n; i++) sum += weight[i] * x[i] * x[i];
-  return sqrt(sum);
+  return flex_sqrt(sum);
 }
 
-int flex_statics_forces(flex_statics *statics, flex_equations *equations, const double *u, const double *y) {
+int flex_statics_forces(flex_statics *statics, flex_equations *equations, const real *u, const real *y) {
   return flex_residual(equations, y, statics->zero, statics->zero, u, statics->residual);
 }
 
 // stiffness dr/dy of the free unknowns by differences, factorised
-static int factor_stiffness(flex_statics *statics, flex_equations *equations, const double *weight, double scale,
-                            const double *u, double *y) {
+static int factor_stiffness(flex_statics *statics, flex_equations *equations, const real *weight, real scale,
+                            const real *u, real *y) {
   int n = equations->model->n, locked = equations->model->n_locked, free = n - locked, refused = 0;
-  const double *before = statics->residual;
+  const real *before = statics->residual;
   for (int i = 0; i < free; i++) {
     // one coordinate moves by a part of its own scale
-    double *moved = y + locked + i, kept = *moved, share = weight[locked + i];
-    *moved = kept + DIFFERENCE * fmax(share > 0.0 ? scale / sqrt(share) : 1.0, fabs(kept));
-    double step = *moved - kept;
+    real *moved = y + locked + i, kept = *moved, share = weight[locked + i];
+    real size = flex_if_positive(share, scale / flex_sqrt(share), flex_real(1.0));
+    *moved = kept + DIFFERENCE * flex_larger(size, flex_fabs(kept));
+    real step = *moved - kept;
     refused |= flex_residual(equations, y, statics->zero, statics->zero, u, statics->simplified);
     *moved = kept;
 
@@ -63,7 +64,7 @@ static int factor_stiffness(flex_statics *statics, flex_equations *equations, co
 }
 
 // correction of the present matrix for the residual at a point; locked unknowns stay
-static int correct(flex_statics *statics, flex_equations *equations, const double *u, const double *y, double *correction) {
+static int correct(flex_statics *statics, flex_equations *equations, const real *u, const real *y, real *correction) {
   int n = equations->model->n, locked = equations->model->n_locked;
   int refused = flex_statics_forces(statics, equations, u, y);
   memset(correction, 0, (size_t)locked * sizeof *correction);
@@ -73,42 +74,42 @@ static int correct(flex_statics *statics, flex_equations *equations, const doubl
 }
 
 // largest damped step that makes the next correction smaller; 0 if there is none
-static double damped_step(flex_statics *statics, flex_equations *equations, const double *weight, double size,
-                          const double *u, const double *y) {
+static double damped_step(flex_statics *statics, flex_equations *equations, const real *weight, real scale,
+                          double size, const real *u, const real *y) {
   int n = equations->model->n;
   for (double damping = 1.0; damping >= LEAST_DAMPING; damping *= 0.5) {
     for (int i = 0; i < n; i++) statics->trial[i] = y[i] - damping * statics->correction[i];
     if (correct(statics, equations, u, statics->trial, statics->simplified)) continue;
-    if (norm(n, weight, statics->simplified) <= (1.0 - 0.25 * damping) * size) return damping;
+    if (flex_worst(norm(n, weight, statics->simplified), scale) <= (1.0 - 0.25 * damping) * size) return damping;
   }
   return 0.0;
 }
 
-flex_outcome flex_statics_solve(flex_statics *statics, flex_equations *equations, const double *weight, double floor,
-                                const double *u, double *y, double *last_correction) {
+flex_outcome flex_statics_solve(flex_statics *statics, flex_equations *equations, const real *weight, real floor,
+                                const real *u, real *y, double *last_correction) {
   int n = equations->model->n, locked = equations->model->n_locked;
   if (n == locked) return FLEX_DONE;
   if (flex_statics_forces(statics, equations, u, y)) return FLEX_NOT_FINITE;
 
   for (int k = 0; k < MAX_ITERATIONS; k++) {
     // newton correction with a fresh matrix
-    double scale = fmax(floor, norm(n - locked, weight + locked, y + locked));
+    real scale = flex_larger(floor, norm(n - locked, weight + locked, y + locked));
     if (factor_stiffness(statics, equations, weight, scale, u, y)) return FLEX_NOT_FINITE;
     memset(statics->correction, 0, (size_t)locked * sizeof *y);
     memcpy(statics->correction + locked, statics->residual + locked, (size_t)(n - locked) * sizeof *y);
     flex_lu_solve(n - locked, statics->stiffness, statics->pivots, statics->correction + locked);
-    double size = norm(n, weight, statics->correction);
+    double size = flex_worst(norm(n, weight, statics->correction), scale);
     *last_correction = size;
     if (!isfinite(size)) return FLEX_NOT_FINITE;
 
     // a tiny one is the last
-    if (size <= CONVERGED * scale) {
+    if (size <= CONVERGED * flex_common(scale)) {
       for (int i = 0; i < n; i++) y[i] -= statics->correction[i];
       return FLEX_DONE;
     }
 
     // otherwise go as far as the next correction is smaller than this one
-    if (damped_step(statics, equations, weight, size, u, y) == 0.0) return FLEX_NO_EQUILIBRIUM;
+    if (damped_step(statics, equations, weight, scale, size, u, y) == 0.0) return FLEX_NO_EQUILIBRIUM;
     memcpy(y, statics->trial, (size_t)n * sizeof *y);
   }
   return FLEX_NO_EQUILIBRIUM;

@@ -9,7 +9,7 @@
 #include "outcome.h"
 
 typedef struct {
-  double *zero, *trial, *residual, *correction, *simplified, *stiffness; /* n, the last n x n */
+  real *zero, *trial, *residual, *correction, *simplified, *stiffness; /* n, the last n x n */
   int *pivots;
 } flex_statics;
 
@@ -17,10 +17,10 @@ void flex_statics_take(flex_statics *statics, int n, flex_arena *arena);
 
 /* replaces the guess y by the equilibrium for the inputs u. weight: share of each coordinate in the error norm, squared;
  * floor: size of a negligible deflection in that norm. The last correction's norm is reported. */
-flex_outcome flex_statics_solve(flex_statics *statics, flex_equations *equations, const double *weight, double floor,
-                                const double *u, double *y, double *last_correction);
+flex_outcome flex_statics_solve(flex_statics *statics, flex_equations *equations, const real *weight, real floor,
+                                const real *u, real *y, double *last_correction);
 
 /* forces r(y, 0, 0, u) on all unknowns at a point, in statics->residual */
-int flex_statics_forces(flex_statics *statics, flex_equations *equations, const double *u, const double *y);
+int flex_statics_forces(flex_statics *statics, flex_equations *equations, const real *u, const real *y);
 
 #endif

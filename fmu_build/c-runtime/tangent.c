@@ -4,18 +4,18 @@
 
 void flex_tangent_take(flex_tangent *tangent, const flex_model *model, flex_arena *arena) {
   size_t n = (size_t)model->n, m = (size_t)model->n_inputs, derived = (size_t)model->n_derived;
-  tangent->p = flex_take_doubles(arena, (size_t)model->n_parameters);
-  tangent->d = flex_take_doubles(arena, derived);
-  tangent->y = flex_take_doubles(arena, n);
-  tangent->v = flex_take_doubles(arena, n);
-  tangent->u = flex_take_doubles(arena, m);
-  tangent->start = flex_take_doubles(arena, derived + n);
-  tangent->rest_u = flex_take_doubles(arena, m);
-  tangent->unit = flex_take_doubles(arena, n);
-  tangent->changes = flex_take_doubles(arena, flex_changes_count(model));
+  tangent->p = flex_take_reals(arena, (size_t)model->n_parameters);
+  tangent->d = flex_take_reals(arena, derived);
+  tangent->y = flex_take_reals(arena, n);
+  tangent->v = flex_take_reals(arena, n);
+  tangent->u = flex_take_reals(arena, m);
+  tangent->start = flex_take_reals(arena, derived + n);
+  tangent->rest_u = flex_take_reals(arena, m);
+  tangent->unit = flex_take_reals(arena, n);
+  tangent->changes = flex_take_reals(arena, flex_changes_count(model));
 }
 
-static void clear(double *x, int count) {
+static void clear(real *x, int count) {
   memset(x, 0, (size_t)count * sizeof *x);
 }
 

@@ -7,11 +7,11 @@
 #include "model.h"
 
 typedef struct {
-  double *p, *d, *y, *v, *u; /* changes, named like what changes */
-  double *start;    /* changes of derived parameters and start coordinates with p, one after the other */
-  double *rest_u;   /* changes of the inputs of the robot at rest */
-  double *unit;     /* one coordinate changes at a time [n] */
-  double *changes;  /* of residual and outputs, as flex_motion_forward gives them */
+  real *p, *d, *y, *v, *u; /* changes, named like what changes */
+  real *start;    /* changes of derived parameters and start coordinates with p, one after the other */
+  real *rest_u;   /* changes of the inputs of the robot at rest */
+  real *unit;     /* one coordinate changes at a time [n] */
+  real *changes;  /* of residual and outputs, as flex_motion_forward gives them */
 } flex_tangent;
 
 void flex_tangent_take(flex_tangent *tangent, const flex_model *model, flex_arena *arena);
