@@ -156,6 +156,15 @@ class HasBreakpoints(Protocol):
 
 
 @runtime_checkable
+class Repeats(HasBreakpoints, Protocol):
+    """Its outputs repeat: what the master calculates for the points of one period can be used for the next ones."""
+
+    @property
+    def period(self) -> float:
+        """Period [s]; 0 for outputs that don't repeat."""
+
+
+@runtime_checkable
 class PredictsOutputs(HasBreakpoints, Protocol):
     """Knows its outputs in advance, without inputs: announces them before a step as polynomials over that step.
 
@@ -174,8 +183,9 @@ class PredictsOutputs(HasBreakpoints, Protocol):
     def prepare(self, times: RealArray) -> None:
         """Store the coming communication points (N,) [s] and go to the left limits at the first of them.
 
-        Before a run these are all points known by then. A master with step control calls `prepare` again before every
-        step; the first point may then be earlier than the current time.
+        The master calls `prepare` before a run with its first points, and during the run at the last but one of these
+        points with the next ones. With step control it does so before every step; the first point may then be earlier
+        than the current time.
         """
 
     def announce(self, time: float) -> None:

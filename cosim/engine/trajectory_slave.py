@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
 
@@ -15,7 +16,7 @@ from flexfmu.cosim.engine.slave import COINCIDENT, Indices, RealArray, SlaveVari
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.trajectory_table import END_ORDER, KINDS, tabulate
 from flexfmu.trajectories.curves import Side
-from flexfmu.trajectories.trajectory import Trajectory, limits
+from flexfmu.trajectories.trajectory import Periodic, Trajectory, limits
 
 HERMITE_ORDER = 9
 """Degree of the Hermite polynomial through value and four derivatives at both ends of a step."""
@@ -32,8 +33,23 @@ FEW = 8
 MANY = 64
 """Number of looked-up points above which the kept ones are discarded."""
 
+KEPT_POINTS = 2**16
+"""Number of points of kept tables above which all are discarded; 48 MB."""
+
+ROUNDING = 4.0
+"""Bound of rounding errors of times, in units in the last place of the last one."""
+
 REFERENCES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"))
 """(reference, suffix of its unit), in the order of the trajectory's derivatives."""
+
+
+@dataclass(frozen=True)
+class _Table:
+    """References at communication points (N,) [s]: polynomials of the next steps, and left limits (N, orders, variables)."""
+
+    times: RealArray
+    polynomials: RealArray
+    ends: RealArray
 
 
 class TrajectorySlave:
@@ -52,6 +68,7 @@ class TrajectorySlave:
 
     Attributes:
         trajectory: the streamed trajectory.
+        period: period of the trajectory [s]; 0 if it doesn't repeat.
 
     Raises:
         InputError: the order isn't 0 to 9.
@@ -75,8 +92,11 @@ class TrajectorySlave:
         self.max_output_order = max(order, END_ORDER)
         self.ends_exactly = order == HERMITE_ORDER
         self.trajectory = trajectory
-        # communication points; at each of them the polynomials of the next step and the left limits; current values
-        self._times = self._polynomials = self._ends = self._now = np.empty(0)
+        self.period = trajectory.period if isinstance(trajectory, Periodic) else 0.0
+        # the current points; their table and others; the next point, and the current values
+        self._times = self._now = np.empty(0)
+        self._table = _Table(self._times, self._times, self._times)
+        self._tables: list[_Table] = []
         self._next = 0
         self._seen: dict[float, tuple[RealArray, RealArray]] = {}
 
@@ -93,37 +113,54 @@ class TrajectorySlave:
     @property
     def announced(self) -> RealArray:
         """Derivatives (N, orders, variables), from order 0, of the polynomials that begin at the prepared points."""
-        return self._polynomials
+        return self._table.polynomials
 
     @property
     def ended(self) -> RealArray:
         """Left limits (N, orders, variables), from order 0, at the prepared points."""
-        return self._ends
+        return self._table.ends
 
     def prepare(self, times: RealArray) -> None:
         """Calculate the polynomials of all steps between the points (N,) [s]; go to the left limits at the first point.
 
-        If the points are the same as before, nothing is recalculated.
+        If the points are the same as before, or at the same place of an earlier cycle, nothing is recalculated.
         """
-        if not np.array_equal(times, self._times):
-            self._calculate(times)
+        known = next((each for each in self._tables if self._holds(each, times)), None)
+        if known is None:
+            known = self._calculated(times)
+            if times.size > FEW:
+                if sum(each.times.size for each in self._tables) > KEPT_POINTS:
+                    self._tables.clear()
+                self._tables.append(known)
+        self._table, self._times = known, times
         self._begin()
 
-    def _calculate(self, times: RealArray) -> None:
-        """Calculate the polynomials of all steps between these points, and the left limits."""
+    def _holds(self, table: _Table, times: RealArray) -> bool:
+        """Whether a table is that of these points, or of the same points some cycles before, but for rounding errors."""
+        if table.times.size != times.size:
+            return False
+        shift = self.period * round((times[0] - table.times[0]) / self.period) if self.period > 0.0 else 0.0
+        # the first cycle has the most exact times; after the last one the motion doesn't begin again
+        if shift < 0.0 or (shift > 0.0 and times[-1] >= self.trajectory.duration):
+            return False
+        rounding = ROUNDING * float(np.spacing(times[-1])) if shift else 0.0
+        return bool((abs(times - shift - table.times) <= rounding).all())
+
+    def _calculated(self, times: RealArray) -> _Table:
+        """The polynomials of all steps between these points, and the left limits."""
         near = COINCIDENT * float(np.diff(times).max())
         if times.size <= FEW and self._times.size:
-            self._polynomials, self._ends = self._looked_up(times, near)
+            begins, ends = self._looked_up(times, near)
         else:
-            self._polynomials, self._ends = self._limits(self.trajectory, times, near)
-        self._times = times
+            begins, ends = self._limits(self.trajectory, times, near)
         if not self.ends_exactly:
-            return
+            return _Table(times, begins, ends)
         # Hermite polynomials (N, 10, variables) through the limits at both ends; a Taylor polynomial at the last point
-        begins, self._polynomials = self._polynomials, np.zeros((times.size, HERMITE_ORDER + 1, len(self.variables)))
-        self._polynomials[-1, : END_ORDER + 1] = begins[-1]
-        beginnings, endings = begins[:-1].swapaxes(0, 1), self._ends[1:].swapaxes(0, 1)
-        self._polynomials[:-1] = hermite_derivatives(beginnings, endings, np.diff(times)[:, None]).swapaxes(0, 1)
+        polynomials = np.zeros((times.size, HERMITE_ORDER + 1, len(self.variables)))
+        polynomials[-1, : END_ORDER + 1] = begins[-1]
+        beginnings, endings = begins[:-1].swapaxes(0, 1), ends[1:].swapaxes(0, 1)
+        polynomials[:-1] = hermite_derivatives(beginnings, endings, np.diff(times)[:, None]).swapaxes(0, 1)
+        return _Table(times, polynomials, ends)
 
     def _looked_up(self, times: RealArray, near: float) -> tuple[RealArray, RealArray]:
         """Return right and left limits at a few points, kept for the next calls: step control repeats points.
@@ -135,7 +172,7 @@ class TrajectorySlave:
             if len(self._seen) > MANY:
                 self._seen.clear()
                 new = times.tolist()
-            source = self._table if self.announced_order <= END_ORDER or self.ends_exactly else self.trajectory
+            source = self._tabulated if self.announced_order <= END_ORDER or self.ends_exactly else self.trajectory
             if times.size == 2:
                 # step control needs the middle of the step next
                 new.append(float(times[0] + 0.5 * (times[1] - times[0])))
@@ -173,12 +210,12 @@ class TrajectorySlave:
         """
         if self._times[self._next] != time:
             raise InputError(f"{self.name}: {time} s is not the communication point {self._times[self._next]} s")
-        self._now = self._polynomials[self._next]
+        self._now = self._table.polynomials[self._next]
 
     def step(self, time: float, step: float) -> None:
         """Go to the left limits at the end of the step."""
         self._next += 1
-        self._now = self._ends[self._next]
+        self._now = self._table.ends[self._next]
 
     def set(self, indices: Indices, values: RealArray) -> None:
         """Raise `InputError`: there are no inputs."""
@@ -195,10 +232,10 @@ class TrajectorySlave:
     def _begin(self) -> None:
         """Go to the left limits at the first communication point."""
         self._next = 0
-        self._now = self._ends[0]
+        self._now = self._table.ends[0]
 
     @cached_property
-    def _table(self) -> Trajectory:
+    def _tabulated(self) -> Trajectory:
         """The tabulated trajectory; the trajectory itself if no table reproduces it."""
         try:
             return TabulatedTrajectory(self.trajectory)

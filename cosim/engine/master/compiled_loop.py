@@ -21,23 +21,32 @@ from flexfmu.cosim.engine.master.schedule import Schedule
 
 
 class CompiledLoop:
-    """Runs a schedule over a time grid in C; one loop serves several runs, one after the other.
+    """Runs a schedule in C, block by block of its communication points; one loop serves several runs, one after the other.
 
     Args:
         library: the C function that runs programs.
         schedule: ports and order of calls.
         recorder: records every instant; its capacity must suffice for all of them.
-        grid: communication points.
     """
 
-    def __init__(self, library: RunProgram, schedule: Schedule, recorder: Recorder, grid: TimeGrid) -> None:
+    def __init__(self, library: RunProgram, schedule: Schedule, recorder: Recorder) -> None:
         self._library, self._schedule, self._recorder = library, schedule, recorder
-        self._times, self._jumps = np.ascontiguousarray(grid.times), flags(grid.marked)
         self._progress = CProgress()
+        self._kept: tuple[object, ...] = ()
 
-    def begin(self) -> None:
-        """Begin a run, after the slaves have been initialised and the first instant has been recorded."""
+    def enter(self, grid: TimeGrid) -> None:
+        """Go on to these points, after the exchange at the first of them has been executed and recorded."""
         self._progress = CProgress(points=0, records=self._recorder.count)
+        # the addressed arrays are kept until the next block
+        times, jumps = np.ascontiguousarray(grid.times), flags(grid.marked)
+        self._program.times, self._program.jumps = address(times), address(jumps)
+        tables = []
+        for array, listed in zip(self._packed, self._instructions, strict=True):
+            for packed, each in zip(array, listed, strict=False):
+                if each.table is not None:
+                    tables.append(each.table())
+                    packed.source = address(tables[-1]) + each.offset
+        self._times, self._kept = times, (jumps, *tables)
 
     @cached_property
     def _instructions(self) -> tuple[list[Instruction], list[Instruction]]:
@@ -68,19 +77,17 @@ class CompiledLoop:
             n_exchange=n_exchange,
             channels=addressof(self._channels),
             n_channels=len(self._recorder.blocks),
-            times=address(self._times),
-            jumps=address(self._jumps),
             recorded_times=address(self._recorder.time),
             active=addressof(self._schedule.active),
         )
 
     @property
     def points(self) -> int:
-        """Number of steps that all slaves have completed."""
+        """Number of steps of the current block that all slaves have completed."""
         return int(self._progress.points)
 
     def go(self, points: int) -> None:
-        """Continue until ``points`` steps are completed.
+        """Continue until ``points`` steps of the current block are completed.
 
         Raises:
             BaseException: the error of the slave that failed, or the exception of a Python callback.

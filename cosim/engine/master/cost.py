@@ -27,23 +27,18 @@ BYTES_PER_VALUE = 19.0
 BYTES_PER_VALUE_IN_FILES = 50.0
 """Bytes per recorded value while results.csv is written."""
 
-BYTES_PER_REFERENCE, BYTES_KEPT = 300.0, 120.0
-"""Bytes per reference output and point: while the references are calculated, before the first step
-(`benchmarks/long_runs.py --points 2e6`), and during the run."""
-
 
 def is_long(steps: int, values: int) -> bool:
     """Whether a run of so many steps and recorded values is long enough for a warning of its cost."""
     return steps > MANY_POINTS or values > MANY_VALUES
 
 
-def cost(steps: int, values: int, references: int, trial: Callable[[int], Simulation]) -> str:
+def cost(steps: int, values: int, trial: Callable[[int], Simulation]) -> str:
     """A sentence with a run's computing time and memory, and how to reduce them.
 
     Args:
         steps: communication steps.
         values: recorded values.
-        references: number of outputs that are calculated for all points before the first step.
         trial: simulates the first steps, as many as its argument says.
     """
     seconds = None
@@ -59,9 +54,7 @@ def cost(steps: int, values: int, references: int, trial: Callable[[int], Simula
         duration = seconds * steps
         unit, size = ("h", 3600.0) if duration > 5400.0 else ("min", 60.0) if duration > 90.0 else ("s", 1.0)
         time = f"{duration / size:.2g} {unit} and "
-    # memory: all references are calculated before the first step, values are recorded during the run
-    tabulated = references * steps
-    gigabytes = 1e-9 * max(BYTES_PER_REFERENCE * tabulated, BYTES_KEPT * tabulated + BYTES_PER_VALUE * values)
+    gigabytes = 1e-9 * BYTES_PER_VALUE * values
     return (
         f"this run makes {steps:.3g} communication steps and records {values:.3g} values: it takes about {time}"
         f"{gigabytes:.2g} GB of memory, {1e-9 * BYTES_PER_VALUE_IN_FILES * values:.2g} GB where results.csv is written; "

@@ -6,22 +6,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from math import ceil, lcm
+from math import lcm
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.system import System
-from flexfmu.cosim.engine.slave import (
-    COINCIDENT,
-    HasBreakpoints,
-    LimitsStep,
-    MayNeedRegularSteps,
-    RealArray,
-    Sampled,
-    offset,
-)
+from flexfmu.cosim.engine.slave import COINCIDENT, Indices, RealArray
 
 Flags = NDArray[np.bool_]
 
@@ -61,10 +52,10 @@ class Clock:
 
 @dataclass(frozen=True)
 class TimeGrid:
-    """Communication points of a run.
+    """Communication points of a run, or of a part of it.
 
     Attributes:
-        times: (N + 1,) communication points [s], strictly increasing, from start to stop.
+        times: (N + 1,) communication points [s], strictly increasing.
         marked: (N + 1,) whether signals may jump at the point: breakpoints and sample instants.
         due: for each clock (N + 1,) whether its slave samples at the point.
     """
@@ -73,67 +64,108 @@ class TimeGrid:
     marked: Flags
     due: tuple[Flags, ...] = ()
 
-    @cached_property
-    def largest_step(self) -> float:
-        """Longest communication step [s]."""
-        return float(np.diff(self.times).max())
+    def part(self, points: slice | Flags) -> TimeGrid:
+        """Some of the points."""
+        return TimeGrid(self.times[points], self.marked[points], tuple(each[points] for each in self.due))
 
 
-def system_grid(system: System, start: float, stop: float, step: float, ticks: bool) -> TimeGrid:
-    """The communication points of a run.
+@dataclass(frozen=True)
+class GridRules:
+    """What the communication points of a run are: ticks start + n * step, sample instants and marks.
 
-    Args:
-        system: the slaves.
-        start, stop: [s].
-        step: communication step [s]; it is divided for slaves that limit it.
-        ticks: whether the points start + n * step belong to the grid, besides breakpoints and sample instants.
+    Sample instants and ticks are integer multiples of one common tick and compared as integers, so that coinciding ones
+    become one point, however long the run. Start, stop and marks replace the ticks and sample instants beside them.
 
-    Raises:
-        InputError: as `time_grid`; or a slave needs steps shorter than 1 / `MAXIMUM_RATIO` of the communication step.
-    """
-    # sample instants, and breakpoints
-    clocks = [Clock(s.name, s.sample_time, offset(s)) for s in system.slaves if isinstance(s, Sampled)]
-    marks = [mark for slave in system.slaves if isinstance(slave, HasBreakpoints) for mark in slave.breakpoints]
-    # divide the communication step for slaves that limit it
-    parts = 1
-    for slave in system.slaves:
-        if isinstance(slave, LimitsStep):
-            wanted = step / slave.largest_step
-            if not wanted < MAXIMUM_RATIO:
-                raise InputError(
-                    f"{slave.name} needs steps of {slave.largest_step:g} s, {wanted:.3g} of them in a communication step of "
-                    f"{step:g} s; what is that fast hardly matters: leave it out, or take a smaller step"
-                )
-            parts = max(parts, ceil(wanted - COINCIDENT))
-    return time_grid(start, stop, step / parts, marks, clocks, ticks=ticks)
-
-
-def check_regular_steps(system: System, grid: TimeGrid, step: float, varies: bool) -> None:
-    """Check that slaves that need equal communication steps get them.
-
-    Args:
-        system: the slaves.
-        grid: communication points.
-        step: communication step [s], for the message.
-        varies: whether step control chooses the steps.
+    Attributes:
+        start, stop, step: [s].
+        marks: further points, at which signals may jump [s].
+        clocks: sample times of the sampled slaves.
+        ticks: whether the points start + n * step belong to the grid.
 
     Raises:
-        InputError: a slave needs equal steps, but they differ or step control chooses them.
+        InputError: the step isn't positive, the stop isn't after the start, there would be more than `MAXIMUM_POINTS`
+            points, or a clock and the step have no common tick.
     """
-    # equal steps suit all slaves
-    steps = np.diff(grid.times)
-    least, largest = float(steps.min()), float(steps.max())
-    if largest - least <= COINCIDENT * largest and not varies:
-        return
-    for slave in system.slaves:
-        if isinstance(slave, MayNeedRegularSteps) and slave.needs_regular_steps and not isinstance(slave, Sampled):
-            found = f"this run lands on breakpoints, sample instants and its end in steps of {least:.6g} s to {largest:.6g} s"
-            found = "step control chooses them as they come" if varies else found
+
+    start: float
+    stop: float
+    step: float
+    marks: Sequence[float] = ()
+    clocks: Sequence[Clock] = ()
+    ticks: bool = True
+
+    def __post_init__(self) -> None:
+        start, stop, step = self.start, self.stop, self.step
+        if not 0.0 < step < np.inf:
+            raise InputError(f"the communication step must be above 0 s and finite, got {step:g} s")
+        if not -np.inf < start < stop < np.inf:
+            raise InputError(f"the run must end after its start, got start {start:g} s, stop {stop:g} s")
+        if (stop - start) / step > MAXIMUM_POINTS:
             raise InputError(
-                f"{slave.name} takes equal communication steps alone (canHandleVariableCommunicationStepSize = false), but "
-                f"{found}; give it a sample time of its own [s]: sample_time = {step:.6g} in its table, or "
-                f"fmu_slave(path, sample_time={step:.6g})"
+                f"a communication step of {step:g} s makes {(stop - start) / step:.3g} steps; take a larger one"
             )
+        for clock in self.clocks:
+            _check_clock(clock, start, stop)
+        _ = self._ratios
+
+    @property
+    def near(self) -> float:
+        """Distance within which two instants are one point [s]."""
+        return COINCIDENT * self.step
+
+    @cached_property
+    def inside(self) -> RealArray:
+        """The marks within the run, ascending [s]."""
+        marks = np.sort(np.fromiter(self.marks, dtype=np.float64))
+        return marks[(marks > self.start - self.near) & (marks < self.stop + self.near)]
+
+    def between(self, low: float = -np.inf, high: float = np.inf) -> TimeGrid:
+        """The points from ``low`` to before ``high`` [s]: the same as those of the whole run."""
+        # with a step more on both sides, since coinciding instants may be on either side of the limits
+        first, last = low - self.step, high + self.step
+        instants = [_instants(clock, self, first, last) for clock in self.clocks]
+        regular = self._regular_points(instants, first, last)
+        # marks, start and stop replace the regular points that coincide with them
+        marks = self.inside[self.inside.searchsorted(first) : self.inside.searchsorted(last)]
+        ends = [end for end in (self.start, self.stop) if first <= end < last]
+        fixed = merge([*ends, *marks], self.near)
+        if self.start in ends:
+            fixed[0] = self.start
+        if self.stop in ends:
+            fixed[-1] = self.stop
+        times = np.union1d(regular[(_distance(regular, fixed) > self.near) & (regular < self.stop)], fixed)
+        # where slaves sample, and where signals may jump
+        due = tuple(_nearest(times, times_due) for _, times_due in instants)
+        marked = _distance(times, marks) <= self.near
+        grid = TimeGrid(times, np.logical_or.reduce([marked, *due]), due)
+        return grid if first == -np.inf and last == np.inf else grid.part((times >= low) & (times < high))
+
+    def _regular_points(self, instants: Sequence[tuple[Indices, RealArray]], first: float, last: float) -> RealArray:
+        """Ticks and sample instants [s] without repetition; of coinciding ones the tick's time, or the first clock's."""
+        per_step, ratios = self._ratios
+        count = int((self.stop - self.start) / self.step + 1.0) if self.ticks else 0
+        tick = _numbers(first - self.start, last - self.start, self.step, count)
+        # express each point in common ticks, and keep the first of equal ones
+        numbers, times = [per_step * tick], [self.start + self.step * tick.astype(np.float64)]
+        for (period, offset), (each, when) in zip(ratios, instants, strict=True):
+            numbers.append(int(offset * per_step) + int(period * per_step) * each)
+            times.append(when)
+        _, first_of_each = np.unique(np.concatenate(numbers), return_index=True)
+        return np.concatenate(times)[first_of_each]
+
+    @cached_property
+    def _ratios(self) -> tuple[int, list[tuple[Fraction, Fraction]]]:
+        """Common ticks in a communication step; sample time and offset of each clock in communication steps."""
+        clocks, step = self.clocks, self.step
+        ratios = [(_ratio(clock, "sample time", step), _ratio(clock, "offset", step)) for clock in clocks]
+        per_step = lcm(*(ratio.denominator for pair in ratios for ratio in pair))
+        if per_step > MAXIMUM_TICKS:
+            names = ", ".join(f"{clock.name} {clock.sample_time:g} s" for clock in clocks)
+            raise InputError(
+                f"the sample times of {names} and the communication step of {step:g} s have no common tick above "
+                f"{1.0 / MAXIMUM_TICKS:g} of that step; take sample times that divide it or are multiples of it"
+            )
+        return per_step, ratios
 
 
 def time_grid(
@@ -145,66 +177,8 @@ def time_grid(
     *,
     ticks: bool = True,
 ) -> TimeGrid:
-    """The grid of ticks start + n * step, sample instants and marks from start to stop; the last step may be shorter.
-
-    Sample instants and ticks are integer multiples of one common tick and compared as integers, so that coinciding ones
-    become one point, however long the run.
-
-    Args:
-        start, stop, step: [s].
-        marks: further points, at which signals may jump [s].
-        clocks: sample times of the sampled slaves.
-        ticks: whether the points start + n * step belong to the grid.
-
-    Raises:
-        InputError: the step isn't positive, the stop isn't after the start, there would be more than `MAXIMUM_POINTS`
-            points, or a clock and the step have no common tick.
-    """
-    if not 0.0 < step < np.inf:
-        raise InputError(f"the communication step must be above 0 s and finite, got {step:g} s")
-    if not -np.inf < start < stop < np.inf:
-        raise InputError(f"the run must end after its start, got start {start:g} s, stop {stop:g} s")
-    if (stop - start) / step > MAXIMUM_POINTS:
-        raise InputError(
-            f"a communication step of {step:g} s makes {(stop - start) / step:.3g} steps; take a larger one"
-        )
-    # regular points: ticks and sample instants
-    near = COINCIDENT * step
-    instants = [sample_instants(clock, start, stop, near) for clock in clocks]
-    regular = _regular_points(start, stop, step, clocks, instants, ticks)
-    # marks, start and stop replace the regular points that coincide with them
-    inside = [mark for mark in marks if start - near < mark < stop + near]
-    fixed = merge([start, stop, *inside], near)
-    fixed[0], fixed[-1] = start, stop
-    times = np.union1d(regular[(_distance(regular, fixed) > near) & (regular < stop)], fixed)
-    # where slaves sample, and where signals may jump
-    due = tuple(_nearest(times, each) for each in instants)
-    marked = _distance(times, np.asarray(inside)) <= near if inside else np.zeros(times.shape, dtype=np.bool_)
-    return TimeGrid(times, np.logical_or.reduce([marked, *due]), due)
-
-
-def _regular_points(
-    start: float, stop: float, step: float, clocks: Sequence[Clock], instants: Sequence[RealArray], ticks: bool
-) -> RealArray:
-    """Ticks and sample instants [s] without repetition; of coinciding ones the tick's time, or the first clock's."""
-    # a common tick of the step and all sample times
-    ratios = [(_ratio(clock, "sample time", step), _ratio(clock, "offset", step)) for clock in clocks]
-    per_step = lcm(*(ratio.denominator for pair in ratios for ratio in pair))
-    if per_step > MAXIMUM_TICKS:
-        names = ", ".join(f"{clock.name} {clock.sample_time:g} s" for clock in clocks)
-        raise InputError(
-            f"the sample times of {names} and the communication step of {step:g} s have no common tick above "
-            f"{1.0 / MAXIMUM_TICKS:g} of that step; take sample times that divide it or are multiples of it"
-        )
-    count = int((stop - start) / step + 1.0) if ticks else 0
-    # express each point in common ticks, and keep the first of equal ones
-    numbers = [per_step * np.arange(count, dtype=np.int64)]
-    times = [start + step * np.arange(count, dtype=np.float64)]
-    for (period, first), each in zip(ratios, instants, strict=True):
-        numbers.append(int(first * per_step) + int(period * per_step) * np.arange(each.size, dtype=np.int64))
-        times.append(each)
-    _, first_of_each = np.unique(np.concatenate(numbers), return_index=True)
-    return np.concatenate(times)[first_of_each]
+    """All points of the grid that `GridRules` describes; arguments and errors are the same."""
+    return GridRules(start, stop, step, tuple(marks), clocks, ticks).between()
 
 
 def _ratio(clock: Clock, what: str, step: float) -> Fraction:
@@ -246,6 +220,8 @@ def merge(instants: Iterable[float], near: float) -> RealArray:
 
 def _distance(times: RealArray, marks: RealArray) -> RealArray:
     """Distance of each time to the nearest mark; ``marks`` need not be sorted."""
+    if not marks.size:
+        return np.full(times.shape, np.inf)
     ascending = np.sort(marks)
     after = np.searchsorted(ascending, times).clip(0, ascending.size - 1)
     before = (after - 1).clip(0)
@@ -253,8 +229,8 @@ def _distance(times: RealArray, marks: RealArray) -> RealArray:
     return distance
 
 
-def sample_instants(clock: Clock, start: float, stop: float, near: float = 0.0) -> RealArray:
-    """Instants start + offset + k * sample_time up to ``stop`` + ``near`` [s].
+def _check_clock(clock: Clock, start: float, stop: float) -> None:
+    """Check a clock.
 
     Raises:
         InputError: the sample time isn't positive, the offset is negative or infinite, or there would be more than
@@ -266,14 +242,29 @@ def sample_instants(clock: Clock, start: float, stop: float, near: float = 0.0) 
         )
     if not 0.0 <= clock.offset < np.inf:
         raise InputError(f"{clock.name}: the offset must be zero or positive, got {clock.offset} s")
-    # calculate each instant from its index, so that rounding errors don't add up
-    count = max(0, int((stop - start - clock.offset + near) / clock.sample_time + 1.0))
-    return start + (clock.offset + clock.sample_time * np.arange(count, dtype=np.float64))
+
+
+def _instants(clock: Clock, rules: GridRules, first: float, last: float) -> tuple[Indices, RealArray]:
+    """Numbers k and sample instants start + offset + k * sample_time [s] from ``first`` to ``last``, within the run."""
+    # calculate each instant from its number, so that rounding errors don't add up
+    count = max(0, int((rules.stop - rules.start - clock.offset + rules.near) / clock.sample_time + 1.0))
+    begin = rules.start + clock.offset
+    numbers = _numbers(first - begin, last - begin, clock.sample_time, count)
+    return numbers, rules.start + (clock.offset + clock.sample_time * numbers.astype(np.float64))
+
+
+def _numbers(first: float, last: float, step: float, count: int) -> Indices:
+    """The numbers n < ``count`` of multiples n * step from ``first`` to ``last`` [s], and perhaps one more on each side."""
+    begin = 0 if first == -np.inf else int(np.clip(first / step, 0, count))
+    end = count if last == np.inf else int(np.clip(last / step + 1.0, begin, count))
+    return np.arange(begin, end, dtype=np.int64)
 
 
 def _nearest(times: RealArray, instants: RealArray) -> Flags:
     """(N + 1,) whether the time is the nearest one to an instant."""
     points: Flags = np.zeros(times.shape, dtype=np.bool_)
+    if not instants.size:
+        return points
     after = np.searchsorted(times, instants).clip(1, times.size - 1)
     nearer_before = instants - times[after - 1] < times[after] - instants
     points[after - nearer_before] = True

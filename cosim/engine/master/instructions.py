@@ -92,6 +92,8 @@ class Instruction:
         numbers: values of the fields ``count`` and ``stride``, if it uses them.
         addresses: field → pointer.
         kept: the objects that the pointers refer to, to keep them alive.
+        table: returns the table of the current block; None without a table.
+        offset: distance of the source from the beginning of the table [bytes].
     """
 
     kind: Opcode
@@ -101,6 +103,12 @@ class Instruction:
     numbers: dict[str, int] = field(default_factory=dict)
     addresses: dict[str, int | None] = field(default_factory=dict)
     kept: tuple[Any, ...] = ()
+    table: Callable[[], RealArray] | None = None
+    offset: int = 0
+
+    def read_from(self, table: Callable[[], RealArray]) -> None:
+        """Read from a table that is another array in each block; now it is that of the source."""
+        self.table, self.offset = table, (self.addresses["source"] or 0) - address(table())
 
     def due(self, flags: NDArray[np.uint8]) -> None:
         """Execute the instruction only at the points whose flag is set."""

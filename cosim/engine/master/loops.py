@@ -195,7 +195,7 @@ class InstantLoop:
         self,
         loop: AlgebraicLoop,
         calls: Sequence[LoopCall],
-        sampling: Sequence[tuple[Slave, Sequence[bool]]],
+        sampling: Sequence[tuple[Slave, Sequence[int]]],
         signals: LoopSignals,
         active: c_int,
     ) -> None:

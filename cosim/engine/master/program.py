@@ -18,7 +18,6 @@ from flexfmu.cosim.engine.master.instructions import (
     Instruction,
     evaluation,
     finite,
-    flags,
     fmi_step,
     fmi_transfer,
     gather,
@@ -35,7 +34,7 @@ from flexfmu.cosim.engine.slave import Call, RealArray
 class HasTables(Protocol):
     """Predicts all of its outputs: in C, tables with a row per communication point replace `announce` and `step`.
 
-    The tables don't change afterwards; runs with the same points have the same tables.
+    There are new tables after each `prepare`, with the same number of orders.
 
     Attributes:
         announced: (N, orders, n) value and derivatives after `announce` at each communication point.
@@ -79,9 +78,9 @@ def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation:
     match operation.action:
         # outputs from a row of a table
         case Action.ANNOUNCE if table is not None and table.announced.shape[1] >= rows:
-            yield _table_row(table.announced, outputs, i, rows)
+            yield _table_row(lambda: table.announced, outputs, i, rows)
         case Action.STEP if table is not None:
-            yield _table_row(table.ended, outputs, i, outputs.recorded)
+            yield _table_row(lambda: table.ended, outputs, i, outputs.recorded)
         case Action.READ if table is not None:
             return
         # calls of an FMU, and copies between buffers
@@ -98,7 +97,7 @@ def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation:
             yield fmi_step(step, i, lambda status, begin, end: failure(status, begin, end - begin))
         # samples
         case Action.SAMPLE | Action.OUTPUT | Action.UPDATE:
-            due = flags(schedule.due[i])
+            due = np.frombuffer(schedule.due[i], np.uint8)
             for each in _sample(schedule, operation):
                 each.due(due)
                 yield each
@@ -125,12 +124,14 @@ def _sample(schedule: Schedule, operation: Operation) -> Iterator[Instruction]:
                 yield from _transfer(call, when, i)
 
 
-def _table_row(table: RealArray, outputs: OutputPort, owner: int, rows: int) -> Instruction:
-    """Copies row ``point`` of a table (points, orders, variables) into the port: its first ``rows`` orders."""
-    _, orders, count = table.shape
+def _table_row(table: Callable[[], RealArray], outputs: OutputPort, owner: int, rows: int) -> Instruction:
+    """Copies row ``point`` of the current table (points, orders, variables) into the port: its first ``rows`` orders."""
+    _, orders, count = table().shape
     columns = np.arange(rows)[:, None] * count + outputs.indices
     places = np.arange(rows * outputs.indices.size)
-    return gather(table, columns.ravel(), outputs.signals, places, When.ALWAYS, owner, orders * count)
+    row = gather(table(), columns.ravel(), outputs.signals, places, When.ALWAYS, owner, orders * count)
+    row.read_from(table)
+    return row
 
 
 def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -> Instruction:

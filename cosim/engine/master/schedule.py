@@ -14,8 +14,8 @@ from typing import cast
 import numpy as np
 
 from flexfmu.cosim.engine.master.algorithms import Algorithm
+from flexfmu.cosim.engine.master.blocks import Block, RunGrid
 from flexfmu.cosim.engine.master.couplings import StepGroup, couplings
-from flexfmu.cosim.engine.master.grid import TimeGrid
 from flexfmu.cosim.engine.master.loops import (
     InstantLoop,
     IteratedStep,
@@ -48,8 +48,8 @@ class Schedule:
         inputs, outputs: ports, in the order of ``slaves``; their signals are those of the current instant.
         couplings: (source, target) → their coupling.
         plan: all operations in order.
-        due: index of a sampled slave → whether it samples at each communication point of the grid; the last entry,
-            False, is for points off the grid.
+        due: index of a sampled slave → whether it samples at each communication point of the current block, as bytes;
+            the last entry, 0, is for points off the grid.
         active: index of the slave that is being called, or was last, in memory shared with child processes.
         predicting: index → slave that predicts its outputs.
 
@@ -57,7 +57,7 @@ class Schedule:
         InputError: a slave's step must be iterated, but the slave can't save and restore its state.
     """
 
-    def __init__(self, system: System, grid: TimeGrid, algorithm: Algorithm, selection: Selection = EVERYTHING) -> None:
+    def __init__(self, system: System, grid: RunGrid, algorithm: Algorithm, selection: Selection = EVERYTHING) -> None:
         # couplings, and ports for each slave's inputs and outputs
         self.slaves = system.slaves
         self.couplings = couplings(system, algorithm)
@@ -69,7 +69,7 @@ class Schedule:
         announcing = [each.slave for each in plan.exchange if each.action is Action.ANNOUNCE]
         self.predicting = {i: cast(PredictsOutputs, system.slaves[i]) for i in announcing}
         sampled = [i for i, slave in enumerate(system.slaves) if isinstance(slave, Sampled)]
-        self.due = {i: (*flags.tolist(), False) for i, flags in zip(sampled, grid.due, strict=True)}
+        self.due = {i: bytearray(grid.most + 2) for i in sampled}
         # lists of calls, bound once since a run spends its time in them; fewer calls where no signal jumps
         self._unknowns: dict[str, LoopSignals] = {}
         self._step = [(each.slave, self.bind(each)) for each in plan.step]
@@ -83,10 +83,11 @@ class Schedule:
         """Name of the slave that is being called, or was last."""
         return self.slaves[self.active.value].name
 
-    def initialize(self, tolerance: float | None) -> None:
+    def initialize(self, first: Block, tolerance: float | None) -> None:
         """Reset all signals, then initialise the slaves, each with inputs from those before it, and read their outputs.
 
         Args:
+            first: the first communication points.
             tolerance: relative tolerance for the slaves' own integrators; None for their default.
         """
         # reset the signals of an earlier run
@@ -96,16 +97,29 @@ class Schedule:
         for signals in self._unknowns.values():
             signals.reset()
         # initialise one slave after the other, with inputs from those that are ready
-        start, stop = float(self._grid.times[0]), float(self._grid.times[-1])
+        start, stop = self._grid.start, self._grid.stop
         ready: list[OutputPort] = []
+        self._set_due(first)
         for i in self.plan.start:
             self.active.value = i
             if i in self.predicting:
-                self.predicting[i].prepare(self._grid.times)
+                self.predicting[i].prepare(first.known)
             self.inputs[i].preset(ready)
             self.slaves[i].initialize(start, stop, tolerance)
             self.outputs[i].read(start)
             ready.append(self.outputs[i])
+
+    def enter(self, block: Block) -> None:
+        """Go on to the next communication points, after the exchange at the first of them."""
+        self._set_due(block)
+        for i, source in self.predicting.items():
+            self.active.value = i
+            source.prepare(block.known)
+
+    def _set_due(self, block: Block) -> None:
+        """Set where sampled slaves are due."""
+        for due, flags in zip(self.due.values(), block.grid.due, strict=True):
+            due[: flags.size] = flags.tobytes()
 
     def advance(self, begin: float, end: float) -> None:
         """Step all slaves from one communication point to the next [s] and read their outputs."""
@@ -244,7 +258,7 @@ def _announcement(announce: Callable[[float], None], read: Callable[[], None]) -
     return call
 
 
-def _where_due(due: Sequence[bool], sample: Callable[[float], None]) -> TimedCall:
+def _where_due(due: Sequence[int], sample: Callable[[float], None]) -> TimedCall:
     """A call that samples at the points where the slave is due."""
 
     def call(point: int, begin: float, end: float) -> None:

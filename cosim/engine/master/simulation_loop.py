@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
+from flexfmu.cosim.engine.master.blocks import Block, RunGrid
 from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop
 from flexfmu.cosim.engine.master.controlled_steps import ControlledSteps
 from flexfmu.cosim.engine.master.coupling_error import CouplingError
-from flexfmu.cosim.engine.master.grid import TimeGrid
 from flexfmu.cosim.engine.master.recorder import Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
 from flexfmu.cosim.engine.master.step_control import ErrorBudget, StepDoubling
@@ -57,7 +58,7 @@ class SimulationLoop:
     def __init__(
         self,
         schedule: Schedule,
-        grid: TimeGrid,
+        grid: RunGrid,
         recorder: Recorder,
         progress: Progress | None,
         compiled: CompiledLoop | None = None,
@@ -68,7 +69,9 @@ class SimulationLoop:
         self._compiled = compiled
         self._cross = schedule.advance
         self._controlled: ControlledSteps | None = None
-        self._passed = 0
+        # the current block, the steps completed in it, and those before it
+        self._block: Block | None = None
+        self._passed = self._before = 0
         self._progress = progress
 
     def control_steps(self, control: StepDoubling, error: CouplingError, first: float) -> None:
@@ -79,7 +82,7 @@ class SimulationLoop:
             error: estimates the coupling error.
             first: length of the first step [s].
         """
-        budget = ErrorBudget(float(self._grid.times[0]), float(self._grid.times[-1]))
+        budget = ErrorBudget(self._grid.start, self._grid.stop)
         self._controlled = ControlledSteps(self._schedule, self._recorder, control, error, first, budget)
         self._cross = self._controlled.cross
 
@@ -91,40 +94,52 @@ class SimulationLoop:
         Args:
             tolerance: relative tolerance for the slaves' own integrators; None for their default.
         """
-        # initialisation and first exchange
-        self._schedule.initialize(tolerance)
-        self.initialized = True
-        self._start()
-        # the points of the grid, in C or in Python
-        if self._compiled is not None:
-            self._go_in_c(self._compiled)
-            return
+        # block by block, in C or in Python
+        pass_through = self._go_in_python if self._compiled is None else partial(self._go_in_c, self._compiled)
         try:
-            self._go_in_python()
+            for block in self._grid.blocks():
+                if self._block is None:
+                    self._start(block, tolerance)
+                else:
+                    self._before += self._block.steps
+                    self._schedule.enter(block)
+                self._block, self._passed = block, 0
+                pass_through(block)
         finally:
             if self._controlled is not None:
                 self._controlled.finish()
 
-    def _go_in_c(self, compiled: CompiledLoop) -> None:
-        """Run in pieces; between two pieces progress is reported and the user can interrupt."""
-        compiled.begin()
-        count = self._grid.times.size - 1
+    def _start(self, block: Block, tolerance: float | None) -> None:
+        """Initialise the slaves; exchange and record the first instant."""
+        self._schedule.initialize(block, tolerance)
+        self.initialized = True
+        if block.grid.marked[0]:
+            self._recorder.append(self._grid.start)
+        self._schedule.exchange(0, self._grid.start, jump=True)
+        self._recorder.append(self._grid.start)
+
+    def _go_in_c(self, compiled: CompiledLoop, block: Block) -> None:
+        """Run a block in pieces; between two pieces progress is reported and the user can interrupt."""
+        compiled.enter(block.grid)
         # one piece per progress report, or per check for an interruption
-        pieces = min(PROGRESS_CALLS, count) if self._progress is not None else 1 + count // UNINTERRUPTED
+        count = self._grid.steps
+        length = UNINTERRUPTED if self._progress is None else -(-count // PROGRESS_CALLS)
         try:
-            for piece in range(1, pieces + 1):
-                compiled.go(count * piece // pieces)
+            while compiled.points < block.steps:
+                # pieces are multiples of the length, counted from the start of the run
+                end = (self._before + compiled.points) // length * length + length - self._before
+                compiled.go(min(end, block.steps))
                 if self._progress is not None:
-                    self._progress(piece / pieces)
+                    self._progress((self._before + compiled.points) / count)
         finally:
             self._passed = compiled.points
 
-    def _go_in_python(self) -> None:
-        times, marked, cross = self._grid.times.tolist(), self._grid.marked.tolist(), self._cross
+    def _go_in_python(self, block: Block) -> None:
+        times, marked, cross = block.grid.times.tolist(), block.grid.marked.tolist(), self._cross
         exchange, record = self._schedule.exchange, self._recorder.append
-        count = len(times) - 1
+        start, stop, count = self._grid.start, self._grid.stop, self._grid.steps
         every = max(1, count // PROGRESS_CALLS)
-        for n in range(count):
+        for n in range(block.steps):
             time, jump = times[n + 1], marked[n + 1]
             cross(times[n], time)
             self._passed += 1
@@ -133,22 +148,16 @@ class SimulationLoop:
                 record(time)
             exchange(n + 1, time, jump)
             record(time)
-            if self._progress is not None and (self._passed % every == 0 or self._passed == count):
-                self._progress((time - times[0]) / (times[-1] - times[0]))
+            passed = self._before + self._passed
+            if self._progress is not None and (passed % every == 0 or passed == count):
+                self._progress((time - start) / (stop - start))
 
     @property
     def reached(self) -> StepStatistics:
         """The time that the run reached, and its steps."""
-        time, steps, largest = float(self._grid.times[self._passed]), self._passed, self._grid.largest_step
+        time = self._grid.start if self._block is None else float(self._block.grid.times[self._passed])
+        steps, largest = self._before + self._passed, self._grid.largest_step
         if self._controlled is None:
             return StepStatistics(time, steps, 0, largest)
         taken = self._controlled
         return StepStatistics(max(time, taken.time), taken.accepted, taken.rejected, taken.largest or largest)
-
-    def _start(self) -> None:
-        """Exchange and record the first instant."""
-        start = float(self._grid.times[0])
-        if self._grid.marked[0]:
-            self._recorder.append(start)
-        self._schedule.exchange(0, start, jump=True)
-        self._recorder.append(start)

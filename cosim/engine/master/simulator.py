@@ -13,6 +13,7 @@ from flexfmu.cosim.engine.child_process import ChildLostError, in_child, portabl
 from flexfmu.cosim.engine.errors import CostWarning, SlaveEnded, SlaveError, SlaveWarning
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel
+from flexfmu.cosim.engine.master.blocks import check_regular_steps, system_grid
 from flexfmu.cosim.engine.master.c_library import load
 from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop
 from flexfmu.cosim.engine.master.cost import cost, is_long
@@ -20,7 +21,6 @@ from flexfmu.cosim.engine.master.coupling_error import CouplingError
 from flexfmu.cosim.engine.master.couplings import Transport, feedback_signals
 from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
 from flexfmu.cosim.engine.master.dependencies import Connection
-from flexfmu.cosim.engine.master.grid import check_regular_steps, system_grid
 from flexfmu.cosim.engine.master.isolation import Isolation
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, message_of, outcome_of, overshot
@@ -100,14 +100,14 @@ class Simulator:
         # step control also monitors outputs that aren't recorded
         read = record if step_control is None else EVERYTHING
         self._schedule = Schedule(system, self._grid, chosen, read)
-        capacity = self._grid.times.size + int(self._grid.marked.sum())
+        capacity = self._grid.steps + 1 + self._grid.jumps
         self._recorder = Recorder(self._schedule.outputs, capacity, shared=isolation is not None)
         self._isolation = isolation
         # the loop over the points in C, if the plan allows it and there is a compiler
         self._compiled: CompiledLoop | None = None
         may_compile = compiled is not False and step_control is None and can_compile(self._schedule)
         if may_compile and (library := load()) is not None:
-            self._compiled = CompiledLoop(library, self._schedule, self._recorder, self._grid)
+            self._compiled = CompiledLoop(library, self._schedule, self._recorder)
         if step_control is not None:
             check_can_save(filter(needs_rollback, system.slaves), "step control")
             self._coupling_error(step_control)
@@ -126,17 +126,16 @@ class Simulator:
             tolerance: relative tolerance for the slaves' own integrators; None for their default.
             progress: called during the run with the simulated fraction, 0..1.
         """
-        steps, values = self._grid.times.size - 1, self._recorder.values
+        steps, values = self._grid.steps, self._recorder.values
         # warn of the cost of a long run
         if self._control is None and is_long(steps, values):
 
             def trial(steps: int) -> Simulation:
                 """Simulate only the first ``steps`` communication steps."""
-                first = Simulator(self._system, float(self._grid.times[steps]), self._step, **self._options)
+                first = Simulator(self._system, self._grid.time(steps), self._step, **self._options)
                 return first._result(first._attempt(tolerance, None))
 
-            references = sum(len(self._system.slaves[i].variables) for i in self._schedule.predicting)
-            warnings.warn(cost(steps, values, references, trial), CostWarning, stacklevel=2)
+            warnings.warn(cost(steps, values, trial), CostWarning, stacklevel=2)
         self._recorder.rewind(0)
         if self._isolation is None:
             return self._result(self._attempt(tolerance, progress))
@@ -152,7 +151,7 @@ class Simulator:
 
     def _supervised(self, isolation: Isolation, tolerance: float | None, progress: Progress | None) -> Ending:
         """Execute a run in a child process, which may crash, exit or hang; its end."""
-        active, recorder, times = self._schedule.active, self._recorder, self._grid.times
+        active, recorder, start, stop = self._schedule.active, self._recorder, self._grid.start, self._grid.stop
         active.value = 0
 
         # in the child: run, and make the ending picklable
@@ -168,7 +167,7 @@ class Simulator:
         def look() -> object:
             count = recorder.catch_up()
             if progress is not None and count:
-                progress(float((recorder.time[count - 1] - times[0]) / (times[-1] - times[0])))
+                progress(float((recorder.time[count - 1] - start) / (stop - start)))
             return count, active.value
 
         error: BaseException
@@ -192,9 +191,11 @@ class Simulator:
     def _recorded_so_far(self) -> StepStatistics:
         """The time and steps of a run that was lost in its child process, from its recording."""
         time = self._recorder.time[: self._recorder.count]
-        start = float(self._grid.times[0])
         return StepStatistics(
-            float(time[-1]) if time.size else start, int((np.diff(time) > 0.0).sum()), 0, self._grid.largest_step
+            float(time[-1]) if time.size else self._grid.start,
+            int((np.diff(time) > 0.0).sum()),
+            0,
+            self._grid.largest_step,
         )
 
     def _completed(self, loop: SimulationLoop, tolerance: float | None) -> BaseException | None:
@@ -256,7 +257,7 @@ class Simulator:
 
     def _coupling_error(self, control: StepDoubling) -> CouplingError:
         """A new estimator of the coupling error; every run needs its own, since it adapts to the run's magnitudes."""
-        span = float(self._grid.times[-1] - self._grid.times[0])
+        span = self._grid.stop - self._grid.start
         return CouplingError(self._system, self._schedule.outputs, self._schedule.couplings, control, span)
 
     def _source_names(self, connections: Sequence[Connection]) -> tuple[str, ...]:

@@ -1,0 +1,177 @@
+"""The communication points of long runs: in blocks they are the same points, and runs have the same bits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.master import blocks
+from flexfmu.cosim.engine.master.blocks import RunGrid
+from flexfmu.cosim.engine.master.grid import Clock, GridRules, TimeGrid
+from flexfmu.cosim.engine.master.master import Outcome, simulate
+from flexfmu.cosim.engine.master.system import connect
+from flexfmu.cosim.engine.slave import SlaveVariable
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.cycles import ThereAndBack
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.model.scene.file import load_scene
+
+
+@pytest.fixture
+def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks so short that every run has several."""
+    monkeypatch.setattr(blocks, "BLOCK", 40)
+    monkeypatch.setattr(blocks, "SHORTEST", 10)
+    monkeypatch.setattr(blocks, "KEPT", 3)
+
+
+def whole(grid: RunGrid) -> TimeGrid:
+    """All points of a grid, from its blocks; checks that they join."""
+    parts, last = [], None
+    for block in grid.blocks():
+        parts.append(block.grid if last is None else block.grid.part(slice(1, None)))
+        assert last is None or (last.after, last.grid.times[-1]) == (block.grid.times[1], block.grid.times[0])
+        last = block
+    assert last is not None
+    assert last.after is None
+    joined = parts[0]
+    for part in parts[1:]:
+        joined = blocks._joined(joined, part)
+    return joined
+
+
+@settings(derandomize=True, deadline=None, max_examples=100)
+@given(
+    start=st.floats(-10.0, 10.0),
+    count=st.floats(1.0, 1000.0),
+    shares=st.lists(st.floats(-0.2, 1.2), max_size=8),
+    ratios=st.lists(st.sampled_from([0.25, 1.0, 1.5, 3.0, 7.0]), max_size=2),
+    period=st.sampled_from([0.0, 0.1, 0.35, 0.07, 0.1 / 3.0, 0.0777777]),
+)
+def test_blocks_are_the_whole_grid(
+    start: float, count: float, shares: list[float], ratios: list[float], period: float
+) -> None:
+    """Whatever the marks, clocks and periods: the points of all blocks are those of the whole grid, bit by bit."""
+    step = 1e-3
+    stop = start + count * step
+    marks = [start + share * count * step for share in shares]
+    # some marks on ticks, some between two ticks, where blocks are cut
+    marks += [start + 20 * step, start + 39.5 * step, start + 79.5 * step + 1e-10]
+    clocks = [Clock(f"clock {ratio}", ratio * step, 0.5 * step) for ratio in ratios]
+    rules = GridRules(start, stop, step, marks, clocks)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(blocks, "BLOCK", 40)
+        patch.setattr(blocks, "SHORTEST", 10)
+        grid = RunGrid(rules, period)
+        found, expected = whole(grid), rules.between()
+    np.testing.assert_array_equal(found.times, expected.times)
+    np.testing.assert_array_equal(found.marked, expected.marked)
+    np.testing.assert_array_equal(found.due, expected.due)
+    assert grid.steps == expected.times.size - 1
+    assert grid.jumps == expected.marked.sum()
+    assert (grid.least_step, grid.largest_step) == (np.diff(expected.times).min(), np.diff(expected.times).max())
+    assert grid.time(grid.steps // 2) == expected.times[grid.steps // 2]
+
+
+class Follower:
+    """Adds up its input; samples every 3 ms if it is to."""
+
+    name = "follower"
+    feedthrough = {"y": ()}  # noqa: RUF012
+    variables = (SlaveVariable("u", "input", start=0.0), SlaveVariable("y", "output"))
+
+    def __init__(self) -> None:
+        self.y = self.u = 0.0
+
+    def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
+        self.y = 0.0
+
+    def set(self, indices: object, values: np.ndarray) -> None:
+        self.u = float(values[0])
+
+    def get(self, indices: object, values: np.ndarray) -> None:
+        values[0] = self.y
+
+    def step(self, time: float, step: float) -> None:
+        self.y += self.u * step
+
+
+class Sampling(Follower):
+    """The same, sampled."""
+
+    sample_time = 3e-3
+
+    def sample(self, time: float) -> None:
+        self.y += self.u * self.sample_time
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("follower", [Follower, Sampling])
+def test_runs_in_blocks_have_the_same_bits(
+    short_blocks: None, monkeypatch: pytest.MonkeyPatch, follower: Callable[[], Follower], compiled: bool
+) -> None:
+    """The references of a run in blocks, and what follows from them, are those of the same run in one block."""
+    joints = plan(load_scene("barnard2012-6kg")).joints
+
+    def run() -> tuple[np.ndarray, ...]:
+        slaves = [TrajectorySlave(joints), follower()]
+        links = [("trajectory.joint1.reference.position", "follower.u")]
+        result = simulate(connect(slaves, links), 0.5, 1e-3, compiled=compiled)
+        assert result.outcome is Outcome.COMPLETED, result.message
+        columns = result.recording.columns.values()
+        return result.recording.time, *(each for one in columns for each in (one.values, one.first, one.second))
+
+    found = run()
+    monkeypatch.setattr(blocks, "BLOCK", 10**6)
+    for one, other in zip(found, run(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_cycles_share_tables(short_blocks: None) -> None:
+    """Memory doesn't grow with the number of cycles: their blocks take the tables of the first one, within rounding errors."""
+    motion = ThereAndBack(plan(load_scene("barnard2012-6kg")).joints, 0.01, 20)
+    slave = TrajectorySlave(motion)
+    system = connect([slave], [])
+    grid = blocks.system_grid(system, 0.0, motion.duration + 0.01, 1e-3, True)
+    tables, steps = set[int](), 0
+    for block in grid.blocks():
+        slave.prepare(block.known)
+        tables.add(id(slave.announced))
+        expected = motion.evaluate(block.grid.times[1:-1], 2)
+        np.testing.assert_allclose(slave.announced[1 : block.steps, 0, :2], expected[0], rtol=0.0, atol=1e-12)
+        steps += block.steps
+    # 880 ticks a cycle, 22 or 23 blocks each; the last cycle has its own last block
+    assert steps > 20 * 880
+    assert len(tables) <= 25
+
+
+def test_a_failure_in_a_later_block_is_reported_there(short_blocks: None) -> None:
+    """Steps and time of a failure count from the start of the run."""
+
+    class Tripping(Follower):
+        def step(self, time: float, step: float) -> None:
+            if time > 0.2995:
+                raise InputError("enough")
+
+    for compiled in (True, False):
+        slaves = [TrajectorySlave(plan(load_scene("barnard2012-6kg")).joints), Tripping()]
+        result = simulate(connect(slaves, []), 0.5, 1e-3, compiled=compiled)
+        assert result.outcome is Outcome.STEP_FAILED
+        assert "0.3" in result.message
+        assert result.recording.time[-1] == 300 * 1e-3
+
+
+def test_progress_counts_over_all_blocks(short_blocks: None) -> None:
+    """Progress rises to 1, in about a hundred reports."""
+    for compiled in (True, False):
+        told: list[float] = []
+        slave = TrajectorySlave(plan(load_scene("barnard2012-6kg")).joints)
+        simulate(connect([slave], []), 0.5, 1e-4, compiled=compiled, progress=told.append)
+        assert np.all(np.diff(told) > 0.0)
+        assert told[-1] == 1.0
+        assert 90 <= len(told) <= 100 + 5000 // 40
