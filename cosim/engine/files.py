@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,6 +55,11 @@ class OutputFolder:
 
 
 def write_whole(path: Path, text: str) -> Path:
+    """Write a file atomically; see `write_pieces`."""
+    return write_pieces(path, [text])
+
+
+def write_pieces(path: Path, pieces: Iterable[str]) -> Path:
     """Write a file atomically (temporary file, then rename) and return its path; creates its folder if needed.
 
     Raises:
@@ -62,7 +68,8 @@ def write_whole(path: Path, text: str) -> Path:
     temporary = path.parent / f".{path.name}.{os.getpid()}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            file.writelines(pieces)
         return temporary.replace(path)
     except OSError as error:
         raise _cannot_write(path, error) from error

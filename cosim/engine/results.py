@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
-from flexfmu.cosim.engine.files import write_whole
+from flexfmu.cosim.engine.files import write_pieces
 from flexfmu.cosim.engine.slave import RealArray
+
+LINES = 512
+"""Number of lines of a CSV file that are written at once."""
 
 
 @dataclass(frozen=True)
@@ -114,9 +118,17 @@ class Recording:
             ResultsError: the file can't be written, with the system's reason.
         """
         names = [_file_name(name) for name in ("time", *self.columns)]
-        table = [Column("s", self.time).shown(), *(column.shown() for column in self.columns.values())]
-        lines = [",".join(f'"{name}"' for name in names), *map(",".join, zip(*table, strict=True))]
-        return write_whole(Path(path), "\n".join(lines) + "\n")
+        return write_pieces(
+            Path(path), itertools.chain([",".join(f'"{name}"' for name in names) + "\n"], self._lines())
+        )
+
+    def _lines(self) -> Iterator[str]:
+        """Yield the lines of the table, some hundred at once."""
+        columns = [Column("s", self.time), *self.columns.values()]
+        for begin in range(0, self.time.size, LINES):
+            piece = slice(begin, begin + LINES)
+            table = [Column(each.unit, each.values[piece], texts=each.texts).shown() for each in columns]
+            yield "".join(",".join(row) + "\n" for row in zip(*table, strict=True))
 
     @classmethod
     def read_csv(cls, path: str | os.PathLike[str]) -> Recording:

@@ -68,6 +68,10 @@ KINDS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s2"))
 """Order of the time derivative → its name and unit."""
 
 
+PIECE = 8192
+"""Number of instants whose derivatives are evaluated at once."""
+
+
 class RigidMotion:
     """The rigid end-effector motion of a plan, cached for runs with the same instants."""
 
@@ -92,9 +96,13 @@ class RigidMotion:
 
     def _calculate(self, time: RealArray) -> Mapping[str, Column]:
         left = np.append(time[:-1] == time[1:], False)
-        derivatives = limits(self._motion.task, time, left, 4)
+        # piece by piece, which needs little memory beside the result
+        derivatives = np.empty((5, 2, time.size))
+        for begin in range(0, time.size, PIECE):
+            piece = slice(begin, begin + PIECE)
+            derivatives[:, :, piece] = limits(self._motion.task, time[piece], left[piece], 4).swapaxes(1, 2)
         return {
-            f"end_effector.reference.{kind}.{axis}": Column(unit, *derivatives[order : order + 3, :, i].copy())
+            f"end_effector.reference.{kind}.{axis}": Column(unit, *derivatives[order : order + 3, i])
             for order, (kind, unit) in enumerate(KINDS)
             for i, axis in enumerate("xy")
         }
@@ -150,7 +158,7 @@ def plain_names(
 
 def held(column: Column) -> Column:
     """The column with zeros for missing derivatives, since the signal is held constant."""
-    zero = np.zeros_like(column.values)
+    zero = np.broadcast_to(0.0, column.values.shape)
     first = zero if column.first is None else column.first
     return Column(column.unit, column.values, first, zero if column.second is None else column.second)
 
@@ -158,7 +166,7 @@ def held(column: Column) -> Column:
 def constants(plant: Slave, values: Mapping[str, float], count: int) -> dict[str, Column]:
     """Columns of the plant's unconnected inputs with constant values, at ``count`` instants."""
     units = {each.name: each.unit for each in plant.variables if each.name in values}
-    return {name: held(Column(units[name], np.full(count, value))) for name, value in values.items()}
+    return {name: held(Column(units[name], np.broadcast_to(value, (count,)))) for name, value in values.items()}
 
 
 def _description(slave: Slave) -> str:

@@ -37,6 +37,7 @@ class CompiledLoop:
     def enter(self, grid: TimeGrid) -> None:
         """Go on to these points, after the exchange at the first of them has been executed and recorded."""
         self._progress = CProgress(points=0, records=self._recorder.count)
+        self._program = self._prepared()
         # the addressed arrays are kept until the next block
         times, jumps = np.ascontiguousarray(grid.times), flags(grid.marked)
         self._program.times, self._program.jumps = address(times), address(jumps)
@@ -58,16 +59,12 @@ class CompiledLoop:
     def _packed(self) -> list[Any]:
         return [pack(each) for each in self._instructions]
 
-    @cached_property
-    def _channels(self) -> Any:
+    def _prepared(self) -> CProgram:
+        """The program; the recorder has new memory for each run."""
         blocks = self._recorder.blocks
-        channels = (CChannel * max(len(blocks), 1))()
-        for channel, (signals, rows) in zip(channels, blocks, strict=False):
-            channel.signals, channel.rows, channel.count = address(signals), address(rows), signals.size
-        return channels
-
-    @cached_property
-    def _program(self) -> CProgram:
+        self._channels = (CChannel * max(len(blocks), 1))()
+        for channel, (signals, columns) in zip(self._channels, blocks, strict=False):
+            channel.signals, channel.columns, channel.count = address(signals), address(columns), signals.size
         # the addressed arrays are attributes, so that they live as long as this loop
         (advance, exchange), (n_advance, n_exchange) = self._packed, map(len, self._instructions)
         return CProgram(
@@ -76,7 +73,8 @@ class CompiledLoop:
             n_advance=n_advance,
             n_exchange=n_exchange,
             channels=addressof(self._channels),
-            n_channels=len(self._recorder.blocks),
+            n_channels=len(blocks),
+            capacity=self._recorder.time.size,
             recorded_times=address(self._recorder.time),
             active=addressof(self._schedule.active),
         )

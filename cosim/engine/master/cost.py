@@ -21,11 +21,8 @@ MANY_POINTS, MANY_VALUES = 10**7, 10**8
 FEW_STEPS, TRIED_STEPS = 500, 2500
 """Numbers of steps of the two trials; the initialisation cancels in the difference of their times."""
 
-BYTES_PER_VALUE = 19.0
-"""Bytes per recorded value: in the recorder's buffer and in the column of the results (`benchmarks/long_runs.py`)."""
-
-BYTES_PER_VALUE_IN_FILES = 50.0
-"""Bytes per recorded value while results.csv is written."""
+BYTES_PER_VALUE = 8.0
+"""Bytes per recorded value; the results use the recorder's memory (`benchmarks/long_runs.py`)."""
 
 
 def is_long(steps: int, values: int) -> bool:
@@ -57,8 +54,7 @@ def cost(steps: int, values: int, trial: Callable[[int], Simulation]) -> str:
     gigabytes = 1e-9 * BYTES_PER_VALUE * values
     return (
         f"this run makes {steps:.3g} communication steps and records {values:.3g} values: it takes about {time}"
-        f"{gigabytes:.2g} GB of memory, {1e-9 * BYTES_PER_VALUE_IN_FILES * values:.2g} GB where results.csv is written; "
-        f"to spend less, {SPEND_LESS}"
+        f"{gigabytes:.2g} GB of memory or temporary files; to spend less, {SPEND_LESS}"
     )
 
 

@@ -54,7 +54,7 @@ class CInstruction(Structure):
 class CChannel(Structure):
     """``master_channel``."""
 
-    _fields_ = (("signals", c_void_p), ("rows", c_void_p), ("count", c_size_t))
+    _fields_ = (("signals", c_void_p), ("columns", c_void_p), ("count", c_size_t))
 
 
 class CProgram(Structure):
@@ -67,6 +67,7 @@ class CProgram(Structure):
         ("n_exchange", c_size_t),
         ("channels", c_void_p),
         ("n_channels", c_size_t),
+        ("capacity", c_size_t),
         ("times", c_void_p),
         ("jumps", c_void_p),
         ("recorded_times", c_void_p),

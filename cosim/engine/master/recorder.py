@@ -1,13 +1,14 @@
-"""Records signals during a run, in buffers that grow; they stay valid if the run fails.
+"""Records signals during a run, column by column, in memory that becomes the result: nothing is copied at the end.
 
-With shared memory the parent process sees what a child process records, even if the child crashes.
+With shared memory the parent process sees what a child process records, even if the child crashes. A large recording is
+mapped from a temporary file: the system writes it to disk during the run, and the process keeps only the pages in use.
 """
 
 from __future__ import annotations
 
 import mmap
 import os
-import weakref
+import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 
@@ -21,6 +22,14 @@ from flexfmu.cosim.engine.slave import TEXTS, RealArray
 _MADV_POPULATE_WRITE = 23
 """MADV_POPULATE_WRITE of Linux 5.14 and later; Python's mmap has no name for it."""
 
+LARGE = 2**27
+"""Size of a recording [bytes] from which it is mapped from a temporary file, where the platform can reserve its space."""
+
+RELEASED = 8192
+"""Number of instants after which the pages of a file that they fill are released."""
+
+LINE = 8
+"""Numbers in a cache line. Columns are an odd number of lines apart, so that they don't compete for the same lines."""
 
 SPEND_LESS = "take a larger communication step or sample time, a shorter run, or in Python record fewer signals: PreparedScene(scene, record=Selection(..))"
 
@@ -30,13 +39,13 @@ class Recorder:
 
     Args:
         ports: output ports to record.
-        capacity: expected number of instants; the buffers grow if there are more.
+        capacity: expected number of instants; further memory is added if there are more.
         shared: whether child processes record into the same memory.
 
     Attributes:
         values: expected number of recorded values.
-        time: (capacity,) recorded instants [s]; NaN beyond the last one.
-        blocks: for each port its current signals (orders + 1, n) and the recorded ones (capacity, orders + 1, n).
+        time: (capacity,) recorded instants [s] of the current part of the memory; NaN beyond the last one.
+        blocks: for each port its current signals (orders + 1, n) and the recorded ones (orders + 1, n, capacity).
 
     Raises:
         InputError: there is not enough memory for the expected values.
@@ -49,105 +58,181 @@ class Recorder:
         self._texts = [[each.type == "String" for each in variables] for _, variables in signals]
         self._units = [[each.unit for each in variables] for _, variables in signals]
         self._signals = [port.signals[: port.recorded] for port in ports]
-        self._count = 0
-        # allocate memory for all instants at once
-        self.values = capacity * sum(signals.size for signals in self._signals)
-        self._memories = [_Memory(shape, shared) for shape in (*(signals.shape for signals in self._signals), ())]
+        self._capacity, self._shared = max(capacity, 1), shared
+        self._width = 1 + sum(signals.size for signals in self._signals)
+        self.values = capacity * (self._width - 1)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Allocate memory for all expected instants at once."""
+        self._parts: list[RealArray] = []
+        self._count = self._released = 0
+        self._memory = _Memory(self._width, self._shared)
         try:
-            self._enlarge(max(capacity, 1))
+            self._add_part()
         except (MemoryError, OSError):
             raise InputError(
-                f"{self.values:.3g} values at {capacity:.3g} instants are {8e-9 * self.values:.3g} GB, more than there is; "
-                f"{SPEND_LESS}"
+                f"{self.values:.3g} values at {self._capacity:.3g} instants are {8e-9 * self.values:.3g} GB, more than there "
+                f"is; {SPEND_LESS}"
             ) from None
-        self.time.fill(np.nan)
+        self._taken = False
+
+    def _add_part(self, *, fill: bool = True) -> None:
+        """Add memory, a part as large as all before it together; a child process has filled it with NaN already."""
+        before = sum(part.shape[1] for part in self._parts)
+        self._parts.append(self._memory.part(max(before, self._capacity)))
+        if fill:
+            self._parts[-1][0].fill(np.nan)
+        self._enter()
+
+    def _enter(self) -> None:
+        """Make the last part of the memory the current one."""
+        part, place = self._parts[-1], 1
+        self.time, self._first = part[0], sum(each.shape[1] for each in self._parts[:-1])
+        self.blocks = []
+        for signals in self._signals:
+            self.blocks.append((signals, part[place : place + signals.size].reshape(*signals.shape, part.shape[1])))
+            place += signals.size
 
     def append(self, time: float) -> None:
         """Record the current signals of all ports at ``time`` [s]."""
-        if self._count == self.time.size:
-            self._enlarge(2 * self._count)
-            self.time[self._count :] = np.nan
+        if self._count == self._first + self.time.size:
+            self._add_part()
+        place = self._count - self._first
         for signals, rows in self.blocks:
-            rows[self._count] = signals
-        self.time[self._count] = time
-        self._count += 1
+            rows[:, :, place] = signals
+        self.time[place] = time
+        self.advance(self._count + 1)
 
     @property
     def count(self) -> int:
         """Number of recorded instants."""
         return self._count
 
+    @property
+    def times(self) -> RealArray:
+        """(count,) recorded instants [s]."""
+        return self._joined(0)
+
+    @property
+    def last(self) -> float:
+        """The last recorded instant [s]; one must have been recorded."""
+        return float(self.time[self._count - 1 - self._first])
+
     def advance(self, count: int) -> None:
         """Set the number of recorded instants to ``count``, after C has written them into ``time`` and ``blocks``."""
         self._count = count
+        # release what is full; step control may rewind a few instants, which are then loaded again
+        if count - self._released > RELEASED:
+            self._memory.release(self._released - self._first, count - self._first)
+            self._released = count
 
     def rewind(self, count: int) -> None:
         """Delete all instants but the first ``count``: those of a rejected step, or with 0 those of an earlier run."""
-        self.time[count : self._count] = np.nan
-        self._count = count
+        if count == 0 and (self._taken or len(self._parts) > 1):
+            self._begin()
+            return
+        while self._first > count:
+            self._parts.pop()
+            self._enter()
+        self.time[count - self._first : self._count - self._first] = np.nan
+        self._count, self._released = count, min(count, self._released)
 
     def catch_up(self) -> int:
         """Update the count with the instants that a child process has recorded, and return it."""
-        if (capacity := self._memories[-1].capacity) > self.time.size:
-            self._enlarge(capacity)
-        self._count = int(np.searchsorted(self.time, np.nan))
+        while self._memory.is_extended:
+            self._add_part(fill=False)
+        self._count = self._first + int(np.searchsorted(self.time, np.nan))
         return self._count
 
     def recording(self) -> Recording:
-        """A copy of all signals recorded so far, named ``slave.variable``."""
+        """All signals recorded so far, named ``slave.variable``; they use the recorder's memory, and the next run new one."""
+        self._taken = True
         columns: dict[str, Column] = {}
-        for names, units, texts, rows in zip(self._names, self._units, self._texts, self._rows, strict=True):
-            # values and derivatives, signal by signal; texts are recorded as codes
-            known = TEXTS.known() if any(texts) else []
-            signals = rows[: self._count].transpose(2, 1, 0).copy()
-            for name, unit, text, signal in zip(names, units, texts, signals, strict=True):
-                columns[name] = Column(unit, signal[0], texts=known) if text else Column(unit, *signal)
-        return Recording(self.time[: self._count].copy(), columns)
+        place = 1
+        for names, units, texts, signals in zip(self._names, self._units, self._texts, self._signals, strict=True):
+            # texts are recorded as codes
+            known, end = TEXTS.known() if any(texts) else [], place + signals.size
+            for i, (name, unit, text) in enumerate(zip(names, units, texts, strict=True)):
+                value, *derivatives = (self._joined(row) for row in range(place + i, end, signals.shape[1]))
+                first, second = (None, None) if text else (*derivatives, None, None)[:2]
+                columns[name] = Column(unit, value, first, second, known if text else None)
+            place = end
+        return Recording(self.times, columns)
 
     def populate(self) -> None:
         """Map all shared memory at once, which is faster than page by page; call it in the process that records."""
-        for memory in self._memories:
-            memory.populate()
+        self._memory.populate()
 
-    def _enlarge(self, capacity: int) -> None:
-        """Enlarge all buffers to ``capacity`` instants."""
-        *self._rows, self.time = (memory.enlarge(capacity) for memory in self._memories)
-        self.blocks = list(zip(self._signals, self._rows, strict=True))
+    def _joined(self, column: int) -> RealArray:
+        """What is recorded in a column; a copy only if step control has needed several parts of memory."""
+        pieces = [part[column] for part in self._parts]
+        return pieces[0][: self._count] if len(pieces) == 1 else np.concatenate(pieces)[: self._count]
 
 
 class _Memory:
-    """A growing buffer of rows of this shape; if shared, an anonymous file that grows for all processes."""
+    """Memory for columns, part by part: in this process, or in an unnamed file that is shared or large.
 
-    def __init__(self, shape: tuple[int, ...], shared: bool) -> None:
-        self._shape, self._file, self._rows = shape, -1, np.empty((0, *shape))
+    The file disappears with its last mapping: with the arrays, or with the process.
+    """
+
+    def __init__(self, width: int, shared: bool) -> None:
+        self._width, self._shared, self._file, self._end = width, shared, -1, 0
         self._map: mmap.mmap | None = None
-        self._row_bytes = max(8 * int(np.prod(shape)), 1)
-        if shared:
+        self._row_bytes = 0
+        self._is_large = False
+
+    def __del__(self) -> None:
+        if self._file >= 0:
+            os.close(self._file)
+
+    def part(self, capacity: int) -> RealArray:
+        """A further part (width, capacity), the capacity rounded up; in a shared file perhaps one of a child process."""
+        lines = -(-capacity // LINE)
+        capacity = LINE * (lines + 1 - lines % 2)
+        size = 8 * self._width * capacity
+        if self._file < 0 and not self._open(size):
+            return np.empty((self._width, capacity))
+        # space in the file, at a place where it can be mapped
+        begin, granularity = self._end, mmap.ALLOCATIONGRANULARITY
+        self._end = begin + -(-size // granularity) * granularity
+        if self._is_large:
+            os.posix_fallocate(self._file, begin, self._end - begin)
+        elif os.fstat(self._file).st_size < self._end:
+            os.ftruncate(self._file, self._end)
+        self._map, self._row_bytes = mmap.mmap(self._file, self._end - begin, offset=begin), 8 * capacity
+        return np.ndarray((self._width, capacity), buffer=self._map)
+
+    def _open(self, size: int) -> bool:
+        """Open a file for a first part of this size [bytes]; False if the part is allocated in this process."""
+        if size >= LARGE and hasattr(os, "posix_fallocate"):
+            # reserve the space: without it the run would crash later
+            with suppress(OSError), tempfile.TemporaryFile(prefix="flexfmu-") as file:
+                os.posix_fallocate(file.fileno(), 0, size)
+                self._file, self._is_large = os.dup(file.fileno()), True
+                return True
+        if self._shared:
             self._file = os.memfd_create("flexfmu recording")
-            weakref.finalize(self, os.close, self._file)
+        return self._shared
 
     @property
-    def capacity(self) -> int:
-        """Number of rows that fit in; another process may have enlarged a shared buffer."""
-        return len(self._rows) if self._file < 0 else os.fstat(self._file).st_size // self._row_bytes
+    def is_extended(self) -> bool:
+        """Whether a child process has added a part that isn't mapped here."""
+        return self._file >= 0 and os.fstat(self._file).st_size > self._end
 
-    def enlarge(self, capacity: int) -> RealArray:
-        """The rows (capacity, ...); they begin with the previous ones."""
-        if self._file < 0:
-            rows = np.empty((capacity, *self._shape))
-            rows[: len(self._rows)] = self._rows
-        else:
-            # enlarge the file for all processes and map it again
-            size = capacity * self._row_bytes
-            if size > os.fstat(self._file).st_size:
-                os.ftruncate(self._file, size)
-            self._map = mmap.mmap(self._file, size)
-            rows = np.ndarray((capacity, *self._shape), buffer=self._map)
-        self._rows = rows
-        return rows
+    def release(self, begin: int, end: int) -> None:
+        """Release the pages of a large file with the instants from ``begin`` to ``end``, both from the part's first."""
+        if self._map is None or not self._is_large or not hasattr(mmap, "MADV_DONTNEED"):
+            return
+        page = mmap.PAGESIZE
+        for column in range(self._width):
+            start, stop = (column * self._row_bytes + 8 * each for each in (max(begin, 0), end))
+            start, stop = start // page * page, stop // page * page
+            if stop > start:
+                self._map.madvise(mmap.MADV_DONTNEED, start, stop - start)
 
     def populate(self) -> None:
-        """Map all pages, if the kernel supports it and there is enough memory."""
-        if self._map is not None:
+        """Map all pages of memory shared with a child process, if the kernel supports it and there is enough memory."""
+        if self._map is not None and not self._is_large:
             with suppress(OSError):
                 self._map.madvise(_MADV_POPULATE_WRITE)

@@ -167,7 +167,7 @@ class Simulator:
         def look() -> object:
             count = recorder.catch_up()
             if progress is not None and count:
-                progress(float((recorder.time[count - 1] - start) / (stop - start)))
+                progress((recorder.last - start) / (stop - start))
             return count, active.value
 
         error: BaseException
@@ -190,7 +190,7 @@ class Simulator:
 
     def _recorded_so_far(self) -> StepStatistics:
         """The time and steps of a run that was lost in its child process, from its recording."""
-        time = self._recorder.time[: self._recorder.count]
+        time = self._recorder.times
         return StepStatistics(
             float(time[-1]) if time.size else self._grid.start,
             int((np.diff(time) > 0.0).sum()),
@@ -220,7 +220,7 @@ class Simulator:
 
         Only if it is the single slave: others would be at another time.
         """
-        recorded = self._recorder.time[: self._recorder.count]
+        recorded = self._recorder.times
         if len(self._schedule.outputs) > 1 or ended.time is None or not recorded.size or ended.time <= recorded[-1]:
             return
         if _failure(lambda: self._schedule.outputs[0].read(float(recorded[-1]))) is None:

@@ -74,7 +74,7 @@ def test_long_runs_are_announced(split_oscillator: Factory, monkeypatch: pytest.
     ) as told:
         simulate(system, 2.0, 2.0 / 5000)
     assert len(told) == 1
-    assert "s and 0.00038 GB of memory, 0.001 GB where results.csv is written" in str(told[0].message)
+    assert "s and 0.00016 GB of memory or temporary files" in str(told[0].message)
     assert "take a larger communication step" in str(told[0].message)
     monkeypatch.setattr(cost, "MANY_VALUES", 10**8)
     monkeypatch.setattr(cost, "MANY_POINTS", 3000)
@@ -115,10 +115,10 @@ def test_a_cost_is_as_said(split_oscillator: Factory) -> None:
         time.sleep(2e-4 * steps)
         return simulate(fast, 2.0, 2.0 / steps)
 
-    found = re.search(r"takes about (.*) min and 0.019 GB", cost.cost(10**6, 10**6, trial))
+    found = re.search(r"takes about (.*) min and 0.008 GB", cost.cost(10**6, 10**6, trial))
     assert found is not None
     assert 3.0 < float(found[1]) < 20.0
-    assert "takes about 0.019 GB" in cost.cost(10**6, 10**6, lambda steps: simulate(fast, 2.0, 1.0))
+    assert "takes about 0.008 GB" in cost.cost(10**6, 10**6, lambda steps: simulate(fast, 2.0, 1.0))
 
 
 def test_the_command_line_announces_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

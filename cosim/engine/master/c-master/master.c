@@ -110,11 +110,12 @@ static int carry_out_all(const master_instruction *list, size_t count, size_t po
   return 0;
 }
 
-/* copy all recorded signals into the next row */
+/* copy all recorded signals to the ends of their columns */
 static void record(const master_program *program, double time, master_progress *progress) {
   for (size_t i = 0; i < program->n_channels; i++) {
     const master_channel *channel = &program->channels[i];
-    memcpy(channel->rows + progress->records * channel->count, channel->signals, channel->count * sizeof(double));
+    double *end = channel->columns + progress->records;
+    for (size_t n = 0; n < channel->count; n++) end[n * program->capacity] = channel->signals[n];
   }
   program->recorded_times[progress->records++] = time;
 }

@@ -41,10 +41,10 @@ typedef struct {
   const unsigned char *due;
 } master_instruction;
 
-/* signals that are recorded: `count` doubles, copied into the next row */
+/* signals that are recorded: `count` doubles, each copied into the next place of its column */
 typedef struct {
   const double *signals;
-  double *rows;
+  double *columns;
   size_t count;
 } master_channel;
 
@@ -55,6 +55,7 @@ typedef struct {
   size_t n_advance, n_exchange;
   const master_channel *channels;
   size_t n_channels;
+  size_t capacity; /* length of each column */
   const double *times;
   const unsigned char *jumps;
   double *recorded_times;
