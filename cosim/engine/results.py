@@ -12,6 +12,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
+from pydantic_core import to_json
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import write_pieces
@@ -53,7 +54,9 @@ class Column:
     def shown(self) -> list[str]:
         """Return the N values as CSV cells: shortest numbers that read back exactly, or quoted texts (RFC 4180)."""
         if self.texts is None:
-            return [*map(repr, self.values.tolist())]
+            # the JSON writer of pydantic is ten times faster than `repr`, and writes NaN and Infinity where `repr` writes nan and inf
+            cells = to_json(self.values.tolist(), inf_nan_mode="constants").decode()[1:-1]
+            return cells.replace("NaN", "nan").replace("Infinity", "inf").split(",") if cells else []
         known = ['"' + text.replace('"', '""') + '"' for text in self.texts]
         return [known[code] if 0 <= code < len(known) else '""' for code in self.values.astype(int).tolist()]
 

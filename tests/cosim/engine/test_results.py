@@ -134,3 +134,16 @@ def test_unknown_signals_are_named(recording: Recording) -> None:
     """Asking for a signal that wasn't recorded tells which there are."""
     with pytest.raises(KeyError, match=r"joint1\.torque"):
         recording["torque"]
+
+
+def test_every_number_reads_back(tmp_path: Path) -> None:
+    """Shortest digits, from the smallest to the largest number, with signed zeros, infinities and not-a-number."""
+    special = [0.0, -0.0, np.nan, np.inf, -np.inf, 5e-324, 1.7976931348623157e308, 1e16, -1e22, 1e-5, 0.1]
+    bits = np.random.default_rng(1).integers(0, 2**64, 5000, dtype=np.uint64).view(np.float64)
+    values = np.concatenate([special, bits])
+    path = Recording(np.arange(float(values.size)), {"x": Column("m", values)}).write_csv(tmp_path / "results.csv")
+    np.testing.assert_array_equal(Recording.read_csv(path)["x"].values, values)
+    assert np.array_equal(np.signbit(Recording.read_csv(path)["x"].values[:2]), [False, True])
+    digits = [cell.partition(",")[2] for cell in path.read_text().splitlines()[1:]]
+    assert all(float(cell) == value or value != value for cell, value in zip(digits, values.tolist(), strict=True))
+    assert max(map(len, digits)) <= 25
