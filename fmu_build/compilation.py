@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING
 
 from flexfmu.fmu_build.cache import cache_folder, content_hash, store
 from flexfmu.fmu_build.errors import ArchiveError
-from flexfmu.fmu_build.toolchain import FIRST_HEADER, GENERATED_FLAGS, RUNTIME_FLAGS, CompileJob, Compiler
+from flexfmu.fmu_build.toolchain import (
+    FIRST_HEADER,
+    GENERATED_FLAGS,
+    LARGE,
+    LARGE_FLAGS,
+    RUNTIME_FLAGS,
+    CompileJob,
+    Compiler,
+)
 
 if TYPE_CHECKING:
     from flexfmu.fmu_build.sources import Sources
@@ -41,11 +49,13 @@ def compile_library(
     # one job per C file, with flags for generated code or runtime
     texts = sources.generated | sources.runtime
     first = FIRST_HEADER if FIRST_HEADER[-1] in texts else ()
-    jobs = {
-        name: CompileJob(name, (*(generated_flags if name in sources.generated else runtime_flags), *first))
-        for name in sorted(texts)
-        if name.endswith(".c")
-    }
+
+    def flags(name: str) -> tuple[str, ...]:
+        if name not in sources.generated:
+            return runtime_flags
+        return (*generated_flags, *LARGE_FLAGS) if len(texts[name]) > LARGE else generated_flags
+
+    jobs = {name: CompileJob(name, (*flags(name), *first)) for name in sorted(texts) if name.endswith(".c")}
     library = f"{sources.model_identifier}{compiler.platform.suffix}"
     with _work_folder() as folder:
         for file, text in texts.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
@@ -45,7 +46,9 @@ def _c_character(byte: int) -> str:
     return chr(byte) if plain else f"\\{byte:03o}"
 
 
+@cache
 def _environment() -> jinja2.Environment:
+    """The templates; each is compiled once, since that takes longer than filling it."""
     folder = files("flexfmu.fmu_build") / "templates"
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),

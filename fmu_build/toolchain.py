@@ -22,6 +22,10 @@ RUNTIME_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 GENERATED_FLAGS = ("-std=c99", "-O2", "-w")
 """Flags for generated code, without warnings, since they would concern CasADi."""
 
+LARGE, LARGE_FLAGS = 40_000, ("-O1",)
+"""Size of generated code [bytes] from which flags are added: at -O2, registers for thousands of variables take GCC twice as
+long, and code without branches doesn't become faster."""
+
 COMMON_FLAGS = (
     "-fvisibility=hidden",  # export only the FMI functions
     "-ffp-contract=off",  # the same rounding on every machine
