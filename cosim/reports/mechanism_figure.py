@@ -1,4 +1,4 @@
-"""Drawings of the rigid mechanism: links as lines for the report of a run, links and hinges to scale for the paper's figures."""
+"""Drawing of the rigid mechanism with links and hinges to scale, for the paper's figures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.reports.figure_style import FIRST, INK, PAGE_GREY, PAGE_INK, PALE, SECOND
+from flexfmu.cosim.reports.figure_style import INK, PALE
 from flexfmu.model.scene.assembly import bases, elbows
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.trajectories.curves import Point
@@ -21,29 +21,14 @@ HINGE_RADIUS, MOTOR_RADIUS = 7.0, 24.0
 """Radii in drawings to scale [mm]."""
 
 
-def draw_lines(axes: Axes, mechanism: Mechanism, poses: Iterable[tuple[RealArray, float]]) -> None:
-    """Draw links as lines and motors as squares [m], in the colours of a page.
+def draw_to_scale(axes: Axes, mechanism: Mechanism, poses: Iterable[tuple[RealArray, float]]) -> None:
+    """Draw links with their true diameters, hinges and motors [mm].
 
     Args:
         axes: axes to draw on.
         mechanism: lengths and working mode.
         poses: positions of the end effector (2,) [m], each with the opacity of the pose.
     """
-    for legs, end, opacity in _poses(mechanism, poses):
-        for base, elbow in legs:
-            for (start, stop), colour, width in (((base, elbow), PAGE_INK, 3.2), ((elbow, end), FIRST, 2.2)):
-                x, y = zip(start, stop, strict=True)
-                axes.plot(x, y, color=colour, linewidth=width, alpha=opacity, solid_capstyle="round")
-            axes.plot(*elbow, "o", color=PAGE_INK, markersize=4, alpha=opacity)
-        axes.plot(*end, "o", color=SECOND, markersize=6, alpha=max(opacity, 0.6))
-    # motors on top
-    for leg, base in enumerate(bases(mechanism), start=1):
-        axes.plot(*base, "s", color=PAGE_GREY, markersize=9)
-        axes.annotate(f"motor {leg}", base, xytext=(0, -14), textcoords="offset points", ha="center", fontsize=8.5)
-
-
-def draw_to_scale(axes: Axes, mechanism: Mechanism, poses: Iterable[tuple[RealArray, float]]) -> None:
-    """Draw links with their true diameters, hinges and motors [mm]; arguments as for `draw_lines`."""
     proximal, distal = MILLI * mechanism.proximal.diameter, MILLI * mechanism.distal.diameter
     for legs, end, opacity in _poses(mechanism, poses):
         # proximal links first, hinges on top

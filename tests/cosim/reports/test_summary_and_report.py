@@ -10,7 +10,6 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from flexfmu.cosim.engine.master.master import Outcome
 from flexfmu.cosim.engine.results import Column
@@ -18,7 +17,6 @@ from flexfmu.cosim.experiment.prepared_scene import Run
 from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import measure_run, settings_for
 from flexfmu.cosim.metrics.small_deflections import exceeded
-from flexfmu.cosim.reports import plots
 from flexfmu.cosim.reports.plots import draw_plots
 from flexfmu.cosim.reports.report import render_report
 from flexfmu.cosim.reports.summary import describe_effects, summarise
@@ -102,21 +100,19 @@ def test_metrics_of_the_run_are_plain_numbers(make_run: MakeRun) -> None:
     assert 0.05 < metrics["settling_time"] < 0.08
 
 
-def test_curves_peak_at_the_metrics(make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_curves_peak_at_the_metrics(make_run: MakeRun) -> None:
     """The report's curves are in the unit of their axis: the highest point of each is the metric beside it."""
-    figures: dict[str, Figure] = {}
-    monkeypatch.setattr(plots, "to_svg", lambda figure, key, title: figures.setdefault(key, figure) and "")
     run = tracking(make_run())
     metrics = {name: measurement.value or 0.0 for name, measurement in measure_run(run).items()}
-    list(draw_plots(run, settings_for(run).end_equilibrium))
-    peaks = {key: [np.abs(line.get_ydata()) for line in figure.axes[0].lines] for key, figure in figures.items()}
+    panels = {plot.key: plot.panels[0] for plot in draw_plots(run, settings_for(run).end_equilibrium)}
+    peaks = {key: [np.abs(curve.y) for curve in panel.curves] for key, panel in panels.items()}
     for key, factor, unit, names in (
         ("torques", 1.0, "N·m", ["peak_torque_1", "peak_torque_2"]),
         ("tracking", 1e3, "mrad", ["peak_tracking_error_1", "peak_tracking_error_2"]),
         ("position", 1e3, "mm", ["peak_position_error"]),
         ("dwell", 1e6, "µm", ["residual_vibration_amplitude"]),
     ):
-        assert f"[{unit}]" in figures[key].axes[0].get_ylabel()
+        assert f"[{unit}]" in panels[key].label
         for curve, name in zip(peaks[key], names, strict=False):
             assert curve.max() == pytest.approx(factor * metrics[name], rel=2e-3), name
 
