@@ -33,12 +33,11 @@ LEGEND, MARK, NOTES = 21.3, 9.1, 4.9
 MOST_TICKS, STEPS = 9, (1.0, 2.0, 2.5, 5.0, 10.0)
 """Largest number of intervals between ticks, and their lengths."""
 
-CHARACTERS = {".": 0.32, "−": 0.84}
-"""Widths of characters of a number, relative to the font size; that of a digit is `DIGIT`, a letter's average is `LETTER`."""
-DIGIT, LETTER = 0.64, 0.45
+CHARACTERS, DIGIT, LETTER = {".": 0.32, "−": 0.84}, 0.64, 0.45
+"""Widths of characters of a number, of digits, and of letters on average, relative to the font size."""
 
 RESOLUTION = 0.1
-"""To which the points of curves are rounded."""
+"""To which points of curves are rounded."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +101,7 @@ def draw_chart(key: str, title: str, size: tuple[float, float], x_label: str, pa
         x_label: label of the horizontal axis.
         panels: at least one; the legend is that of the first.
     """
-    width, height = size
-    boxes = list(_boxes(size, panels))
+    (width, height), boxes = size, list(_boxes(size, panels))
     parts = [f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(title)}">']
     for number, (panel, box) in enumerate(zip(panels, boxes, strict=True)):
         parts += box.drawn(panel, f"{key}-{number}", x_label if number == len(panels) - 1 else None)
@@ -137,7 +135,7 @@ class _Axis:
             first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
             if last > first:
                 break
-        return np.arange(first, last + 1) * step
+        return np.asarray(step * np.arange(first, last + 1), dtype=np.float64)
 
     @cached_property
     def labels(self) -> list[str]:
@@ -244,9 +242,8 @@ def _limits(values: Sequence[RealArray], margin: float) -> tuple[float, float]:
     """Return the smallest and the largest finite value, with a margin in terms of their difference."""
     finite = np.concatenate([np.zeros(0), *(each[np.isfinite(each)] for each in values)])
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    # a constant gets a span of a tenth of its value
     if high - low <= 1e-12 * max(abs(low), abs(high)):
-        span = 0.1 * max(abs(low), abs(high)) or 0.1
+        span = 0.1 * max(abs(low), abs(high)) or 0.1  # of a constant
         low, high = low - 0.5 * span, high + 0.5 * span
     return low - margin * (high - low), high + margin * (high - low)
 

@@ -20,7 +20,7 @@ def scene_panel(plan: MotionPlan) -> Panel:
     """Return the path and the mechanism, to scale [m]."""
     path = plan.task.evaluate(np.linspace(0.0, plan.duration, PATH_POINTS), 0)[0]
     curves, markers = [Curve(path[:, 0], path[:, 1], colour=SECOND, width=1.8)], list[Marker]()
-    markers += [Marker(*path[i], text=text, offset=(6.0, -6.0)) for i, text in ((0, "start"), (-1, "end"))]
+    markers += [Marker(*_point(path[i]), text=text, offset=(6.0, -6.0)) for i, text in ((0, "start"), (-1, "end"))]
     # links as lines, elbows and end effector as discs
     for fraction, opacity in POSES:
         end = _point(plan.task.evaluate(np.array([fraction * plan.duration]), 0)[0, 0])
