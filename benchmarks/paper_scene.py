@@ -49,13 +49,13 @@ def whole_run(
     return timed(prepared.run)
 
 
-def run_with(plant: Slave, step: float) -> Timed:
+def run_with(plant: Slave, step: float, record: Selection = EVERYTHING) -> Timed:
     """A co-simulation of the paper's motion through any plant."""
     motion = plan(SCENE)
     references = TrajectorySlave(motion.joints)
     names = [variable.name for variable in references.variables]
     system = connect([references, plant], [(f"trajectory.{name}", f"{plant.name}.{name}") for name in names])
-    simulator = Simulator(system, motion.stop_time, step)
+    simulator = Simulator(system, motion.stop_time, step, record=record)
     result = simulator.run()
     if result.outcome is not Outcome.COMPLETED:
         raise SystemExit(result.message)

@@ -24,7 +24,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from speed_figure import SpeedFigure
-from speed_measurements import Peers, Whole, cold_build, overheads, variants, whole_runs, yardstick
+from speed_loops import loop_figures
+from speed_measurements import RECORDINGS, Peers, Whole, cold_build, overheads, variants, whole_runs, yardstick
 
 REPEAT = 30
 """Rounds of runs of which the fastest counts."""
@@ -51,11 +52,13 @@ def whole_figures(found: dict[tuple[int, float, str], Whole]) -> Iterator[SpeedF
 
 def overhead_figures(folder: Path) -> Iterator[SpeedFigure]:
     """The master for each communication step."""
-    found = overheads(folder, REPEAT // 2)
-    yield SpeedFigure("master per step, compiled slaves", 1e6 * found["compiled"], 1.5, "µs", note="recording included")
+    found, values = overheads(folder, REPEAT // 2), overheads(folder, REPEAT // 2, RECORDINGS["values"][0])
+    note = "50 outputs and their first two derivatives recorded"
+    yield SpeedFigure("master per step, compiled slaves", 1e6 * found["compiled"], 0.15, "µs", note=note)
     yield SpeedFigure(
-        "master per step, one slave in Python", 1e6 * found["python"], 5.0, "µs", note="recording included"
+        "master per step, compiled slaves, values", 1e6 * values["compiled"], 0.15, "µs", note="50 outputs recorded"
     )
+    yield SpeedFigure("master per step, one slave in Python", 1e6 * found["python"], 5.0, "µs", note=note)
 
 
 def variant_figures() -> Iterator[SpeedFigure]:
@@ -127,7 +130,7 @@ def main() -> int:
         folder = Path(name)
         unit, runs = yardstick(folder), whole_runs(folder, REPEAT)
         figures = [*printed(whole_figures(runs)), *printed(overhead_figures(folder))]
-    for measure in (build_figures, variant_figures, peer_figures):
+    for measure in (build_figures, variant_figures, loop_figures, peer_figures):
         figures += printed(measure())
     # compare with the baseline
     compared = {"counters": counters(runs), "times": times(figures, unit)}

@@ -1,8 +1,9 @@
-"""What closed loops cost: a sample of a controller beside the plant, as a block, as an FMU and in Python, and a long run. Part of
-`speed.py`."""
+"""What closed loops cost: a sample of a controller beside the plant, as a block, as an FMU and in Python, and a long run. Used by
+`speed.py`; not a script of its own."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from time import process_time
@@ -41,7 +42,7 @@ SECONDS = 4.0
 ROUNDS = 4
 """Rounds of runs of which the fastest counts."""
 
-TORQUE = Selection(["plant.joint1.torque"], order=0)
+ONE_SIGNAL = Selection(["plant.joint1.position"], order=0)
 
 LONG_LOOP = {
     "cosimulation.step": SAMPLE_TIME,
@@ -104,14 +105,10 @@ def sampled(controller: Slave | None, idle: Path) -> Timed:
         sources = [name if ".reference." in name else name.replace(".", ".reference.", 1) for name in names]
         connections = [(f"trajectory.{a}", f"{controller.name}.{b}") for a, b in zip(sources, names, strict=True)]
         connections += [(f"{controller.name}.joint{joint}.torque", f"plant.joint{joint}.torque") for joint in (1, 2)]
-    simulator = Simulator(connect(slaves, connections), SECONDS, SAMPLE_TIME, record=VALUES)
+    simulator = Simulator(connect(slaves, connections), SECONDS, SAMPLE_TIME, record=ONE_SIGNAL)
     if (result := simulator.run()).outcome is not Outcome.COMPLETED:
         raise SystemExit(result.message)
     return timed(simulator.run)
-
-
-VALUES = Selection(["plant.joint1.position"], order=0)
-"""What is recorded."""
 
 
 def sample_figures(folder: Path) -> Iterator[SpeedFigure]:
@@ -144,8 +141,8 @@ def long_figures() -> Iterator[SpeedFigure]:
     """A minute at 4 kHz."""
     minute = DRIVEN.replace({**LONG_LOOP, "trajectory.dwell": 60.0 - DRIVEN.trajectory.duration})
     for tolerance, record, what in (
-        (1e-3, VALUES, "one signal"),
-        (1e-6, VALUES, "one signal"),
+        (1e-3, ONE_SIGNAL, "one signal"),
+        (1e-6, ONE_SIGNAL, "one signal"),
         (1e-3, EVERYTHING, "everything recorded"),
     ):
         prepared = PreparedScene(minute, tolerance=tolerance, record=record)
@@ -155,16 +152,8 @@ def long_figures() -> Iterator[SpeedFigure]:
         yield SpeedFigure(name, second, 1.5, "s", note=f"{first:.2f} s the first time")
 
 
-def loop_figures(folder: Path) -> Iterator[SpeedFigure]:
+def loop_figures() -> Iterator[SpeedFigure]:
     """All lines."""
-    yield from sample_figures(folder)
-
+    with tempfile.TemporaryDirectory(prefix="flexfmu-loops-") as name:
+        yield from sample_figures(Path(name))
     yield from long_figures()
-
-
-if __name__ == "__main__":
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as name:
-        for figure in loop_figures(Path(name)):
-            print(figure.line(), flush=True)

@@ -17,7 +17,7 @@ from idle import IdlePlant, idle_fmu
 from paper_scene import SCENE, SCENES, Timed, best_times, run_with, timed, whole_run
 
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
@@ -110,12 +110,12 @@ class InnerCost:
         return fmu_cost.run(self._library, self._table, "automatic", tolerance, repeat)
 
 
-def overheads(folder: Path, repeat: int) -> dict[str, float]:
+def overheads(folder: Path, repeat: int, record: Selection = EVERYTHING) -> dict[str, float]:
     """The master's time [s] for each communication step, trajectory and recording included, by what the plant is."""
     real = build_scene(SCENE).path
     idle = idle_fmu(real, folder)
     plants = {"compiled": FmuSlave(idle, "plant"), "python": IdlePlant(FmuSlave(real, "plant"))}
-    runs: list[Timed] = [run_with(plant, step) for plant in plants.values() for step in (STEP, SHORT_STEP)]
+    runs: list[Timed] = [run_with(plant, step, record) for plant in plants.values() for step in (STEP, SHORT_STEP)]
     times = np.reshape(best_times(runs, repeat), (-1, 2))
     stop = PreparedScene(SCENE, fmu_path=real).stop_time
     more = stop / SHORT_STEP - stop / STEP

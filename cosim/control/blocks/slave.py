@@ -109,12 +109,14 @@ class BlockSlave:
 
     def sample_calls(self, phase: Phase) -> tuple[SampleCall, ...] | None:
         """The evaluation of a sample, and the copy of the next states; None if it can't be called from C."""
-        found = evaluation(
-            self._function, {"sample": self._sample, "output": self._output, "update": self._update}[phase]
-        )
-        if found is None or phase == "output" or not self._next.size:
-            return None if found is None else (found,)
-        return found, Copy(self._next, self._states, np.arange(self._next.size))
+        calls = {"sample": self._sample, "output": self._output, "update": self._update}
+        found = evaluation(self._function, calls[phase])
+        if found is None:
+            return None
+        # without states there is nothing to update
+        if not self._next.size:
+            return () if phase == "update" else (found,)
+        return (found,) if phase == "output" else (found, Copy(self._next, self._states, np.arange(self._next.size)))
 
     def step(self, time: float, step: float) -> None:
         """Do nothing: the outputs are constant between the sample instants."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import sys
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
@@ -75,7 +76,7 @@ class Recorder:
                 f"{self.values:.3g} values at {self._capacity:.3g} instants are {8e-9 * self.values:.3g} GB, more than there "
                 f"is; {SPEND_LESS}"
             ) from None
-        self._taken = False
+        self._own_references = self._references()
 
     def _add_part(self, *, fill: bool = True) -> None:
         """Add memory, a part as large as all before it together; a child process has filled it with NaN already."""
@@ -129,7 +130,7 @@ class Recorder:
 
     def rewind(self, count: int) -> None:
         """Delete all instants but the first ``count``: those of a rejected step, or with 0 those of an earlier run."""
-        if count == 0 and (self._taken or len(self._parts) > 1):
+        if count == 0 and (self._is_in_use or len(self._parts) > 1):
             self._begin()
             return
         while self._first > count:
@@ -146,8 +147,11 @@ class Recorder:
         return self._count
 
     def recording(self) -> Recording:
-        """All signals recorded so far, named ``slave.variable``; they use the recorder's memory, and the next run new one."""
-        self._taken = True
+        """All signals recorded so far, named ``slave.variable``.
+
+        They use the recorder's memory; the next run has new memory, unless they are no longer in use.
+        """
+        self._own_references = min(self._own_references, self._references())
         columns: dict[str, Column] = {}
         place = 1
         for names, units, texts, signals in zip(self._names, self._units, self._texts, self._signals, strict=True):
@@ -159,6 +163,15 @@ class Recorder:
                 columns[name] = Column(unit, value, first, second, known if text else None)
             place = end
         return Recording(self.times, columns)
+
+    def _references(self) -> int:
+        """Number of references to the memory, those of its views included."""
+        return sum(sys.getrefcount(part) for part in self._parts)
+
+    @property
+    def _is_in_use(self) -> bool:
+        """Whether a recording, or an array of one, refers to the memory."""
+        return self._references() > self._own_references
 
     def populate(self) -> None:
         """Map all shared memory at once, which is faster than page by page; call it in the process that records."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from time import perf_counter
 
 from flexfmu.cosim.engine.master.blocks import Block, RunGrid
 from flexfmu.cosim.engine.master.compiled_loop import CompiledLoop
@@ -21,7 +22,10 @@ PROGRESS_CALLS = 100
 """Number of progress reports in a run."""
 
 UNINTERRUPTED = 100
-"""Number of points that the loop in C runs before Python checks whether the user interrupts."""
+"""Number of points that the loop in C runs at first before Python checks whether the user interrupts."""
+
+QUICK = 5e-3
+"""Time [s] below which the next piece is twice as long, so that a user waits at most some 10 ms for an interruption."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +132,12 @@ class SimulationLoop:
             while compiled.points < block.steps:
                 # pieces are multiples of the length, counted from the start of the run
                 end = (self._before + compiled.points) // length * length + length - self._before
+                started = perf_counter()
                 compiled.go(min(end, block.steps))
                 if self._progress is not None:
                     self._progress((self._before + compiled.points) / count)
+                elif perf_counter() - started < QUICK:
+                    length *= 2
         finally:
             self._passed = compiled.points
 

@@ -7,6 +7,7 @@ import pytest
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.master.master import simulate
+from flexfmu.cosim.engine.master.simulator import Simulator
 from flexfmu.cosim.engine.master.system import connect
 from flexfmu.cosim.engine.results import Recording, Selection
 from flexfmu.cosim.engine.slave import Indices, RealArray, SlaveVariable
@@ -102,3 +103,17 @@ def test_what_nobody_wants_is_not_read(compiled: bool) -> None:
     assert slave.read == {1}
     assert list(found.recording.columns) == ["counter.b"]
     assert found.recording["counter.b"].values.tolist() == [*range(11)]
+
+
+def test_recordings_keep_their_numbers() -> None:
+    """A later run has memory of its own as long as anything of an earlier recording is used, be it a part of an array."""
+    simulator = Simulator(connect([Counter()], []), 1.0, 0.1)
+    first = simulator.run().recording["counter.a"].values[2:]
+    second, third = simulator.run().recording, simulator.run().recording
+    second["counter.a"].values[:] = -1.0
+    third["counter.a"].values[:] = -2.0
+    assert first.tolist() == [*range(2, 11)]
+    assert (second["counter.a"].values == -1.0).all()
+    del second, third
+    assert simulator.run().recording["counter.a"].values.tolist() == [*range(11)]
+    assert first.tolist() == [*range(2, 11)]
