@@ -129,6 +129,13 @@ class PlacedPiece:
         x, y = (u * self.first[i] + v * self.second[i] + self.origin[i] for i in (0, 1))
         return x, y
 
+    def placed(self, coefficients: RealArray) -> RealArray:
+        """Transform series of points (order + 1, 2, N) from the axes of ``piece`` to the plane, (order + 1, N, 2)."""
+        u, v = coefficients[:, 0, :, np.newaxis], coefficients[:, 1, :, np.newaxis]
+        result: RealArray = u * self.first + v * self.second
+        result[0] += self.origin
+        return result
+
 
 @dataclass(frozen=True)
 class PiecewiseCurve:

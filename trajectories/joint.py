@@ -7,6 +7,7 @@ below its required value, or the minimum is located to rounding.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -31,6 +32,10 @@ joint turns further, as happens near a base."""
 REFINEMENTS = 24
 """Rounds of refinement; in each the neighbourhood of a minimum shrinks to a quarter. The time of the minimum is then exact to 1e-14
 of the interval, and the error of the margin is below its rounding."""
+
+
+STANDSTILL = 1e-9
+"""Fraction of the duration after the end of a motion from which both limits are standstill."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +87,14 @@ class JointTrajectory:
     def __post_init__(self) -> None:
         check_margins(self.task, self.kinematics, self._first_samples)
 
+    def timed(self, task: Trajectory) -> JointTrajectory:
+        """Return the joint trajectory of ``task``, the same motion with another duration: its margins are known."""
+        other, (time, angles) = copy(self), self._samples
+        object.__setattr__(other, "task", task)
+        other.__dict__.pop("_first_samples", None)
+        other.__dict__["_samples"] = time * (task.duration / self.duration), angles
+        return other
+
     @property
     def duration(self) -> float:
         """Duration of the motion [s]."""
@@ -100,6 +113,14 @@ class JointTrajectory:
     def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
         """See `flexfmu.trajectories.trajectory.HasLimits`."""
         time = times(time)
+        # standstill after the motion: one instant stands for all
+        late = np.flatnonzero(time > self.duration * (1.0 + STANDSTILL))
+        if late.size > 1:
+            first, others = late[0], np.delete(np.arange(time.size), late[1:])
+            result = np.empty((order + 1, time.size, 2))
+            result[:, others] = self.limits(time[others], left[others], order)
+            result[:, late] = result[:, [first]]
+            return result
         # inverse kinematics of the series in time
         motion = Jet.from_derivatives(limits(self.task, time, left, checked_order(order)))
         x, y = (Jet(motion.coefficients[:, :, i]) for i in (0, 1))

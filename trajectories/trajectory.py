@@ -7,7 +7,7 @@ analytic: its series is the composition of the curve's series in arc length with
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.trajectories.curves import PlacedPiece, Side, checked_side
 from flexfmu.trajectories.errors import positive, times
-from flexfmu.trajectories.jets import Indices, Jet, RealArray, checked_order, compose, joined, stack, unstack
+from flexfmu.trajectories.jets import Indices, Jet, RealArray, checked_order, compose, joined, stack
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import Profile, SmoothPiece, time_at
 
@@ -95,7 +95,7 @@ class Interval(NamedTuple):
     """A time interval in which the motion is analytic.
 
     Attributes:
-        start: time at its start [s].
+        start: its start as a fraction of the duration.
         profile: piece of the profile in this interval.
         piece: piece of the path in this interval.
         piece_start: arc length of the path at the start of ``piece`` [m].
@@ -127,12 +127,20 @@ class TaskTrajectory:
     def __post_init__(self) -> None:
         positive("trajectory duration", self.duration, "s")
 
+    def with_duration(self, duration: float) -> TaskTrajectory:
+        """Return the same motion, faster or slower; what depends on path and profile alone is shared.
+
+        Raises:
+            TrajectoryError: the duration is not finite or not positive.
+        """
+        other = replace(self, duration=duration)
+        other.__dict__["_shape"] = self._shape
+        return other
+
     @cached_property
     def breakpoints(self) -> tuple[float, ...]:
         """Times [s] of the profile's jumps and of the path's knots, ascending from 0 to the duration."""
-        # jumps first, so that a knot passed at the time of a jump is merged into it
-        passages = [time_at(self.profile, knot / self.path.length) for knot in self.path.knots]
-        return tuple(self.duration * eta for eta in merged([0.0, 1.0], [*self.profile.jumps, *passages]))
+        return tuple(self.duration * eta for eta in self._shape.breakpoints)
 
     def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
         """Return x and y [m] and their time derivatives, (order + 1, N, 2); see `Trajectory.evaluate`."""
@@ -144,14 +152,14 @@ class TaskTrajectory:
         time, order = times(time), checked_order(order)
         # index of the interval of each time: -1 before the motion, the number of intervals after it
         tolerance = SAME_TIME * self.duration
-        starts = np.array([interval.start for interval in self._intervals] + [self.duration])
+        intervals, starts = self._shape.intervals, self.duration * self._shape.edges
         index = np.searchsorted(starts, time + np.where(left, -tolerance, tolerance), side="right") - 1
         # standstill outside the motion; within it, intervals on congruent curves are evaluated together
         result = np.zeros((order + 1, len(time), 2))
         result[0, index < 0] = self.path.start
-        result[0, index == len(self._intervals)] = self.path.end
-        for group in self._congruent:
-            here = [(interval, np.flatnonzero(index == i)) for i, interval in group]
+        result[0, index == len(intervals)] = self.path.end
+        for group in self._shape.congruent:
+            here = [(intervals[i], np.flatnonzero(index == i)) for i in group]
             self._move([(interval, where) for interval, where in here if where.size], time, order, result)
         return result
 
@@ -170,34 +178,55 @@ class TaskTrajectory:
         points = compose(stack(piece.jets(np.clip(s.value, 0.0, piece.length), order)), s)
         begin = 0
         for interval, where in parts:
-            part = Jet(points.coefficients[:, :, begin : begin + where.size])
-            result[:, where] = np.moveaxis(stack(interval.piece.moved(unstack(part))).derivatives(), 1, -1)
+            part = Jet(interval.piece.placed(points.coefficients[:, :, begin : begin + where.size]))
+            result[:, where] = part.derivatives()
             begin += where.size
 
     @cached_property
-    def _congruent(self) -> tuple[tuple[tuple[int, Interval], ...], ...]:
-        """Intervals with their indices, grouped by congruent pieces (equal except for their placement)."""
-        pieces = {id(interval.piece.piece): interval.piece.piece for interval in self._intervals}
-        numbered = tuple(enumerate(self._intervals))
-        return tuple(tuple(each for each in numbered if each[1].piece.piece is piece) for piece in pieces.values())
+    def _shape(self) -> Shape:
+        return shape_of(self.path, self.profile)
 
-    @cached_property
-    def _intervals(self) -> tuple[Interval, ...]:
-        """Intervals between breakpoints, further divided where pieces of the profile meet."""
-        # breakpoints first, so that a join of the profile at a breakpoint is merged into it
-        joins = [piece.start for piece in self.profile.pieces[1:]]
-        knots = [time / self.duration for time in self.breakpoints[1:-1]]
-        curve, intervals = self.path.curve, []
-        for start, end in pairwise(merged([0.0, 1.0], [*knots, *joins])):
-            # the midpoint identifies the pieces of profile and curve without ambiguity
-            middle = np.array([0.5 * (start + end)])
-            profile = next(piece for piece in self.profile.pieces if middle[0] <= piece.end)
-            index = int(np.searchsorted(curve.knots, profile.jet(middle, 0).value[0] * curve.length))
-            piece = curve.pieces[index]
-            if not isinstance(piece, PlacedPiece):
-                piece = PlacedPiece(piece, (0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
-            intervals.append(Interval(start * self.duration, profile, piece, float(curve.edges[index])))
-        return tuple(intervals)
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """What a motion along a path is but for its duration; times are fractions of the duration.
+
+    Attributes:
+        breakpoints: the profile's jumps and the passages of the path's knots, ascending from 0 to 1.
+        intervals: intervals between breakpoints, further divided where pieces of the profile meet.
+        edges: starts of the intervals, and 1 (intervals + 1,).
+        congruent: numbers of intervals on congruent pieces (equal except for their placement), group by group.
+    """
+
+    breakpoints: tuple[float, ...]
+    intervals: tuple[Interval, ...]
+    edges: RealArray
+    congruent: tuple[tuple[int, ...], ...]
+
+
+def shape_of(path: PickAndPlacePath, profile: Profile) -> Shape:
+    """Return the shape of the motion along a path with a profile."""
+    # jumps first, so that a knot passed at the time of a jump is merged into it
+    passages = [time_at(profile, knot / path.length) for knot in path.knots]
+    breakpoints = merged([0.0, 1.0], [*profile.jumps, *passages])
+    # breakpoints first, so that a join of the profile at a breakpoint is merged into it
+    joins = [piece.start for piece in profile.pieces[1:]]
+    curve, intervals = path.curve, []
+    for start, end in pairwise(merged([0.0, 1.0], [*breakpoints[1:-1], *joins])):
+        # the midpoint identifies the pieces of profile and curve without ambiguity
+        middle = np.array([0.5 * (start + end)])
+        part = next(piece for piece in profile.pieces if middle[0] <= piece.end)
+        index = int(np.searchsorted(curve.knots, part.jet(middle, 0).value[0] * curve.length))
+        piece = curve.pieces[index]
+        if not isinstance(piece, PlacedPiece):
+            piece = PlacedPiece(piece, (0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+        intervals.append(Interval(start, part, piece, float(curve.edges[index])))
+    # groups of congruent pieces
+    groups: dict[int, list[int]] = {}
+    for i, interval in enumerate(intervals):
+        groups.setdefault(id(interval.piece.piece), []).append(i)
+    edges = np.array([*(interval.start for interval in intervals), 1.0])
+    return Shape(breakpoints, tuple(intervals), edges, tuple(map(tuple, groups.values())))
 
 
 def merged(kept: Sequence[float], others: Sequence[float], near: float = SAME_TIME) -> tuple[float, ...]:

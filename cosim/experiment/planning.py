@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import cast
 
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
+from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.curves import Point
@@ -18,6 +20,9 @@ from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory, ShapedTrajectory, path_deviation
 from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
+
+Law = tuple[str, tuple[tuple[str, float], ...]]
+"""Kind and parameters of a motion profile."""
 
 
 @dataclass(frozen=True)
@@ -77,15 +82,31 @@ def plan(scene: Scene) -> MotionPlan:
     Raises:
         TrajectoryError: the path is not feasible, leaves the workspace or comes too close to a singularity.
     """
-    # the path, and the motion along it
     section = scene.trajectory
     corner = section.blend.kind, section.blend.height, section.blend.width
     path = _path(section.start, section.lift, section.height, section.width, corner)
-    profile = PROFILES[section.profile.kind].make(**section.profile.parameters)
-    # joint trajectory by inverse kinematics, which checks the margins along the path
-    task = TaskTrajectory(path, profile, section.duration)
-    kinematics = RigidKinematics(scene.mechanism)
-    return MotionPlan(scene, task, kinematics, task, JointTrajectory(task, kinematics))
+    law = section.profile.kind, tuple(section.profile.parameters.items())
+    try:
+        joints = _motion_in_a_second(path, law, scene.mechanism)
+    except TrajectoryError:
+        # the error names the instant of the motion
+        joints = _motion(path, law, scene.mechanism, section.duration)
+    # the motion with its duration
+    motion = cast(TaskTrajectory, joints.task).with_duration(section.duration)
+    return MotionPlan(scene, motion, cast(RigidKinematics, joints.kinematics), motion, joints.timed(motion))
+
+
+def _motion(path: PickAndPlacePath, law: Law, mechanism: Mechanism, duration: float) -> JointTrajectory:
+    """The joint trajectory by inverse kinematics, which checks the margins along the path."""
+    kind, parameters = law
+    motion = TaskTrajectory(path, PROFILES[kind].make(**dict(parameters)), duration)
+    return JointTrajectory(motion, RigidKinematics(mechanism))
+
+
+@lru_cache(maxsize=64)
+def _motion_in_a_second(path: PickAndPlacePath, law: Law, mechanism: Mechanism) -> JointTrajectory:
+    """The motion with a duration of 1 s, cached, since durations don't change where it goes."""
+    return _motion(path, law, mechanism, 1.0)
 
 
 @lru_cache(maxsize=64)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from flexfmu.cosim.experiment.planning import plan
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.joint import JointTrajectory
+from flexfmu.trajectories.trajectory import TaskTrajectory
 
 
 @pytest.fixture(scope="module")
@@ -57,3 +61,29 @@ def test_infeasible_motions_are_refused(scene: Scene) -> None:
     """A path out of the workspace is an error while planning, with point, time and margin."""
     with pytest.raises(TrajectoryError, match=r"reach of leg . .* t = .* s"):
         plan(scene.replace({"trajectory.height": 0.1, "trajectory.width": 1.4}))
+
+
+def test_a_duration_changes_only_the_time(scene: Scene) -> None:
+    """A plan that shares the checks of another duration has the bits of one that was made alone."""
+    for kind in ("poly7", "bang-bang"):
+        for duration in (0.43, 0.3512):
+            changes = {"trajectory.profile": {"kind": kind}, "trajectory.duration": duration}
+            shared = plan(scene.replace(changes))
+            task = TaskTrajectory(shared.task.path, shared.task.profile, duration)
+            alone = JointTrajectory(task, shared.kinematics)
+            times = np.concatenate([np.linspace(-0.1, 0.6, 701), alone.breakpoints])
+            assert shared.joints.breakpoints == alone.breakpoints
+            for side in ("left", "right"):
+                np.testing.assert_array_equal(shared.joints.evaluate(times, 6, side), alone.evaluate(times, 6, side))
+
+
+def test_an_infeasible_motion_names_its_own_instant(scene: Scene) -> None:
+    """The instant in the message is that of the motion: it grows with the duration."""
+    fractions = []
+    for duration in (0.43, 0.86):
+        with pytest.raises(TrajectoryError) as raised:
+            plan(scene.replace({"trajectory.height": 0.1, "trajectory.width": 1.4, "trajectory.duration": duration}))
+        found = re.search(r"t = ([\d.]+) s", str(raised.value))
+        assert found is not None
+        fractions.append(float(found[1]) / duration)
+    assert fractions[0] == pytest.approx(fractions[1], abs=1e-5)
