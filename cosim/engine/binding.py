@@ -86,6 +86,25 @@ class Take:
         self._take()
 
 
+class Refresh:
+    """A call that takes values and sends them, unless they are those sent last.
+
+    Attributes:
+        take: takes the values.
+        send: sends them.
+    """
+
+    __slots__ = ("send", "take")
+
+    def __init__(self, take: Take, send: Call) -> None:
+        self.take, self.send = take, send
+
+    def __call__(self) -> None:
+        if (self.take.source[self.take.indices] != self.take.target).any():
+            self.take()
+            self.send()
+
+
 class Evaluation:
     """A call of ``void function(void *argument)`` in C, which needs no Python and raises nothing.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flexfmu.cosim.engine.binding import Copy, Phase, SampleCall, SampleStep, Take, nothing
+from flexfmu.cosim.engine.binding import Copy, Phase, Refresh, SampleCall, SampleStep, Take, nothing
 from flexfmu.cosim.engine.child_process import AVAILABLE, CALL_LIMIT, ChildLostError, in_child
 from flexfmu.cosim.engine.errors import FmuFileError, InputError, SlaveError
 from flexfmu.cosim.engine.fmu.capabilities import fixed_step
@@ -247,6 +247,7 @@ class SampledFmu:
         self._values, self._sent = np.zeros(len(self.variables)), np.empty(self._inputs.size)
         self._take = Take(self._values, self._inputs, self._sent)
         self._send = self._fmu.bind_set(self._inputs, self._sent) if self._inputs.size else nothing
+        self._refresh = Refresh(self._take, self._send)
         # time reached, and the step from there; 0 for a step to the next instant
         self._reached = np.array([0.0, self.sample_time if self._equal_steps else 0.0])
         self._initialized = False
@@ -322,13 +323,17 @@ class SampledFmu:
 
     def sample_calls(self, phase: Phase) -> tuple[SampleCall, ...] | None:
         """The step and the inputs of a sample; None if fmi2DoStep is more than one call."""
-        bound = self._fmu.bound_step()
+        if (bound := self._fmu.bound_step()) is None:
+            return None
+        if phase == "update":
+            return (self._refresh,)
         inputs = (self._take, self._send) if self._inputs.size else ()
-        return None if bound is None else (SampleStep(*bound, self._reached), *inputs)
+        return SampleStep(*bound, self._reached), *inputs
 
     def update(self, time: float) -> None:
-        """Set the final inputs of the sample instant, with which the FMU makes its next step."""
-        self.output(time)
+        """Set the final inputs of the sample instant, with which the FMU makes its next step, if they have changed."""
+        if self._initialized:
+            self._refresh()
 
     def sample(self, time: float) -> None:
         """Step to ``time`` [s] and calculate outputs from the inputs just set."""
@@ -351,6 +356,7 @@ class SampledFmu:
             raise InputError(f"{self.name}: this state was not saved by this slave")
         saved, self._reached[0], values = state
         self._fmu.restore(saved)
+        self._sent.fill(np.nan)
         self._values[:] = values
 
     def release(self, state: object) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.binding import Evaluation, SampleStep, is_range
+from flexfmu.cosim.engine.binding import Evaluation, Refresh, SampleStep, is_range
 from flexfmu.cosim.engine.fmu.calls import address
 from flexfmu.cosim.engine.master.plan import When
 from flexfmu.cosim.engine.slave import Indices, RealArray
@@ -38,7 +38,8 @@ class Opcode(IntEnum):
     EVALUATE = 6
     SAMPLE = 7
     TASK = 8
-    CALL = 9
+    REFRESH = 9
+    CALL = 10
 
 
 class CInstruction(Structure):
@@ -135,6 +136,15 @@ def fmi_transfer(call: partial[int], when: When, owner: int, failure: Failure) -
     kind = Opcode.DERIVATIVES if orders else Opcode.VALUES
     more = {"orders": orders[0]} if orders else {}
     return Instruction(kind, when, owner, failure, {"count": count}, {**pointers, **more}, (call,))
+
+
+def refresh(call: Refresh, send: partial[int], when: When, owner: int, failure: Failure) -> Instruction:
+    """fmi2SetReal of the values that are taken, unless they are those sent last."""
+    packed, columns = fmi_transfer(send, when, owner, failure), call.take.indices.astype(np.int64)
+    packed.kind = Opcode.REFRESH
+    packed.addresses |= {"source": address(call.take.source), "columns": address(columns)}
+    packed.kept = (*packed.kept, call, columns)
+    return packed
 
 
 def fmi_step(call: partial[int], owner: int, failure: Failure) -> Instruction:

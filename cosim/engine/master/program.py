@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from flexfmu.cosim.engine.binding import Both, Copy, Evaluation, Phase, SamplesInC, SampleStep, Take
+from flexfmu.cosim.engine.binding import Both, Copy, Evaluation, Phase, Refresh, SamplesInC, SampleStep, Take
 from flexfmu.cosim.engine.fmu.instance import Checked
 from flexfmu.cosim.engine.master.instructions import (
     Instruction,
@@ -22,6 +22,7 @@ from flexfmu.cosim.engine.master.instructions import (
     fmi_transfer,
     gather,
     python_callback,
+    refresh,
     sample_step,
 )
 from flexfmu.cosim.engine.master.plan import Action, Operation, When
@@ -161,5 +162,8 @@ def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:
             yield gather(call.source, np.arange(call.source.size), call.target, call.indices, when, owner)
         case Take() if call.target.flags.c_contiguous:
             yield gather(call.source, call.indices, call.target, np.arange(call.target.size), when, owner)
+        case Refresh() if isinstance(call.send, Checked) and isinstance(call.send.call, partial):
+            failure = call.send.error
+            yield refresh(call, call.send.call, when, owner, lambda status, begin, end: failure(status))
         case _:
             yield python_callback(lambda point, begin, end: call(), when, owner)

@@ -36,6 +36,15 @@ static void gather(const master_instruction *op, const double *source) {
   for (size_t i = 0; i < op->count; i++) op->target[op->places[i]] = source[op->columns[i]];
 }
 
+/* fmi2SetReal with values that have changed since */
+static int refresh(const master_instruction *op, const double *source) {
+  int same = 1;
+  for (size_t i = 0; i < op->count; i++) same = same && op->target[i] == source[op->columns[i]];
+  if (same) return 0;
+  for (size_t i = 0; i < op->count; i++) op->target[i] = source[op->columns[i]];
+  return ((values_call)op->function)(*op->component, op->references, op->count, op->target);
+}
+
 /* from the last sample instant to this one, unless it is reached already */
 static int step_to(const master_instruction *op, double time) {
   double *reached = &op->target[0];
@@ -81,6 +90,9 @@ static int carry_out(const master_instruction *op, size_t point, double begin, d
       return 0;
     case MASTER_SAMPLE:
       *status = step_to(op, end);
+      return *status > FMI2_WARNING;
+    case MASTER_REFRESH:
+      *status = refresh(op, op->source);
       return *status > FMI2_WARNING;
     case MASTER_TASK:
       *status = step_task(op);

@@ -201,18 +201,29 @@ def test_equations_that_take_python() -> None:
     assert_same_bits(found, exact)
 
 
-def test_a_ring_of_random_systems() -> None:
-    """Discrete systems with and without direct feedthrough, of several rates and offsets, in a ring."""
+def ring(exported: tuple[int, ...]) -> Any:
+    """Five discrete systems with and without direct feedthrough, of several rates and offsets; some of them as FMUs."""
     rng = np.random.default_rng(3)
     slaves: list[Slave] = [Clock()]
     for i in range(5):
         a, b, c = 0.4 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
         d = np.diag([0.0, float(rng.normal())])
-        slaves.append(BlockSlave(linear(f"s{i}", a, b, c, d, int(rng.integers(1, 4)), int(rng.integers(0, 2)))))
-    ring = [(f"s{i}.y0", f"s{(i + 1) % 5}.u1") for i in range(5)]
-    found, exact = runs(connect(slaves, [*ring, *(("clock.sine", f"s{i}.u0") for i in range(5))]))
-    assert found.outcome is Outcome.COMPLETED, found.message
+        block = linear(f"s{i}", a, b, c, d, int(rng.integers(1, 4)), int(rng.integers(0, 2)))
+        slaves.append(WithBlock(block) if i in exported else BlockSlave(block))
+    signals = [(f"s{i}.y0", f"s{(i + 1) % 5}.u1") for i in range(5)]
+    return connect(slaves, [*signals, *(("clock.sine", f"s{i}.u0") for i in range(5))])
+
+
+def test_a_ring_of_random_systems() -> None:
+    """Inputs change between the output and the update of a sample, of blocks and of FMUs, which agree."""
+    blocks, exact = runs(ring(()))
+    assert blocks.outcome is Outcome.COMPLETED, blocks.message
+    assert_same_bits(blocks, exact)
+    found, exact = runs(ring((1, 4)))
     assert_same_bits(found, exact)
+    for name, column in blocks.recording.columns.items():
+        np.testing.assert_allclose(found.recording[name].values, column.values, rtol=0.0, atol=1e-11)
+    assert np.ptp(blocks.recording["s4.y1"].values) > 1.0
 
 
 def linear(name: str, a: Any, b: Any, c: Any, d: Any, rate: int, late: int) -> SymbolicBlock:
