@@ -91,8 +91,13 @@ class TrajectorySlave:
         self.announced_order = order
         self.max_output_order = max(order, END_ORDER)
         self.ends_exactly = order == HERMITE_ORDER
+        self.follow(trajectory)
+
+    def follow(self, trajectory: Trajectory) -> None:
+        """Stream this trajectory from the next run on."""
         self.trajectory = trajectory
         self.period = trajectory.period if isinstance(trajectory, Periodic) else 0.0
+        self.__dict__.pop("_tabulated", None)
         # the current points; their table and others; the next point, and the current values
         self._times = self._now = np.empty(0)
         self._table = _Table(self._times, self._times, self._times)

@@ -187,6 +187,7 @@ class PreparedScene:
         watch = Stopwatch()
         section = scene.cosimulation
         theirs, self._loop = loop is not None, loop_of(scene, motion) if loop is None else loop
+        self._plans = loop is None and motion is None
         self._stop_time = self._loop.motion.stop_time
         planning = watch.lap()
         # build the FMU, or take it from the cache
@@ -258,6 +259,38 @@ class PreparedScene:
         if failed and (unstable := divergence(run)) is not None:
             return replace(run, outcome=Outcome.LOOP_UNSTABLE, message=f"{unstable}; in the end {run.message}")
         return run
+
+    def replan(self, scene: Scene) -> bool:
+        """Run the motion of another scene from now on; earlier runs keep theirs.
+
+        Returns:
+            False, and nothing is changed, if the scene differs in more than its ``[trajectory]``, or more than references
+            and stop time depends on the motion: other slaves, or parameters of the FMU.
+
+        Raises:
+            TrajectoryError: the motion is not feasible.
+            InputError: the communication step is longer than the motion.
+        """
+        # motion-driven, without further slaves, and from the same start, which is a parameter of the FMU
+        before, watch = self._again["scene"], Stopwatch()
+        alone = self._plans and not self._parts.others and scene.cosimulation.drive == "motion"
+        same = scene == before.model_copy(update={"trajectory": scene.trajectory})
+        if not (alone and same and scene.trajectory.start == before.trajectory.start):
+            return False
+        loop = loop_of(scene)
+        _check_step(self._step, loop.motion.duration)
+        self._loop, self._stop_time = loop, loop.motion.stop_time
+        self._again = {**self._again, "scene": scene, "loop": loop}
+        self._parts.references.follow(loop.driving)
+        self._recording.follow(RigidMotion(loop.motion))
+        planning = watch.lap()
+        # after an error the next run makes a new simulator
+        simulator, self._simulator = self._simulator, None
+        if simulator is not None:
+            simulator.move_to(self._stop_time)
+            self._simulator = simulator
+        self._times = planning, 0.0, watch.lap()
+        return True
 
     @property
     def stop_time(self) -> float:

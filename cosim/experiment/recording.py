@@ -49,6 +49,10 @@ class SceneRecording:
             sources |= {feeding[name] for name in selection.names if name in feeding}
         self.needed = Selection(sources, selection.order)
 
+    def follow(self, rigid: RigidMotion) -> None:
+        """Complete recordings with another motion of the rigid robot from now on."""
+        self._rigid = rigid
+
     def of(self, recorded: Recording, parts: SceneSystem) -> Recording:
         """The scene's recording from the master's, with short names, unconnected inputs and the rigid motion."""
         time, columns = recorded.time, plain_names(recorded.columns, PLANT, REFERENCES, parts.wiring.feeding)

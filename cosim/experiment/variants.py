@@ -74,11 +74,22 @@ def run_variants(
     """
     fmu_path = build_scene(scene).path
 
+    last: list[PreparedScene] = []
+
     def prepared(motion: Changes) -> PreparedScene:
         changed = scene.replace(dict(motion)) if motion else scene
-        return PreparedScene(
-            changed, communication_step=communication_step, tolerance=tolerance, fmu_path=fmu_path, record=record
-        )
+        # where the motion alone is new, everything else is used again
+        if not (last and last[0].replan(changed)):
+            last[:] = [
+                PreparedScene(
+                    changed,
+                    communication_step=communication_step,
+                    tolerance=tolerance,
+                    fmu_path=fmu_path,
+                    record=record,
+                )
+            ]
+        return last[0]
 
     # variants with the same motion share a prepared scene
     found: dict[int, VariantResult[T]] = {}

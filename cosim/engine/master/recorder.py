@@ -59,9 +59,13 @@ class Recorder:
         self._texts = [[each.type == "String" for each in variables] for _, variables in signals]
         self._units = [[each.unit for each in variables] for _, variables in signals]
         self._signals = [port.signals[: port.recorded] for port in ports]
-        self._capacity, self._shared = max(capacity, 1), shared
+        self._shared = shared
         self._width = 1 + sum(signals.size for signals in self._signals)
-        self.values = capacity * (self._width - 1)
+        self.expect(capacity)
+
+    def expect(self, capacity: int) -> None:
+        """Delete all instants, and expect so many."""
+        self._capacity, self.values = max(capacity, 1), capacity * (self._width - 1)
         self._begin()
 
     def _begin(self) -> None:

@@ -78,6 +78,12 @@ class Schedule:
         self._between = [(each.slave, call) for each, call in exchange if each.when is not When.AT_JUMPS]
         self._passing = [(each.slave, self.bind(each)) for each in plan.passing if each.when is When.ALWAYS]
 
+    def move_to(self, grid: RunGrid) -> None:
+        """Run over these communication points from now on."""
+        self._grid = grid
+        for i in self.due:
+            self.due[i] = bytearray(grid.most + 2)
+
     @property
     def active_name(self) -> str:
         """Name of the slave that is being called, or was last."""

@@ -119,6 +119,18 @@ class Simulator:
         self._terminating = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Terminates)]
         self._delays: dict[float, tuple[SignalDelay, ...]] = {}
 
+    def move_to(self, stop: float) -> None:
+        """Run to ``stop`` [s] from now on, over the present breakpoints of the slaves; no slave may be sampled.
+
+        Raises:
+            InputError: the time grid is invalid, or there is not enough memory for the recording.
+        """
+        grid = system_grid(self._system, self._grid.start, stop, self._step, self._control is None)
+        check_regular_steps(self._system, grid, self._step, self._control is not None)
+        self._grid = grid
+        self._schedule.move_to(grid)
+        self._recorder.expect(grid.steps + 1 + grid.jumps)
+
     def run(self, tolerance: float | None = None, progress: Progress | None = None) -> Simulation:
         """Co-simulate from start to stop; see `flexfmu.cosim.engine.master.master.simulate`.
 
