@@ -6,7 +6,7 @@ A trial instance shows which of its stated output derivatives an FMU of another 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -28,7 +28,15 @@ from flexfmu.cosim.engine.fmu.file import UnpackedFmu, open_fmu, resized
 from flexfmu.cosim.engine.fmu.fmi3 import Fmi3Instance
 from flexfmu.cosim.engine.fmu.fmi3_transfers import Fmi3Transfers
 from flexfmu.cosim.engine.fmu.fmi3_variables import by_elements
-from flexfmu.cosim.engine.fmu.instance import BoundStep, Checked, FmuInstance, FmuStates, Instance, load_calls
+from flexfmu.cosim.engine.fmu.instance import (
+    BoundStep,
+    Checked,
+    FmuInstance,
+    FmuStates,
+    Instance,
+    StatusCall,
+    load_calls,
+)
 from flexfmu.cosim.engine.fmu.transfers import Statistics, Transfers
 from flexfmu.cosim.engine.fmu.variables import (
     FmuVariables,
@@ -112,6 +120,7 @@ class FmuSlave:
         # the instance, transfers of its variables, and calls that set start values
         self._instance, self._transfers = _interface(self._fmu)
         self._counters = Statistics(known.others, self._transfers.get)
+        self._readings: dict[str, tuple[StatusCall, Callable[[], Value]]] = {}
         self._starts = self._given_starts = self._starting(self._given)
         self._presets: dict[int, float] = {}
         self._run: FmuStates | None = None
@@ -249,7 +258,9 @@ class FmuSlave:
 
     def _read_back(self, setting: Setting) -> Value | None:
         """Return the present value of a variable with a start value; None if the FMU doesn't provide it."""
-        call, value = self._transfers.reading(setting)
+        if setting.name not in self._readings:
+            self._readings[setting.name] = self._transfers.reading(setting)
+        call, value = self._readings[setting.name]
         return value() if self._instance.accepts(call) else None
 
     def step(self, time: float, step: float) -> None:
