@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from flexfmu.model.kinematics import RigidForwardKinematics, RigidKinematics
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.blends import BLENDS
-from flexfmu.trajectories.curves import Point
+from flexfmu.trajectories.curves import Point, Side
 from flexfmu.trajectories.errors import TrajectoryError
+from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.joint import JointTrajectory, check_margins
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import PROFILES
 from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory, ShapedTrajectory, path_deviation
 from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
-from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory
+from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory, limits
 
 Law = tuple[str, tuple[tuple[str, float], ...]]
 """Kind and parameters of a motion profile."""
@@ -38,6 +42,39 @@ class Repetition:
     once: MotionPlan
     cycles: int
     period: float
+
+
+class Tabulated:
+    """A trajectory that keeps its one-sided limits at the last instants, for runs with the same ones."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self._trajectory = trajectory
+        self._table: tuple[RealArray, NDArray[np.bool_], RealArray] | None = None
+
+    @property
+    def duration(self) -> float:
+        """Duration of the motion [s]."""
+        return self._trajectory.duration
+
+    @property
+    def breakpoints(self) -> tuple[float, ...]:
+        """Times [s] at which a derivative may jump."""
+        return self._trajectory.breakpoints
+
+    def evaluate(self, time: ArrayLike, order: int = 2, side: Side = "right") -> RealArray:
+        """See `flexfmu.trajectories.trajectory.Trajectory`."""
+        return self._trajectory.evaluate(time, order, side)
+
+    def limits(self, time: ArrayLike, left: NDArray[np.bool_], order: int) -> RealArray:
+        """See `flexfmu.trajectories.trajectory.HasLimits`; callers share the result and don't write to it."""
+        instants = np.asarray(time, dtype=float)
+        if self._table is not None and len(self._table[2]) == order + 1:
+            known, sides, found = self._table
+            if np.array_equal(known, instants) and np.array_equal(sides, left):
+                return found
+        found = limits(self._trajectory, instants, left, order)
+        self._table = instants, left, found
+        return found
 
 
 @dataclass(frozen=True)
@@ -74,6 +111,18 @@ class MotionPlan:
     def stop_time(self) -> float:
         """End of the simulation [s]: motion and dwell."""
         return self.task.duration + self.scene.trajectory.dwell
+
+    @cached_property
+    def end_pose(self) -> tuple[RealArray, RealArray]:
+        """Joint angles (2,) [rad] and end-effector position (2,) [m] at the end of the motion."""
+        end = np.array([self.duration])
+        joints, position = (each.evaluate(end, 0, side="left")[0, 0] for each in (self.joints, self.task))
+        return joints, position
+
+    @cached_property
+    def tabulated(self) -> tuple[Tabulated, Tabulated]:
+        """``task`` and ``joints``, each of which keeps its derivatives at the instants that were asked for last."""
+        return Tabulated(self.task), Tabulated(self.joints)
 
 
 def plan(scene: Scene) -> MotionPlan:

@@ -23,7 +23,7 @@ from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.recording import RigidMotion, SceneRecording, slave_facts
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.experiment.scene_run import Companion, Health, Run, Timing
+from flexfmu.cosim.experiment.scene_run import Companion, Health, RestPositions, Run, Timing
 from flexfmu.cosim.experiment.system import coupling_of, scene_system
 from flexfmu.cosim.experiment.timing import Stopwatch
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
@@ -206,6 +206,7 @@ class PreparedScene:
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=theirs)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
         self._facts = slave_facts(self._parts.slaves)
+        self._rests = RestPositions(self._loop.motion, self._fmu_path)
         # the simulator is made at the first run; a companion has the same arguments
         self._simulator: Simulator | None = None
         self._again: Mapping[str, Any] = {
@@ -253,6 +254,7 @@ class PreparedScene:
             delays=simulation.delays,
             parameters=parts.changes,
             companion=self._companion(parts.changes),
+            rests=self._rests,
         )
         # if the loop has diverged before a slave fails, the loop is the cause
         failed = run.outcome not in (Outcome.COMPLETED, Outcome.INTERRUPTED, Outcome.COUPLING_UNSTABLE)

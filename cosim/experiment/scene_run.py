@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
-from flexfmu.cosim.engine.fmu.variables import Value, parameter_names
+from flexfmu.cosim.engine.fmu.variables import parameter_names
 from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.engine.results import Recording
-from flexfmu.cosim.experiment.parameters import parameters_for, scene_with_parameters
+from flexfmu.cosim.experiment.parameters import parameters_for, scene_parameters, scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.recording import SlaveFacts
 from flexfmu.fmu_build.choices import INITIAL
@@ -88,6 +90,7 @@ class Run:
         delays: delay of the signals of each connection.
         parameters: parameters of the robot that differ from the scene's.
         companion: more accurate repetition, run only to estimate errors; None if there is none.
+        rests: rest positions after the motion, shared by runs of the same motion; None if there are none to share.
     """
 
     plan: MotionPlan
@@ -104,6 +107,7 @@ class Run:
     delays: tuple[SignalDelay, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     companion: Companion | None = field(default=None, repr=False, compare=False)
+    rests: RestPositions | None = field(default=None, repr=False, compare=False)
 
     @property
     def scene(self) -> Scene:
@@ -121,42 +125,69 @@ class Run:
         return self.outcome is Outcome.COMPLETED
 
 
-def rest_position(run: Run) -> RealArray:
-    """End-effector position at rest after a run's motion, (2,) [m]: static equilibrium at the end pose, motors locked.
+class RestPositions:
+    """End-effector positions at rest after a planned motion: static equilibria at the end pose, motors locked.
 
-    The run's FMU calculates it by initialising at the end pose, a hundred times faster than the equations in CasADi, which
-    are used if the FMU can't.
+    The FMU calculates them by initialising at the end pose, a hundred times faster than the equations in CasADi, which are
+    used if the FMU can't. It is loaded at the first call and kept for others.
+
+    Args:
+        plan: the scene and its planned motion.
+        fmu_path: the FMU.
+    """
+
+    def __init__(self, plan: MotionPlan, fmu_path: Path) -> None:
+        self._plan, self._path = plan, fmu_path
+
+    def at(self, parameters: Mapping[str, float]) -> RealArray:
+        """Position (2,) [m] with these parameters of the robot that differ from the scene's.
+
+        Raises:
+            EquilibriumError: the end pose has no static equilibrium.
+        """
+        scene, (joints, position) = self._plan.scene, self._plan.end_pose
+        # a robot driven by torques gets its pose from the end effector, so its links must have the planned lengths
+        if scene.cosimulation.drive == "motion":
+            pose = {f"joint{i}.reference.position": float(angle) for i, angle in enumerate(joints, start=1)}
+        elif scene_with_parameters(scene, parameters).mechanism == scene.mechanism:
+            pose = {f"start.{axis}": float(value) for axis, value in zip("xy", position, strict=True)}
+        else:
+            return _rest_by_equations(scene_with_parameters(scene, parameters), joints)
+        try:
+            return self._by_fmu(parameters, pose)
+        except CosimError:
+            return _rest_by_equations(scene_with_parameters(scene, parameters), joints)
+
+    def _by_fmu(self, parameters: Mapping[str, float], pose: Mapping[str, float]) -> RealArray:
+        slave, (known, indices), position = self._slave, self._places, np.empty(2)
+        slave.vary({**{name: value for name, value in parameters.items() if name in known}, **pose})
+        # initialisation finds the equilibrium, without a step
+        slave.initialize(0.0, 1.0, None)
+        try:
+            slave.get(indices, position)
+        finally:
+            slave.terminate()
+        return position
+
+    @cached_property
+    def _slave(self) -> FmuSlave:
+        values = parameters_for(self._plan.scene, parameter_names(open_fmu(self._path).description))
+        return FmuSlave(self._path, "plant", {**values, INITIAL.name: "static"}, output_order=0)
+
+    @cached_property
+    def _places(self) -> tuple[Collection[str], NDArray[np.intp]]:
+        """Names of the parameters that matter to the robot, and indices of the end-effector position."""
+        names = [variable.name for variable in self._slave.variables]
+        return scene_parameters(self._plan.scene).keys(), np.array([names.index(name) for name in END_EFFECTOR])
+
+
+def rest_position(run: Run) -> RealArray:
+    """End-effector position at rest after a run's motion, (2,) [m]; see `RestPositions`.
 
     Raises:
         EquilibriumError: the end pose has no static equilibrium.
     """
-    end = np.array([run.plan.duration])
-    joints, position = (each.evaluate(end, 0, side="left")[0, 0] for each in (run.plan.joints, run.plan.task))
-    robot = run.robot
-    # a robot driven by torques gets its pose from the end effector, so its links must have the planned lengths
-    if robot.cosimulation.drive == "motion":
-        pose = {f"joint{i}.reference.position": float(angle) for i, angle in enumerate(joints, start=1)}
-    elif robot.mechanism == run.scene.mechanism:
-        pose = {f"start.{axis}": float(value) for axis, value in zip("xy", position, strict=True)}
-    else:
-        return _rest_by_equations(robot, joints)
-    try:
-        return _rest_by_fmu(run.fmu_path, robot, pose)
-    except CosimError:
-        return _rest_by_equations(robot, joints)
-
-
-def _rest_by_fmu(path: Path, robot: Scene, pose: Mapping[str, float]) -> RealArray:
-    parameters: dict[str, Value] = {**parameters_for(robot, parameter_names(open_fmu(path).description)), **pose}
-    slave = FmuSlave(path, "plant", {**parameters, INITIAL.name: "static"}, output_order=0)
-    names, position = [variable.name for variable in slave.variables], np.empty(2)
-    # initialisation finds the equilibrium, without a step
-    slave.initialize(0.0, 1.0, None)
-    try:
-        slave.get(np.array([names.index(name) for name in END_EFFECTOR]), position)
-    finally:
-        slave.terminate()
-    return position
+    return (run.rests or RestPositions(run.plan, run.fmu_path)).at(run.parameters)
 
 
 def _rest_by_equations(robot: Scene, joints: RealArray) -> RealArray:
