@@ -1,8 +1,8 @@
 """Polynomials in Bernstein form on many segments at once: evaluation, bounds, maxima.
 
-A polynomial on [0, 1] lies in the convex hull of its control points, which therefore bound it. Bisecting the interval
-reduces their distance from the polynomial by a factor of four (G. Farin, *Curves and Surfaces for CAGD*, chapters 5 and
-6).
+A polynomial on [0, 1] lies in the convex hull of its control points, which therefore bound it. Dividing the interval
+into p parts reduces their distance from the polynomial by a factor of p² (G. Farin, *Curves and Surfaces for CAGD*,
+chapters 5 and 6).
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ from flexfmu.cosim.engine.slave import RealArray
 
 PEAK_TOLERANCE = 1e-11
 """Relative gap at which the search for a maximum stops: far above rounding errors, far below any metric's error."""
+
+HALVINGS = 5
+"""Bisections of all segments at once in each round of a search."""
 
 MAXIMUM_BISECTIONS = 60
 """Bisections after which a segment is as short as the spacing of floating-point numbers."""
@@ -36,27 +39,48 @@ def gauss_legendre(count: int) -> tuple[RealArray, RealArray]:
     return 0.5 * (points + 1.0), 0.5 * weights
 
 
-def maximum_norm(control: RealArray) -> float:
+def norms(vectors: RealArray) -> RealArray:
+    """Return the Euclidean norms (...) of vectors (..., c)."""
+    if vectors.shape[-1] == 1:
+        return np.abs(vectors[..., 0])
+    return np.asarray(np.sqrt(np.einsum("...c,...c->...", vectors, vectors)))
+
+
+def maximum_norm(control: RealArray, least: float = 0.0) -> float:
     """Return the largest norm on [0, 1] of polynomials with Bernstein control points (degree + 1, n, c).
 
-    Bisects the segments whose bound, the control points, exceeds the largest value found so far; every bisection
-    reduces the gap between bound and value by a factor of four. The result is NaN if a control point is NaN.
+    Divides the segments whose bound, the control points, exceeds the largest value found so far, which is at least
+    ``least``. The result is NaN if a control point is NaN.
     """
-    if control.shape[1] == 0:
-        return 0.0
-    best = 0.0
-    for _ in range(MAXIMUM_BISECTIONS):
-        # the end control points are values of the polynomial, the others are bounds
-        norms = np.linalg.norm(control, axis=2)
-        if np.any(np.isnan(norms)):
-            return math.nan
-        best = max(best, float(norms[0].max()), float(norms[-1].max()))
-        # bisect only segments that may exceed the largest value
-        open_segments = norms.max(axis=0) > best * (1.0 + PEAK_TOLERANCE)
-        if not np.any(open_segments):
+    best = least
+    for _ in range(0, MAXIMUM_BISECTIONS, HALVINGS):
+        if control.shape[1] == 0:
             break
-        control = np.concatenate(bisect(control[:, open_segments]), axis=1)
+        # the end control points are values of the polynomial, the others are bounds
+        sizes = norms(control)
+        bounds = sizes.max(axis=0)
+        best = max(best, float(sizes[0].max()), float(sizes[-1].max()))
+        if math.isnan(bounds.max()):
+            return math.nan
+        # divide only segments that may exceed the largest value
+        control = divide(control[:, bounds > best * (1.0 + PEAK_TOLERANCE)])
     return best
+
+
+def divide(control: RealArray) -> RealArray:
+    """Return the control points (degree + 1, n p, c) of the p = 2^`HALVINGS` equal parts of every segment."""
+    count, n, channels = control.shape
+    parts = _division(count) @ control.reshape(count, n * channels)
+    return np.asarray(parts.reshape(count, -1, channels))
+
+
+@cache
+def _division(count: int) -> RealArray:
+    """Matrix from ``count`` control points to those of all parts; its rows are ordered by control point, then part."""
+    parts = np.eye(count)[:, np.newaxis]
+    for _ in range(HALVINGS):
+        parts = np.stack(bisect(parts), axis=2).reshape(count, -1, count)
+    return parts.reshape(-1, count)
 
 
 def bisect(control: RealArray) -> tuple[RealArray, RealArray]:
@@ -69,20 +93,6 @@ def bisect(control: RealArray) -> tuple[RealArray, RealArray]:
     return first, second
 
 
-def hermite_control_points(derivatives: RealArray, duration: RealArray) -> RealArray:
-    """Return the m control points (m, n, c) next to a segment's end with these derivatives of order 0..m-1 (m, n, c).
-
-    ``duration`` (n,) [s] is the length of each segment, negative for derivatives at its right end; the points of a
-    right end are in reverse order.
-    """
-    m = len(derivatives)
-    degree = 2 * m - 1
-    scale = [math.factorial(degree - i) / math.factorial(degree) * duration**i for i in range(m)]
-    scaled = derivatives * np.stack(scale)[:, :, np.newaxis]
-    binomials = np.array([[math.comb(j, i) for i in range(m)] for j in range(m)], dtype=float)
-    return np.asarray(np.einsum("ji,inc->jnc", binomials, scaled))
-
-
 def last_time_above(control: RealArray, start: RealArray, duration: RealArray, level: float) -> float | None:
     """Return the last time at which the norm of the polynomials is at least ``level``; None if it is below throughout.
 
@@ -91,7 +101,7 @@ def last_time_above(control: RealArray, start: RealArray, duration: RealArray, l
         start, duration: (n,) start and length of each segment.
         level: zero or positive, in the unit of ``control``.
     """
-    reach = np.linalg.norm(control, axis=2).max(axis=0)
+    reach = norms(control).max(axis=0)
     for index in np.flatnonzero(reach >= level)[::-1]:
         theta = _last_theta_above(control[:, index : index + 1], level)
         if theta is not None:
@@ -105,11 +115,11 @@ def _last_theta_above(control: RealArray, level: float) -> float | None:
     pieces = [(control, 0.0, 1.0)]
     while pieces:
         piece, left, right = pieces.pop()
-        norms = np.linalg.norm(piece[:, 0], axis=1)
-        if norms.max() < level:
+        sizes = norms(piece[:, 0])
+        if sizes.max() < level:
             continue
         middle = 0.5 * (left + right)
-        if norms[-1] >= level or not left < middle < right:
+        if sizes[-1] >= level or not left < middle < right:
             return right
         first, second = bisect(piece)
         pieces += [(first, left, middle), (second, middle, right)]

@@ -206,8 +206,8 @@ def settings_for(run: Run) -> Settings:
     Raises:
         EquilibriumError: the end pose has no static equilibrium.
     """
-    plan, band = run.plan, run.scene.cosimulation.settling_band
-    return Settings(plan.task, rest_position(run), run.scene.trajectory.dwell, band, plan.joints)
+    (task, joints), band = run.plan.tabulated, run.scene.cosimulation.settling_band
+    return Settings(task, rest_position(run), run.scene.trajectory.dwell, band, joints)
 
 
 def measure(recording: Recording, settings: Settings) -> Metrics[Measurement]:
@@ -235,9 +235,7 @@ class RecordedSignal:
     def peak(self) -> Measurement:
         """Largest norm; its error is how far another segment may exceed it, at least the peak segment's error."""
         signal = self.segments.consistent
-        largest, errors = signal.maximum_norm(), signal.error_estimate()
-        reached = np.linalg.norm(signal.evaluate(np.linspace(0.0, 1.0, 2 * len(signal.control))), axis=2).max(axis=0)
-        return Measurement(largest, max(float(np.max(reached + errors)) - largest, float(errors[np.argmax(reached)])))
+        return Measurement(signal.maximum_norm(), signal.peak_error())
 
     def root_mean_square(self, order: int = 0) -> Measurement:
         """Root mean square of the norm of a time derivative p; its error follows from the estimated deviation e of p.

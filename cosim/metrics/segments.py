@@ -10,18 +10,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.bernstein import (
-    bernstein_basis,
-    gauss_legendre,
-    hermite_control_points,
-    maximum_norm,
+from flexfmu.cosim.metrics.bernstein import gauss_legendre, maximum_norm, norms
+from flexfmu.cosim.metrics.two_point import (
+    contributions,
+    control_matrix,
+    ends_matrix,
+    highest_matrix,
+    two_point_matrix,
+    value_matrix,
 )
 
 COMPARABLE_STEPS = 0.1
@@ -31,8 +33,8 @@ DIVERGING = 3.0
 """Ratio of an order's contribution to the interpolant to that of the order before, above which the order is left out:
 its derivatives belong to a vibration or a decay that is far faster than the step."""
 
-ENDS = np.array([0.0, 1.0])
-"""Normalised times of a segment's ends."""
+SAMPLES = np.linspace(0.0, 1.0, 9)
+"""Normalised times at which differences of interpolants are compared."""
 
 CONTINUITY = 1e-9
 """Jump of a signal or derivative, relative to its magnitude, above which a node is a breakpoint."""
@@ -63,9 +65,7 @@ class HermiteSegments:
     @cached_property
     def control(self) -> RealArray:
         """(2 m, n, c) Bernstein control points over the normalised time theta in [0, 1] of each segment."""
-        ahead = hermite_control_points(self.left, self.duration)
-        back = hermite_control_points(self.right, -self.duration)
-        return np.concatenate([ahead, back[::-1]])
+        return self._mapped(control_matrix(len(self.left)))
 
     def select(self, chosen: NDArray[np.bool_]) -> HermiteSegments:
         """Return the segments where the mask ``chosen`` (n,) is true."""
@@ -74,7 +74,9 @@ class HermiteSegments:
     def within(self, start: float, end: float) -> HermiteSegments:
         """Return the segments whose middle lies between the times ``start`` and ``end`` [s]."""
         middle = 0.5 * (self.start + self.end)
-        return self.select((middle > start) & (middle < end))
+        begin, stop = np.searchsorted(middle, start, side="right"), np.searchsorted(middle, end, side="left")
+        chosen = slice(int(begin), int(stop))
+        return HermiteSegments(self.start[chosen], self.end[chosen], self.left[:, chosen], self.right[:, chosen])
 
     def minus(self, left: RealArray, right: RealArray) -> HermiteSegments:
         """Return the deviation from a signal with these derivatives (m, n, c) at the segments' ends.
@@ -92,41 +94,53 @@ class HermiteSegments:
         contributes far more (`DIVERGING`), this order and all higher ones are left out, as an asymptotic series is
         truncated; the estimated error is the contribution of the last order that is left in.
         """
-        # contribution of each order of derivatives to the interpolant
-        theta = np.linspace(0.0, 1.0, 9)
-        values = [self._up_to(count).evaluate(theta) for count in range(1, len(self.left) + 1)]
-        added = [np.linalg.norm(one - other, axis=2).max(axis=0) for one, other in pairwise(values)]
+        # orders from the second on that contribute far more than the one before
+        added = contributions(*self._two_point)
+        diverging = added[1:] > DIVERGING**2 * added[:-1]
+        cut = np.asarray(diverging.any(axis=0))
+        if not cut.any():
+            return self
+        # truncated segments keep the orders below the lowest of these; the last one kept gives the error
+        lowest, order = 2 + diverging[:, cut].argmax(axis=0), np.arange(len(self.left))[:, np.newaxis]
         left, right, doubt = self.left.copy(), self.right.copy(), np.zeros((2, *self.left.shape))
-        # from the highest order down: truncated segments get the end derivatives of the polynomial of lower degree
-        for count in range(len(added), 1, -1):
-            cut = added[count - 1] > DIVERGING * added[count - 2]
-            if not np.any(cut):
-                continue
-            kept, before = self.select(cut)._up_to(count), self.select(cut)._up_to(count - 1)
-            for order in range(len(left)):
-                ends = kept.evaluate(ENDS, order)
-                left[order, cut], right[order, cut] = ends
-                doubt[:, order, cut] = ends - before.evaluate(ENDS, order)
+        some = self.select(cut)
+        left[:, cut], right[:, cut] = some._of_terms(order < lowest)
+        doubt[:, :, cut] = some._of_terms(order == lowest - 1)
         doubtful = HermiteSegments(self.start, self.end, *doubt) if np.any(doubt) else None
         return HermiteSegments(self.start, self.end, left, right, doubtful)
 
-    def _up_to(self, count: int) -> HermiteSegments:
-        """Return the segments with the derivatives of order 0..count-1."""
-        return HermiteSegments(self.start, self.end, self.left[:count], self.right[:count])
-
     def evaluate(self, theta: RealArray, order: int = 0) -> RealArray:
         """Return a time derivative (k, n, c) at the normalised times ``theta`` (k,) of every segment."""
-        control = self._derivative_control(order)
-        return np.tensordot(bernstein_basis(theta, len(control) - 1), control, axes=1)
+        values = self._mapped(value_matrix(len(self.left), tuple(theta.tolist()), order))
+        return values / (self.duration**order)[:, np.newaxis] if order else values
 
     def maximum_norm(self) -> float:
         """Return the largest Euclidean norm over the channels on all segments, both sides of every jump included."""
-        return maximum_norm(self.control)
+        ends, bounds = self._bounds
+        least = float(ends.max(initial=0.0))
+        # NaN compares as false, so that it isn't left out
+        return maximum_norm(self.select(~(bounds <= least)).control, least)
+
+    def peak_error(self) -> float:
+        """Return how far the norm may exceed `maximum_norm`, at least the error estimate of the peak's segment."""
+        (ends, bounds), errors = self._bounds, self.error_estimate()
+        # only segments that may reach the peak, with or without their error
+        chosen = ~((bounds < ends.max()) & (bounds + errors < (ends + errors).max()))
+        some, errors = self.select(chosen), errors[chosen]
+        reached = norms(some.evaluate(np.linspace(0.0, 1.0, 4 * len(self.left)))).max(axis=0)
+        return max(float((reached + errors).max()) - self.maximum_norm(), float(errors[np.argmax(reached)]))
+
+    @cached_property
+    def _bounds(self) -> tuple[RealArray, RealArray]:
+        """(n,) largest norm at the ends of each segment, and an upper bound of the norm within it."""
+        start, end = self._two_point
+        sizes = np.sqrt(np.maximum(*(np.einsum("knc,knc->kn", each, each) for each in (start, end))))
+        return sizes[0], 0.25 ** np.arange(len(sizes)) @ sizes
 
     def mean_product(self, first: RealArray, second: RealArray) -> float:
         """Return the mean over time of the inner product of two signals (k, n, c) at the k points of `quadrature`."""
         _, weights = self.quadrature
-        products = np.sum(first * second, axis=2)
+        products = np.einsum("knc,knc->kn", first, second)
         return float(weights @ products @ self.duration / np.sum(self.duration))
 
     @property
@@ -143,14 +157,12 @@ class HermiteSegments:
         breakpoints) the estimate is the contribution of its highest derivative. The estimate is within a factor of two
         where a step is below 2 rad of the vibration, within an order of magnitude beyond.
         """
-        derivative = np.fmax(*np.linalg.norm(self._highest_derivatives, axis=2))
-        alone = np.asarray(np.isnan(derivative))
-        estimate: RealArray = derivative * np.abs(self._error_shape(np.array([0.5]), order=0)[0])
+        m, derivative = len(self.left), norms(self._highest_derivatives)
+        estimate: RealArray = np.fmax(*derivative) * (0.25**m / math.factorial(2 * m) * self.duration ** (2 * m))
+        alone = np.asarray(np.isnan(estimate))
         if np.any(alone):
             estimate[alone] = self.select(alone)._lower_degree_change()
-        if self.doubt is not None:
-            estimate = estimate + np.linalg.norm(self.doubt.evaluate(np.linspace(0.0, 1.0, 9)), axis=2).max(axis=0)
-        return estimate
+        return estimate if self.doubt is None else estimate + norms(self.doubt.evaluate(SAMPLES)).max(axis=0)
 
     def deviation_estimate(self, theta: RealArray, order: int = 0) -> RealArray:
         """Return the estimated deviation (k, n, c) of the signal's time derivative from the interpolant's.
@@ -181,36 +193,68 @@ class HermiteSegments:
         """(2, n, c) derivative of order 2 m next to the start and to the end of each segment; NaN where unknown."""
         m = len(self.left)
         # jumps of the interpolant's derivative of order m at the nodes
-        control = self._derivative_control(m)
-        jump = control[0][1:] - control[-1][:-1]
+        m = len(self.left)
+        begin, stop = self._mapped(highest_matrix(m)) / (self.duration**m)[:, np.newaxis]
         first, second = self.duration[:-1], self.duration[1:]
         scale = math.factorial(2 * m) / math.factorial(m) / (first**m + second**m)
+        inner = (begin[1:] - stop[:-1]) * scale[:, np.newaxis]
         # use nodes between segments of comparable length at which all interpolated derivatives are continuous
         comparable = np.minimum(first, second) > COMPARABLE_STEPS * np.maximum(first, second)
         before, after = self.right[:, :-1], self.left[:, 1:]
-        size = np.maximum(np.linalg.norm(before, axis=2), np.linalg.norm(after, axis=2))
-        allowed = CONTINUITY * np.maximum(size, size.max(axis=1, keepdims=True, initial=0.0))
-        useful = comparable & np.all(np.linalg.norm(after - before, axis=2) <= allowed, axis=0)
-        inner = np.where(useful[:, np.newaxis], jump * scale[:, np.newaxis], np.nan)
-        unknown = np.full((1, jump.shape[1]), np.nan)
+        differing = np.flatnonzero((before != after).any(axis=(0, 2)))
+        useful = comparable
+        if differing.size:
+            size = np.maximum(norms(before), norms(after))
+            allowed = CONTINUITY * np.maximum(size[:, differing], size.max(axis=1, keepdims=True))
+            useful[differing] &= np.all(norms(after[:, differing] - before[:, differing]) <= allowed, axis=0)
+        inner[~useful] = np.nan
+        unknown = np.full((1, inner.shape[1]), np.nan)
         return np.stack([np.concatenate([unknown, inner]), np.concatenate([inner, unknown])])
 
     def _error_shape(self, theta: RealArray, order: int) -> RealArray:
         """Return the interpolation error (k, n), differentiated, of a signal with a unit derivative of order 2 m."""
         m = len(self.left)
-        node_polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
-        shape = node_polynomial.deriv(order) if order else node_polynomial
-        return np.outer(shape(theta), self.duration ** (2 * m - order)) / math.factorial(2 * m)
-
-    def _derivative_control(self, order: int) -> RealArray:
-        """Return the control points (2 m - order, n, c) of the interpolant's time derivative."""
-        degree = len(self.control) - 1
-        scale = math.perm(degree, order) / self.duration**order
-        return np.asarray(np.diff(self.control, n=order, axis=0) * scale[:, np.newaxis])
+        return np.outer(_node_polynomial(m, tuple(theta.tolist()), order), self.duration ** (2 * m - order))
 
     def _lower_degree_change(self, order: int = 0) -> RealArray:
         """Return the largest difference (n,) from the interpolant without the highest derivative, a wide bound."""
         lower = HermiteSegments(self.start, self.end, self.left[:-1], self.right[:-1])
-        theta = np.linspace(0.0, 1.0, 9)
-        change = self.evaluate(theta, order) - lower.evaluate(theta, order)
-        return np.asarray(np.linalg.norm(change, axis=2).max(axis=0))
+        return np.asarray(norms(self.evaluate(SAMPLES, order) - lower.evaluate(SAMPLES, order)).max(axis=0))
+
+    @cached_property
+    def _two_point(self) -> tuple[RealArray, RealArray]:
+        """Coefficients alpha and beta (m, n, c) of the two-point form; see `flexfmu.cosim.metrics.two_point`."""
+        start, end = self._mapped(two_point_matrix(len(self.left))).reshape(2, *self.left.shape)
+        return start, end
+
+    def _of_terms(self, chosen: NDArray[np.bool_]) -> RealArray:
+        """Return the derivatives (2, m, n, c) at both ends of the sum of the ``chosen`` terms (m, n)."""
+        terms = np.concatenate([np.where(chosen[:, :, np.newaxis], each, 0.0) for each in self._two_point])
+        ends = np.tensordot(ends_matrix(len(self.left)), terms, axes=1).reshape(2, *self.left.shape)
+        return ends / self._scales
+
+    def _mapped(self, matrix: RealArray) -> RealArray:
+        """Return the product (k, n, c) of a matrix (k, 2 m) with the ends; see `flexfmu.cosim.metrics.two_point`."""
+        return np.asarray((matrix @ self._ends).reshape(len(matrix), *self.left.shape[1:]))
+
+    @cached_property
+    def _ends(self) -> RealArray:
+        """(2 m, n c) Taylor coefficients at both ends of each segment; see `flexfmu.cosim.metrics.two_point`."""
+        return (np.stack([self.left, self.right]) * self._scales).reshape(2 * len(self.left), -1)
+
+    @cached_property
+    def _scales(self) -> RealArray:
+        """(2, m, n, 1) powers ±duration^k / k!, positive at the start of a segment and alternating at its end."""
+        scales = np.ones((2, *self.left.shape[:2], 1))
+        for k in range(1, len(self.left)):
+            scales[0, k, :, 0] = scales[0, k - 1, :, 0] * (self.duration / k)
+            scales[1, k] = (-1.0) ** k * scales[0, k]
+        return scales
+
+
+@cache
+def _node_polynomial(m: int, theta: tuple[float, ...], order: int) -> RealArray:
+    """Return the derivative of (theta (theta - 1))^m / (2 m)! at normalised times (k,)."""
+    polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
+    shape = polynomial.deriv(order) if order else polynomial
+    return np.asarray(shape(np.array(theta)) / math.factorial(2 * m))
