@@ -13,7 +13,8 @@ from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.master.simulation_loop import Progress
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
-from flexfmu.cosim.metrics.metrics import Settings, measure, settings_for, with_errors
+from flexfmu.cosim.metrics.metrics import measure, settings_for, with_errors
+from flexfmu.cosim.metrics.recorded_solution import Settings
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.reports.text import to_json
 from flexfmu.model.choice_text import choice_sentence
@@ -91,4 +92,5 @@ def _report(run: Run, settings: Settings | None, summary: Mapping[str, Any]) -> 
     from flexfmu.cosim.reports.plots import draw_plots
     from flexfmu.cosim.reports.report import render_report
 
-    return render_report(summary, draw_plots(run, None if settings is None else settings.end_equilibrium))
+    rest = settings.end_equilibrium if settings is not None and settings.dwell else None
+    return render_report(summary, draw_plots(run, rest))

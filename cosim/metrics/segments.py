@@ -10,18 +10,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.bernstein import gauss_legendre, maximum_norm, norms
+from flexfmu.cosim.metrics.bernstein import gauss_legendre, last_time_above, maximum_norm, norms
+from flexfmu.cosim.metrics.compiled import LARGEST, CompiledSegments, library
 from flexfmu.cosim.metrics.two_point import (
+    SAMPLES,
     contributions,
     control_matrix,
     ends_matrix,
     highest_matrix,
+    node_polynomial,
     two_point_matrix,
     value_matrix,
 )
@@ -32,9 +35,6 @@ COMPARABLE_STEPS = 0.1
 DIVERGING = 3.0
 """Ratio of an order's contribution to the interpolant to that of the order before, above which the order is left out:
 its derivatives belong to a vibration or a decay that is far faster than the step."""
-
-SAMPLES = np.linspace(0.0, 1.0, 9)
-"""Normalised times at which differences of interpolants are compared."""
 
 CONTINUITY = 1e-9
 """Jump of a signal or derivative, relative to its magnitude, above which a node is a breakpoint."""
@@ -67,16 +67,15 @@ class HermiteSegments:
         """(2 m, n, c) Bernstein control points over the normalised time theta in [0, 1] of each segment."""
         return self._mapped(control_matrix(len(self.left)))
 
-    def select(self, chosen: NDArray[np.bool_]) -> HermiteSegments:
-        """Return the segments where the mask ``chosen`` (n,) is true."""
+    def select(self, chosen: NDArray[np.bool_] | slice) -> HermiteSegments:
+        """Return the segments where the mask ``chosen`` (n,) is true, or those of a slice."""
         return HermiteSegments(self.start[chosen], self.end[chosen], self.left[:, chosen], self.right[:, chosen])
 
     def within(self, start: float, end: float) -> HermiteSegments:
         """Return the segments whose middle lies between the times ``start`` and ``end`` [s]."""
         middle = 0.5 * (self.start + self.end)
         begin, stop = np.searchsorted(middle, start, side="right"), np.searchsorted(middle, end, side="left")
-        chosen = slice(int(begin), int(stop))
-        return HermiteSegments(self.start[chosen], self.end[chosen], self.left[:, chosen], self.right[:, chosen])
+        return self.select(slice(int(begin), int(stop)))
 
     def minus(self, left: RealArray, right: RealArray) -> HermiteSegments:
         """Return the deviation from a signal with these derivatives (m, n, c) at the segments' ends.
@@ -94,20 +93,29 @@ class HermiteSegments:
         contributes far more (`DIVERGING`), this order and all higher ones are left out, as an asymptotic series is
         truncated; the estimated error is the contribution of the last order that is left in.
         """
-        # orders from the second on that contribute far more than the one before
-        added = contributions(*self._two_point)
-        diverging = added[1:] > DIVERGING**2 * added[:-1]
-        cut = np.asarray(diverging.any(axis=0))
+        if self._compiled is not None and self._compiled.diverging == 0:
+            return self
+        kept = self._kept_orders()
+        cut = kept < len(self.left)
         if not cut.any():
             return self
-        # truncated segments keep the orders below the lowest of these; the last one kept gives the error
-        lowest, order = 2 + diverging[:, cut].argmax(axis=0), np.arange(len(self.left))[:, np.newaxis]
+        # truncated segments keep the lower orders; the last one kept gives the error
+        some, kept, order = self.select(cut), kept[cut], np.arange(len(self.left))[:, np.newaxis]
         left, right, doubt = self.left.copy(), self.right.copy(), np.zeros((2, *self.left.shape))
-        some = self.select(cut)
-        left[:, cut], right[:, cut] = some._of_terms(order < lowest)
-        doubt[:, :, cut] = some._of_terms(order == lowest - 1)
+        left[:, cut], right[:, cut] = some._of_terms(order < kept)
+        doubt[:, :, cut] = some._of_terms(order == kept - 1)
         doubtful = HermiteSegments(self.start, self.end, *doubt) if np.any(doubt) else None
         return HermiteSegments(self.start, self.end, left, right, doubtful)
+
+    def _kept_orders(self) -> NDArray[np.intp]:
+        """Return the number (n,) of orders below the first that diverges, all where none does."""
+        if self._compiled is not None:
+            return self._compiled.kept.astype(np.intp)
+        added = contributions(*self._two_point)
+        if len(added) < 2:
+            return np.full(self.start.size, len(self.left))
+        diverging = added[1:] > DIVERGING**2 * added[:-1]
+        return np.where(diverging.any(axis=0), 2 + diverging.argmax(axis=0), len(self.left))
 
     def evaluate(self, theta: RealArray, order: int = 0) -> RealArray:
         """Return a time derivative (k, n, c) at the normalised times ``theta`` (k,) of every segment."""
@@ -116,19 +124,55 @@ class HermiteSegments:
 
     def maximum_norm(self) -> float:
         """Return the largest Euclidean norm over the channels on all segments, both sides of every jump included."""
-        ends, bounds = self._bounds
-        least = float(ends.max(initial=0.0))
-        # NaN compares as false, so that it isn't left out
-        return maximum_norm(self.select(~(bounds <= least)).control, least)
+        return self.peak()[0]
 
-    def peak_error(self) -> float:
-        """Return how far the norm may exceed `maximum_norm`, at least the error estimate of the peak's segment."""
+    def peak(self) -> tuple[float, float]:
+        """Return the largest norm, both sides of every jump included, and how far it may be exceeded.
+
+        That is how far another segment may exceed it with its interpolation error, at least the peak segment's error.
+        """
+        if self._compiled is not None:
+            return self._compiled.peak()
         (ends, bounds), errors = self._bounds, self.error_estimate()
-        # only segments that may reach the peak, with or without their error
-        chosen = ~((bounds < ends.max()) & (bounds + errors < (ends + errors).max()))
+        # only segments that may reach the peak, with or without their error; NaN compares as false and isn't left out
+        at_ends = float(ends.max(initial=0.0))
+        chosen = ~((bounds < at_ends) & (bounds + errors < np.max(ends + errors, initial=0.0)))
         some, errors = self.select(chosen), errors[chosen]
+        largest = maximum_norm(some.control, at_ends)
         reached = norms(some.evaluate(np.linspace(0.0, 1.0, 4 * len(self.left)))).max(axis=0)
-        return max(float((reached + errors).max()) - self.maximum_norm(), float(errors[np.argmax(reached)]))
+        exceeded = float(np.max(reached + errors, initial=0.0)) - largest
+        return largest, max(exceeded, float(errors[np.argmax(reached)]) if reached.size else 0.0)
+
+    def mean_products(self, order: int = 0) -> tuple[float, ...]:
+        """Return the means over time of |v|², v . e and |e|² of the time derivative v of this order.
+
+        e is the estimated deviation of the signal's derivative from v; see `deviation_estimate`.
+        """
+        points, _ = self.quadrature
+        if self._compiled is not None:
+            doubt, total = (
+                None if self.doubt is None else self.doubt.evaluate(points, order),
+                float(self.duration.sum()),
+            )
+            return tuple(each / total for each in self._compiled.products(order, doubt))
+        values, deviation = self.evaluate(points, order), self.deviation_estimate(points, order)
+        pairs = (values, values), (values, deviation), (deviation, deviation)
+        return tuple(self.mean_product(*each) for each in pairs)
+
+    def last_time_above(self, level: float) -> float | None:
+        """Return the last time at which the norm is at least ``level`` (zero or positive); None if it never is."""
+        if self._compiled is None:
+            return last_time_above(self.control, self.start, self.duration, level)
+        found = self._compiled.last_above(level)
+        return None if found is None else float(self.start[found[0]] + found[1] * self.duration[found[0]])
+
+    @cached_property
+    def _compiled(self) -> CompiledSegments | None:
+        """The analysis in C; None without a compiler, or for more derivatives or channels than the C code has memory for."""
+        m, _, channels = self.left.shape
+        if m > LARGEST[0] or channels > LARGEST[1] or library() is None:
+            return None
+        return CompiledSegments(self.duration, self.left, self.right, self._doubt)
 
     @cached_property
     def _bounds(self) -> tuple[RealArray, RealArray]:
@@ -157,12 +201,19 @@ class HermiteSegments:
         breakpoints) the estimate is the contribution of its highest derivative. The estimate is within a factor of two
         where a step is below 2 rad of the vibration, within an order of magnitude beyond.
         """
+        if self._compiled is not None:
+            return self._compiled.errors
         m, derivative = len(self.left), norms(self._highest_derivatives)
         estimate: RealArray = np.fmax(*derivative) * (0.25**m / math.factorial(2 * m) * self.duration ** (2 * m))
         alone = np.asarray(np.isnan(estimate))
         if np.any(alone):
             estimate[alone] = self.select(alone)._lower_degree_change()
-        return estimate if self.doubt is None else estimate + norms(self.doubt.evaluate(SAMPLES)).max(axis=0)
+        return estimate if self._doubt is None else estimate + self._doubt
+
+    @cached_property
+    def _doubt(self) -> RealArray | None:
+        """(n,) largest norm of ``doubt`` within each segment."""
+        return None if self.doubt is None else np.asarray(norms(self.doubt.evaluate(SAMPLES)).max(axis=0))
 
     def deviation_estimate(self, theta: RealArray, order: int = 0) -> RealArray:
         """Return the estimated deviation (k, n, c) of the signal's time derivative from the interpolant's.
@@ -202,19 +253,17 @@ class HermiteSegments:
         comparable = np.minimum(first, second) > COMPARABLE_STEPS * np.maximum(first, second)
         before, after = self.right[:, :-1], self.left[:, 1:]
         differing = np.flatnonzero((before != after).any(axis=(0, 2)))
-        useful = comparable
         if differing.size:
-            size = np.maximum(norms(before), norms(after))
-            allowed = CONTINUITY * np.maximum(size[:, differing], size.max(axis=1, keepdims=True))
-            useful[differing] &= np.all(norms(after[:, differing] - before[:, differing]) <= allowed, axis=0)
-        inner[~useful] = np.nan
+            allowed = CONTINUITY * np.maximum(norms(before), norms(after)).max(axis=1, keepdims=True)
+            comparable[differing] &= np.all(norms(after[:, differing] - before[:, differing]) <= allowed, axis=0)
+        inner[~comparable] = np.nan
         unknown = np.full((1, inner.shape[1]), np.nan)
         return np.stack([np.concatenate([unknown, inner]), np.concatenate([inner, unknown])])
 
     def _error_shape(self, theta: RealArray, order: int) -> RealArray:
         """Return the interpolation error (k, n), differentiated, of a signal with a unit derivative of order 2 m."""
         m = len(self.left)
-        return np.outer(_node_polynomial(m, tuple(theta.tolist()), order), self.duration ** (2 * m - order))
+        return np.outer(node_polynomial(m, tuple(theta.tolist()), order), self.duration ** (2 * m - order))
 
     def _lower_degree_change(self, order: int = 0) -> RealArray:
         """Return the largest difference (n,) from the interpolant without the highest derivative, a wide bound."""
@@ -250,11 +299,3 @@ class HermiteSegments:
             scales[0, k, :, 0] = scales[0, k - 1, :, 0] * (self.duration / k)
             scales[1, k] = (-1.0) ** k * scales[0, k]
         return scales
-
-
-@cache
-def _node_polynomial(m: int, theta: tuple[float, ...], order: int) -> RealArray:
-    """Return the derivative of (theta (theta - 1))^m / (2 m)! at normalised times (k,)."""
-    polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
-    shape = polynomial.deriv(order) if order else polynomial
-    return np.asarray(shape(np.array(theta)) / math.factorial(2 * m))

@@ -39,17 +39,13 @@ def segments(recording: Recording, names: Sequence[str], accelerations: Sequence
     Raises:
         ResultsError: a signal or its derivatives were not recorded.
     """
-    # derivatives at the communication points
-    derivatives = _derivatives(recording, names)
-    if accelerations:
-        derivatives = np.concatenate([derivatives, _derivatives(recording, accelerations)[1:]])
+    derivatives = _derivatives(recording, [names, accelerations] if accelerations else [names])
     # no segments between both sides of a jump
-    forward = np.diff(recording.time) > 0.0
+    time = recording.time
+    start = np.flatnonzero(time[1:] > time[:-1])
+    end = start + 1
     return HermiteSegments(
-        recording.time[:-1][forward],
-        recording.time[1:][forward],
-        derivatives[:, :-1][:, forward],
-        derivatives[:, 1:][:, forward],
+        time.take(start), time.take(end), derivatives.take(start, axis=1), derivatives.take(end, axis=1)
     )
 
 
@@ -99,7 +95,7 @@ def _at_ends(signal: HermiteSegments, planned: Trajectory) -> tuple[RealArray, R
     time = np.concatenate([signal.start, signal.end])
     left = np.arange(time.size) >= signal.start.size
     both = limits(planned, time, left, len(signal.left) - 1)
-    return both[:, ~left], both[:, left]
+    return both[:, : signal.start.size], both[:, signal.start.size :]
 
 
 def deviation_from_point(signal: HermiteSegments, point: RealArray) -> HermiteSegments:
@@ -117,25 +113,33 @@ def sample(signal: HermiteSegments, per_segment: int, order: int = 0) -> tuple[R
     return time.T.ravel(), values.transpose(1, 0, 2).reshape(-1, values.shape[2])
 
 
-def _derivatives(recording: Recording, names: Sequence[str]) -> RealArray:
-    """Return the signals and their first and second time derivatives (3, N, c).
+def _derivatives(recording: Recording, groups: Sequence[Sequence[str]]) -> RealArray:
+    """Return the time derivatives (m, N, c) of signals from order 0 on.
+
+    Args:
+        recording: signals with first and second time derivatives.
+        groups: the signals, then possibly their second derivatives, so that the derivatives go up to order 4.
 
     Raises:
         ResultsError: a signal or its derivatives were not recorded.
     """
-    # one channel for each name
-    found = []
-    for name in names:
-        try:
-            column = recording[name]
-        except KeyError as error:
-            raise ResultsError(f"metrics need the signal `{name}`: {error.args[0]}") from None
-        if column.first is None or column.second is None:
-            raise ResultsError(
-                f"metrics need the time derivatives of `{name}`, which were not recorded: simulate it anew"
-            )
-        found.append(np.stack([column.values, column.first, column.second]))
-    return np.stack(found, axis=-1)
+    found = np.empty((2 * len(groups) + 1, recording.time.size, len(groups[0])))
+    for first, names in zip((0, 2), groups, strict=False):
+        # one channel for each name
+        for channel, name in enumerate(names):
+            try:
+                column = recording[name]
+            except KeyError as error:
+                raise ResultsError(f"metrics need the signal `{name}`: {error.args[0]}") from None
+            if column.first is None or column.second is None:
+                raise ResultsError(
+                    f"metrics need the time derivatives of `{name}`, which were not recorded: simulate it anew"
+                )
+            # the second derivative is known both ways, as such and as the second derivative's value
+            for order, values in enumerate((column.values, column.first, column.second), start=first):
+                if first == 0 or order > first:
+                    found[order, :, channel] = values
+    return found
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ import numpy as np
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.bernstein import bernstein_basis
 
+SAMPLES = np.linspace(0.0, 1.0, 9)
+"""Normalised times at which differences of interpolants are compared."""
+
 
 @cache
 def control_matrix(m: int) -> RealArray:
@@ -62,7 +65,7 @@ def value_matrix(m: int, theta: tuple[float, ...], order: int) -> RealArray:
 @cache
 def _contribution_weights(m: int) -> RealArray:
     """Weights (m - 1, 9, 3) of |alpha_k|², alpha_k . beta_k and |beta_k|² in the squared term k >= 1 at 9 times."""
-    theta = np.linspace(0.0, 1.0, 9)
+    theta = SAMPLES
     shape = np.stack([(1.0 - theta) ** 2, 2.0 * theta * (1.0 - theta), theta**2], axis=-1)
     return np.stack([((theta * (1.0 - theta)) ** (2 * k))[:, np.newaxis] * shape for k in range(1, m)])
 
@@ -76,6 +79,14 @@ def contributions(start: RealArray, end: RealArray) -> RealArray:
     pairs = (start, start), (start, end), (end, end)
     products = np.stack([np.einsum("knc,knc->kn", one[1:], other[1:]) for one, other in pairs], axis=1)
     return np.asarray((_contribution_weights(len(start)) @ products).max(axis=1))
+
+
+@cache
+def node_polynomial(m: int, theta: tuple[float, ...], order: int) -> RealArray:
+    """Derivative of (theta (theta - 1))^m / (2 m)! at normalised times (k,): the interpolation error's shape."""
+    polynomial = np.polynomial.Polynomial([0.0, -1.0, 1.0]) ** m
+    shape = polynomial.deriv(order) if order else polynomial
+    return np.asarray(shape(np.array(theta)) / math.factorial(2 * m))
 
 
 def _signed_binomial(n: int, k: int) -> float:

@@ -17,7 +17,8 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, deviation, plan
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.metrics.metrics import Settings, measure, settings_for
+from flexfmu.cosim.metrics.metrics import measure, settings_for
+from flexfmu.cosim.metrics.recorded_solution import Settings
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.errors import TrajectoryError
 from flexfmu.trajectories.shapers.sequence import UNSHAPED, ImpulseSequence
@@ -31,6 +32,9 @@ DWELL_PERIODS = 15.0
 
 JERK_POINTS = 2001
 """Number of instants at which the jerk of a motion is evaluated, besides its breakpoints."""
+
+MEASURED = ("residual_vibration_amplitude", "settling_time", "peak_torque_1", "peak_torque_2")
+"""Metrics of each trial."""
 
 SMOOTH = 1e-6
 """Jump of the acceleration relative to its maximum below which it is rounding."""
@@ -212,7 +216,7 @@ def simulate(candidate: Candidate, payload_error: float, fmu_path: Path) -> Tria
         CosimError: the simulation didn't reach its end.
     """
     run, settings, offset = _simulated(candidate, payload_error, fmu_path)
-    values = {name: measurement.value for name, measurement in measure(run.recording, settings).items()}
+    values = {name: measurement.value for name, measurement in measure(run.recording, settings, MEASURED).items()}
     return Trial(
         payload_error,
         values["residual_vibration_amplitude"] or 0.0,
@@ -255,7 +259,7 @@ def _simulated(candidate: Candidate, payload_error: float, fmu_path: Path) -> tu
     if not scene.controller:
         return run, settings, 0.0
     rest = position_values(run)[:, -1]
-    return run, replace(settings, end_equilibrium=rest), float(np.linalg.norm(rest - settings.end_equilibrium))
+    return run, replace(settings, rest=lambda: rest), float(np.linalg.norm(rest - settings.end_equilibrium))
 
 
 def position_values(run: Run) -> RealArray:

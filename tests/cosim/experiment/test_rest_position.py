@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import flexfmu
+from flexfmu.cosim.experiment.planning import plan
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_run import rest_position
 from flexfmu.model.statics import static_equilibrium
+from flexfmu.trajectories.trajectory import limits
 
 SHORT: dict[str, Any] = {"trajectory.duration": 0.2, "trajectory.dwell": 0.02, "cosimulation.step": 2e-3}
 TORQUES: dict[str, Any] = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.05}
@@ -30,3 +34,28 @@ def test_metrics_of_a_run_load_no_casadi(monkeypatch: pytest.MonkeyPatch) -> Non
     run = flexfmu.run(flexfmu.load_scene("barnard2012-6kg").replace(SHORT))
     monkeypatch.setitem(sys.modules, "flexfmu.model.statics", None)
     assert flexfmu.measure_run(run)["residual_vibration_amplitude"].value is not None
+
+
+@pytest.mark.parametrize("changes", [{}, TORQUES], ids=["motion", "torques"])
+def test_runs_of_one_motion_share_the_fmu_that_rests(changes: dict[str, Any]) -> None:
+    """Each robot has its own equilibrium, in any order, to the last bit that of a run by itself."""
+    scene = flexfmu.load_scene("barnard2012-6kg").replace(SHORT | changes)
+    prepared = PreparedScene(scene)
+    runs = [prepared.run({"payload.mass": mass}) for mass in (1.0, 3.0, 1.0)]
+    found = [rest_position(run) for run in runs]
+    alone = [rest_position(replace(run, rests=None)) for run in runs]
+    np.testing.assert_array_equal(found, alone)
+    np.testing.assert_array_equal(found[0], found[2])
+    assert np.abs(found[0] - found[1]).max() > 1e-7
+
+
+def test_a_tabulated_motion_is_the_motion() -> None:
+    """Its limits are kept for the same instants, sides and order, and for no others."""
+    motion = plan(flexfmu.load_scene("barnard2012-6kg").replace(SHORT))
+    task, _ = motion.tabulated
+    time = np.linspace(-0.01, 0.21, 23)
+    first = task.limits(time, time < 0.1, 4)
+    assert task.limits(time.copy(), time < 0.1, 4) is first
+    for instants, left, order in ((time, time < 0.05, 4), (time + 1e-3, time < 0.1, 4), (time, time < 0.1, 3)):
+        np.testing.assert_array_equal(task.limits(instants, left, order), limits(motion.task, instants, left, order))
+    np.testing.assert_array_equal(task.limits(time, time < 0.1, 4), first)

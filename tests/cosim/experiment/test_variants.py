@@ -13,7 +13,7 @@ from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
 from flexfmu.cosim.experiment.variants import VariantError, run_variants
-from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.cosim.metrics.metrics import measuring, metrics_of
 from flexfmu.model.scene.file import load_scene
 from flexfmu.trajectories.errors import TrajectoryError
 
@@ -64,6 +64,18 @@ def test_metrics() -> None:
     assert heavy is not None
     assert heavy == metrics_of(alone({"payload.mass": 6.0}))
     assert (light["peak_torque_1"] or 0.0) < (heavy["peak_torque_1"] or 0.0)
+
+
+def test_only_some_metrics() -> None:
+    """A sweep computes only what it is asked for, from only the signals that takes."""
+    variants = [{"payload.mass": 0.1}, {"payload.mass": 6.0}]
+    signals = Selection(["joint2.torque"])
+    found = run_variants(SCENE, variants, measuring(["peak_torque_2"]), communication_step=STEP, record=signals)
+    everything = run_variants(SCENE, variants, metrics_of, communication_step=STEP)
+    for some, each in zip(found, everything, strict=True):
+        assert some.value is not None
+        assert each.value is not None
+        assert some.value == {"peak_torque_2": each.value["peak_torque_2"]}
 
 
 def test_a_failure_leaves_the_others_alone() -> None:

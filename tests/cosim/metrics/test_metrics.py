@@ -10,11 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from flexfmu.cosim.engine.errors import ResultsError
+from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
-from flexfmu.cosim.metrics.metrics import Settings, measure, measure_run
+from flexfmu.cosim.metrics.metrics import measure, measure_run, measuring
+from flexfmu.cosim.metrics.recorded_solution import Settings
 
 T, DWELL, STEP = 0.4, 0.3, 2e-3
 OMEGA = 2 * math.pi * 20.0
@@ -76,7 +77,7 @@ def recording(motion: Signal, dwell: Signal, step: float = STEP) -> Recording:
 
 def settings(band: float = 1e-5, dwell: float = DWELL) -> Settings:
     """Equilibrium where the rigid motion ends."""
-    return Settings(Quadratic(), np.array([2.0 * T**2, 0.0]), dwell, band)
+    return Settings(Quadratic(), lambda: np.array([2.0 * T**2, 0.0]), dwell, band)
 
 
 def value(name: str, run: Recording, **changes: float) -> float:
@@ -285,3 +286,42 @@ def test_nan_is_refused() -> None:
     spoiled[17] = np.nan
     with pytest.raises(ResultsError, match="peak_torque_1"):
         measure(run.with_columns({"joint1.torque": replace(run["joint1.torque"], values=spoiled)}), settings())
+
+
+def test_only_the_metrics_that_are_asked_for() -> None:
+    """Their values are those among all metrics, in the order of the table; signals and equilibrium of others aren't needed."""
+    run = recording(VIBRATION, RINGING)
+    everything = measure(run, settings())
+    names = ["settling_time", "peak_torque_1", "rms_acceleration_error"]
+    some = measure(run, settings(), names)
+    assert list(some) == sorted(names, key=list(METRICS).index)
+    assert all(some[name] == everything[name] for name in names)
+
+    def fail() -> RealArray:
+        raise AssertionError("no metric of the motion needs the equilibrium")
+
+    alone = Recording(run.time, {"joint1.torque": run["joint1.torque"]})
+    without = replace(settings(), rest=fail)
+    assert measure(alone, without, ["peak_torque_1"])["peak_torque_1"] == everything["peak_torque_1"]
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["peak_torqe_1"], r"there is no metric 'peak_torqe_1'; did you mean 'peak_torque_1'\?"),
+        ("peak_torque_1", "a list of names, got the single text 'peak_torque_1'"),
+    ],
+)
+def test_unknown_metrics_are_refused_before_anything_is_simulated(names: list[str], message: str) -> None:
+    """A sweep fails at once, and so does a run, even a failed one."""
+    with pytest.raises(InputError, match=message):
+        measuring(names)
+    failed = SimpleNamespace(completed=False, message="the motor came off")
+    with pytest.raises(InputError, match=message):
+        measure_run(failed, names=names)  # type: ignore[arg-type]
+
+
+def test_tracking_errors_of_a_robot_without_joint_angles_are_refused() -> None:
+    """The motors of a motion-driven robot follow their references exactly."""
+    with pytest.raises(InputError, match=r"peak_tracking_error_1.*driven by torques"):
+        measure(recording(VIBRATION, RINGING), settings(), ["peak_tracking_error_1"])

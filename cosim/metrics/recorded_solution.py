@@ -1,0 +1,195 @@
+"""The solution of a recorded run, from which metrics are computed: its signals, interpolated between communication points.
+
+Motion means 0 < t < T with one-sided limits at both ends; the dwell follows it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.metrics.metric_table import Measurement, Solution
+from flexfmu.cosim.metrics.segments import HermiteSegments
+from flexfmu.cosim.metrics.signals import (
+    JOINT_POSITIONS,
+    TIP_DEFLECTIONS,
+    TORQUES,
+    deviation_from_point,
+    deviation_from_rigid,
+    joint_error,
+    modal_deflection,
+    position,
+    segments,
+)
+
+if TYPE_CHECKING:
+    from flexfmu.trajectories.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Data that the metrics depend on besides the recording.
+
+    Attributes:
+        task: motion of the rigid robot's end effector.
+        rest: function that returns `end_equilibrium`; called if a metric needs it.
+        joints: planned motion of the joints; None for no tracking errors.
+        dwell: standstill after the motion [s].
+        settling_band: radius around the equilibrium within which the robot counts as settled [m].
+    """
+
+    task: Trajectory
+    rest: Callable[[], RealArray]
+    dwell: float
+    settling_band: float
+    joints: Trajectory | None = None
+
+    @cached_property
+    def end_equilibrium(self) -> RealArray:
+        """(2,) end-effector position [m] of the static equilibrium at the end pose.
+
+        Raises:
+            EquilibriumError: the end pose has no static equilibrium.
+        """
+        return self.rest()
+
+
+@dataclass(frozen=True)
+class RecordedSignal:
+    """A recorded signal, interpolated between communication points; see
+    `flexfmu.cosim.metrics.metric_table.TimeSignal`."""
+
+    segments: HermiteSegments
+
+    def peak(self) -> Measurement:
+        """Largest norm; its error is how far another segment may exceed it, at least the peak segment's error."""
+        return Measurement(*self.segments.consistent.peak())
+
+    def root_mean_square(self, order: int = 0) -> Measurement:
+        """Root mean square of the norm of a time derivative p; its error follows from the estimated deviation e of p.
+
+        To second order e changes the root mean square by (mean of p e + half the mean of e²) / root mean square.
+        """
+        squares, common, deviation = self.segments.consistent.mean_products(order)
+        root, bound, change = math.sqrt(squares), math.sqrt(deviation), abs(common) + 0.5 * deviation
+        return Measurement(root, min(change / root, bound) if root > 0.0 else bound)
+
+    def final(self, order: int = 0) -> Measurement:
+        """Norm of a time derivative at the last communication point, without interpolation error."""
+        return Measurement(float(np.linalg.norm(self.segments.right[order, -1])))
+
+    def settling(self, band: float, uncertainty: float = 0.0) -> Measurement:
+        """Time from the first segment's start after which the norm stays below ``band`` [s]; None if it never does.
+
+        Its error is the shift of the last crossing when the amplitude changes by the interpolation error or the
+        ``uncertainty``, whichever is larger; both have the unit of ``band``.
+        """
+        vibration = self.segments.consistent
+        begin, stop = float(vibration.start[0]), float(vibration.end[-1])
+        crossing = vibration.last_time_above(band)
+        if crossing is None:
+            return Measurement(0.0)
+        # last crossings of a band that is wider and narrower by the error
+        near = int(np.searchsorted(vibration.end, crossing))
+        error = max(float(vibration.error_estimate()[min(near, len(vibration.end) - 1)]), uncertainty)
+        spread = [vibration.last_time_above(level) for level in (band + error, max(band - error, 0.0))]
+        early, late = (begin if time is None else time for time in spread)
+        return Measurement(crossing - begin if crossing < stop else None, late - early)
+
+
+class NoSignal:
+    """Deflection of a rigid link, exactly zero; see `flexfmu.cosim.metrics.metric_table.TimeSignal`."""
+
+    def peak(self) -> Measurement:
+        """Zero."""
+        return Measurement(0.0)
+
+    def root_mean_square(self, order: int = 0) -> Measurement:
+        """Zero."""
+        return Measurement(0.0)
+
+    def final(self, order: int = 0) -> Measurement:
+        """Zero."""
+        return Measurement(0.0)
+
+
+class RecordedSolution(Solution):
+    """The signals of a complete recording, interpolated when first needed; methods as in `Solution`.
+
+    Args:
+        recording: signals with their time derivatives.
+        settings: planned motion, end equilibrium, dwell and settling band.
+
+    Attributes:
+        tracks_joints: whether tracking errors exist: a torque-driven robot with a planned joint motion.
+    """
+
+    def __init__(self, recording: Recording, settings: Settings) -> None:
+        self._recording, self._settings, self._end = recording, settings, settings.task.duration
+        self.tracks_joints = settings.joints is not None and all(name in recording.columns for name in JOINT_POSITIONS)
+
+    def torque(self, joint: int) -> RecordedSignal:
+        return self._in_motion(segments(self._recording, TORQUES[joint - 1 : joint]))
+
+    def modal_deflection(self) -> RecordedSignal | NoSignal:
+        modal = modal_deflection(self._recording)
+        return NoSignal() if modal is None else self._in_motion(modal)
+
+    def tip_deflection(self, leg: int) -> RecordedSignal | NoSignal:
+        name = TIP_DEFLECTIONS[leg - 1]
+        return self._in_motion(segments(self._recording, [name])) if name in self._recording.columns else NoSignal()
+
+    def path_error(self) -> RecordedSignal:
+        return RecordedSignal(self._path_error)
+
+    def path_error_in_motion(self) -> RecordedSignal:
+        return self._path_error_in_motion
+
+    def residual_vibration(self) -> RecordedSignal | None:
+        return self._vibration if self._settings.dwell else None
+
+    def tracking_error(self, joint: int) -> RecordedSignal | None:
+        error = self._tracking_error(joint)
+        return None if error is None else RecordedSignal(error)
+
+    def tracking_error_in_motion(self, joint: int) -> RecordedSignal | None:
+        error = self._tracking_error(joint)
+        return None if error is None else self._in_motion(error)
+
+    def settling_time(self, uncertainty: float = 0.0) -> Measurement:
+        """As in `Solution`; ``uncertainty`` as for `RecordedSignal.settling`."""
+        vibration = self.residual_vibration()
+        return Measurement(None) if vibration is None else vibration.settling(self._settings.settling_band, uncertainty)
+
+    def _in_motion(self, signal: HermiteSegments) -> RecordedSignal:
+        return RecordedSignal(signal.within(0.0, self._end))
+
+    @cached_property
+    def _position(self) -> HermiteSegments:
+        return position(self._recording)
+
+    @cached_property
+    def _path_error(self) -> HermiteSegments:
+        return deviation_from_rigid(self._position, self._settings.task)
+
+    @cached_property
+    def _path_error_in_motion(self) -> RecordedSignal:
+        return self._in_motion(self._path_error)
+
+    @cached_property
+    def _vibration(self) -> RecordedSignal:
+        vibration = self._position.within(self._end, math.inf)
+        return RecordedSignal(deviation_from_point(vibration, self._settings.end_equilibrium))
+
+    def _tracking_error(self, joint: int) -> HermiteSegments | None:
+        planned = self._settings.joints
+        if planned is None or not self.tracks_joints:
+            return None
+        return joint_error(self._recording, joint - 1, planned)
