@@ -6,6 +6,7 @@ returns the exit status. It imports what it needs while it runs: CasADi, SciPy a
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -48,6 +49,8 @@ app = typer.Typer(
 
 def main() -> None:
     """Entry point of the command ``flexfmu``."""
+    # no search of all installed packages for plugins of pydantic
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     keep_stdout()
     try:
         with orderly_termination():

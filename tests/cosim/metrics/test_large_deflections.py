@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from flexfmu.cosim.engine.results import Column
 from flexfmu.cosim.experiment.planning import plan
 from flexfmu.cosim.experiment.prepared_scene import run_scene
 from flexfmu.cosim.experiment.scene_build import build_scene
-from flexfmu.cosim.metrics.small_deflections import exceeded, path_errors
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.metrics import small_deflections
+from flexfmu.cosim.metrics.small_deflections import exceeded, kept_path_errors, path_errors
 from flexfmu.cosim.studies.references import compare_motions, full_scene, sample_instants, shapes_motion
 from flexfmu.model.finite_elements.equilibrium import equilibrium
 from flexfmu.model.finite_elements.motion import simulate
@@ -18,6 +25,7 @@ from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.statics import static_equilibrium
 
+MakeRun = Callable[..., Run]
 PAPER = load_scene("barnard2012-6kg")
 FOUND = {5.0: (0.0119, 0.00022), 30.0: (0.175, 0.027)}
 """How many times softer than aluminium → error of the path without and with foreshortening, against elements."""
@@ -75,3 +83,27 @@ def test_large_deflections_name_foreshortening_where_it_suffices() -> None:
     assert "set `effects.foreshortening = true`, which leaves about" in sentence
     assert path_errors(runs[0])[0] == pytest.approx(changed / largest, rel=0.2)
     assert exceeded(runs[1]) == []
+
+
+def test_an_estimate_is_made_once_for_equal_runs(
+    make_run: MakeRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The cache has it to the last bit; another recording, payload or damaged file is estimated anew."""
+    asked = list[Run]()
+
+    def estimate(run: Run) -> tuple[float, float]:
+        asked.append(run)
+        return 0.1 + 0.2, 1e-300
+
+    monkeypatch.setenv("FLEXFMU_CACHE", str(tmp_path))
+    monkeypatch.setattr(small_deflections, "path_errors", estimate)
+    run = make_run()
+    other = replace(run, parameters={"payload.mass": 3.0})
+    moved = replace(run, recording=run.recording.with_columns({"x": Column("m", run.recording.time)}))
+    for each in (run, run, other, moved, moved, run):
+        assert kept_path_errors(each) == (0.1 + 0.2, 1e-300)
+    assert len(asked) == 3
+    for file in (tmp_path / "path-errors").iterdir():
+        file.write_bytes(b"damaged")
+    assert kept_path_errors(run) == (0.1 + 0.2, 1e-300)
+    assert len(asked) == 4
