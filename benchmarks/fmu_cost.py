@@ -43,7 +43,7 @@ CASES = (
 )
 
 COUNTERS = ("steps", "rejections", "evaluations", "iterations", "factorisations")
-FUNCTIONS = ("residual", "mass_matrix", "singularity", "outputs", "motion_forward", "motion_rate2")
+FUNCTIONS = ("residual", "mass_matrix", "singularity", "outputs", "motion_rate1", "motion_rate2")
 FIGURES = (*COUNTERS, "ends_in_stage", "integration", "with_outputs", "whole", *FUNCTIONS)
 """The results of `fmu_cost.c`."""
 
@@ -101,7 +101,7 @@ def floors(found: Mapping[str, float], steps: int) -> dict[str, float]:
     integration = found["evaluations"] * found["residual"] + masses * found["mass_matrix"]
     integration += found["steps"] * found["singularity"]
     with_outputs = integration + steps * found["outputs"]
-    whole = with_outputs + steps * (found["motion_forward"] + found["motion_rate2"])
+    whole = with_outputs + steps * (found["motion_rate1"] + found["motion_rate2"])
     whole += steps * found["mass_matrix"] if ends_in_stage else 0.0
     return {"integration_floor": integration, "with_outputs_floor": with_outputs, "whole_floor": whole}
 

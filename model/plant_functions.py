@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,14 @@ from flexfmu.model.robot import Family
 from flexfmu.model.scene.assembly import WORKING_MODES
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import Friction, SymbolicModel, Variable
-from flexfmu.model.time_derivatives import MotionSymbols, acceleration_terms, forward, motion_forward, motion_rate2
+from flexfmu.model.time_derivatives import (
+    MotionSymbols,
+    acceleration_terms,
+    forward,
+    motion_forward,
+    motion_rate1,
+    motion_rate2,
+)
 
 MINIMUM_SINE = 0.01
 """Smallest |sine| of the angle between the distal links in a simulation: half of the limit for planning.
@@ -86,10 +94,18 @@ def make_plant(
         is_damped=five_bar.dynamics.is_damped,
         locked=locked,
         rate_inputs=rate_inputs,
+        twin_unknowns=_twins(unknowns),
+        twin_inputs=_twins([variable.name for variable in inputs]),
         frictions=frictions,
         effects=five_bar.notes,
         pose=POSE,
     )
+
+
+def _twins(names: Sequence[str]) -> tuple[tuple[int, int], ...]:
+    """Indices of the names of leg 1 and their counterparts of leg 2, as ``link11.bending[1]`` and ``link21.bending[1]``."""
+    mirrored = [re.sub(r"^([a-z]+)1", r"\g<1>2", name) for name in names]
+    return tuple((k, names.index(name)) for k, name in enumerate(mirrored) if name != names[k] and name in names)
 
 
 def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[str, casadi.Function]:
@@ -106,9 +122,10 @@ def _functions(five_bar: FiveBar, equations: PlantEquations, side: int) -> dict[
         "initial_coordinates": ([p], equations.initial_coordinates),
         "start_forward": forward([p], start),
         "residual": ([y, v, a, u, d], residual),
-        "mass_matrix": ([y, u, d], casadi.jacobian(residual, a)),
+        "mass_matrix": ([y, u, d], casadi.tril2symm(casadi.tril(casadi.jacobian(residual, a)))),
         "outputs": ([y, v, a, u, d], outputs),
         "motion_forward": motion_forward(motion, residual, outputs, d),
+        "motion_rate1": motion_rate1(motion, residual, outputs, d),
         "motion_rate2": motion_rate2(motion, residual, outputs, d),
         "singularity": ([y, u, d], side * five_bar.closure.sine),
         "error_scale": ([d], equations.error_scale),

@@ -38,6 +38,7 @@ FUNCTION_SIGNATURES: Mapping[str, tuple[tuple[str, ...], str]] = {
     "mass_matrix": (("y", "u", "d"), "m"),
     "outputs": (("y", "v", "a", "u", "d"), "o"),
     "motion_forward": (("y", "v", "a", "u", "d", "dy", "dv", "du", "dd"), "changes"),
+    "motion_rate1": (("y", "v", "a", "u", "u1", "d"), "changes"),
     "motion_rate2": (("y", "v", "a", "j", "u", "u1", "u2", "d"), "rates2"),
     "singularity": (("y", "u", "d"), "margin"),
     "error_scale": (("d",), "scale"),
@@ -158,7 +159,7 @@ class SymbolicModel:
         unknowns: names of the ``n`` unknown coordinates, in the order of ``y``.
         inputs, parameters, outputs: variables in the order of ``u``, ``p`` and ``o``.
         functions: one CasADi function for each entry of `FUNCTION_SIGNATURES`, all arguments and results dense.
-        acceleration_terms: (output, unknown) of each entry of do/da, in the order in which `motion_forward` gives them.
+        acceleration_terms: (output, unknown) of each entry of do/da, in the order in which `motion_rate1` gives them.
         feedthrough: output → inputs that it depends on algebraically (direct feedthrough).
         static_start: start value of the FMI parameter ``initial``: True for static equilibrium, False for undeformed.
         margin_name: quantity that `singularity` returns, for messages.
@@ -168,6 +169,8 @@ class SymbolicModel:
             static equilibrium of the others. The input of the same index is their generalised force; by default it
             holds the equilibrium.
         rate_inputs: number of trailing inputs that are rates or accelerations; they are zero in the static equilibrium.
+        twin_unknowns, twin_inputs: (first, second) for each pair of unknowns and of inputs of two equal parts, as the legs
+            of a robot; the generated code computes both parts at once.
         frictions: dry friction that can hold unknowns; events switch between stiction and slip.
         effects: documentation of the effects in the model.
         drawing: drawing of the mechanism, or None.
@@ -189,6 +192,8 @@ class SymbolicModel:
     is_damped: bool = False
     locked: int = 0
     rate_inputs: int = 0
+    twin_unknowns: tuple[tuple[int, int], ...] = ()
+    twin_inputs: tuple[tuple[int, int], ...] = ()
     frictions: tuple[Friction, ...] = ()
     effects: tuple[EffectNote, ...] = ()
     drawing: Drawing | None = None

@@ -8,6 +8,8 @@ from typing import Any
 
 import casadi
 
+from flexfmu.model.taylor import taylor_coefficients
+
 
 @dataclass(frozen=True)
 class MotionSymbols:
@@ -35,6 +37,11 @@ def acceleration_terms(motion: MotionSymbols, outputs: casadi.SX) -> tuple[tuple
     return tuple(zip(*casadi.jacobian(outputs, motion.a).sparsity().get_triplet(), strict=True))
 
 
+def _acceleration_entries(outputs: casadi.SX, a: casadi.SX) -> Any:
+    """The entries of do/da; by rows, as few outputs depend on all accelerations."""
+    return casadi.jacobian(outputs, a, {"helper_options": {"ad_weight": 1.0}}).nonzeros()
+
+
 def motion_forward(
     motion: MotionSymbols, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
 ) -> tuple[list[casadi.SX], casadi.SX]:
@@ -46,9 +53,23 @@ def motion_forward(
     """
     varied = [motion.y, motion.v, motion.u, derived]
     (*_, dy, dv, du, dd), change = forward(varied, casadi.vertcat(residual, outputs))
-    entries: Any = casadi.jacobian(outputs, motion.a).nonzeros()
     arguments = [motion.y, motion.v, motion.a, motion.u, derived, dy, dv, du, dd]
-    return arguments, casadi.vertcat(change, *entries)
+    return arguments, casadi.vertcat(change, *_acceleration_entries(outputs, motion.a))
+
+
+def motion_rate1(
+    motion: MotionSymbols, residual: casadi.SX, outputs: casadi.SX, derived: casadi.SX
+) -> tuple[list[casadi.SX], casadi.SX]:
+    """The time derivatives of residual and outputs without the terms of the jerk j = a'.
+
+    Returns:
+        arguments [y, v, a, u, u1, d] with u1 = u', and the vector [dr/dt, do/dt, entries of do/da]; the terms of the
+        jerk are M j and do/da j.
+    """
+    y, v, a, u = motion.y, motion.v, motion.a, motion.u
+    u1, both = casadi.SX.sym("u1", u.numel()), casadi.vertcat(residual, outputs)
+    first, _ = taylor_coefficients([(y, [v]), (v, [a]), (a, []), (u, [u1]), (derived, [])], both)
+    return [y, v, a, u, u1, derived], casadi.vertcat(first, *_acceleration_entries(outputs, a))
 
 
 def motion_rate2(
@@ -60,10 +81,9 @@ def motion_rate2(
         arguments [y, v, a, j, u, u1, u2, d], with the jerk j = a', u1 = u' and u2 = u'', and the vector [d2r/dt2,
         d2o/dt2]; the terms of the snap are M s and do/da s.
     """
-    # chain rule twice along the motion, with v = y', a = v', j = a' and the derivatives of the inputs
+    # Taylor coefficients along the motion, with v = y', a = v', j = a' and the derivatives of the inputs
     y, v, a, u = motion.y, motion.v, motion.a, motion.u
     j, u1, u2 = casadi.SX.sym("j", y.numel()), casadi.SX.sym("u1", u.numel()), casadi.SX.sym("u2", u.numel())
-    no_snap, both = casadi.SX.zeros(y.numel()), casadi.vertcat(residual, outputs)
-    first = casadi.jtimes(both, casadi.vertcat(y, v, a, u), casadi.vertcat(v, a, j, u1))
-    second = casadi.jtimes(first, casadi.vertcat(y, v, a, j, u, u1), casadi.vertcat(v, a, j, no_snap, u1, u2))
-    return [y, v, a, j, u, u1, u2, derived], second
+    rates = [(y, [v, 0.5 * a]), (v, [a, 0.5 * j]), (a, [j]), (u, [u1, 0.5 * u2]), (derived, [])]
+    _, second = taylor_coefficients(rates, casadi.vertcat(residual, outputs))
+    return [y, v, a, j, u, u1, u2, derived], 2 * second

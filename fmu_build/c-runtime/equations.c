@@ -14,8 +14,8 @@ size_t flex_changes_count(const flex_model *model) {
 void flex_equations_take(flex_equations *equations, const flex_model *model, flex_arena *arena) {
   const flex_function *functions[] = {&model->derive,         &model->initial_inputs, &model->residual,
                                       &model->mass_matrix,    &model->outputs,        &model->motion_forward,
-                                      &model->motion_rate2,   &model->singularity,    &model->error_scale,
-                                      &model->initial_coordinates, &model->start_forward};
+                                      &model->motion_rate1,   &model->motion_rate2,   &model->singularity,
+                                      &model->error_scale,    &model->initial_coordinates, &model->start_forward};
 
   // the largest work space that any function needs, at least room for the arguments
   int n_arg = 9, n_res = 1, n_iw = 1, n_w = 1;

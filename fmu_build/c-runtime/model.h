@@ -90,12 +90,14 @@ typedef struct {
 
   /* directional derivatives: what small changes dy, dv, .. of the arguments make of the results. Residual and outputs
    * share most of their operations, so one function gives both, without what changes of the acceleration add: M da to dr,
-   * do/da da to do. Along a motion the seeds v, a, du/dt, 0 give the rates without the jerk. */
+   * do/da da to do. */
   flex_function motion_forward; /* (y, v, a, u, d, dy, dv, du, dd) -> [dr (n), do (n_outputs), entries of do/da] */
   flex_function start_forward;  /* (p, dp) -> [dd, dy] of derive and initial_coordinates */
 
-  /* second time derivatives along the motion without what the snap s = d2a/dt2 adds: M s and do/da s; j = da/dt,
-   * u1 = du/dt, u2 = d2u/dt2 */
+  /* time derivatives along the motion without what the jerk j = da/dt adds, M j and do/da j; u1 = du/dt */
+  flex_function motion_rate1; /* (y, v, a, u, u1, d) -> [dr/dt (n), do/dt (n_outputs), entries of do/da] */
+
+  /* second time derivatives along the motion without what the snap s = d2a/dt2 adds: M s and do/da s; u2 = d2u/dt2 */
   flex_function motion_rate2; /* (y, v, a, j, u, u1, u2, d) -> [d2r/dt2 (n), d2o/dt2 (n_outputs)] */
 
   flex_function singularity; /* (y, u, d) -> one number, at least minimum_margin at admissible poses, NaN where the

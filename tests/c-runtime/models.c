@@ -9,6 +9,14 @@
 typedef const double **in;
 typedef double **out;
 
+/* rates along the motion from directional derivatives, with v, a and du/dt as seeds */
+#define RATE1(name, forward)                                                                                       \
+  static int name(in arg, out res, int *iw, double *w, int mem) {                                                  \
+    static const double none[16];                                                                                  \
+    const double *seeds[] = {arg[0], arg[1], arg[2], arg[3], arg[5], arg[1], arg[2], arg[4], none};                \
+    return forward(seeds, res, iw, w, mem);                                                                        \
+  }
+
 /* functions that several models share */
 
 static int no_inputs(in arg, out res, int *iw, double *w, int mem) {
@@ -156,6 +164,8 @@ static int oscillators_start_forward(in arg, out res, int *iw, double *w, int me
 }
 
 // arg: y, v, a, j, u, u1, u2, d
+RATE1(oscillators_rate1, oscillators_forward)
+
 static int oscillators_rate2(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
   const double no_snap[3] = {0.0, 0.0, 0.0};
@@ -216,6 +226,7 @@ const flex_model oscillators = {.name = "oscillators",
                                 .mass_matrix = FUNCTION(oscillators_mass),
                                 .outputs = FUNCTION(oscillators_outputs),
                                 .motion_forward = FUNCTION(oscillators_forward),
+                                .motion_rate1 = FUNCTION(oscillators_rate1),
                                 .motion_rate2 = FUNCTION(oscillators_rate2),
                                 .start_forward = FUNCTION(oscillators_start_forward),
                                 .singularity = FUNCTION(ample_margin),
@@ -244,6 +255,8 @@ static int pendulum_forward(in arg, out res, int *iw, double *w, int mem) {
 }
 
 // arg: y, v, a, j, u, u1, u2, d
+RATE1(pendulum_rate1, pendulum_forward)
+
 static int pendulum_rate2(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
   double y = arg[0][0], v = arg[1][0], a = arg[2][0];
@@ -273,6 +286,7 @@ const flex_model pendulum = {.name = "pendulum",
                              .mass_matrix = FUNCTION(unit_mass_1),
                              .outputs = FUNCTION(pendulum_energy),
                              .motion_forward = FUNCTION(pendulum_forward),
+                             .motion_rate1 = FUNCTION(pendulum_rate1),
                              .motion_rate2 = FUNCTION(pendulum_rate2),
                              .start_forward = FUNCTION(origin_1),
                              .singularity = FUNCTION(ample_margin),
@@ -324,7 +338,8 @@ const flex_model orbit = {.name = "orbit",
                           .mass_matrix = FUNCTION(orbit_mass),
                           .outputs = FUNCTION(orbit_invariants),
                           .motion_forward = FUNCTION(unknown_rates),
-                          .motion_rate2 = FUNCTION(unknown_rates),
+                          .motion_rate1 = FUNCTION(unknown_rates),
+                                    .motion_rate2 = FUNCTION(unknown_rates),
                           .start_forward = FUNCTION(unknown_rates),
                           .singularity = FUNCTION(ample_margin),
                           .error_scale = FUNCTION(unit_scale_2)};
@@ -368,6 +383,7 @@ const flex_model double_pendulum = {.name = "double_pendulum",
                                     .mass_matrix = FUNCTION(double_pendulum_mass),
                                     .outputs = FUNCTION(double_pendulum_energy),
                                     .motion_forward = FUNCTION(unknown_rates),
+                                    .motion_rate1 = FUNCTION(unknown_rates),
                                     .motion_rate2 = FUNCTION(unknown_rates),
                           .start_forward = FUNCTION(unknown_rates),
                                     .singularity = FUNCTION(ample_margin),
@@ -389,6 +405,8 @@ static int rigid_forward(in arg, out res, int *iw, double *w, int mem) {
 }
 
 // arg: y, v, a, j, u, u1, u2, d
+RATE1(rigid_rate1, rigid_forward)
+
 static int rigid_rate2(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
   res[0][0] = 2.0 * (arg[5][0] * arg[5][0] + arg[4][0] * arg[6][0]);
@@ -428,6 +446,7 @@ const flex_model rigid = {.name = "rigid",
                           .mass_matrix = FUNCTION(no_inputs),
                           .outputs = FUNCTION(rigid_outputs),
                           .motion_forward = FUNCTION(rigid_forward),
+                          .motion_rate1 = FUNCTION(rigid_rate1),
                           .motion_rate2 = FUNCTION(rigid_rate2),
                           .start_forward = FUNCTION(no_inputs),
                           .singularity = FUNCTION(margin_below_one),
@@ -483,6 +502,8 @@ static int sliders_forward(in arg, out res, int *iw, double *w, int mem) {
 }
 
 // arg: y, v, a, j, u, u1, u2, d
+RATE1(sliders_rate1, sliders_forward)
+
 static int sliders_rate2(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
   const double no_snap[2] = {0.0, 0.0};
@@ -534,6 +555,7 @@ const flex_model sliders = {.name = "sliders",
                             .mass_matrix = FUNCTION(sliders_mass),
                             .outputs = FUNCTION(sliders_outputs),
                             .motion_forward = FUNCTION(sliders_forward),
+                            .motion_rate1 = FUNCTION(sliders_rate1),
                             .motion_rate2 = FUNCTION(sliders_rate2),
                             .start_forward = FUNCTION(sliders_start_forward),
                             .singularity = FUNCTION(ample_margin),
@@ -569,6 +591,8 @@ static int fragile_forward(in arg, out res, int *iw, double *w, int mem) {
 }
 
 // arg: y, v, a, j, u, u1, u2, d
+RATE1(fragile_rate1, fragile_forward)
+
 static int fragile_rate2(in arg, out res, int *iw, double *w, int mem) {
   (void)iw, (void)w, (void)mem;
   res[0][0] = arg[2][0] - arg[6][0];
@@ -620,6 +644,7 @@ static const flex_variable position_output[] = {{"position", "m", 0.0, LIMITLESS
    .mass_matrix = FUNCTION(unit_mass_1),               \
    .outputs = FUNCTION(first_coordinate),              \
    .motion_forward = FUNCTION(fragile_forward),        \
+   .motion_rate1 = FUNCTION(fragile_rate1),            \
    .motion_rate2 = FUNCTION(fragile_rate2),            \
    .start_forward = FUNCTION(fragile_start_forward),   \
    .singularity = FUNCTION(margin_below_two),          \

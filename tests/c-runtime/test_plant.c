@@ -194,7 +194,7 @@ void test_failures_are_explained(void) {
   // outputs and rates alone may be undefined while the motion is not
   for (int k = 0; k < 2; k++) {
     model = fragile;
-    model.outputs = model.motion_forward = model.motion_rate2 = fragile_parts[k];
+    model.outputs = model.motion_rate1 = model.motion_rate2 = fragile_parts[k];
     flex_plant *plant = make_plant(&model, 1e-6);
     double value;
     begin_static(plant);

@@ -9,7 +9,14 @@ import casadi
 import pytest
 
 from flexfmu.model.symbolic import EffectNote, SymbolicModel, Variable
-from flexfmu.model.time_derivatives import MotionSymbols, acceleration_terms, forward, motion_forward, motion_rate2
+from flexfmu.model.time_derivatives import (
+    MotionSymbols,
+    acceleration_terms,
+    forward,
+    motion_forward,
+    motion_rate1,
+    motion_rate2,
+)
 
 MakeModel = Callable[..., SymbolicModel]
 
@@ -67,6 +74,7 @@ def oscillators(name: str = "oscillators", mass: float = MASS, static_start: boo
         "mass_matrix": ([y, u, d], d[0] * casadi.SX.eye(2)),
         "outputs": ([y, v, a, u, d], outputs),
         "motion_forward": motion_forward(motion, residual, outputs, d),
+        "motion_rate1": motion_rate1(motion, residual, outputs, d),
         "motion_rate2": motion_rate2(motion, residual, outputs, d),
         "singularity": ([y, u, d], casadi.SX(1)),
         "error_scale": ([d], casadi.vertcat(d[1], d[1], d[0], d[0], 1e-6)),
@@ -122,6 +130,7 @@ def lever(name: str = "lever") -> SymbolicModel:
         "mass_matrix": ([empty[0], u, d], casadi.SX(0, 0)),
         "outputs": ([*empty, u, d], d * u),
         "motion_forward": motion_forward(motion, none, d * u, d),
+        "motion_rate1": motion_rate1(motion, none, d * u, d),
         "motion_rate2": motion_rate2(motion, none, d * u, d),
         "singularity": ([empty[0], u, d], casadi.SX(1)),
         "error_scale": ([d], casadi.SX(1)),

@@ -57,13 +57,22 @@ def along(plant: SymbolicModel, motion: PolynomialMotion, t: float, d: np.ndarra
     if order == 0:
         return np.concatenate([evaluate(plant, name, motion, t, d) for name in ("residual", "outputs")])
     n, total = plant.degrees_of_freedom, plant.degrees_of_freedom + len(plant.outputs)
-    changes = evaluate(plant, "motion_forward", motion, t, d)
+    changes = evaluate(plant, "motion_rate1", motion, t, d)
     by_acceleration = np.zeros((total, n))
     by_acceleration[:n] = plant.functions["mass_matrix"](motion.y(t), motion.u(t), d).full()
     for (output, unknown), entry in zip(plant.acceleration_terms, changes[total:], strict=True):
         by_acceleration[n + output, unknown] = entry
     held = changes[:total] if order == 1 else evaluate(plant, "motion_rate2", motion, t, d)
     return np.asarray(held + by_acceleration @ motion.y(t, 2 + order))
+
+
+def test_first_rates_are_the_directional_derivatives_along_the_motion(
+    plant: SymbolicModel, derived: np.ndarray
+) -> None:
+    """Taylor coefficients and forward differentiation are two ways to the same derivatives."""
+    motion = PolynomialMotion(plant.degrees_of_freedom)
+    rates, changes = (evaluate(plant, name, motion, 0.01, derived) for name in ("motion_rate1", "motion_forward"))
+    np.testing.assert_allclose(rates, changes, rtol=1e-9, atol=1e-12 * np.abs(changes).max())
 
 
 @pytest.mark.parametrize("order", [1, 2])
