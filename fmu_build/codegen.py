@@ -15,6 +15,8 @@ import casadi
 from flexfmu.fmu_build.errors import ModelError
 from flexfmu.fmu_build.states import find_states
 from flexfmu.fmu_build.templating import render
+from flexfmu.fmu_build.twin_code import twin_code
+from flexfmu.fmu_build.twins import Entry
 from flexfmu.model.symbolic import FUNCTION_SIGNATURES, SymbolicModel
 
 MAX_INPUT_ORDER = 9
@@ -23,6 +25,10 @@ MAX_INPUT_ORDER = 9
 DESCRIPTION_FILE = "model_description.c"
 HEADER_FILE = "model_functions.h"
 LANES_FILE = "model_residual_lanes.c"
+
+UNKNOWNS = ("y", "v", "a", "j", "dy", "dv")
+INPUTS = ("u", "u1", "u2", "du")
+"""Arguments in `FUNCTION_SIGNATURES` with one entry for each unknown, and for each input."""
 
 _MATHEMATICS = "#include <math.h>"
 
@@ -61,10 +67,23 @@ def generate_functions(model: SymbolicModel) -> tuple[dict[str, str], tuple[Gene
     sizes = _sizes(model)
     prepared = {name: _prepare(name, _function(model, name), sizes) for name in FUNCTION_SIGNATURES}
     facts = tuple(function_facts(name, function) for name, function in prepared.items())
-    files = {function_file(name): with_all_arguments(c_code(function)) for name, function in prepared.items()}
-    if (lanes := lanes_code(files[function_file("residual")])) is not None:
+    files = {function_file(name): _code(model, name, function) for name, function in prepared.items()}
+    if (lanes := lanes_code(with_all_arguments(c_code(prepared["residual"])))) is not None:
         files[LANES_FILE] = lanes
     return files | {HEADER_FILE: render(HEADER_FILE + ".j2", functions=facts)}, facts
+
+
+def _code(model: SymbolicModel, name: str, function: casadi.Function) -> str:
+    """C code of the function ``name``, operations of twins side by side where the model has any."""
+    return twin_code(function, twin_arguments(model, name)) or with_all_arguments(c_code(function))
+
+
+def twin_arguments(model: SymbolicModel, name: str) -> list[tuple[Entry, Entry]]:
+    """Twins among the arguments of the function ``name``."""
+    twins: dict[str, tuple[tuple[int, int], ...]] = dict.fromkeys(UNKNOWNS, model.twin_unknowns)
+    twins |= dict.fromkeys(INPUTS, model.twin_inputs)
+    arguments = enumerate(FUNCTION_SIGNATURES[name][0])
+    return [((k, first), (k, second)) for k, argument in arguments for first, second in twins.get(argument, ())]
 
 
 def generate_description(
@@ -107,8 +126,7 @@ def _sizes(model: SymbolicModel) -> dict[str, tuple[int, int]]:
     """Shape of every argument and result by its name in `FUNCTION_SIGNATURES`."""
     n, m = model.degrees_of_freedom, len(model.inputs)
     # coordinates and their directions of differentiation, inputs, outputs
-    vectors = dict.fromkeys(("y", "v", "a", "j", "r", "dy", "dv"), n)
-    vectors |= dict.fromkeys(("u", "u1", "u2", "du"), m)
+    vectors = dict.fromkeys((*UNKNOWNS, "r"), n) | dict.fromkeys(INPUTS, m)
     vectors |= {"o": len(model.outputs), "rates2": n + len(model.outputs)}
     vectors["changes"] = n + len(model.outputs) + len(model.acceleration_terms)
     # parameters, and values derived from them

@@ -147,7 +147,7 @@ def runtime_sources(kind: FmuKind = "plant") -> dict[str, str]:
 
 def elementary_sources() -> dict[str, str]:
     """C files and headers of the elementary functions (sin, exp, ...), scalar and on lanes, that generated code calls."""
-    return {name: text for name, text in runtime_sources().items() if name.startswith(("elementary", "lanes"))}
+    return {name: text for name, text in runtime_sources().items() if name.startswith(("elementary", "lanes", "twins"))}
 
 
 def _belongs(name: str, kind: FmuKind) -> bool:
