@@ -391,7 +391,7 @@ static void solve_rate(const flex_plant *plant, real *x, real *rates) {
 
 static int first_rates(flex_plant *plant) {
   const flex_integrator *g = &plant->integrator;
-  const double *const arguments[] = {g->y, g->v, g->a, plant->u, plant->u1, plant->d};
+  const real *const arguments[] = {g->y, g->v, g->a, plant->u, plant->u1, plant->d};
   int refused = flex_call(&plant->equations, &plant->model->motion_rate1, 6, arguments, plant->jerk);
   flex_hold(&plant->equations, plant->jerk);
   solve_rate(plant, plant->jerk, plant->first_rates);
