@@ -73,7 +73,8 @@ def find_instability(time: RealArray, signals: Iterable[tuple[str, RealArray]]) 
     last = _right_limits(time)
     if last.sum() <= WINDOW * WINDOWS:
         return None
-    return _fastest(_judge(time[last], name, values[last]) for name, values in signals)
+    instants = time[last]
+    return _fastest(_judge(instants, name, values[last]) for name, values in signals)
 
 
 def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) -> Instability | None:
@@ -84,7 +85,8 @@ def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) 
         signals: (name, values (N,)) of signals in closed loops, those of sampled slaves included.
     """
     last = _right_limits(time)
-    return _fastest(_overshooting(time[last], name, values[last]) for name, values in signals)
+    instants = time[last]
+    return _fastest(_overshooting(instants, name, values[last]) for name, values in signals)
 
 
 def _right_limits(time: RealArray) -> NDArray[np.bool_]:
@@ -102,11 +104,13 @@ def _overshooting(time: RealArray, name: str, values: RealArray) -> Instability 
     change = np.diff(values)
     size = abs(change)
     follows = (change[1:] * change[:-1] < 0.0) & (size[1:] >= size[:-1])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], follows, [False]]).astype(np.int8)))
+    bounded = np.concatenate([[False], follows, [False]])
+    edges = np.flatnonzero(bounded[1:] != bounded[:-1]).reshape(-1, 2)
+    long = edges[edges[:, 1] - edges[:, 0] >= ALTERNATIONS - 1]
     return _fastest(
         Instability(name, float(size[end] / size[begin]) ** (1.0 / (end - begin)), float(time[begin + 1]))
-        for begin, end in edges.reshape(-1, 2).tolist()
-        if end - begin >= ALTERNATIONS - 1 and _explodes(size[begin : end + 1], values, begin)
+        for begin, end in long.tolist()
+        if _explodes(size[begin : end + 1], values, begin)
     )
 
 
