@@ -39,7 +39,9 @@ class Opcode(IntEnum):
     SAMPLE = 7
     TASK = 8
     REFRESH = 9
-    CALL = 10
+    MULTIPLY = 10
+    ADD = 11
+    CALL = 12
 
 
 class CInstruction(Structure):
@@ -197,6 +199,17 @@ def gather(
     kept = (source, columns, target, places)
     numbers = {"count": columns.size, "stride": stride}
     return Instruction(Opcode.GATHER, when, owner, _never, numbers, pointers, kept)
+
+
+def combine(kind: Opcode, source: RealArray, target: RealArray, places: Indices, when: When, owner: int) -> Instruction:
+    """``target.flat[places] *= source`` or ``+= source``, by the kind; the source doesn't change."""
+    source, places = np.ascontiguousarray(source), np.ascontiguousarray(places, dtype=np.int64)
+    pointers: dict[str, int | None] = {
+        "source": address(source),
+        "target": address(target),
+        "places": address(places),
+    }
+    return Instruction(kind, when, owner, _never, {"count": places.size}, pointers, (source, target, places))
 
 
 def finite(signals: RealArray, when: When, owner: int, failure: Failure) -> Instruction:

@@ -16,6 +16,8 @@ from flexfmu.cosim.engine.binding import Both, Copy, Evaluation, Phase, Refresh,
 from flexfmu.cosim.engine.fmu.instance import Checked
 from flexfmu.cosim.engine.master.instructions import (
     Instruction,
+    Opcode,
+    combine,
     evaluation,
     finite,
     fmi_step,
@@ -91,7 +93,7 @@ def _translation(schedule: Schedule, tables: Mapping[int, HasTables], operation:
                 yield finite(outputs.signals, when, i, lambda status, begin, end: outputs.not_finite(end))
         case Action.FEED:
             for group in inputs.groups:
-                yield _extrapolation(group, inputs.fed, when, i)
+                yield from _extrapolation(group, inputs.fed, when, i)
             yield from _transfer(inputs.send, when, i)
         case Action.STEP if isinstance(slave, StepsInC) and (bound := slave.bound_step()) is not None:
             step, failure = bound
@@ -135,16 +137,22 @@ def _table_row(table: Callable[[], RealArray], outputs: OutputPort, owner: int, 
     return row
 
 
-def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -> Instruction:
-    """The instruction equivalent to `SignalGroup.extrapolation`; a Python callback if the signals are mapped."""
-    if group.transformation is not None:
+def _extrapolation(group: SignalGroup, fed: RealArray, when: When, owner: int) -> Iterator[Instruction]:
+    """The instructions equivalent to `SignalGroup.extrapolation`; a Python callback if signals are mapped by tables, or
+    if a map changes the sign of rows that aren't extrapolated, which stay zero here."""
+    mapping, count = group.transformation, group.coupling.order + 1
+    if mapping is not None and (mapping.tables or (len(fed) > count and (mapping.factor < 0.0).any())):
         extrapolate = group.extrapolation(fed)
-        return python_callback(lambda point, begin, end: extrapolate(), when, owner)
-    # flat indices of the signals in both buffers, row by row; further rows stay zero
-    rows = np.arange(group.coupling.order + 1)[:, None]
+        yield python_callback(lambda point, begin, end: extrapolate(), when, owner)
+        return
+    # flat indices of the signals in both buffers, row by row
+    rows = np.arange(count)[:, None]
     columns = rows * group.source.signals.shape[1] + group.columns
     places = rows * fed.shape[1] + np.arange(fed.shape[1])[group.slots]
-    return gather(group.source.signals, columns.ravel(), fed, places.ravel(), when, owner)
+    yield gather(group.source.signals, columns.ravel(), fed, places.ravel(), when, owner)
+    if mapping is not None:
+        yield combine(Opcode.MULTIPLY, np.tile(mapping.factor, count), fed, places.ravel(), when, owner)
+        yield combine(Opcode.ADD, mapping.offset, fed, places[0], when, owner)
 
 
 def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:

@@ -61,6 +61,21 @@ def test_a_foreign_unit_changes_nothing(split_oscillator: Any, order: int, algor
     assert abs(expected.recording[name].values).max() > 0.1
 
 
+@pytest.mark.parametrize("factor", [0.1, -0.1])
+@pytest.mark.parametrize("order", [0, 2])
+def test_the_loop_in_c_maps_the_same_bits(split_oscillator: Any, order: int, factor: float) -> None:
+    """Products and sums of values and derivatives are rounded as in Python, signs of zeros included."""
+    system = split_oscillator(order).system()
+    wires = [(*system.describe(each).split(" -> "), LinearMap(factor, 0.3)) for each in system.connections]
+    found, exact = (
+        simulate(connect(system.slaves, wires), stop=1.0, step=0.01, algorithm=Jacobi(), compiled=compiled).recording
+        for compiled in (True, False)
+    )
+    for name, column in found.columns.items():
+        assert column.values.tobytes() == exact[name].values.tobytes(), name
+    assert np.ptp(found[f"{system.slaves[1].name}.x"].values) > 1e-3
+
+
 def test_maps_follow_one_another() -> None:
     """First one, then the other; the identity leaves the last bit alone."""
     first, second = LinearMap(2.0, 1.0), LinearMap(-3.0, 0.5)

@@ -97,6 +97,12 @@ static int carry_out(const master_instruction *op, size_t point, double begin, d
     case MASTER_TASK:
       *status = step_task(op);
       return *status > FMI2_WARNING;
+    case MASTER_MULTIPLY:
+      for (size_t i = 0; i < op->count; i++) op->target[op->places[i]] *= op->source[i];
+      return 0;
+    case MASTER_ADD:
+      for (size_t i = 0; i < op->count; i++) op->target[op->places[i]] += op->source[i];
+      return 0;
     default:
       return ((python_callback)op->function)(point, begin, end);
   }

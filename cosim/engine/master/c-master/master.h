@@ -19,6 +19,8 @@ enum {
   MASTER_SAMPLE,      /* fmi2DoStep to a sample instant: function, component, target = {time reached, step or 0} */
   MASTER_TASK,        /* fmi2DoStep from a sample instant: function, component, target = {first, sample time, count} */
   MASTER_REFRESH,     /* fmi2SetReal with target[i] = source[columns[i]], i < count, unless they are equal already */
+  MASTER_MULTIPLY,    /* target[places[i]] *= source[i], i < count */
+  MASTER_ADD,         /* target[places[i]] += source[i], i < count */
   MASTER_CALL         /* a Python callback: function(point, begin, end), begin = end in an exchange */
 };
 

@@ -52,6 +52,7 @@ int main(int argc, char **argv) {
   void *const handles[] = {&plant, &sampled, &task, memory};
   const unsigned references[] = {0, 1, 2};
   const int orders[] = {1, 2, 3};
+  const double halves[] = {0.5};
   const long long backwards[] = {2, 1, 0}, first[] = {0, 1, 2}, pair[] = {2, 0};
   for (int k = 0; k <= POINTS; k++) {
     times[k] = 0.25 * k, jumps[k] = k % 4 == 0, due[k] = k % 2 == 0;
@@ -67,6 +68,8 @@ int main(int argc, char **argv) {
       {.kind = MASTER_VALUES, .function = (function)set_values, .component = &handles[0], .references = references,
        .count = N, .target = row},
       {.kind = MASTER_COPY, .source = row, .count = 1, .target = memory},
+      {.kind = MASTER_MULTIPLY, .source = halves, .count = 1, .places = first, .target = memory},
+      {.kind = MASTER_ADD, .source = halves, .count = 1, .places = first, .target = memory},
       {.kind = MASTER_EVALUATE, .condition = MASTER_WHEN_DUE, .due = due, .function = (function)square, .component = &handles[3]},
       {.kind = MASTER_SAMPLE, .condition = MASTER_WHEN_DUE, .due = due, .function = (function)step, .component = &handles[1],
        .target = sampled_at},
@@ -91,7 +94,7 @@ int main(int argc, char **argv) {
   CHECK(master_run(&program, 6, &progress) == 0);
   CHECK(progress.points == 6 && progress.records == 7);
   CHECK(plant.steps == 6 && plant.time == 1.5 && plant.inputs[0] == 62.0 && plant.inputs[2] == 60.0);
-  CHECK(memory[1] == 62.0 * 62.0);
+  CHECK(memory[1] == 31.5 * 31.5);
   CHECK(sampled.steps == 3 && sampled.time == 1.5 && sampled.sets == 6 && sampled.inputs[0] == 60.0 && sampled.inputs[1] == 62.0);
   CHECK(task.steps == 3 && task.time == 1.5);
   /* left limits of the jump at 1 s, then its derivatives */
@@ -101,7 +104,7 @@ int main(int argc, char **argv) {
   if (argc == 1) table[7][0] = 0.0 / (double)(progress.status);
   CHECK(master_run(&program, POINTS, &progress) == 1);
   if (argc == 1) {
-    CHECK(progress.points == 7 && progress.instruction == 10 && progress.status == 0);
+    CHECK(progress.points == 7 && progress.instruction == 12 && progress.status == 0);
   } else {
     CHECK(progress.points == 7 && progress.instruction == 0 && progress.status == 3);
   }
