@@ -15,7 +15,7 @@ import numpy as np
 
 from flexfmu.model.scene.assembly import WORKING_MODES, bases, motor_angles
 from flexfmu.model.scene.mechanism import Mechanism
-from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sincos, sqrt, unstack
+from flexfmu.trajectories.jets import Jet, RealArray, arctan2, sincos, sqrt, stack, unstack
 from flexfmu.trajectories.joint import Margin
 
 REACH_MARGIN = 1e-3
@@ -57,7 +57,8 @@ class RigidKinematics:
         # elbow angle from cosine and sine, both times 2 l r: acos would be inaccurate near ±1
         cosine = square + (proximal**2 - distal**2)
         sine = sqrt(4.0 * proximal**2 * square - cosine * cosine)
-        return unstack(arctan2(dy, dx) + signs * arctan2(sine, cosine))
+        arm, elbow = unstack(arctan2(stack((dy, sine)), stack((dx, cosine))))
+        return unstack(arm + signs * elbow)
 
     def margins(self, position: RealArray) -> tuple[Margin, ...]:
         """Distances to the workspace boundary and to the type-2 singularity at positions (N, 2) [m].

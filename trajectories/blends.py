@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from flexfmu.trajectories.curves import ParametricPiece, PiecewiseCurve, PlacedPiece, PlaneJets
 from flexfmu.trajectories.errors import TrajectoryError, positive
-from flexfmu.trajectories.jets import Jet, RealArray, power, sincos
+from flexfmu.trajectories.jets import Jet, RealArray, power, sincos, stack, unstack
 from flexfmu.trajectories.roots import root_between
 
 QUARTER = 0.5 * math.pi
@@ -68,9 +68,10 @@ class LameBlend(Blend):
         return PiecewiseCurve((ParametricPiece(self._point, QUARTER),))
 
     def _point(self, t: Jet) -> PlaneJets:
-        s, c = sincos(t)
-        radius = power(c * c * c + s * s * s, -1.0 / 3.0)
-        return self.width * (1.0 - c * radius), self.height * (s * radius)
+        direction = stack(sincos(t))
+        s3, c3 = unstack(direction * direction * direction)
+        s, c = unstack(direction * power(c3 + s3, -1.0 / 3.0))
+        return self.width * (1.0 - c), self.height * s
 
 
 @dataclass(frozen=True)

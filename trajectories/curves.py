@@ -85,9 +85,11 @@ class ParametricPiece:
             return self.curve(Jet.variable(u, 0))
         # ds/du = |(x', y')|
         x, y = self.curve(Jet.variable(u, order))
-        x_slope, y_slope = x.differentiate(), y.differentiate()
-        arc = sqrt(x_slope * x_slope + y_slope * y_slope).integrate()
-        return unstack(compose(stack((x, y)), revert(arc)))
+        point = stack((x, y))
+        slope = point.differentiate()
+        squares = unstack(slope * slope)
+        arc = sqrt(squares[0] + squares[1]).integrate()
+        return unstack(compose(point, revert(arc)))
 
 
 @dataclass(frozen=True, eq=False)

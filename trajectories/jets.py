@@ -138,7 +138,8 @@ class Jet:
         a, b = _aligned(self, other.coefficients.ndim), _aligned(other, self.coefficients.ndim)
         v = a[0] * b[: order + 1]
         for k in range(1, order + 1):
-            v[k:] += a[k] * b[: order + 1 - k]
+            rest = v[k:]
+            rest += a[k] * b[: order + 1 - k]
         return Jet(v)
 
     __rmul__ = __mul__

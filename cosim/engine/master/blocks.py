@@ -82,7 +82,8 @@ class RunGrid:
         self._rules, self.start, self.stop = rules, rules.start, rules.stop
         self._ticks, self._parts = _cycle(rules, period)
         self._kept: list[Block] = []
-        # one pass over all blocks counts them
+        # one pass over all blocks counts them, and keeps a few
+        kept: list[Block] = []
         self.steps = self.most = count = 0
         self.jumps, self.least_step, self.largest_step = 0, inf, 0.0
         for count, block in enumerate(self.blocks(), start=1):
@@ -92,8 +93,9 @@ class RunGrid:
             self.jumps += int(block.grid.marked[int(count > 1) :].sum())
             self.least_step = min(self.least_step, float(widths.min()))
             self.largest_step = max(self.largest_step, float(widths.max()))
-        if count <= KEPT:
-            self._kept = list(self.blocks())
+            if count <= KEPT:
+                kept.append(block)
+        self._kept = kept if count <= KEPT else []
 
     def blocks(self) -> Iterator[Block]:
         """All blocks in order."""
