@@ -23,12 +23,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
-from speed_command_line import command_line_figures
 from speed_figure import SpeedFigure
 from speed_loops import loop_figures
 from speed_measurements import RECORDINGS, Peers, Whole, cold_build, overheads, variants, whole_runs, yardstick
 from speed_metrics import metric_figures
-from speed_motions import motion_figures
+from speed_variants import lockstep_figures
 
 REPEAT = 30
 """Rounds of runs of which the fastest counts."""
@@ -133,16 +132,7 @@ def main() -> int:
         folder = Path(name)
         unit, runs = yardstick(folder), whole_runs(folder, REPEAT)
         figures = [*printed(whole_figures(runs)), *printed(overhead_figures(folder))]
-    measures = (
-        build_figures,
-        command_line_figures,
-        variant_figures,
-        metric_figures,
-        motion_figures,
-        loop_figures,
-        peer_figures,
-    )
-    for measure in measures:
+    for measure in (build_figures, variant_figures, lockstep_figures, metric_figures, loop_figures, peer_figures):
         figures += printed(measure())
     # compare with the baseline
     compared = {"counters": counters(runs), "times": times(figures, unit)}

@@ -43,7 +43,7 @@ _COMMON = (
 )
 """Prefixes of the runtime's files for all kinds."""
 
-_OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",)}
+_OWN = {"block": ("block", "inputs."), "trajectory": ("trajectory",), "batch": ("batch",)}
 """Kind → prefixes of its further files; the plant needs all files except those named after other kinds."""
 
 
@@ -142,6 +142,61 @@ def runtime_sources(kind: FmuKind = "plant") -> dict[str, str]:
     """C files and headers of the runtime for a kind of FMU, name → text."""
     folder = files("flexfmu.fmu_build") / "c-runtime"
     entries = sorted((entry for entry in folder.iterdir() if _belongs(entry.name, kind)), key=lambda e: e.name)
+    return {entry.name: entry.read_text(encoding="utf-8") for entry in entries}
+
+
+_BATCH = (
+    *(
+        "accuracy.",
+        "batch.",
+        "batch_functions.",
+        "batch_peaks.",
+        "collocation.",
+        "elementary",
+        "equations.",
+        "explicit",
+    ),
+    *("dormand_prince.", "friction.h", "gauss_tableaus.", "inputs.", "integration_step.", "integrator.", "lanes"),
+    *(
+        "linear_algebra.",
+        "memory.",
+        "methods.",
+        "model.",
+        "newton_matrix.",
+        "outcome.",
+        "plant.",
+        "powers.",
+        "prediction.",
+    ),
+    *(
+        "private.",
+        "radau_tableau.",
+        "real.",
+        "refusal.h",
+        "runge_kutta_4.",
+        "stages.",
+        "statics.",
+        "tableaus.",
+        "tangent.",
+        "twins.",
+    ),
+)
+"""Prefixes of the runtime's files that variants in lockstep need: the numerical layer without FMI and friction."""
+
+
+def batch_sources(lanes: int) -> dict[str, str]:
+    """C files and headers of the solver of ``lanes`` variants in lockstep, name → text; friction that sticks has one lane."""
+    return _runtime_files((*_BATCH, "friction.c") if lanes == 1 else _BATCH)
+
+
+def processor_sources() -> dict[str, str]:
+    """C files and headers of the library that tells how many lanes this processor has, name → text."""
+    return _runtime_files(("batch.h", "batch_processor.", "lanes."))
+
+
+def _runtime_files(prefixes: tuple[str, ...]) -> dict[str, str]:
+    folder = files("flexfmu.fmu_build") / "c-runtime"
+    entries = sorted((entry for entry in folder.iterdir() if entry.name.startswith(prefixes)), key=lambda e: e.name)
     return {entry.name: entry.read_text(encoding="utf-8") for entry in entries}
 
 

@@ -263,8 +263,7 @@ def revert(series: Jet) -> Jet:
     term = quotient
     for k in range(1, series.order + 1):
         inverse[k] = term.coefficients[k - 1] / k
-        if k < series.order:
-            term = term * quotient
+        term = term * quotient
     return Jet(inverse)
 
 

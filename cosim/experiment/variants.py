@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.master.master import Progress
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
+from flexfmu.cosim.experiment.lockstep import PeakMeasure, SideBySide
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
@@ -19,6 +23,12 @@ T = TypeVar("T")
 Changes = Mapping[str, Any]
 """Changes of a variant: keys of the scene's section ``trajectory``, such as ``trajectory.duration``, and parameters of
 the FMU, such as ``payload.mass``."""
+
+FEW = 16
+"""Fewer variants of one motion than this are simulated by the FMU, which needs no library for lockstep."""
+
+SHARES, LARGEST_SHARE = 4, 5000
+"""Shares of the variants for each process, and the largest number of variants in a share."""
 
 MOTION = "trajectory."
 """Prefix of keys that change the motion."""
@@ -52,10 +62,16 @@ def run_variants(
     tolerance: float | None = None,
     record: Selection = EVERYTHING,
     progress: Progress | None = None,
+    processes: int = 1,
 ) -> list[VariantResult[T]]:
-    """Simulate variants of a scene one after the other and measure each run.
+    """Simulate variants of a scene and measure each run.
 
     The FMU is built once; each motion is planned, and its references calculated, once for all variants with this motion.
+
+    Variants that differ in parameters of a motion-driven robot are simulated side by side in the lanes of the processor's
+    vector registers if ``measure`` needs only peaks, as `flexfmu.cosim.metrics.chosen.chosen_metrics` tells. They have common
+    steps, chosen by the variant with the largest error: each result agrees with that of the variant's own run within the
+    tolerance. All other variants are runs of the FMU, to the last bit.
 
     Args:
         scene: the scene.
@@ -63,7 +79,8 @@ def run_variants(
         measure: function from a completed run to the result, `flexfmu.cosim.metrics.metrics.metrics_of` for example.
         communication_step, tolerance: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
         record: signals that ``measure`` needs; fewer take less time.
-        progress: called after each variant with the completed fraction, 0..1.
+        progress: called now and then with the completed fraction, 0..1.
+        processes: number of processes; with more than one, ``measure`` must be picklable, such as a function of a module.
 
     Returns:
         The results in the order of the variants. A variant that can't be planned, simulated or measured has an error instead
@@ -71,38 +88,109 @@ def run_variants(
 
     Raises:
         BuildError: the FMU can't be built.
+        InputError: the number of processes is below 1.
     """
-    fmu_path = build_scene(scene).path
+    if processes < 1:
+        raise InputError(f"variants need at least 1 process, got {processes}; give the number of processors to use")
+    task = _Task(scene, build_scene(scene).path, measure, communication_step, tolerance, record)
+    report = _Report(len(variants), progress)
+    if processes == 1 or len(variants) < 2:
+        return task.results(variants, report.add)
+    # shares of equal size, a few for each process so that all finish at about the same time
+    size = max(1, min(LARGEST_SHARE, ceil(len(variants) / (SHARES * processes))))
+    shares = [variants[first : first + size] for first in range(0, len(variants), size)]
+    found: list[VariantResult[T]] = []
+    with ProcessPoolExecutor(processes) as pool:
+        for results in pool.map(task.results, shares):
+            found += results
+            report.add(len(results))
+    return found
 
-    last: list[PreparedScene] = []
 
-    def prepared(motion: Changes) -> PreparedScene:
-        changed = scene.replace(dict(motion)) if motion else scene
-        # where the motion alone is new, everything else is used again
-        if not (last and last[0].replan(changed)):
-            last[:] = [
-                PreparedScene(
-                    changed,
-                    communication_step=communication_step,
-                    tolerance=tolerance,
-                    fmu_path=fmu_path,
-                    record=record,
-                )
-            ]
-        return last[0]
+class _Report:
+    """Adds up completed variants and reports their fraction."""
 
-    # variants with the same motion share a prepared scene
-    found: dict[int, VariantResult[T]] = {}
-    groups: dict[str, list[int]] = {}
-    for i, variant in enumerate(variants):
-        groups.setdefault(repr(sorted(_part(variant, motion=True).items())), []).append(i)
-    for members in groups.values():
-        ready = _attempt(prepared, _part(variants[members[0]], motion=True))
-        for i in members:
-            found[i] = _result(variants[i], ready, measure)
-            if progress is not None:
-                progress(len(found) / len(variants))
-    return [found[i] for i in range(len(variants))]
+    def __init__(self, total: int, progress: Progress | None) -> None:
+        self._total, self._done, self._progress = total, 0, progress
+
+    def add(self, count: int) -> None:
+        """Report that further variants are completed."""
+        self._done += count
+        if self._progress is not None and count:
+            self._progress(self._done / self._total)
+
+
+@dataclass(frozen=True)
+class _Task(Generic[T]):
+    """What to do with each variant; attributes as the arguments of `run_variants`, ``fmu_path`` the built FMU."""
+
+    scene: Scene
+    fmu_path: Path
+    measure: Callable[[Run], T]
+    communication_step: float | None
+    tolerance: float | None
+    record: Selection
+
+    def results(
+        self, variants: Sequence[Changes], done: Callable[[int], None] = lambda count: None
+    ) -> list[VariantResult[T]]:
+        """The results in the order of the variants; ``done`` is called with numbers of completed variants."""
+        last: list[PreparedScene] = []
+
+        def prepared(motion: Changes) -> PreparedScene:
+            # where the motion alone is new, everything else is used again
+            if not (last and last[0].replan(self._changed(motion))):
+                last[:] = [self._prepared(motion)]
+            return last[0]
+
+        found: dict[int, VariantResult[T]] = {}
+        groups: dict[str, list[int]] = {}
+        for i, variant in enumerate(variants):
+            groups.setdefault(repr(sorted(_part(variant, motion=True).items())), []).append(i)
+        for members in groups.values():
+            # variants with the same motion: in lockstep, and what is left by the FMU
+            motion = _part(variants[members[0]], motion=True)
+            found |= self._in_lockstep(motion, {i: variants[i] for i in members}, done)
+            left = [i for i in members if i not in found]
+            ready = _attempt(prepared, motion) if left else None
+            for i in left:
+                found[i] = _result(variants[i], ready, self.measure)
+                done(1)
+        return [found[i] for i in range(len(variants))]
+
+    def _changed(self, motion: Changes) -> Scene:
+        return self.scene.replace(dict(motion)) if motion else self.scene
+
+    def _prepared(self, motion: Changes) -> PreparedScene:
+        return PreparedScene(
+            self._changed(motion),
+            communication_step=self.communication_step,
+            tolerance=self.tolerance,
+            fmu_path=self.fmu_path,
+            record=self.record,
+        )
+
+    def _in_lockstep(
+        self, motion: Changes, variants: Mapping[int, Changes], done: Callable[[int], None]
+    ) -> dict[int, VariantResult[T]]:
+        """The results of the variants that can be simulated in lockstep, by their keys."""
+        measure = self.measure
+        if not isinstance(measure, PeakMeasure) or len(variants) < FEW:
+            return {}
+
+        def peaks() -> list[dict[str, float] | None]:
+            side_by_side = SideBySide(self._changed(motion), self.fmu_path, self.communication_step, self.tolerance)
+            return side_by_side.peaks([_part(each, motion=False) for each in variants.values()], measure.outputs, done)
+
+        # where they can't be planned or simulated, the FMU tells why
+        found = _attempt(peaks)
+        if isinstance(found, Exception):
+            return {}
+        return {
+            i: VariantResult(variants[i], measure.of_peaks(each))
+            for i, each in zip(variants, found, strict=True)
+            if each is not None
+        }
 
 
 def _part(variant: Changes, *, motion: bool) -> dict[str, Any]:
@@ -110,10 +198,10 @@ def _part(variant: Changes, *, motion: bool) -> dict[str, Any]:
     return {key: value for key, value in variant.items() if key.startswith(MOTION) == motion}
 
 
-def _result(variant: Changes, ready: PreparedScene | Exception, measure: Callable[[Run], T]) -> VariantResult[T]:
+def _result(variant: Changes, ready: PreparedScene | Exception | None, measure: Callable[[Run], T]) -> VariantResult[T]:
     """Simulate and measure one variant."""
     # the motion can't be planned
-    if isinstance(ready, Exception):
+    if not isinstance(ready, PreparedScene):
         return VariantResult(variant, None, ready)
 
     def measured() -> T:

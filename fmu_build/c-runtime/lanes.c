@@ -4,7 +4,7 @@
 #include <cpuid.h>
 
 /* what the operating system saves when it switches processes */
-enum { SSE_AND_AVX_STATE = 6 };
+enum { SSE_AND_AVX_STATE = 6, AVX512_STATE = 0xe6 };
 
 static unsigned saved_states(void) {
   unsigned low, high;
@@ -12,12 +12,16 @@ static unsigned saved_states(void) {
   return low;
 }
 
-int flex_has_lanes(void) {
+int flex_processor_lanes(void) {
   unsigned a, b, c, d;
-  if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_OSXSAVE) || !(c & bit_AVX)) return 0;
-  if ((saved_states() & SSE_AND_AVX_STATE) != SSE_AND_AVX_STATE) return 0;
-  return __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & bit_AVX2);
+  if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_OSXSAVE) || !(c & bit_AVX)) return 1;
+  unsigned saved = saved_states();
+  if ((saved & SSE_AND_AVX_STATE) != SSE_AND_AVX_STATE) return 1;
+  if (!__get_cpuid_count(7, 0, &a, &b, &c, &d) || !(b & bit_AVX2)) return 1;
+  return (saved & AVX512_STATE) == AVX512_STATE && (b & bit_AVX512F) && (b & bit_AVX512DQ) ? 8 : 4;
 }
 #else
-int flex_has_lanes(void) { return 0; }
+int flex_processor_lanes(void) { return 1; }
 #endif
+
+int flex_has_lanes(void) { return flex_processor_lanes() > 1; }

@@ -7,7 +7,13 @@
 
 #include "lanes.h"
 
-#ifdef FLEX_LANES
+#if defined(FLEX_WIDTH) && FLEX_WIDTH > 1
+#define FLEX_LANE_COUNT FLEX_WIDTH
+#elif defined(FLEX_LANES)
+#define FLEX_LANE_COUNT FLEX_LANES
+#endif
+
+#ifdef FLEX_LANE_COUNT
 #include <stdint.h>
 #include <string.h>
 
@@ -15,13 +21,18 @@
 #include "elementary_pairs.h"
 #include "elementary_sine_constants.h"
 
+#if defined(FLEX_WIDTH) && FLEX_WIDTH > 1
+#define FLEX_WIDE
+#define FLEX_WIDE_INLINE static inline __attribute__((always_inline))
+#else
 #define FLEX_WIDE __attribute__((target("avx2")))
 #define FLEX_WIDE_INLINE static inline __attribute__((target("avx2"), always_inline))
+#endif
 
-typedef double flex_lanes __attribute__((vector_size(8 * FLEX_LANES)));
-typedef int64_t flex_lane_bits __attribute__((vector_size(8 * FLEX_LANES)));
+typedef double flex_lanes __attribute__((vector_size(8 * FLEX_LANE_COUNT)));
+typedef int64_t flex_lane_bits __attribute__((vector_size(8 * FLEX_LANE_COUNT)));
 
-FLEX_WIDE_INLINE flex_lanes flex_all(double x) { return (flex_lanes){x, x, x, x}; }
+FLEX_WIDE_INLINE flex_lanes flex_all(double x) { return x - (flex_lanes){0.0}; }
 
 FLEX_WIDE_INLINE flex_lanes flex_load(const double *x) {
   flex_lanes lanes;
@@ -33,7 +44,10 @@ FLEX_WIDE_INLINE void flex_store(double *target, flex_lanes x) { memcpy(target, 
 
 FLEX_WIDE_INLINE flex_lanes flex_lanes_sq(flex_lanes x) { return x * x; }
 
-FLEX_WIDE_INLINE flex_lanes flex_lanes_sqrt(flex_lanes x) { return (flex_lanes){sqrt(x[0]), sqrt(x[1]), sqrt(x[2]), sqrt(x[3])}; }
+FLEX_WIDE_INLINE flex_lanes flex_lanes_sqrt(flex_lanes x) {
+  for (int k = 0; k < FLEX_LANE_COUNT; k++) x[k] = sqrt(x[k]);
+  return x;
+}
 
 FLEX_WIDE_INLINE flex_lanes flex_lanes_fabs(flex_lanes x) { return (flex_lanes)((flex_lane_bits)x & INT64_MAX); }
 
@@ -70,7 +84,9 @@ FLEX_WIDE_INLINE flex_angles flex_reduce_lanes(flex_lanes x) {
   flex_lane_bits is_usual = (size >= flex_all(0x1p-27)) & (size < flex_all(1e6));
   flex_lane_bits is_far = (flex_lanes_fabs(hi) >= flex_all(0x1p-30)) & (quarters != flex_all(0.0));
   flex_lane_bits is_fast = is_usual & (is_first | is_far);
-  angles.is_slow = !(is_fast[0] & is_fast[1] & is_fast[2] & is_fast[3]);
+  int64_t all_fast = -1;
+  for (int k = 0; k < FLEX_LANE_COUNT; k++) all_fast &= is_fast[k];
+  angles.is_slow = !all_fast;
   return angles;
 }
 
@@ -95,13 +111,15 @@ FLEX_WIDE_INLINE flex_lanes flex_sine_lanes(flex_angles x, int turned) {
 FLEX_WIDE_INLINE flex_lanes flex_lanes_sin(flex_lanes x) {
   flex_angles angles = flex_reduce_lanes(x);
   if (!angles.is_slow) return flex_sine_lanes(angles, 0);
-  return (flex_lanes){elementary_sin(x[0]), elementary_sin(x[1]), elementary_sin(x[2]), elementary_sin(x[3])};
+  for (int k = 0; k < FLEX_LANE_COUNT; k++) x[k] = elementary_sin(x[k]);
+  return x;
 }
 
 FLEX_WIDE_INLINE flex_lanes flex_lanes_cos(flex_lanes x) {
   flex_angles angles = flex_reduce_lanes(x);
   if (!angles.is_slow) return flex_sine_lanes(angles, 1);
-  return (flex_lanes){elementary_cos(x[0]), elementary_cos(x[1]), elementary_cos(x[2]), elementary_cos(x[3])};
+  for (int k = 0; k < FLEX_LANE_COUNT; k++) x[k] = elementary_cos(x[k]);
+  return x;
 }
 
 #endif

@@ -22,6 +22,16 @@ typedef double real;
 /* the same number in every lane */
 static inline real flex_real(double x) { return x; }
 
+/* a lane */
+static inline double flex_lane(real x, int lane) {
+  (void)lane;
+  return x;
+}
+static inline void flex_set_lane(real *x, int lane, double value) {
+  (void)lane;
+  *x = value;
+}
+
 /* functions of each lane */
 static inline real flex_sqrt(real x) { return sqrt(x); }
 static inline real flex_fabs(real x) { return fabs(x); }
@@ -59,6 +69,9 @@ typedef double real __attribute__((vector_size(8 * FLEX_WIDTH)));
 typedef int64_t flex_real_bits __attribute__((vector_size(8 * FLEX_WIDTH)));
 
 static inline real flex_real(double x) { return x - (real){0.0}; }
+
+static inline double flex_lane(real x, int lane) { return x[lane]; }
+static inline void flex_set_lane(real *x, int lane, double value) { (*x)[lane] = value; }
 
 static inline real flex_choose_real(flex_real_bits where, real a, real b) {
   return (real)((where & (flex_real_bits)a) | (~where & (flex_real_bits)b));

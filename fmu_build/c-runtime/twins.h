@@ -1,12 +1,20 @@
 /* Two doubles side by side, for generated code: the same operation for two equal parts of a model.
  *
- * Each part gets the bits that it would get alone. Compilers without vector types, and FLEX_PLAIN, do one after the other. */
+ * Each part gets the bits that it would get alone. Compilers without vector types, FLEX_PLAIN, and variants in lanes do one after
+ * the other. */
 #ifndef FLEXFMU_TWINS_H
 #define FLEXFMU_TWINS_H
 
 #include "elementary.h"
 
-#if defined(__GNUC__) && !defined(FLEX_PLAIN)
+#if defined(FLEX_WIDTH) && FLEX_WIDTH > 1
+#include "real.h"
+#define FLEX_TWIN_PART real
+#else
+#define FLEX_TWIN_PART double
+#endif
+
+#if defined(__GNUC__) && !defined(FLEX_PLAIN) && (!defined(FLEX_WIDTH) || FLEX_WIDTH == 1)
 
 typedef double flex_twin __attribute__((vector_size(16)));
 typedef int64_t flex_twin_bits __attribute__((vector_size(16)));
@@ -24,7 +32,7 @@ typedef int64_t flex_twin_bits __attribute__((vector_size(16)));
 #else
 
 typedef struct {
-  double first, second;
+  FLEX_TWIN_PART first, second;
 } flex_twin;
 
 #define flex_twin_of(a, b) ((flex_twin){a, b})
@@ -40,7 +48,7 @@ static inline flex_twin flex_twin_fabs(flex_twin a) { return flex_twin_of(fabs(a
 
 #endif
 
-static inline flex_twin flex_twin_all(double x) { return flex_twin_of(x, x); }
+static inline flex_twin flex_twin_all(FLEX_TWIN_PART x) { return flex_twin_of(x, x); }
 static inline flex_twin flex_twin_turned(flex_twin x) { return flex_twin_of(flex_twin_second(x), flex_twin_first(x)); }
 static inline flex_twin flex_twin_sqrt(flex_twin x) { return flex_twin_of(sqrt(flex_twin_first(x)), sqrt(flex_twin_second(x))); }
 static inline flex_twin flex_twin_sin(flex_twin x) { return flex_twin_of(sin(flex_twin_first(x)), sin(flex_twin_second(x))); }

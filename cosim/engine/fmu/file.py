@@ -28,9 +28,6 @@ from flexfmu.fmu_build.naming import NAMES
 
 Result = TypeVar("Result")
 
-NEEDLESS = ("sources/", "documentation/")
-"""Folders of an FMU that stay packed."""
-
 
 @dataclass(frozen=True)
 class UnpackedFmu:
@@ -135,8 +132,7 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
     """
     if digest not in _unpacked:
         folder = _root() / digest
-        # without what no run needs, most of the files
-        attempt(path, lambda: fmpy.extract(str(path), str(folder), lambda name: not name.startswith(NEEDLESS)))
+        attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
         # annotations of our own FMUs
         if str(description.generationTool).startswith("flexfmu "):

@@ -1,0 +1,58 @@
+"""Variants of payloads in lockstep: the time of 100,000 of them, from a fiftieth of that number."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+from paper_scene import SCENES
+from speed_figure import SpeedFigure
+
+from flexfmu.cosim.experiment.lockstep import SideBySide
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.variants import run_variants
+from flexfmu.cosim.metrics.chosen import chosen_metrics
+from flexfmu.fmu_build.batch_build import lanes_of_processor
+
+SCENE = SCENES[12]
+COUNT, ALL = 2000, 100_000
+STEP, TOLERANCE = 1e-3, 1e-5
+PROCESSES = 2
+TORQUES = ("joint1.torque", "joint2.torque")
+
+
+def lockstep_figures() -> Iterator[SpeedFigure]:
+    """Yield the figures of variants in lockstep."""
+    note = f"{COUNT} times {ALL // COUNT}, {STEP:g} s, {TOLERANCE:g}"
+    yield SpeedFigure(f"{ALL} variants, peak torques, {PROCESSES} processes", whole(), 60.0, "s", note=note)
+    for lanes in (4, 8):
+        if lanes <= lanes_of_processor():
+            name = f"{ALL} variants, peak torques, {lanes} lanes, {PROCESSES} cores"
+            yield SpeedFigure(name, solver(lanes) / PROCESSES, 60.0, "s", note="processor time / 2")
+
+
+def changes() -> list[dict[str, float]]:
+    """The variants: payloads [kg]."""
+    return [{"payload.mass": float(mass)} for mass in np.linspace(0.1, 8.0, COUNT)]
+
+
+def whole() -> float:
+    """Time [s] of all variants with several processes, preparation included once for each share."""
+    variants, measure = changes(), chosen_metrics("peak_torque_1", "peak_torque_2")
+    options = {"communication_step": STEP, "tolerance": TOLERANCE}
+    run_variants(SCENE, variants[:16], measure, **options)  # compiles
+    started = time.perf_counter()
+    found = run_variants(SCENE, variants, measure, processes=PROCESSES, **options)
+    assert all(each.error is None for each in found)
+    return (time.perf_counter() - started) * ALL / COUNT
+
+
+def solver(lanes: int) -> float:
+    """Processor time [s] of all variants in one process."""
+    side_by_side = SideBySide(SCENE, build_scene(SCENE).path, STEP, TOLERANCE, lanes)
+    side_by_side.peaks(changes()[:lanes], TORQUES)  # compiles
+    started = time.process_time()
+    found = side_by_side.peaks(changes(), TORQUES)
+    assert None not in found
+    return (time.process_time() - started) * ALL / COUNT

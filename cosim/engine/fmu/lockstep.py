@@ -1,0 +1,225 @@
+"""Variants of the parameters of one of our FMUs, simulated side by side along the same inputs.
+
+The library that `flexfmu.fmu_build.batch_build` compiles from the FMU's sources holds one variant in each lane of the processor's
+vector registers: 8 with AVX-512, 4 with AVX2, otherwise 1. Common steps are chosen by the variant with the largest error. A
+variant that fails leaves the others undisturbed and is reported; its FMU tells why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from ctypes import CDLL, POINTER, Structure, c_char_p, c_double, c_int, c_size_t, create_string_buffer
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.variables import Value, items
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.fmu_build.batch_build import batch_library, lanes_of_processor
+from flexfmu.fmu_build.choices import FIXED_STEP, INITIAL, INTEGRATOR, LEAST_TOLERANCE
+
+BATCH = 64
+"""Number of variants in one call of the library; Python can be interrupted between two calls."""
+
+_DOUBLES, _INTS = POINTER(c_double), POINTER(c_int)
+Flags = NDArray[np.bool_]
+
+
+class _Task(Structure):
+    """The structure `flex_batch_task` of ``c-runtime/batch.h``."""
+
+    _fields_ = (
+        ("n_points", c_int),
+        ("times", _DOUBLES),
+        ("jumps", _INTS),
+        ("n_orders", c_int),
+        ("before", _DOUBLES),
+        ("polynomials", _DOUBLES),
+        ("tolerance", c_double),
+        ("fixed_step", c_double),
+        ("method", c_int),
+        ("starts_static", c_int),
+        ("parameters", _DOUBLES),
+        ("n_changed", c_int),
+        ("changed", _INTS),
+        ("n_recorded", c_int),
+        ("recorded", _INTS),
+        ("order", c_int),
+        ("finds_peaks", c_int),
+    )
+
+
+@dataclass(frozen=True)
+class Course:
+    """The inputs of all variants at their communication points.
+
+    Attributes:
+        times: (N,) communication points [s].
+        jumps: (N,) whether inputs may jump at the point, which is then recorded twice.
+        names: names of the m inputs.
+        before: (m,) values before the first point.
+        polynomials: (N - 1, orders, m) derivatives, from order 0, at the beginning of each step's polynomials.
+    """
+
+    times: RealArray
+    jumps: Flags
+    names: Sequence[str]
+    before: RealArray
+    polynomials: RealArray
+
+    @property
+    def instants(self) -> RealArray:
+        """The recorded instants [s]: the communication points, those with jumps twice."""
+        return np.repeat(self.times, 1 + self.jumps)
+
+
+class Lockstep:
+    """Simulates variants of an FMU's parameters side by side.
+
+    Args:
+        fmu: FMU of a plant, with its sources.
+        settings: start values of parameters that all variants share, as for `FmuSlave`.
+        course: inputs.
+        changed: names of the k parameters that differ between variants.
+        outputs: names of the n outputs to record.
+        order: highest order of their derivatives, 0 to 2.
+        tolerance: relative tolerance of the integrator.
+        lanes: variants side by side, 1, 4 or 8; None for as many as the processor has.
+
+    Raises:
+        BuildError: there is no C compiler, or the model can't be simulated in lockstep.
+        KeyError: a name isn't one of the FMU's inputs, real parameters or outputs.
+    """
+
+    def __init__(
+        self,
+        fmu: Path,
+        settings: Mapping[str, Value],
+        course: Course,
+        changed: Sequence[str],
+        outputs: Sequence[str],
+        *,
+        order: int = 2,
+        tolerance: float = 1e-6,
+        lanes: int | None = None,
+    ) -> None:
+        self.lanes = lanes_of_processor() if lanes is None else lanes
+        self._library = _load(batch_library(fmu, self.lanes))
+        self._instants, self._shape = course.instants.size, (len(outputs), order + 1)
+        # value references: inputs, then parameters, then outputs
+        variables = {each.name: each for each in open_fmu(fmu).description.modelVariables}
+        references = {name: int(each.valueReference) for name, each in variables.items() if each.type == "Real"}
+        inputs = [name for name, each in variables.items() if each.causality == "input"]
+        first = min(references[name] for name, each in variables.items() if each.causality == "output")
+        places = {
+            name: reference - len(inputs) for name, reference in references.items() if len(inputs) <= reference < first
+        }
+        parameters = np.empty(len(places))
+        for name, place in places.items():
+            parameters[place] = settings.get(name, variables[name].start)
+        # arrays that the structure points to
+        columns = [course.names.index(name) for name in sorted(inputs, key=references.__getitem__)]
+        self._arrays = arrays = {
+            "times": np.ascontiguousarray(course.times, dtype=float),
+            "jumps": course.jumps.astype(np.intc),
+            "before": np.ascontiguousarray(course.before[columns]),
+            "polynomials": np.ascontiguousarray(course.polynomials[:, :, columns]),
+            "parameters": parameters,
+            "changed": np.array([places[name] for name in changed], dtype=np.intc),
+            "recorded": np.array([references[name] - first for name in outputs], dtype=np.intc),
+        }
+        number = _number(variables, settings)
+        self._task = _Task(
+            n_points=course.times.size,
+            n_orders=course.polynomials.shape[1],
+            tolerance=max(tolerance, LEAST_TOLERANCE),
+            fixed_step=float(settings.get(FIXED_STEP, 0.0)),
+            method=number(INTEGRATOR.name, 1),
+            starts_static=int(number(INITIAL.name, 1) == 1),
+            n_changed=len(changed),
+            n_recorded=len(outputs),
+            order=order,
+            **{name: _pointer(values) for name, values in arrays.items()},
+        )
+
+    def record(self, values: RealArray) -> tuple[RealArray, Flags]:
+        """Simulate variants and record them.
+
+        Args:
+            values: (N, k) changed parameters of each variant.
+
+        Returns:
+            The recordings (N, n, order + 1, instants), and (N,) whether a variant failed.
+        """
+        recordings = np.empty((len(values), *self._shape, self._instants))
+        return recordings, self._run(
+            values, recordings, self._library.flex_batch_record, (), self._memory(finds_peaks=False)
+        )
+
+    def peaks(
+        self, values: RealArray, end: float, progress: Callable[[int], None] = lambda count: None
+    ) -> tuple[RealArray, Flags]:
+        """Simulate variants and find the largest magnitude of each output, by its value and two derivatives.
+
+        Args:
+            values: (N, k) changed parameters of each variant.
+            end: time up to which magnitudes count, one of the communication points [s].
+            progress: called now and then with the number of variants that were simulated since the last call.
+
+        Returns:
+            The peaks (N, n), and (N,) whether a variant failed.
+        """
+        peaks, failed = np.empty((len(values), self._shape[0])), np.zeros(len(values), dtype=np.bool_)
+        memory = self._memory(finds_peaks=True)
+        for first in range(0, len(values), BATCH):
+            piece = slice(first, first + BATCH)
+            failed[piece] = self._run(
+                values[piece], peaks[piece], self._library.flex_batch_peaks, (c_double(end),), memory
+            )
+            progress(int((~failed[piece]).sum()))
+        return peaks, failed
+
+    def _memory(self, *, finds_peaks: bool) -> Any:
+        """Memory for one batch of the task, with derivatives of outputs at all instants or where peaks may be."""
+        self._task.finds_peaks = finds_peaks
+        return create_string_buffer(int(self._library.flex_batch_size(self._task)))
+
+    def _run(
+        self, values: RealArray, results: RealArray, function: Any, further: tuple[Any, ...], memory: Any
+    ) -> Flags:
+        """Call a function of the library for all variants; whether each failed."""
+        values, failed = np.ascontiguousarray(values, dtype=float), np.zeros(len(values), dtype=np.intc)
+        function(self._task, memory, *further, len(values), _pointer(values), _pointer(results), _pointer(failed))
+        lost: Flags = failed != 0
+        return lost
+
+
+def _number(variables: Mapping[str, Any], settings: Mapping[str, Value]) -> Callable[[str, int], int]:
+    """The function from the name of a numbered choice to its number in the settings, or a default."""
+
+    def number(name: str, default: int) -> int:
+        value = settings.get(name, default)
+        return items(variables[name])[value] if isinstance(value, str) else int(value)
+
+    return number
+
+
+def _pointer(array: NDArray[Any]) -> Any:
+    return array.ctypes.data_as(_DOUBLES if array.dtype == float else _INTS)
+
+
+@cache
+def _load(path: Path) -> Any:
+    """A library with its functions' types."""
+    library: Any = CDLL(str(path))
+    task = POINTER(_Task)
+    library.flex_batch_size.argtypes, library.flex_batch_size.restype = (task,), c_size_t
+    library.flex_batch_record.argtypes = (task, c_char_p, c_int, _DOUBLES, _DOUBLES, _INTS)
+    library.flex_batch_peaks.argtypes = (task, c_char_p, c_double, c_int, _DOUBLES, _DOUBLES, _INTS)
+    library.flex_batch_record.restype = library.flex_batch_peaks.restype = None
+    return library

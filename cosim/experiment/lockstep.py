@@ -1,0 +1,150 @@
+"""Variants of a motion-driven scene side by side: which variants can, and what is measured of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from math import inf
+from numbers import Real
+from pathlib import Path
+from sys import float_info
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+from flexfmu.cosim.engine.errors import CosimError
+from flexfmu.cosim.engine.fmu.file import open_fmu
+from flexfmu.cosim.engine.fmu.lockstep import Course, Lockstep
+from flexfmu.cosim.engine.master.grid import time_grid
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.experiment.system import REFERENCES, scene_system
+from flexfmu.fmu_build.choices import FIXED_STEP
+from flexfmu.model.scene.schema import Scene
+
+T = TypeVar("T", covariant=True)
+
+
+class NotTogetherError(CosimError):
+    """Variants of a scene can't be simulated in lockstep."""
+
+
+@runtime_checkable
+class PeakMeasure(Protocol[T]):
+    """A measure that needs only the largest magnitudes of some of the robot's outputs over the motion.
+
+    Attributes:
+        outputs: names of the outputs.
+    """
+
+    @property
+    def outputs(self) -> Sequence[str]: ...
+
+    def __call__(self, run: Run) -> T:
+        """Measure a run of the FMU."""
+        ...
+
+    def of_peaks(self, peaks: Mapping[str, float]) -> T:
+        """The measure from the peaks, name of an output → largest magnitude."""
+        ...
+
+
+class SideBySide:
+    """A motion of a scene, ready for variants of the robot's parameters in lockstep.
+
+    Args:
+        scene: the scene.
+        fmu_path: its FMU.
+        communication_step, tolerance: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
+        lanes: variants side by side, 1, 4 or 8; None for as many as the processor has.
+
+    Raises:
+        NotTogetherError: the scene has controllers or other slaves, torque drive or step control.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        fmu_path: Path,
+        communication_step: float | None = None,
+        tolerance: float | None = None,
+        lanes: int | None = None,
+    ) -> None:
+        section = scene.cosimulation
+        loop = loop_of(scene)
+        parts = scene_system(scene, loop, fmu_path)
+        self._variables = {each.name: each for each in open_fmu(fmu_path).description.modelVariables}
+        inputs = [name for name, each in self._variables.items() if each.causality == "input"]
+        # all inputs of the robot come from the planned motion
+        feeding = parts.wiring.feeding
+        alone = not parts.others and all(feeding.get(name) == f"{REFERENCES}.{name}" for name in inputs)
+        if section.drive != "motion" or section.step_control is not None or not alone:
+            raise NotTogetherError(f"the robot of scene {scene.name} doesn't follow its planned motion alone")
+        self._fmu_path, self._settings = fmu_path, dict(parts.plant.parameters)
+        self._tolerance = section.tolerance if tolerance is None else tolerance
+        step = section.step if communication_step is None else communication_step
+        self._course = _course(parts.references, loop.motion.stop_time, step)
+        self._end, self._lanes = loop.motion.duration, lanes
+
+    def peaks(
+        self,
+        variants: Sequence[Mapping[str, Any]],
+        outputs: Sequence[str],
+        progress: Callable[[int], None] = lambda count: None,
+    ) -> list[dict[str, float] | None]:
+        """The largest magnitudes of outputs over the motion, for each variant; None for one that the FMU must simulate.
+
+        Args:
+            variants: changed parameters of each variant.
+            outputs: names of outputs; those that the robot lacks are zero.
+            progress: called now and then with the number of variants that were completed since the last call.
+
+        Raises:
+            BuildError: there is no C compiler, or the model's functions branch.
+        """
+        able = [_is_plain(variant, self._variables) for variant in variants]
+        changed, values = self._values([each for each, plain in zip(variants, able, strict=True) if plain])
+        known = [name for name in outputs if name in self._variables]
+        solver = Lockstep(
+            self._fmu_path,
+            self._settings,
+            self._course,
+            changed,
+            known,
+            tolerance=self._tolerance,
+            lanes=self._lanes,
+        )
+        found, failed = solver.peaks(values, self._end, progress)
+        # back to the order of all variants
+        lacking = dict.fromkeys(outputs, 0.0)
+        rows = zip(found.tolist(), failed.tolist(), strict=True)
+        results = iter([None if lost else lacking | dict(zip(known, row, strict=True)) for row, lost in rows])
+        return [next(results) if plain else None for plain in able]
+
+    def _values(self, variants: Sequence[Mapping[str, float]]) -> tuple[list[str], RealArray]:
+        """Names of the k parameters that any variant changes, and their values (N, k)."""
+        changed = sorted({name for variant in variants for name in variant})
+        shared = {name: self._settings.get(name, self._variables[name].start) for name in changed}
+        values = [[float(variant.get(name, shared[name])) for name in changed] for variant in variants]
+        return changed, np.array(values, dtype=float).reshape(len(variants), len(changed))
+
+
+def _course(references: TrajectorySlave, stop: float, step: float) -> Course:
+    """The references at the communication points from 0 to ``stop`` [s]."""
+    grid = time_grid(0.0, stop, step, references.breakpoints)
+    references.prepare(grid.times)
+    names = [each.name for each in references.variables]
+    return Course(grid.times, grid.marked, names, references.ended[0, 0], references.announced[:-1])
+
+
+def _is_plain(variant: Mapping[str, Any], variables: Mapping[str, Any]) -> bool:
+    """Whether a variant changes only real parameters of the robot, within their limits; if not, its FMU says what is wrong."""
+    for name, value in variant.items():
+        known = variables.get(name)
+        if known is None or known.type != "Real" or known.causality != "parameter" or name == FIXED_STEP:
+            return False
+        low, high = (-inf if known.min is None else float(known.min)), (inf if known.max is None else float(known.max))
+        if not isinstance(value, Real) or not max(low, -float_info.max) <= float(value) <= min(high, float_info.max):
+            return False
+    return True

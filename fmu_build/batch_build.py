@@ -1,0 +1,109 @@
+"""Compiles the solver of variants in lockstep from the sources of an FMU, with as many lanes as the processor has.
+
+One library serves all variants of a model: a lane of every number for each variant (``c-runtime/real.h``). The generated C
+code comes from the FMU, the runtime from this package.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from ctypes import CDLL
+from functools import cache
+from pathlib import Path
+from zipfile import BadZipFile, ZipFile
+
+from flexfmu.fmu_build.cache import cached, content_hash, store
+from flexfmu.fmu_build.compilation import compile_library
+from flexfmu.fmu_build.errors import BuildError, ModelError
+from flexfmu.fmu_build.platforms import native_platform
+from flexfmu.fmu_build.sources import Sources, batch_sources, processor_sources, runtime_sources
+from flexfmu.fmu_build.toolchain import RUNTIME_FLAGS, Compiler, find_compiler
+
+LANE_FLAGS: Mapping[int, tuple[str, ...]] = {
+    8: ("-mavx512f", "-mavx512dq", "-mprefer-vector-width=512"),
+    4: ("-mavx2",),
+    1: (),
+}
+"""Number of lanes → compiler flags for the registers that hold them."""
+
+_FIRST = ("-include", "batch_functions.h")
+_NUMBER = r"-?\d+\.?\d*(?:e[-+]?\d+)?"
+_ALONE = re.compile(rf"(?<==){_NUMBER}(?=;)|(?<=flex_twin_all\(){_NUMBER}(?=\))|(?<=flex_twin_of\(){_NUMBER}(?=,)")
+_SECOND = re.compile(rf"(flex_twin_of\([^(),]+(?:\([^()]*\))?,)({_NUMBER})(?=\))")
+_DEFAULT = re.compile(r"(casadi_real \w+_default_in\([^)]*\) \{\s*switch \(i\) \{\s*default: return )0;")
+_BODY = re.compile(r"int (?:casadi_f0|model_\w+)\([^)]*\) \{\n.*?\n  return 0;\n\}", re.DOTALL)
+_BRANCH = re.compile(r"\?|\bif\b|[<>!&|]|==")
+
+
+def in_lanes(name: str, code: str) -> str:
+    """Generated C code whose numbers may be vectors: constants are copied to all lanes.
+
+    Raises:
+        ModelError: the code branches, so that lanes would go different ways.
+    """
+    if name.endswith(".h"):
+        return code.replace("double ", "real ")
+    if (body := _BODY.search(code)) is None:
+        return code
+    if _BRANCH.search(body[0]):
+        raise ModelError(f"variants in lockstep need functions without branches, {name} has one")
+    # constants where a variable or an argument has several lanes
+    text = _ALONE.sub(r"flex_real(\g<0>)", body[0].replace("double ", "real "))
+    code = code.replace(body[0], _SECOND.sub(r"\1flex_real(\2)", text))
+    return _DEFAULT.sub(r"\1flex_real(0.0);", code)
+
+
+def lanes_of_processor() -> int:
+    """Lanes of the widest library that this processor can run: 8 with AVX-512, 4 with AVX2, otherwise 1.
+
+    Raises:
+        BuildError: there is no C compiler.
+    """
+    return _lanes_of_processor()
+
+
+@cache
+def _lanes_of_processor() -> int:
+    library = _compiled("flexfmu_processor", {}, processor_sources(), ())
+    return int(CDLL(str(library)).flex_batch_widest())
+
+
+def batch_library(fmu: Path, lanes: int) -> Path:
+    """The shared library that simulates variants of a plant's FMU in lockstep; compiled once, then from the cache.
+
+    Args:
+        fmu: FMU of the plant, with its sources.
+        lanes: number of variants side by side, 1, 4 or 8.
+
+    Raises:
+        BuildError: the FMU has no sources, its functions branch, or there is no compiler.
+    """
+    generated = {name: in_lanes(name, code) for name, code in _generated_code(fmu).items()}
+    flags = (f"-DFLEX_WIDTH={lanes}", *LANE_FLAGS[lanes])
+    return _compiled("flexfmu_batch", generated, batch_sources(lanes), flags)
+
+
+def _generated_code(fmu: Path) -> dict[str, str]:
+    """The generated C files of an FMU, name → text."""
+    try:
+        with ZipFile(fmu) as archive:
+            names = [name for name in archive.namelist() if name.startswith("sources/model_")]
+            texts = {name.removeprefix("sources/"): archive.read(name).decode() for name in names}
+    except (OSError, BadZipFile, UnicodeDecodeError) as error:
+        raise BuildError(f"can't read the sources of {fmu}: {error}") from error
+    return {name: text for name, text in texts.items() if name not in runtime_sources()}
+
+
+def _compiled(name: str, generated: dict[str, str], runtime: dict[str, str], flags: tuple[str, ...]) -> Path:
+    """Path of a library in the cache, under the hash of its sources, flags and compiler."""
+    compiler = find_compiler(native_platform())
+    texts = generated | runtime
+    parts = (compiler.identity(), *flags, *(part for file in sorted(texts) for part in (file, texts[file])))
+    file = f"batch/{content_hash(part.encode() for part in parts)}{compiler.platform.suffix}"
+    return cached(file) or store(file, _compile(Sources(name, "", "", generated, runtime, {}), compiler, flags))
+
+
+def _compile(sources: Sources, compiler: Compiler, flags: tuple[str, ...]) -> bytes:
+    generated_flags = ("-std=c99", "-O2", "-w", *flags, *_FIRST)
+    return compile_library(sources, compiler, runtime_flags=(*RUNTIME_FLAGS, *flags), generated_flags=generated_flags)

@@ -1,0 +1,187 @@
+"""Variants side by side are the runs that they would be alone, within the tolerance, whatever their neighbours do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.fmu.lockstep import Course, Lockstep
+from flexfmu.cosim.engine.master.grid import time_grid
+from flexfmu.cosim.experiment.prepared_scene import PreparedScene
+from flexfmu.cosim.experiment.scene_build import build_scene
+from flexfmu.cosim.experiment.scene_loop import loop_of
+from flexfmu.cosim.experiment.system import scene_system
+from flexfmu.cosim.experiment.variants import VariantError, run_variants
+from flexfmu.cosim.metrics.chosen import ChosenMetrics, PeakMetrics, chosen_metrics
+from flexfmu.fmu_build.batch_build import in_lanes, lanes_of_processor
+from flexfmu.fmu_build.errors import ModelError
+from flexfmu.model.scene.file import load_scene
+
+SCENE = load_scene("barnard2012-6kg").replace({"trajectory.duration": 0.2, "trajectory.dwell": 0.02})
+STEP, TOLERANCE = 1e-3, 1e-6
+NAMES = ("payload.mass", "proximal.diameter", "material.youngs_modulus", "damping.ratio")
+BASE = (6.0, 0.035, 70e9, 0.1357)
+OUTPUTS = ("joint1.torque", "joint2.torque", "end_effector.position.x", "link11.tip_deflection", "joint1.torque")
+LANES = [lanes for lanes in (1, 4, 8) if lanes <= lanes_of_processor()]
+
+factors = st.tuples(st.floats(0.02, 1.5), st.floats(0.9, 1.2), st.floats(0.8, 1.2), st.floats(0.5, 2.0))
+
+
+@cache
+def lockstep(lanes: int, order: int = 2) -> Lockstep:
+    """The solver of variants of the scene."""
+    fmu, loop = build_scene(SCENE).path, loop_of(SCENE)
+    parts = scene_system(SCENE, loop, fmu)
+    references = parts.references
+    grid = time_grid(0.0, loop.motion.stop_time, STEP, references.breakpoints)
+    references.prepare(grid.times)
+    names = [each.name for each in references.variables]
+    course = Course(grid.times, grid.marked, names, references.ended[0, 0], references.announced[:-1])
+    return Lockstep(fmu, parts.plant.parameters, course, NAMES, OUTPUTS, order=order, tolerance=TOLERANCE, lanes=lanes)
+
+
+@cache
+def prepared() -> PreparedScene:
+    return PreparedScene(SCENE, communication_step=STEP, tolerance=TOLERANCE)
+
+
+def alone(values: Sequence[float]) -> np.ndarray[Any, Any]:
+    """(n, 3, instants) the outputs of a run of the FMU with two derivatives."""
+    run = prepared().run(dict(zip(NAMES, values, strict=True)))
+    columns = [run.recording[name] for name in OUTPUTS]
+    return np.array([[each.values, each.first, each.second] for each in columns])
+
+
+def sizes(recording: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """(n, orders, 1) the largest magnitude of each output and derivative."""
+    largest: np.ndarray[Any, Any] = abs(recording).max(axis=-1, keepdims=True)
+    return largest
+
+
+@pytest.mark.parametrize("lanes", LANES)
+@pytest.mark.slow
+def test_recordings_are_those_of_the_fmu(lanes: int) -> None:
+    """Values within the tolerance; derivatives lose up to two digits an order, as between runs of other tolerances."""
+    variants = np.array(BASE) * np.linspace(0.5, 1.0, 5)[:, None] ** np.array([2.0, 0.1, 0.2, 1.0])
+    found, failed = lockstep(lanes).record(variants)
+    assert not failed.any()
+    for values, recording in zip(variants, found, strict=True):
+        expected = alone(values)
+        error = (abs(recording - expected) / sizes(expected)).max(axis=(0, 2))
+        assert error[0] < 10 * TOLERANCE
+        assert error[1] < 1e3 * TOLERANCE
+        assert error[2] < 1e4 * TOLERANCE
+
+
+@pytest.mark.parametrize("lanes", LANES)
+@pytest.mark.slow
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(factors, min_size=1, max_size=11), st.randoms(use_true_random=False))
+def test_neighbours_change_nothing(lanes: int, drawn: list[tuple[float, ...]], random: Any) -> None:
+    """Shuffled, in batches that are full or not: each variant stays the same within the tolerance."""
+    variants = np.array(BASE) * np.array(drawn)
+    order = list(range(len(drawn)))
+    random.shuffle(order)
+    solver = lockstep(lanes)
+    peaks, failed = solver.peaks(variants, 0.2)
+    shuffled, failed_too = solver.peaks(variants[order], 0.2)
+    single, failed_alone = solver.peaks(variants[:1], 0.2)
+    assert not failed.any()
+    assert not failed_too.any()
+    assert not failed_alone.any()
+    np.testing.assert_allclose(shuffled, peaks[order], rtol=10 * TOLERANCE)
+    np.testing.assert_allclose(single[0], peaks[0], rtol=10 * TOLERANCE)
+    # an output that is asked for twice is the same twice
+    np.testing.assert_array_equal(peaks[:, 0], peaks[:, 4])
+
+
+@pytest.mark.parametrize("lanes", LANES)
+@pytest.mark.parametrize(
+    "bad",
+    [(6.0, 1e-9, 70e9, 0.1357), (6.0, 0.035, 1e3, 0.1357), (np.nan, 0.035, 70e9, 0.1357)],
+    ids=["no inertia", "no stiffness", "no number"],
+)
+def test_a_neighbour_that_fails_leaves(lanes: int, bad: tuple[float, ...]) -> None:
+    """At the start or on its way; the others go on, in whichever lane it was."""
+    variants = np.array([(mass, *BASE[1:]) for mass in (0.5, 2.0, 4.0, 6.0)])
+    expected, _ = lockstep(lanes).peaks(variants, 0.2)
+    for place in (0, 2, 4):
+        found, failed = lockstep(lanes).peaks(np.insert(variants, place, bad, axis=0), 0.2)
+        assert failed.tolist() == [i == place for i in range(5)]
+        np.testing.assert_allclose(np.delete(found, place, axis=0), expected, rtol=10 * TOLERANCE)
+
+
+def test_all_fail() -> None:
+    """Nothing is left to go on with."""
+    _, failed = lockstep(LANES[-1]).peaks(np.full((3, 4), np.nan), 0.2)
+    assert failed.all()
+
+
+def test_peaks_are_the_metrics() -> None:
+    """Peaks between communication points from derivatives at a few of them, and the metrics from whole recordings."""
+    variants = [{"payload.mass": mass} for mass in np.linspace(0.1, 8.0, 17)]
+    measure = chosen_metrics("peak_torque_1", "peak_torque_2", "peak_tip_deflection_1")
+    assert isinstance(measure, PeakMetrics)
+    side_by_side = run_variants(SCENE, variants, measure, communication_step=STEP, tolerance=TOLERANCE)
+    singly = run_variants(SCENE, variants, ChosenMetrics(measure.names), communication_step=STEP, tolerance=TOLERANCE)
+    for one, other in zip(side_by_side, singly, strict=True):
+        assert one.changes == other.changes
+        assert one.value is not None
+        assert one.value == pytest.approx(other.value, rel=10 * TOLERANCE)
+
+
+def test_what_cannot_go_along_is_run_by_the_fmu() -> None:
+    """With its own message, and every variant counted once."""
+    variants: list[dict[str, Any]] = [{"payload.mass": float(mass)} for mass in range(17)]
+    variants[3] = {"payload.mass": -1.0}
+    variants[5] = {"payload.weight": 1.0}
+    variants[7] = {"distal.length": 0.05}
+    variants[9] = {"initial": "undeformed"}
+    told: list[float] = []
+    found = run_variants(
+        SCENE, variants, chosen_metrics("peak_torque_1"), communication_step=STEP, tolerance=1e-4, progress=told.append
+    )
+    assert told[-1] == 1.0
+    assert np.all(np.diff(told) > 0.0)
+    errors = {i: each.error for i, each in enumerate(found) if each.error is not None}
+    assert {i: type(error) for i, error in errors.items()} == {3: InputError, 5: InputError, 7: VariantError}
+    assert "payload.mass must be at least 0 kg" in str(errors[3])
+    assert found[9].value is not None
+
+
+@pytest.mark.slow
+def test_controlled_robots_and_several_processes() -> None:
+    """A robot that is driven by torques isn't simulated in lockstep; processes change nothing but the time."""
+    measure = chosen_metrics("peak_torque_1")
+    variants = [{"payload.mass": float(mass)} for mass in range(1, 18)]
+    pd = {"kind": "pd", "proportional": 2e3, "derivative": 40.0, "sample_time": 1e-3}
+    driven = SCENE.replace({"cosimulation.drive": "torque", "effects.motor_inertia": 0.05, "controller": [pd]})
+    for scene in (SCENE, driven):
+        one = run_variants(scene, variants, measure, communication_step=STEP, tolerance=1e-4)
+        two = run_variants(scene, variants, measure, communication_step=STEP, tolerance=1e-4, processes=2)
+        assert [each.error for each in one] == [None] * 17
+        for single, shared in zip(one, two, strict=True):
+            assert single.value == pytest.approx(shared.value, rel=1e-3)
+    with pytest.raises(InputError, match="at least 1 process, got 0"):
+        run_variants(SCENE, variants, measure, processes=0)
+
+
+def test_metrics_have_known_names() -> None:
+    """A slip of the pen is told at once, not after all variants."""
+    with pytest.raises(InputError, match="did you mean 'peak_torque_1'"):
+        chosen_metrics("peak_torqe_1")
+
+
+def test_branches_have_no_lanes() -> None:
+    """A function that chooses would send all lanes one way."""
+    code = "static int casadi_f0(const casadi_real** arg) {\n  a0=1.;\n  a1=(a0<a2);\n  return 0;\n}"
+    with pytest.raises(ModelError, match=r"residual\.c has one"):
+        in_lanes("residual.c", code)
+    assert "a0=flex_real(1.);" in in_lanes("residual.c", code.replace("(a0<a2)", "(a0+a2)"))
