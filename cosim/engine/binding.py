@@ -113,10 +113,13 @@ class Evaluation:
         argument: its argument, which lives as long as the slave.
     """
 
-    __slots__ = ("argument", "function")
+    __slots__ = ("_call", "argument", "function")
 
-    def __init__(self, function: int, argument: int) -> None:
-        self.function, self.argument = function, c_void_p(argument)
+    def __init__(self, function: int, argument: int, call: Call) -> None:
+        self.function, self.argument, self._call = function, c_void_p(argument), call
+
+    def __call__(self) -> None:
+        self._call()
 
 
 class SampleStep:
@@ -153,7 +156,7 @@ class SampleStep:
 TASK_NUMBERS = 3
 """Size of the state of a task's step; that of a step to the instant is smaller by one."""
 
-SampleCall = Evaluation | SampleStep | Call
+SampleCall = SampleStep | Call
 """What a sample consists of."""
 
 Phase = Literal["sample", "output", "update"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from math import comb, factorial
 
 import numpy as np
@@ -26,17 +26,27 @@ def hermite_derivatives(left: RealArray, right: RealArray, step: float | RealArr
         (2k + 2, ...) value and 2k + 1 derivatives of the polynomial at the left end; the first k + 1 are ``left``.
     """
     count = left.shape[0]
-    width = np.asarray(step, dtype=np.float64)
-    trailing = width.reshape((1,) * (left.ndim - width.ndim) + width.shape)
-    # h^j / j!: factors from derivatives to normalised coefficients
-    orders, factorials = _orders(2 * count, left.ndim - 1)
-    scales = trailing**orders / factorials
+    # h^j / j!: factors from derivatives to normalised coefficients; a run repeats few steps
+    scales = (
+        _scales_of_one(2 * count, left.ndim, step) if isinstance(step, float) else _scales(2 * count, left.ndim, step)
+    )
     known = left * scales[:count]
     from_known, from_rest = _end_matrix(count)
     # trailing axes as one, for matrix products
     beyond = right * scales[:count] - from_known.dot(known.reshape(count, -1)).reshape(known.shape)
     rest = from_rest.dot(beyond.reshape(count, -1)).reshape(known.shape)
     return np.concatenate([left, rest / scales[count:]])
+
+
+def _scales(count: int, dimensions: int, step: float | RealArray) -> RealArray:
+    """Return h^j / j! for j < ``count``, shape (count, ...), to broadcast against arrays of derivatives."""
+    width = np.asarray(step, dtype=np.float64)
+    orders, factorials = _orders(count, dimensions - 1)
+    scales: RealArray = width.reshape((1,) * (dimensions - width.ndim) + width.shape) ** orders / factorials
+    return scales
+
+
+_scales_of_one = lru_cache(maxsize=256)(_scales)
 
 
 @cache

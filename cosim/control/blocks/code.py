@@ -6,6 +6,7 @@ Either way the loop in C calls CasADi's evaluation directly: the virtual machine
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from ctypes import CDLL, c_char_p, c_void_p, cast, py_object, pythonapi
 from functools import cache, lru_cache
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import casadi
 
 from flexfmu.cosim.engine.binding import Evaluation
+from flexfmu.cosim.engine.slave import Call, RealArray
 from flexfmu.fmu_build.block_codegen import sample_function
 from flexfmu.fmu_build.cache import cached, content_hash, store
 from flexfmu.fmu_build.codegen import with_elementary_functions
@@ -71,18 +73,36 @@ def block_function(block: SymbolicBlock, compiled: bool | None = None) -> casadi
     return compile_function(function) if compiled else function
 
 
+def bound(
+    function: casadi.Function, arguments: Sequence[RealArray], results: Sequence[RealArray | None]
+) -> tuple[Any, Call]:
+    """Bind a function to memory: contiguous vectors that its call reads and writes, None for results that aren't wanted.
+
+    Returns:
+        The buffer, which must live as long as the call, and the call.
+    """
+    buffer: Any
+    buffer, call = function.buffer()
+    for i, values in enumerate(arguments):
+        buffer.set_arg(i, values.data)
+    for i, found in enumerate(results):
+        if found is not None:
+            buffer.set_res(i, found.data)
+    return buffer, call
+
+
 def evaluation(function: casadi.Function, call: Any) -> Evaluation | None:
     """Return the evaluation of a function's buffer for C; None if it may take Python or raise, or isn't known to be called.
 
     Args:
         function: the function.
-        call: what ``function.buffer()`` has returned as the call.
+        call: its call on bound memory.
     """
     address = _evaluator()
     if address is None or not all(_needs_no_python(each) for each in (function, *function.find_functions())):
         return None
     (capsule,) = call.args
-    return Evaluation(address, _pointer(capsule, None))
+    return Evaluation(address, _pointer(capsule, None), call)
 
 
 @cache

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any
 
 import casadi
 import numpy as np
 
-from flexfmu.cosim.control.blocks.code import block_function, evaluation
+from flexfmu.cosim.control.blocks.code import block_function, bound, evaluation
 from flexfmu.cosim.engine.binding import Copy, Phase, SampleCall, Take, is_range
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
@@ -58,17 +57,10 @@ class BlockSlave:
 
     def _bound(self, function: casadi.Function, output: bool, update: bool) -> Call:
         """Bind the function (x, u, p) → (y, next x) to the slave's memory; the call writes the chosen results."""
-        buffer: Any
-        buffer, evaluate = function.buffer()
-        self._buffers.append(buffer)  # the call needs a living buffer
         inputs, parameters, outputs, _ = np.split(self._memory, [self._inputs, self._known, len(self.variables)])
-        for i, values in enumerate((self._states, inputs, parameters)):
-            buffer.set_arg(i, values.data)
-        if output:
-            buffer.set_res(0, outputs.data)
-        if update:
-            buffer.set_res(1, self._next.data)
-        call: Call = evaluate
+        results = (outputs if output else None, self._next if update else None)
+        buffer, call = bound(function, (self._states, inputs, parameters), results)
+        self._buffers.append(buffer)  # the call needs a living buffer
         return call
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:

@@ -8,6 +8,7 @@ from math import ceil, exp, expm1, factorial, isfinite
 import casadi
 import numpy as np
 
+from flexfmu.cosim.control.blocks.code import bound, evaluation
 from flexfmu.cosim.control.blocks.equations import Vector, block, split
 from flexfmu.cosim.control.blocks.slave import slave_variable
 from flexfmu.cosim.control.imperfections.channels import (
@@ -28,8 +29,9 @@ from flexfmu.cosim.control.imperfections.variables import (
     require_initial,
 )
 from flexfmu.cosim.control.sections import LoopContext, builds
+from flexfmu.cosim.engine.binding import Copy, Take
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.slave import Indices, RealArray
+from flexfmu.cosim.engine.slave import Call, Indices, RealArray
 from flexfmu.fmu_build.codegen import MAX_INPUT_ORDER
 from flexfmu.model.scene.imperfections import LagSection
 from flexfmu.model.symbolic import SymbolicBlock
@@ -80,6 +82,7 @@ class Lag:
         # inputs with their derivatives (1 + orders, n), and outputs (n,)
         self._u = np.zeros((1 + MAX_INPUT_ORDER, len(channels)))
         self._u[0] = self._y = self._initial.copy()
+        self._buffers: list[object] = []
         self._order = 0
         self._times = np.empty(len(channels))
         self._set_times(np.array([each.start or 0.0 for each in times]))
@@ -101,7 +104,7 @@ class Lag:
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Set the outputs to their initial values."""
-        self._y = self._initial.copy()
+        self._y[:] = self._initial
 
     def terminate(self) -> None:
         """Reset the inputs to their start values."""
@@ -143,17 +146,50 @@ class Lag:
         for k in range(len(derivatives)):
             last = derivatives[k] = (self._u[k, columns] - last) / times
 
+    def bind_set(self, indices: Indices, values: RealArray) -> Call:
+        """Return a call that sets inputs from ``values`` (n,); raise `InputError` if a variable is no input."""
+        if (indices >= len(self._channels)).any():
+            raise InputError(f"{self.name}: only inputs can be connected; set time constants before the run")
+        return Copy(values, self._u[0], indices)
+
+    def bind_set_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
+        """Return a call that sets derivatives of inputs from ``derivatives`` (orders, n)."""
+        self._order = max(self._order, len(derivatives))
+        places = len(self._channels) * np.arange(1, len(derivatives) + 1)[:, None] + indices
+        return Copy(derivatives.reshape(-1), self._u.reshape(-1), places.ravel())
+
+    def bind_get(self, indices: Indices, values: RealArray) -> Call:
+        """Return a call that writes variables into ``values`` (n,)."""
+        places = indices - 2 * len(self._channels)
+        return Take(self._y, places, values) if (places >= 0).all() else lambda: self.get(indices, values)
+
+    def bind_get_derivatives(self, indices: Indices, derivatives: RealArray) -> Call:
+        """Return a call that writes derivatives of outputs into ``derivatives`` (orders, n): those of `get_derivatives`."""
+        # the recurrence of all orders as one function of inputs, outputs and time constants
+        orders, n = len(derivatives), len(self._channels)
+        u, y, times = (casadi.SX.sym(name, size) for name, size in (("u", orders * n), ("y", n), ("T", n)))
+        columns = (indices - 2 * n).tolist()
+        last, rows = y[columns], []
+        for k in range(orders):
+            last = (u[[k * n + column for column in columns]] - last) / times[columns]
+            rows.append(last)
+        function = casadi.Function("derivatives", [u, y, times], [casadi.vertcat(*rows)])
+        arguments = (self._u.reshape(-1)[: orders * n], self._y, self._times)
+        buffer, call = bound(function, arguments, (derivatives.reshape(-1),))
+        self._buffers.append(buffer)
+        return evaluation(function, call) or call
+
     def step(self, time: float, step: float) -> None:
         """Advance the outputs exactly, and shift the input polynomials to the end of the step."""
         z, order = step / self._times, self._order
         # constant inputs
         if not order:
-            self._y = self._u[0] + (self._y - self._u[0]) * np.exp(-z)
+            self._y[:] = self._u[0] + (self._y - self._u[0]) * np.exp(-z)
             return
         # polynomial inputs: formula of the class
         powers = step ** np.arange(order + 1.0)
         weights = np.array([_phi(-each, order + 1) for each in z.tolist()]).T
-        self._y = weights[0] * self._y + z * ((powers[:, None] * self._u[: order + 1]) * weights[1:]).sum(axis=0)
+        self._y[:] = weights[0] * self._y + z * ((powers[:, None] * self._u[: order + 1]) * weights[1:]).sum(axis=0)
         # Taylor shift of the input polynomials to the end of the step
         for k in range(order):
             terms = [powers[j] / factorial(j) for j in range(order + 1 - k)]
@@ -171,7 +207,7 @@ class Lag:
         """
         if not (isinstance(state, tuple) and len(state) == 3):
             raise InputError(f"{self.name}: this state was not saved by this slave")
-        self._u[:], self._y, self._order = state[0], state[1].copy(), state[2]
+        self._u[:], self._y[:], self._order = state
 
     def sampled(self, step: float) -> SymbolicBlock:
         """Return the lag as a block, at least `SAMPLES` samples per time constant, a whole number per ``step`` [s]."""

@@ -187,7 +187,7 @@ class SignalGroup:
 
     def ended(self) -> RealArray:
         """(ends + 1, n) values and derivatives at the current instant that the interpolation matches."""
-        return self.source.signals[: (self.coupling.ends or 0) + 1, self.columns]
+        return self.source.signals[: (self.coupling.ends or 0) + 1].take(self.columns, 1)
 
     def interpolate(self, begin: RealArray, step: float, fed: RealArray) -> None:
         """Write the coefficients of the interpolating polynomial into ``fed``.

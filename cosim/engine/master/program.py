@@ -118,13 +118,10 @@ def _sample(schedule: Schedule, operation: Operation) -> Iterator[Instruction]:
         yield python_callback(schedule.bind(operation), when, i)
         return
     for call in calls:
-        match call:
-            case Evaluation():
-                yield evaluation(call, when, i)
-            case SampleStep():
-                yield sample_step(call, when, i)
-            case _:
-                yield from _transfer(call, when, i)
+        if isinstance(call, SampleStep):
+            yield sample_step(call, when, i)
+        else:
+            yield from _transfer(call, when, i)
 
 
 def _table_row(table: Callable[[], RealArray], outputs: OutputPort, owner: int, rows: int) -> Instruction:
@@ -165,7 +162,9 @@ def _transfer(call: Call, when: When, owner: int) -> Iterator[Instruction]:
         # an FMI function on fixed buffers
         case Checked() if isinstance(call.call, partial):
             yield fmi_transfer(call.call, when, owner, lambda status, begin, end: call.error(status))
-        # copies between buffers
+        # equations, and copies between buffers
+        case Evaluation():
+            yield evaluation(call, when, owner)
         case Copy() if call.source.flags.c_contiguous and call.target.flags.c_contiguous:
             yield gather(call.source, np.arange(call.source.size), call.target, call.indices, when, owner)
         case Take() if call.target.flags.c_contiguous:

@@ -34,6 +34,7 @@ CONTROLLED = SCENE.replace(
         "imperfection": [
             {"kind": "encoder", "counts_per_turn": 1e6},
             {"kind": "noise", "signal": "torque", "standard_deviation": 0.1},
+            {"kind": "lag", "time_constant": 3e-4},
         ],
     }
 )

@@ -175,3 +175,31 @@ def test_a_continuous_lag_leaves_as_a_block() -> None:
     ]
     for name, time in slave.latency.items():
         assert block.latency[name] - block.sample_time / 2.0 == pytest.approx(time, rel=2e-3)
+
+
+def test_bound_calls_are_the_methods() -> None:
+    """Bound to buffers, which may be parts of all variables in any order, the calls do what the methods do, bit by bit."""
+    rng = np.random.default_rng(4)
+    bound, plain = (Lag(joint_channels("torque", (1.0, -2.0)), [1e-3, 3e-4]) for _ in range(2))
+    inputs, outputs = np.array([1, 0]), np.array([5, 4])
+    u, y = rng.normal(size=(4, 2)), np.empty((4, 2))
+    sends = [bound.bind_set(inputs, u[0]), bound.bind_set_derivatives(inputs, u[1:])]
+    reads = [bound.bind_get(outputs, y[0]), bound.bind_get_derivatives(outputs, y[1:])]
+    for slave in (bound, plain):
+        slave.initialize(0.0, 1.0, None)
+    for step in (1e-4, 3e-4):
+        u[:] = rng.normal(size=u.shape)
+        for call in sends:
+            call()
+        plain.set(inputs, u[0])
+        plain.set_derivatives(inputs, u[1:])
+        for slave in (bound, plain):
+            slave.step(0.0, step)
+        for call in reads:
+            call()
+        expected = np.empty_like(y)
+        plain.get(outputs, expected[0])
+        plain.get_derivatives(outputs, expected[1:])
+        assert y.tobytes() == expected.tobytes()
+    with pytest.raises(InputError, match="only inputs can be connected"):
+        bound.bind_set(np.array([2]), np.empty(1))
