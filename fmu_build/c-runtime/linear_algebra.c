@@ -1,4 +1,4 @@
-/* LU with partial pivoting, its complex twin and Cholesky's factors, for matrices of some ten rows (sources: linear_algebra.h).
+/* LU with partial pivoting, its complex twin and Cholesky's factors L D L' without roots, for matrices of some ten rows (sources: linear_algebra.h).
  * All work goes along columns, two at a time, in loops that compilers turn into vector instructions. */
 #include "linear_algebra.h"
 
@@ -25,14 +25,15 @@ static inline void add_one(int n, real f, const real *restrict x, real *restrict
   if (i < n) y[i] += f * x[i];
 }
 
+// from the last product to the first, which substitutions know last
 static inline real dot(int n, const real *restrict x, const real *restrict y) {
   real even = flex_real(0.0), odd = even;
-  int i = 0;
-  for (; i + 2 <= n; i += 2) {
-    even += x[i] * y[i];
-    odd += x[i + 1] * y[i + 1];
+  int i = n;
+  for (; i >= 2; i -= 2) {
+    odd += x[i - 1] * y[i - 1];
+    even += x[i - 2] * y[i - 2];
   }
-  if (i < n) even += x[i] * y[i];
+  if (i == 1) even += x[0] * y[0];
   return even + odd;
 }
 
@@ -235,18 +236,11 @@ void flex_lu_solve_both(int n, const real *lu, const int *pivots, real *x, const
 int flex_cholesky_factor(int n, real *a) {
   for (int k = 0; k < n; k++) {
     real *column = a + k * n;
-
-    // the columns to the left, two by two
-    int j = 0;
-    for (; j + 2 <= k; j += 2) {
-      const real *left = a + j * n + k, *right = left + n;
-      add_two(n - k, -*left, left, -*right, right, column + k);
-    }
-    if (j < k) add_one(n - k, -a[j * n + k], a + j * n + k, column + k);
-
-    // column k of L
     if (!flex_is_positive(column[k]) || !flex_is_finite(column[k])) return 1;
-    real inverse = 1.0 / flex_sqrt(column[k]);
+    real inverse = 1.0 / column[k];
+
+    // rank-one update of the rest, then column k of L
+    for (int j = k + 1; j < n; j++) add_one(n - j, -(column[j] * inverse), column + j, a + j * n + j);
     column[k] = inverse;
     for (int i = k + 1; i < n; i++) column[i] *= inverse;
   }
@@ -255,18 +249,17 @@ int flex_cholesky_factor(int n, real *a) {
 
 void flex_cholesky_solve(int n, const real *l, real *x) {
   // L z = x, two columns at once
-  int k = 0;
-  for (; k + 2 <= n; k += 2) {
+  for (int k = 0; k + 2 <= n; k += 2) {
     const real *left = l + k * n + k, *right = left + n;
-    x[k] *= left[0];
-    x[k + 1] = (x[k + 1] - x[k] * left[1]) * right[1];
+    x[k + 1] -= x[k] * left[1];
     add_two(n - k - 2, -x[k], left + 2, -x[k + 1], right + 2, x + k + 2);
   }
-  if (k < n) x[k] *= l[k * n + k];
+  for (int k = 0; k < n; k++) x[k] *= l[k * n + k];
 
-  // L' x = z
-  for (k = n - 1; k >= 0; k--) {
-    const real *diagonal = l + k * n + k;
-    x[k] = (x[k] - dot(n - k - 1, diagonal + 1, x + k + 1)) * diagonal[0];
+  // L' x = D^-1 z, two rows at once
+  for (int k = n - 1; k >= 0; k -= 2) {
+    const real *lower = l + k * n + k + 1, *upper = lower - n;
+    x[k] -= dot(n - k - 1, lower, x + k + 1);
+    if (k > 0) x[k - 1] -= dot(n - k - 1, upper, x + k + 1) + upper[-1] * x[k];
   }
 }

@@ -27,7 +27,8 @@ void flex_complex_lu_solve(int n, const real *lu, const int *pivots, real *x);
 void flex_lu_solve_both(int n, const real *lu, const int *pivots, real *x, const real *complex_lu,
                         const int *complex_pivots, real *z);
 
-/* A = L L' in place, lower triangle; the diagonal of L is stored inverted. Returns 0, or 1 if A is not positive definite. */
+/* A = L D L' in place, lower triangle; in place of the unit diagonal of L the inverse of D. Returns 0, or 1 if A is not positive
+ * definite. */
 int flex_cholesky_factor(int n, real *a);
 
 /* x = inverse(A) x with the factor above */

@@ -128,9 +128,12 @@ static inline real *flex_take_reals(flex_arena *arena, size_t count) { return fl
 
 /* whether all numbers are finite in all lanes */
 static inline int flex_all_finite(const real *x, int count) {
-  real sum = flex_real(0.0);
-  for (int i = 0; i < count; i++) sum += x[i] - x[i];
-  return flex_is_finite(sum);
+  real sums[4] = {flex_real(0.0), flex_real(0.0), flex_real(0.0), flex_real(0.0)};
+  int i = 0;
+  for (; i + 4 <= count; i += 4)
+    for (int k = 0; k < 4; k++) sums[k] += x[i + k] - x[i + k];
+  for (; i < count; i++) sums[0] += x[i] - x[i];
+  return flex_is_finite((sums[0] + sums[1]) + (sums[2] + sums[3]));
 }
 
 #endif
