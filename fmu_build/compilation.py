@@ -13,9 +13,11 @@ from flexfmu.fmu_build.errors import ArchiveError
 from flexfmu.fmu_build.toolchain import (
     FIRST_HEADER,
     GENERATED_FLAGS,
+    LANES_FLAGS,
     LARGE,
     LARGE_FLAGS,
     RUNTIME_FLAGS,
+    SOLVER_LANES,
     CompileJob,
     Compiler,
 )
@@ -52,7 +54,7 @@ def compile_library(
 
     def flags(name: str) -> tuple[str, ...]:
         if name not in sources.generated:
-            return runtime_flags
+            return (*runtime_flags, *LANES_FLAGS) if name == SOLVER_LANES else runtime_flags
         return (*generated_flags, *LARGE_FLAGS) if len(texts[name]) > LARGE else generated_flags
 
     jobs = {name: CompileJob(name, (*flags(name), *first)) for name in sorted(texts) if name.endswith(".c")}

@@ -202,7 +202,11 @@ def _runtime_files(prefixes: tuple[str, ...]) -> dict[str, str]:
 
 def elementary_sources() -> dict[str, str]:
     """C files and headers of the elementary functions (sin, exp, ...), scalar and on lanes, that generated code calls."""
-    return {name: text for name, text in runtime_sources().items() if name.startswith(("elementary", "lanes", "twins"))}
+    return {
+        name: text
+        for name, text in runtime_sources().items()
+        if name.startswith(("elementary", "lanes.", "lanes_math.", "twins."))
+    }
 
 
 def _belongs(name: str, kind: FmuKind) -> bool:

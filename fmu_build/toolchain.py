@@ -26,6 +26,9 @@ LARGE, LARGE_FLAGS = 40_000, ("-O1",)
 """Size of generated code [bytes] from which flags are added: at -O2, registers for thousands of variables take GCC twice as
 long, and code without branches doesn't become faster."""
 
+SOLVER_LANES, LANES_FLAGS = "lanes_collocation.c", ("-O3",)
+"""The file of the runtime that gains from loops in vector registers, and its further flags."""
+
 COMMON_FLAGS = (
     "-fvisibility=hidden",  # export only the FMI functions
     "-ffp-contract=off",  # the same rounding on every machine

@@ -236,7 +236,7 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
   int side = 0, stopped = 0, is_certain = 0;
 
   // the step as if there were no event, and a look at it
-  flex_outcome outcome = integrator->method->step(integrator, t, *h, allowed, value);
+  flex_outcome outcome = integrator->step(integrator, t, *h, allowed, value);
   if (outcome != FLEX_DONE) return outcome;
   outcome = look(integrator, t, *h, &event);
   if (outcome != FLEX_DONE) return flex_step_reject(integrator, &before, FLEX_FAILED_SHRINK * *h, outcome);
@@ -252,7 +252,7 @@ flex_outcome flex_friction_step(flex_integrator *integrator, double t, double *h
     // the step again, to there
     flex_step_reject(integrator, &before, before.step, FLEX_DONE);
     *attempts += 1.0;
-    outcome = integrator->method->step(integrator, t, next, allowed, value);
+    outcome = integrator->step(integrator, t, next, allowed, value);
     if (outcome != FLEX_DONE) return outcome;
     *h = next;
     outcome = look_at_end(integrator, t, next, &at_end);

@@ -3,10 +3,14 @@
 #define FLEXFMU_INTEGRATION_STEP_H
 
 #include "integrator.h"
+#include "lanes.h"
 
 /* steps of the two families of methods */
 flex_outcome flex_collocation_step(flex_integrator *integrator, double t, double h, double allowed, double *value);
 flex_outcome flex_explicit_step(flex_integrator *integrator, double t, double h, double allowed, double *value);
+
+/* the first once more, for processors with lanes (lanes_collocation.c) */
+flex_outcome flex_collocation_step_wide(flex_integrator *integrator, double t, double h, double allowed, double *value);
 
 /* step after one whose equations could not be solved */
 #define FLEX_FAILED_SHRINK 0.3

@@ -70,9 +70,20 @@ void flex_integrator_take_scratch(flex_integrator *integrator, int n, int n_inpu
   flex_stages_take_scratch(&integrator->stages, n, n_inputs, arena);
 }
 
+// the method's step, compiled for lanes where the processor has them
+static flex_step step_of(const flex_integrator *integrator, const flex_method *method) {
+#if defined(FLEX_LANES) && FLEX_WIDTH == 1
+  if (method->collocation && integrator->stages.equations->has_lanes) return flex_collocation_step_wide;
+#else
+  (void)integrator;
+#endif
+  return method->step;
+}
+
 void flex_integrator_use(flex_integrator *integrator, const flex_method *method, double tolerance) {
   double local = LOCAL_SHARE * pow(tolerance, method->local_order / (double)method->order);
   integrator->method = method;
+  integrator->step = step_of(integrator, method);
   integrator->local_error = fmax(local, ROUNDING_ERROR);
   if (method->collocation) flex_stages_use(&integrator->stages, method->collocation);
 }
@@ -146,7 +157,7 @@ static flex_outcome make_steps(flex_integrator *integrator, double t1, long long
     double allowed = integrator->local_error * flex_common(record->scale);
     flex_outcome outcome =
         has_friction ? flex_friction_step(integrator, start + i * h, &taken, allowed, attempts, &result->value)
-                     : integrator->method->step(integrator, start + i * h, h, allowed, &result->value);
+                     : integrator->step(integrator, start + i * h, h, allowed, &result->value);
     if (outcome != FLEX_DONE) return outcome;
 
     // the last one ends at t1 exactly; an event or another step size makes a new plan

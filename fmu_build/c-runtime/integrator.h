@@ -19,6 +19,7 @@ typedef struct {
 struct flex_integrator {
   int n;
   const flex_method *method;
+  flex_step step; /* the method's, compiled for this processor */
   double local_error; /* that a step may make, relative to the size of the motion */
   flex_stages stages;
   flex_integrator_record *record;

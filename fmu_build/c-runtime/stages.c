@@ -58,6 +58,7 @@ void flex_stages_use(flex_stages *stages, const flex_tableau *tableau) {
   // by columns; a lane without a stage repeats the last one
   for (int lane = 0; lane < FLEX_MAX_STAGES; lane++) {
     int i = lane < tableau->stages ? lane : tableau->stages - 1;
+    stages->nodes[lane] = tableau->c[i];
     for (int j = 0; j < tableau->stages; j++) {
       stages->to_position[j][lane] = tableau->a_squared[i][j];
       stages->to_rate[j][lane] = tableau->a[i][j];
@@ -132,7 +133,7 @@ static void evaluate_lanes(flex_stages *stages, double h, const real *y, const r
   const flex_tableau *tableau = stages->tableau;
   int n = stages->n, s = tableau->stages;
   double drift[FLEX_MAX_STAGES], *q = stages->position, *w = stages->rate, *a = stages->lanes, *r = a + FLEX_MAX_STAGES * n;
-  for (int i = 0; i < FLEX_MAX_STAGES; i++) drift[i] = tableau->c[i < s ? i : s - 1] * h;
+  for (int i = 0; i < FLEX_MAX_STAGES; i++) drift[i] = stages->nodes[i] * h;
   for (int c = 0; c < n; c++) {
     real *each = a + FLEX_MAX_STAGES * c;
     for (int i = 0; i < FLEX_MAX_STAGES; i++) each[i] = stages->acceleration[(i < s ? i : s - 1) * n + c];
@@ -157,7 +158,7 @@ static void evaluate_inputs(flex_stages *stages, double t, double h) {
   }
 #if FLEX_WIDTH == 1
   double offsets[FLEX_MAX_STAGES], *lanes = stages->u + FLEX_MAX_STAGES * m;
-  for (int i = 0; i < FLEX_MAX_STAGES; i++) offsets[i] = tableau->c[i < s ? i : s - 1] * h;
+  for (int i = 0; i < FLEX_MAX_STAGES; i++) offsets[i] = stages->nodes[i] * h;
   flex_inputs_evaluate_lanes(stages->inputs, t, offsets, lanes);
   for (int k = 0; k < m; k++)
     for (int i = 0; i < s; i++) stages->u[i * m + k] = lanes[FLEX_MAX_STAGES * k + i];

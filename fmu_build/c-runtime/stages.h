@@ -47,7 +47,8 @@ typedef struct {
   /* scratch; inputs: stages x inputs */
   real *position, *rate, *residual, *u, *weight, *lanes;
 
-  /* coefficients of the stages side by side: of each stage's acceleration in the positions and rates of all */
+  /* nodes of the stages side by side, and coefficients: of each stage's acceleration in the positions and rates of all */
+  double nodes[FLEX_MAX_STAGES];
   double to_position[FLEX_MAX_STAGES][FLEX_MAX_STAGES], to_rate[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
 } flex_stages;
 
