@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from ctypes import POINTER, Structure, byref, c_double, c_int, c_size_t, c_void_p
 from functools import cache
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.shared_library import shared_library
 from flexfmu.cosim.engine.slave import RealArray
@@ -78,28 +80,27 @@ class CompiledSegments:
         m, n, channels = left.shape
         # one block of memory for the terms, three numbers for each segment, and the jumps at the nodes
         sizes = 2 * m * channels * n, n, n, n, channels * (n + 1)
-        memory = np.empty(sum(sizes))
-        places = memory.ctypes.data + 8 * np.cumsum((0, *sizes[:-1]))
+        memory, self.kept = np.empty(sum(sizes)), np.empty(n, dtype=np.uintp)
+        places = accumulate((8 * size for size in sizes[:-1]), initial=_address(memory))
         self.errors = memory[sum(sizes[:3]) : sum(sizes[:4])]
-        derivatives = [
-            np.ascontiguousarray(each) if each.strides[1:] != (8 * channels, 8) else each for each in (left, right)
-        ]
+        rows = 8 * channels, 8
+        left, right = (each if each.strides[1:] == rows else np.ascontiguousarray(each) for each in (left, right))
         duration = np.ascontiguousarray(duration)
         doubt = None if doubt is None else np.ascontiguousarray(doubt)
-        self.kept = np.empty(n, dtype=np.uintp)
-        self._memory = memory, duration, derivatives, doubt
-        control, highest = _matrices(m)
+        self._memory = memory, duration, left, right, doubt
         self._signal = CSignal(
             n,
             channels,
             m,
-            *(each.strides[0] // 8 for each in derivatives),
-            *(each.ctypes.data for each in (duration, *derivatives)),
-            None if doubt is None else doubt.ctypes.data,
-            control.ctypes.data,
-            highest.ctypes.data,
-            *places.tolist(),
-            self.kept.ctypes.data,
+            left.strides[0] // 8,
+            right.strides[0] // 8,
+            _address(duration),
+            _address(left),
+            _address(right),
+            None if doubt is None else _address(doubt),
+            *map(_address, _matrices(m)),
+            *places,
+            _address(self.kept),
         )
         self._library = library()
         self.diverging = int(self._library.metrics_prepare(byref(self._signal)))
@@ -120,7 +121,7 @@ class CompiledSegments:
         m, result = self._signal.orders, (c_double * 3)()
         given = None if doubt is None else np.ascontiguousarray(doubt)
         quadrature = _quadrature(m, order)
-        fields = (*(each.ctypes.data for each in quadrature), None if given is None else given.ctypes.data)
+        fields = *map(_address, quadrature), None if given is None else _address(given)
         self._library.metrics_products(
             byref(self._signal), byref(CQuadrature(len(quadrature[0]), order, *fields)), result
         )
@@ -131,6 +132,11 @@ class CompiledSegments:
         segment, theta = c_size_t(), c_double()
         found = self._library.metrics_last_above(byref(self._signal), level, byref(segment), byref(theta))
         return (segment.value, theta.value) if found else None
+
+
+def _address(array: NDArray[Any]) -> int:
+    """Address of an array's first element."""
+    return int(array.__array_interface__["data"][0])
 
 
 @cache

@@ -190,7 +190,7 @@ class HermiteSegments:
     @property
     def quadrature(self) -> tuple[RealArray, RealArray]:
         """Normalised times and weights of Gauss quadrature, exact for products of the signal with its error."""
-        return gauss_legendre(len(self.control) + 1)
+        return gauss_legendre(2 * len(self.left) + 1)
 
     def error_estimate(self) -> RealArray:
         """Return the estimated largest interpolation error of the norm within each segment (n,).
@@ -213,7 +213,12 @@ class HermiteSegments:
     @cached_property
     def _doubt(self) -> RealArray | None:
         """(n,) largest norm of ``doubt`` within each segment."""
-        return None if self.doubt is None else np.asarray(norms(self.doubt.evaluate(SAMPLES)).max(axis=0))
+        if self.doubt is None:
+            return None
+        left, right = self.doubt.left, self.doubt.right
+        largest, some = np.zeros(self.start.size), ((left != 0.0) | (right != 0.0)).any(axis=(0, 2))
+        largest[some] = norms(self.doubt.select(some).evaluate(SAMPLES)).max(axis=0)
+        return largest
 
     def deviation_estimate(self, theta: RealArray, order: int = 0) -> RealArray:
         """Return the estimated deviation (k, n, c) of the signal's time derivative from the interpolant's.

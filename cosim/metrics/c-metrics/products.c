@@ -18,12 +18,14 @@ static double last_term(const metrics_signal *s, size_t i, const double *last) {
 static void find_values(const metrics_signal *s, const metrics_quadrature *q, size_t i, double *values) {
   const size_t c = s->channels;
   const double *terms = terms_of(s, i), scale = 1.0 / power(s->duration[i], q->order);
+  const size_t m = s->orders, lowest = q->order > 1; /* the first term is linear */
   for (size_t j = 0; j < c; j++) {
     double *value = values + j * METRICS_POINTS;
     for (size_t point = 0; point < q->points; point++) value[point] = 0.0;
-    for (size_t k = 0; k < 2 * s->orders; k++) {
-      const double term = scale * terms[k * c + j], *row = q->values + k * q->points;
-      for (size_t point = 0; point < q->points; point++) value[point] += row[point] * term;
+    for (size_t k = lowest; k < m; k++) {
+      const double alpha = scale * terms[k * c + j], *start = q->values + k * q->points;
+      const double beta = scale * terms[(m + k) * c + j], *end = q->values + (m + k) * q->points;
+      for (size_t point = 0; point < q->points; point++) value[point] += start[point] * alpha + end[point] * beta;
     }
   }
 }

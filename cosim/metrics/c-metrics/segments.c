@@ -69,9 +69,9 @@ static void find_bounds(const metrics_signal *s, size_t i) {
     if (k < 2 || s->kept[i] < m) continue;
     /* the largest that this order can be, against the one before in the middle, before both are found */
     const double *before = products[k - 1], ratio = DIVERGING * DIVERGING;
-    const double most = power(0.0625, k) * larger(now[0], now[2]);
-    const double least = power(0.0625, k - 1) * 0.25 * (before[0] + 2.0 * before[1] + before[2]);
-    if (most > ratio * least && contribution(k, now) > ratio * contribution(k - 1, before)) s->kept[i] = k;
+    if (larger(now[0], now[2]) > 4.0 * ratio * (before[0] + 2.0 * before[1] + before[2]) &&
+        contribution(k, now) > ratio * contribution(k - 1, before))
+      s->kept[i] = k;
   }
 }
 
@@ -104,7 +104,8 @@ static double highest_at(const metrics_signal *s, size_t i, size_t side, size_t 
   const size_t m = s->orders, c = s->channels;
   const double *near = terms_of(s, i) + side * m * c + j, *far = terms_of(s, i) + (1 - side) * m * c + j;
   double sum = 0.0;
-  for (size_t k = 0; k < m; k++) sum += s->highest[k] * near[k * c] + s->highest[m + k] * far[k * c];
+  /* the degree of the lower terms is below m */
+  for (size_t k = (m - 1) / 2; k < m; k++) sum += s->highest[k] * near[k * c] + s->highest[m + k] * far[k * c];
   return side && m % 2 ? -sum : sum;
 }
 
@@ -112,12 +113,13 @@ static double highest_at(const metrics_signal *s, size_t i, size_t side, size_t 
 static void find_jumps(const metrics_signal *s) {
   const size_t m = s->orders, c = s->channels;
   const double factor = factorial(2 * m) / factorial(m);
-  double sizes[METRICS_ORDERS];
+  double sizes[METRICS_ORDERS], after = s->segments ? power(s->duration[0], m) : 0.0;
   int known = 0;
   for (size_t j = 0; j < c; j++) s->jumps[j] = s->jumps[s->segments * c + j] = NAN;
   for (size_t i = 0; i + 1 < s->segments; i++) {
     const double first = s->duration[i], second = s->duration[i + 1];
-    const double before = power(first, m), after = power(second, m);
+    const double before = after;
+    after = power(second, m);
     const int comparable = first > COMPARABLE_STEPS * second && second > COMPARABLE_STEPS * first;
     const int useful = comparable && is_continuous(s, i, sizes, &known);
     for (size_t j = 0; j < c; j++) {
@@ -138,7 +140,8 @@ static void find_errors(const metrics_signal *s) {
       const double products[] = {dot(alpha, alpha, c), dot(alpha, beta, c), dot(beta, beta, c)};
       s->errors[i] = sqrt(contribution(m - 1, products));
     } else {
-      s->errors[i] = derivative * shape * power(s->duration[i], 2 * m);
+      const double scale = power(s->duration[i], m);
+      s->errors[i] = derivative * shape * scale * scale;
     }
     if (s->doubt) s->errors[i] += s->doubt[i];
   }
