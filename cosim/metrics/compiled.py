@@ -1,4 +1,4 @@
-"""Extrema, means and crossings of Hermite segments in C; `flexfmu.cosim.metrics.segments` does without a compiler."""
+"""Peaks, means and crossings of Hermite segments in C; `flexfmu.cosim.metrics.analysis` does without a compiler."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class CSignal(Structure):
 
     _fields_ = (
         *((name, c_size_t) for name in ("segments", "channels", "orders", "left_stride", "right_stride")),
-        *((name, c_void_p) for name in ("duration", "left", "right", "doubt", "control", "highest")),
+        *((name, c_void_p) for name in ("duration", "left", "right", "control", "highest")),
         *((name, c_void_p) for name in ("terms", "ends", "bounds", "errors", "jumps", "kept")),
     )
 
@@ -41,7 +41,7 @@ class CQuadrature(Structure):
 
     _fields_ = (
         *((name, c_size_t) for name in ("points", "order")),
-        *((name, c_void_p) for name in ("weights", "values", "shape", "last", "doubt")),
+        *((name, c_void_p) for name in ("weights", "values", "shape", "last")),
     )
 
 
@@ -62,13 +62,14 @@ def library() -> Any:
     return found
 
 
-class CompiledSegments:
-    """Analysis of Hermite segments in C.
+class CompiledAnalysis:
+    """Analysis of Hermite segments in C, without the orders of derivatives that diverge.
+
+    See `flexfmu.cosim.metrics.analysis.Analysis`.
 
     Args:
-        duration: (n,) lengths of the segments [s].
+        start, duration: (n,) starts and lengths of the segments [s].
         left, right: (m, n, c) derivatives at both ends of the segments, at most `LARGEST` orders and channels.
-        doubt: (n,) error of the orders that were left out; None for none.
 
     Attributes:
         diverging: number of segments in which an order diverges.
@@ -76,7 +77,7 @@ class CompiledSegments:
         errors: (n,) estimated interpolation errors.
     """
 
-    def __init__(self, duration: RealArray, left: RealArray, right: RealArray, doubt: RealArray | None) -> None:
+    def __init__(self, start: RealArray, duration: RealArray, left: RealArray, right: RealArray) -> None:
         m, n, channels = left.shape
         # one block of memory for the terms, three numbers for each segment, and the jumps at the nodes
         sizes = 2 * m * channels * n, n, n, n, channels * (n + 1)
@@ -86,8 +87,7 @@ class CompiledSegments:
         rows = 8 * channels, 8
         left, right = (each if each.strides[1:] == rows else np.ascontiguousarray(each) for each in (left, right))
         duration = np.ascontiguousarray(duration)
-        doubt = None if doubt is None else np.ascontiguousarray(doubt)
-        self._memory = memory, duration, left, right, doubt
+        self._start, self._duration, self._memory = start, duration, (memory, left, right)
         self._signal = CSignal(
             n,
             channels,
@@ -97,7 +97,6 @@ class CompiledSegments:
             _address(duration),
             _address(left),
             _address(right),
-            None if doubt is None else _address(doubt),
             *map(_address, _matrices(m)),
             *places,
             _address(self.kept),
@@ -106,32 +105,25 @@ class CompiledSegments:
         self.diverging = int(self._library.metrics_prepare(byref(self._signal)))
 
     def peak(self) -> tuple[float, float]:
-        """Return the largest norm, and how far it may be exceeded."""
+        """See `flexfmu.cosim.metrics.analysis.Analysis`."""
         result = (c_double * 2)()
         self._library.metrics_peak(byref(self._signal), result)
         return result[0], result[1]
 
-    def products(self, order: int, doubt: RealArray | None) -> tuple[float, float, float]:
-        """Return the integrals of |v|², v . e and |e|² of the derivative v of this order and its estimated deviation e.
+    def mean_products(self, order: int = 0) -> tuple[float, ...]:
+        """See `flexfmu.cosim.metrics.analysis.Analysis`."""
+        quadrature, integrals = _quadrature(self._signal.orders, order), (c_double * 3)()
+        points = CQuadrature(len(quadrature[0]), order, *map(_address, quadrature))
+        self._library.metrics_products(byref(self._signal), byref(points), integrals)
+        total = float(self._duration.sum())
+        return tuple(each / total for each in integrals)
 
-        Args:
-            order: of the derivative.
-            doubt: (k, n, c) part of e at the points of the quadrature, or None.
-        """
-        m, result = self._signal.orders, (c_double * 3)()
-        given = None if doubt is None else np.ascontiguousarray(doubt)
-        quadrature = _quadrature(m, order)
-        fields = *map(_address, quadrature), None if given is None else _address(given)
-        self._library.metrics_products(
-            byref(self._signal), byref(CQuadrature(len(quadrature[0]), order, *fields)), result
-        )
-        return result[0], result[1], result[2]
-
-    def last_above(self, level: float) -> tuple[int, float] | None:
-        """Return the last segment, and the normalised time in it, at which the norm is at least ``level``."""
+    def last_time_above(self, level: float) -> float | None:
+        """See `flexfmu.cosim.metrics.analysis.Analysis`."""
         segment, theta = c_size_t(), c_double()
-        found = self._library.metrics_last_above(byref(self._signal), level, byref(segment), byref(theta))
-        return (segment.value, theta.value) if found else None
+        if not self._library.metrics_last_above(byref(self._signal), level, byref(segment), byref(theta)):
+            return None
+        return float(self._start[segment.value] + theta.value * self._duration[segment.value])
 
 
 def _address(array: NDArray[Any]) -> int:

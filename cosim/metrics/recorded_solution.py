@@ -15,6 +15,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.metrics.analysis import Analysis, analyse
 from flexfmu.cosim.metrics.metric_table import Measurement, Solution
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.cosim.metrics.signals import (
@@ -68,16 +69,20 @@ class RecordedSignal:
 
     segments: HermiteSegments
 
+    @cached_property
+    def _analysis(self) -> Analysis:
+        return analyse(self.segments)
+
     def peak(self) -> Measurement:
         """Largest norm; its error is how far another segment may exceed it, at least the peak segment's error."""
-        return Measurement(*self.segments.consistent.peak())
+        return Measurement(*self._analysis.peak())
 
     def root_mean_square(self, order: int = 0) -> Measurement:
         """Root mean square of the norm of a time derivative p; its error follows from the estimated deviation e of p.
 
         To second order e changes the root mean square by (mean of p e + half the mean of e²) / root mean square.
         """
-        squares, common, deviation = self.segments.consistent.mean_products(order)
+        squares, common, deviation = self._analysis.mean_products(order)
         root, bound, change = math.sqrt(squares), math.sqrt(deviation), abs(common) + 0.5 * deviation
         return Measurement(root, min(change / root, bound) if root > 0.0 else bound)
 
@@ -91,15 +96,15 @@ class RecordedSignal:
         Its error is the shift of the last crossing when the amplitude changes by the interpolation error or the
         ``uncertainty``, whichever is larger; both have the unit of ``band``.
         """
-        vibration = self.segments.consistent
+        vibration, analysis = self.segments, self._analysis
         begin, stop = float(vibration.start[0]), float(vibration.end[-1])
-        crossing = vibration.last_time_above(band)
+        crossing = analysis.last_time_above(band)
         if crossing is None:
             return Measurement(0.0)
         # last crossings of a band that is wider and narrower by the error
         near = int(np.searchsorted(vibration.end, crossing))
-        error = max(float(vibration.error_estimate()[min(near, len(vibration.end) - 1)]), uncertainty)
-        spread = [vibration.last_time_above(level) for level in (band + error, max(band - error, 0.0))]
+        error = max(float(analysis.errors[min(near, len(vibration.end) - 1)]), uncertainty)
+        spread = [analysis.last_time_above(level) for level in (band + error, max(band - error, 0.0))]
         early, late = (begin if time is None else time for time in spread)
         return Measurement(crossing - begin if crossing < stop else None, late - early)
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexfmu.cosim.engine.slave import RealArray
-from flexfmu.cosim.metrics.bernstein import gauss_legendre, last_time_above, maximum_norm, norms
-from flexfmu.cosim.metrics.compiled import LARGEST, CompiledSegments, library
+from flexfmu.cosim.metrics.bernstein import gauss_legendre, maximum_norm, norms
 from flexfmu.cosim.metrics.two_point import (
     SAMPLES,
     contributions,
@@ -93,8 +92,6 @@ class HermiteSegments:
         contributes far more (`DIVERGING`), this order and all higher ones are left out, as an asymptotic series is
         truncated; the estimated error is the contribution of the last order that is left in.
         """
-        if self._compiled is not None and self._compiled.diverging == 0:
-            return self
         kept = self._kept_orders()
         cut = kept < len(self.left)
         if not cut.any():
@@ -109,8 +106,6 @@ class HermiteSegments:
 
     def _kept_orders(self) -> NDArray[np.intp]:
         """Return the number (n,) of orders below the first that diverges, all where none does."""
-        if self._compiled is not None:
-            return self._compiled.kept.astype(np.intp)
         added = contributions(*self._two_point)
         if len(added) < 2:
             return np.full(self.start.size, len(self.left))
@@ -124,58 +119,10 @@ class HermiteSegments:
 
     def maximum_norm(self) -> float:
         """Return the largest Euclidean norm over the channels on all segments, both sides of every jump included."""
-        return self.peak()[0]
-
-    def peak(self) -> tuple[float, float]:
-        """Return the largest norm, both sides of every jump included, and how far it may be exceeded.
-
-        That is how far another segment may exceed it with its interpolation error, at least the peak segment's error.
-        """
-        if self._compiled is not None:
-            return self._compiled.peak()
-        (ends, bounds), errors = self._bounds, self.error_estimate()
-        # only segments that may reach the peak, with or without their error; NaN compares as false and isn't left out
-        at_ends = float(ends.max(initial=0.0))
-        chosen = ~((bounds < at_ends) & (bounds + errors < np.max(ends + errors, initial=0.0)))
-        some, errors = self.select(chosen), errors[chosen]
-        largest = maximum_norm(some.control, at_ends)
-        reached = norms(some.evaluate(np.linspace(0.0, 1.0, 4 * len(self.left)))).max(axis=0)
-        exceeded = float(np.max(reached + errors, initial=0.0)) - largest
-        return largest, max(exceeded, float(errors[np.argmax(reached)]) if reached.size else 0.0)
-
-    def mean_products(self, order: int = 0) -> tuple[float, ...]:
-        """Return the means over time of |v|², v . e and |e|² of the time derivative v of this order.
-
-        e is the estimated deviation of the signal's derivative from v; see `deviation_estimate`.
-        """
-        points, _ = self.quadrature
-        if self._compiled is not None:
-            doubt, total = (
-                None if self.doubt is None else self.doubt.evaluate(points, order),
-                float(self.duration.sum()),
-            )
-            return tuple(each / total for each in self._compiled.products(order, doubt))
-        values, deviation = self.evaluate(points, order), self.deviation_estimate(points, order)
-        pairs = (values, values), (values, deviation), (deviation, deviation)
-        return tuple(self.mean_product(*each) for each in pairs)
-
-    def last_time_above(self, level: float) -> float | None:
-        """Return the last time at which the norm is at least ``level`` (zero or positive); None if it never is."""
-        if self._compiled is None:
-            return last_time_above(self.control, self.start, self.duration, level)
-        found = self._compiled.last_above(level)
-        return None if found is None else float(self.start[found[0]] + found[1] * self.duration[found[0]])
+        return maximum_norm(self.control)
 
     @cached_property
-    def _compiled(self) -> CompiledSegments | None:
-        """The analysis in C; None without a compiler, or for more derivatives or channels than the C code has memory for."""
-        m, _, channels = self.left.shape
-        if m > LARGEST[0] or channels > LARGEST[1] or library() is None:
-            return None
-        return CompiledSegments(self.duration, self.left, self.right, self._doubt)
-
-    @cached_property
-    def _bounds(self) -> tuple[RealArray, RealArray]:
+    def bounds(self) -> tuple[RealArray, RealArray]:
         """(n,) largest norm at the ends of each segment, and an upper bound of the norm within it."""
         start, end = self._two_point
         sizes = np.sqrt(np.maximum(*(np.einsum("knc,knc->kn", each, each) for each in (start, end))))
@@ -201,24 +148,14 @@ class HermiteSegments:
         breakpoints) the estimate is the contribution of its highest derivative. The estimate is within a factor of two
         where a step is below 2 rad of the vibration, within an order of magnitude beyond.
         """
-        if self._compiled is not None:
-            return self._compiled.errors
         m, derivative = len(self.left), norms(self._highest_derivatives)
         estimate: RealArray = np.fmax(*derivative) * (0.25**m / math.factorial(2 * m) * self.duration ** (2 * m))
         alone = np.asarray(np.isnan(estimate))
         if np.any(alone):
             estimate[alone] = self.select(alone)._lower_degree_change()
-        return estimate if self._doubt is None else estimate + self._doubt
-
-    @cached_property
-    def _doubt(self) -> RealArray | None:
-        """(n,) largest norm of ``doubt`` within each segment."""
-        if self.doubt is None:
-            return None
-        left, right = self.doubt.left, self.doubt.right
-        largest, some = np.zeros(self.start.size), ((left != 0.0) | (right != 0.0)).any(axis=(0, 2))
-        largest[some] = norms(self.doubt.select(some).evaluate(SAMPLES)).max(axis=0)
-        return largest
+        if self.doubt is not None:
+            estimate += norms(self.doubt.evaluate(SAMPLES)).max(axis=0)
+        return estimate
 
     def deviation_estimate(self, theta: RealArray, order: int = 0) -> RealArray:
         """Return the estimated deviation (k, n, c) of the signal's time derivative from the interpolant's.

@@ -6,12 +6,6 @@
 
 #include <math.h>
 
-#if defined(_WIN32)
-#define EXPORTED __declspec(dllexport)
-#else
-#define EXPORTED __attribute__((visibility("default")))
-#endif
-
 static inline double dot(const double *first, const double *second, size_t count) {
   double sum = 0.0;
   for (size_t i = 0; i < count; i++) sum += first[i] * second[i];
@@ -34,6 +28,8 @@ static inline double factorial(size_t n) {
   return result;
 }
 
-static inline const double *terms_of(const metrics_signal *s, size_t i) { return s->terms + i * 2 * s->orders * s->channels; }
+static inline const double *terms_of(const metrics_signal *s, size_t i) {
+  return s->terms + i * 2 * s->orders * s->channels;
+}
 
 #endif

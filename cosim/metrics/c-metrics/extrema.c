@@ -75,7 +75,7 @@ static double reached_in(const metrics_signal *s, size_t i) {
   return largest;
 }
 
-EXPORTED void metrics_peak(const metrics_signal *s, double result[2]) {
+void metrics_peak(const metrics_signal *s, double result[2]) {
   double best = 0.0, with_error = 0.0, doubtful = 0.0;
   for (size_t i = 0; i < s->segments; i++) {
     best = larger(best, s->ends[i]);
@@ -118,7 +118,7 @@ static double last_theta(control *piece, double left, double right, double level
   }
 }
 
-EXPORTED int metrics_last_above(const metrics_signal *s, double level, size_t *segment, double *theta) {
+int metrics_last_above(const metrics_signal *s, double level, size_t *segment, double *theta) {
   for (size_t i = s->segments; i-- > 0;) {
     if (!(s->bounds[i] >= level)) continue;
     control piece;

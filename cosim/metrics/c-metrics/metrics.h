@@ -12,6 +12,12 @@
 
 #include <stddef.h>
 
+#if defined(_WIN32)
+#define METRICS_EXPORTED __declspec(dllexport)
+#else
+#define METRICS_EXPORTED __attribute__((visibility("default")))
+#endif
+
 #define METRICS_ORDERS 5
 #define METRICS_CHANNELS 2
 #define METRICS_POINTS 11
@@ -22,13 +28,12 @@ typedef struct {
   size_t left_stride, right_stride;    /* from one order of derivatives to the next */
   const double *duration;              /* [segments] */
   const double *left, *right;          /* [orders][segments][channels] */
-  const double *doubt;                 /* [segments] error of orders that were left out, or NULL */
   const double *control;               /* [2 orders][2 orders], from terms to Bernstein control points */
   const double *highest;               /* [2 orders], from terms to the derivative of order m over theta at the start */
   double *terms;                       /* [segments][2 orders][channels] */
   double *ends, *bounds, *errors;      /* [segments] largest norm at the ends, upper bound, interpolation error */
   double *jumps;                       /* [segments + 1][channels] derivative of order 2 m at the nodes, or NaN */
-  size_t *kept;                        /* [segments] orders below the first that diverges; all where none does */
+  size_t *kept;                        /* [segments] orders below the first that diverges; others are left out */
 } metrics_signal;
 
 /* a time derivative at the points of a quadrature */
@@ -37,22 +42,22 @@ typedef struct {
   const double *weights;               /* [points] */
   const double *values;                /* [2 orders][points], from terms to the derivative over theta */
   const double *shape;                 /* [points] error, for a unit derivative of order 2 m over a unit step */
-  const double *last;                  /* [METRICS_SAMPLES][2], from the last alpha and beta to the derivative of their term */
-  const double *doubt;                 /* [points][segments][channels], or NULL */
+  const double *last;                  /* [METRICS_SAMPLES][2], from the last alpha and beta to their term's derivative */
 } metrics_quadrature;
 
 #define METRICS_SAMPLES 9
 
 /* terms, bounds and error estimates of all segments; returns in how many an order diverges */
-size_t metrics_prepare(const metrics_signal *signal);
+METRICS_EXPORTED size_t metrics_prepare(const metrics_signal *signal);
 
 /* the largest norm, and how far it may be exceeded; after metrics_prepare */
-void metrics_peak(const metrics_signal *signal, double result[2]);
+METRICS_EXPORTED void metrics_peak(const metrics_signal *signal, double result[2]);
 
 /* integrals over time of |v|^2, v . e and |e|^2 of a derivative v and its estimated deviation e; after metrics_prepare */
-void metrics_products(const metrics_signal *signal, const metrics_quadrature *quadrature, double result[3]);
+METRICS_EXPORTED void metrics_products(const metrics_signal *signal, const metrics_quadrature *quadrature,
+                                       double result[3]);
 
 /* the last segment, and theta in it, at which the norm is at least the level; 0 if there is none; after metrics_prepare */
-int metrics_last_above(const metrics_signal *signal, double level, size_t *segment, double *theta);
+METRICS_EXPORTED int metrics_last_above(const metrics_signal *signal, double level, size_t *segment, double *theta);
 
 #endif

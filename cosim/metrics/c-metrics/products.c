@@ -30,13 +30,14 @@ static void find_values(const metrics_signal *s, const metrics_quadrature *q, si
   }
 }
 
-/* its deviation in channel j: estimated from the nodes, or where these are unknown, all in the direction of the derivative */
+/* its deviation in channel j: estimated from the nodes, or where these are unknown, all in the direction of the derivative;
+ * where orders were left out, with the last that was kept */
 static void find_deviation(const metrics_signal *s, const metrics_quadrature *q, size_t i, size_t j, double change,
                            const double *values, double *deviation) {
-  const size_t c = s->channels;
+  const size_t m = s->orders, c = s->channels, last = s->kept[i] - 1;
   const double start = s->jumps[i * c + j], end = s->jumps[(i + 1) * c + j];
   const double mean = isnan(start) ? end : isnan(end) ? start : 0.5 * (start + end);
-  const double size = mean * power(s->duration[i], 2 * s->orders - q->order);
+  const double size = mean * power(s->duration[i], 2 * m - q->order);
   for (size_t point = 0; point < q->points; point++) {
     deviation[point] = q->shape[point] * size;
     if (isnan(mean)) {
@@ -44,11 +45,15 @@ static void find_deviation(const metrics_signal *s, const metrics_quadrature *q,
       for (size_t l = 0; l < c; l++) square += values[l * METRICS_POINTS + point] * values[l * METRICS_POINTS + point];
       deviation[point] = square > 0.0 ? values[j * METRICS_POINTS + point] / sqrt(square) * change : 0.0;
     }
-    if (q->doubt) deviation[point] += q->doubt[(point * s->segments + i) * c + j];
   }
+  if (last + 1 == m) return;
+  const double scale = 1.0 / power(s->duration[i], q->order);
+  const double alpha = scale * terms_of(s, i)[last * c + j], beta = scale * terms_of(s, i)[(m + last) * c + j];
+  for (size_t point = 0; point < q->points; point++)
+    deviation[point] += q->values[last * q->points + point] * alpha + q->values[(m + last) * q->points + point] * beta;
 }
 
-EXPORTED void metrics_products(const metrics_signal *s, const metrics_quadrature *q, double result[3]) {
+void metrics_products(const metrics_signal *s, const metrics_quadrature *q, double result[3]) {
   result[0] = result[1] = result[2] = 0.0;
   for (size_t i = 0; i < s->segments; i++) {
     const int alone = isnan(s->jumps[i * s->channels]) && isnan(s->jumps[(i + 1) * s->channels]);

@@ -1,6 +1,8 @@
 /* Terms, bounds and error estimates of all segments; names and constants are those of flexfmu.cosim.metrics.segments. */
 #include "arithmetic.h"
 
+#include <string.h>
+
 #define COMPARABLE_STEPS 0.1
 #define CONTINUITY 1e-9
 #define DIVERGING 3.0
@@ -50,47 +52,86 @@ static double contribution(size_t k, const double products[3]) {
   return largest;
 }
 
-/* bounds of a segment, and its orders below the first, from the second on, that contributes far more than the one before */
+/* bounds of a segment; leaves out the terms from the first order, from the second on, that contributes far more than the
+ * one before */
 static void find_bounds(const metrics_signal *s, size_t i) {
   const size_t m = s->orders, c = s->channels;
-  const double *terms = terms_of(s, i);
-  double products[METRICS_ORDERS][3], weight = 1.0;
+  double *terms = s->terms + i * 2 * m * c, products[METRICS_ORDERS][3], weight = 1.0;
   s->bounds[i] = 0.0;
-  s->kept[i] = m;
-  for (size_t k = 0; k < m; k++, weight *= 0.25) {
-    const double *alpha = terms + k * c, *beta = terms + (m + k) * c, *now = products[k];
-    products[k][0] = dot(alpha, alpha, c);
-    products[k][1] = dot(alpha, beta, c);
-    products[k][2] = dot(beta, beta, c);
+  for (s->kept[i] = 0; s->kept[i] < m; s->kept[i]++, weight *= 0.25) {
+    const size_t k = s->kept[i];
+    double *alpha = terms + k * c, *beta = terms + (m + k) * c, *now = products[k];
+    now[0] = dot(alpha, alpha, c);
+    now[1] = dot(alpha, beta, c);
+    now[2] = dot(beta, beta, c);
+    if (k >= 2) {
+      /* the largest that this order can be, against the one before in the middle, before both are found */
+      const double *before = products[k - 1], ratio = DIVERGING * DIVERGING;
+      if (larger(now[0], now[2]) > 4.0 * ratio * (before[0] + 2.0 * before[1] + before[2]) &&
+          contribution(k, now) > ratio * contribution(k - 1, before)) {
+        memset(alpha, 0, (m - k) * c * sizeof(double));
+        memset(beta, 0, (m - k) * c * sizeof(double));
+        return;
+      }
+    }
     /* NaN must not get lost: the sum has it */
     const double size = sqrt(larger(now[0], now[2]) + 0.0 * (now[0] + now[2]));
     if (k == 0) s->ends[i] = size;
     s->bounds[i] += weight * size;
-    if (k < 2 || s->kept[i] < m) continue;
-    /* the largest that this order can be, against the one before in the middle, before both are found */
-    const double *before = products[k - 1], ratio = DIVERGING * DIVERGING;
-    if (larger(now[0], now[2]) > 4.0 * ratio * (before[0] + 2.0 * before[1] + before[2]) &&
-        contribution(k, now) > ratio * contribution(k - 1, before))
-      s->kept[i] = k;
+  }
+}
+
+/* all derivatives [orders][channels] at the start (side 0) or the end (side 1) of segment i, of what was kept of it */
+static void find_derivatives(const metrics_signal *s, size_t i, size_t side, double *result) {
+  const size_t m = s->orders, c = s->channels;
+  for (size_t k = 0; k < m; k++)
+    for (size_t j = 0; j < c; j++) result[k * c + j] = side ? right_of(s, k, i)[j] : left_of(s, k, i)[j];
+  if (s->kept[i] == m) return;
+  for (size_t j = 0; j < c; j++) {
+    /* the steps of find_terms, backwards */
+    double near[METRICS_ORDERS], far[METRICS_ORDERS], scale = 1.0;
+    for (size_t k = 0; k < m; k++) {
+      near[k] = terms_of(s, i)[(side * m + k) * c + j];
+      far[k] = terms_of(s, i)[((1 - side) * m + k) * c + j];
+    }
+    for (size_t k = m - 1; k-- > 0;) {
+      for (size_t l = m - 1; l > k + 1; l--) {
+        near[l] -= near[l - 1];
+        far[l] -= far[l - 1];
+      }
+      const double slope = far[k] - near[k];
+      near[k + 1] += slope;
+      far[k + 1] -= slope;
+    }
+    for (size_t k = 0; k < m; k++) {
+      result[k * c + j] = near[k] / scale;
+      scale *= (side ? -s->duration[i] : s->duration[i]) / (double)(k + 1);
+    }
   }
 }
 
 /* the largest magnitudes [orders] of the derivatives at the inner nodes */
 static void find_sizes(const metrics_signal *s, double *sizes) {
-  for (size_t k = 0; k < s->orders; k++) {
-    sizes[k] = 0.0;
-    for (size_t i = 0; i + 1 < s->segments; i++)
-      sizes[k] = larger(sizes[k], larger(norm(right_of(s, k, i), s->channels), norm(left_of(s, k, i + 1), s->channels)));
+  const size_t m = s->orders, c = s->channels;
+  double before[METRICS_ORDERS * METRICS_CHANNELS], after[METRICS_ORDERS * METRICS_CHANNELS];
+  memset(sizes, 0, m * sizeof(double));
+  for (size_t i = 0; i + 1 < s->segments; i++) {
+    find_derivatives(s, i, 1, before);
+    find_derivatives(s, i + 1, 0, after);
+    for (size_t k = 0; k < m; k++)
+      sizes[k] = larger(sizes[k], larger(norm(before + k * c, c), norm(after + k * c, c)));
   }
 }
 
 /* whether all derivatives are continuous at the end of segment i; sizes are found when they are needed first */
 static int is_continuous(const metrics_signal *s, size_t i, double *sizes, int *known) {
-  for (size_t k = 0; k < s->orders; k++) {
-    const double *before = right_of(s, k, i), *after = left_of(s, k, i + 1);
-    double difference[METRICS_CHANNELS];
-    for (size_t j = 0; j < s->channels; j++) difference[j] = after[j] - before[j];
-    const double jump = norm(difference, s->channels);
+  const size_t m = s->orders, c = s->channels;
+  double before[METRICS_ORDERS * METRICS_CHANNELS], after[METRICS_ORDERS * METRICS_CHANNELS];
+  find_derivatives(s, i, 1, before);
+  find_derivatives(s, i + 1, 0, after);
+  for (size_t k = 0; k < m; k++) {
+    for (size_t j = 0; j < c; j++) after[k * c + j] -= before[k * c + j];
+    const double jump = norm(after + k * c, c);
     if (jump == 0.0) continue;
     if (!*known) find_sizes(s, sizes);
     *known = 1;
@@ -129,25 +170,26 @@ static void find_jumps(const metrics_signal *s) {
   }
 }
 
+/* the largest norm of the term of order k in segment i */
+static double size_of_term(const metrics_signal *s, size_t i, size_t k) {
+  const size_t c = s->channels;
+  const double *alpha = terms_of(s, i) + k * c, *beta = terms_of(s, i) + (s->orders + k) * c;
+  return sqrt(contribution(k, (const double[]){dot(alpha, alpha, c), dot(alpha, beta, c), dot(beta, beta, c)}));
+}
+
+/* from the nodes, or where these are unknown, the last term; and where orders were left out, the last that was kept */
 static void find_errors(const metrics_signal *s) {
   const size_t m = s->orders, c = s->channels;
   const double shape = power(0.25, m) / factorial(2 * m);
   for (size_t i = 0; i < s->segments; i++) {
     const double start = norm(s->jumps + i * c, c), end = norm(s->jumps + (i + 1) * c, c);
-    const double derivative = isnan(start) || start < end ? end : start;
-    if (isnan(derivative)) {
-      const double *alpha = terms_of(s, i) + (m - 1) * c, *beta = terms_of(s, i) + (2 * m - 1) * c;
-      const double products[] = {dot(alpha, alpha, c), dot(alpha, beta, c), dot(beta, beta, c)};
-      s->errors[i] = sqrt(contribution(m - 1, products));
-    } else {
-      const double scale = power(s->duration[i], m);
-      s->errors[i] = derivative * shape * scale * scale;
-    }
-    if (s->doubt) s->errors[i] += s->doubt[i];
+    const double derivative = isnan(start) || start < end ? end : start, scale = power(s->duration[i], m);
+    s->errors[i] = isnan(derivative) ? size_of_term(s, i, m - 1) : derivative * shape * scale * scale;
+    if (s->kept[i] < m) s->errors[i] += size_of_term(s, i, s->kept[i] - 1);
   }
 }
 
-EXPORTED size_t metrics_prepare(const metrics_signal *s) {
+size_t metrics_prepare(const metrics_signal *s) {
   size_t diverging = 0;
   for (size_t i = 0; i < s->segments; i++) {
     find_terms(s, i);

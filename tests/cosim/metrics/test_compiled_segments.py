@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexfmu.cosim.metrics import compiled, segments
+from flexfmu.cosim.metrics import compiled
+from flexfmu.cosim.metrics.analysis import NumpyAnalysis, analyse
+from flexfmu.cosim.metrics.compiled import CompiledAnalysis
 from flexfmu.cosim.metrics.segments import HermiteSegments
 from flexfmu.fmu_build.platforms import native_platform
 from flexfmu.fmu_build.toolchain import find_compiler
@@ -38,12 +40,6 @@ def drawn(orders: int, channels: int, seed: int, count: int = 60) -> HermiteSegm
     return HermiteSegments(time[:-1], time[1:], left, right)
 
 
-def with_numpy(signal: HermiteSegments, monkeypatch: pytest.MonkeyPatch) -> HermiteSegments:
-    """The same signal, without the C code."""
-    monkeypatch.setattr(segments, "library", lambda: None)
-    return HermiteSegments(signal.start, signal.end, signal.left, signal.right)
-
-
 @pytest.fixture(autouse=True)
 def _there_is_a_compiler() -> None:
     assert compiled.library() is not None
@@ -51,24 +47,24 @@ def _there_is_a_compiler() -> None:
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 @pytest.mark.parametrize("seed", range(8))
-def test_c_finds_what_numpy_finds(shape: tuple[int, int], seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Truncated orders, peak and its error, means of products, and last crossings of levels, to rounding."""
+def test_c_finds_what_numpy_finds(shape: tuple[int, int], seed: int) -> None:
+    """Orders left out, peak and its error, means of products, and last crossings of levels, to rounding."""
     signal = drawn(*shape, seed)
-    ours = signal.consistent
+    ours, theirs = analyse(signal), NumpyAnalysis(signal)
+    assert isinstance(ours, CompiledAnalysis)
+    np.testing.assert_array_equal(ours.kept, signal._kept_orders())
     peak = ours.peak()
-    levels = [0.0, *(share * peak[0] for share in (0.2, 0.9, 0.999, 1.001))]
-    found = [*peak, *ours.error_estimate()], [ours.mean_products(order) for order in range(3)]
-    crossings = [ours.last_time_above(level) for level in levels]
-    theirs = with_numpy(signal, monkeypatch).consistent
-    np.testing.assert_allclose(ours.left, theirs.left, rtol=1e-12)
-    np.testing.assert_allclose(found[0], [*theirs.peak(), *theirs.error_estimate()], rtol=1e-9, atol=1e-14 * peak[0])
-    for order, products in enumerate(found[1]):
+    np.testing.assert_allclose([*peak, *ours.errors], [*theirs.peak(), *theirs.errors], rtol=1e-9, atol=1e-14 * peak[0])
+    for order in range(3):
+        products = ours.mean_products(order)
         value, error = np.sqrt(products[0]), np.sqrt(products[2])
         differences = np.subtract(products, theirs.mean_products(order)) / [value**2, value * error, error**2]
         assert np.abs(differences).max() < 1e-9
-    expected = [theirs.last_time_above(level) for level in levels]
-    assert crossings[-1] is expected[-1] is None
-    np.testing.assert_allclose(crossings[:-1], expected[:-1], rtol=1e-12)
+    for share in (0.0, 0.2, 0.9, 0.999):
+        expected = theirs.last_time_above(share * peak[0])
+        assert expected is not None
+        assert ours.last_time_above(share * peak[0]) == pytest.approx(expected, rel=1e-12)
+    assert ours.last_time_above(1.001 * peak[0]) is theirs.last_time_above(1.001 * peak[0]) is None
 
 
 def test_signals_diverge_where_they_should() -> None:
@@ -86,15 +82,15 @@ def test_nan_does_not_hide() -> None:
     for order in range(3):
         broken = signal.right.copy()
         broken[order, 7, 1] = np.nan
-        assert np.isnan(HermiteSegments(signal.start, signal.end, signal.left, broken).peak()[0])
+        assert np.isnan(analyse(HermiteSegments(signal.start, signal.end, signal.left, broken)).peak()[0])
 
 
-def test_no_segments_have_no_peak(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_segments_have_no_peak() -> None:
     """A run that ends before the dwell."""
     nothing = drawn(5, 2, 0).within(1e3, 2e3)
-    assert nothing.peak() == (0.0, 0.0)
-    assert nothing.last_time_above(0.0) is None
-    assert with_numpy(nothing, monkeypatch).peak() == (0.0, 0.0)
+    for analysis in (analyse(nothing), NumpyAnalysis(nothing)):
+        assert analysis.peak() == (0.0, 0.0)
+        assert analysis.last_time_above(0.0) is None
 
 
 def test_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -133,25 +129,17 @@ def test_under_the_sanitizers(shape: tuple[int, int], count: int, sanitized: Pat
     signal = drawn(*shape, seed=3)
     signal = signal.select(np.arange(60) < count)
     (m, channels), order = shape, min(2, shape[0] - 1)
-    doubt = np.random.default_rng(1).uniform(size=(2 * m + 1, count, channels))
-    ours = compiled.CompiledSegments(signal.duration, signal.left, signal.right, doubt[0, :, 0])
+    ours = CompiledAnalysis(signal.start, signal.duration, signal.left, signal.right)
     level = 0.7 * ours.peak()[0]
     matrices, quadrature = compiled._matrices(m), compiled._quadrature(m, order)
-    arrays = [
-        np.array(level),
-        signal.duration,
-        signal.left,
-        signal.right,
-        doubt[0, :, 0],
-        *matrices,
-        *quadrature,
-        doubt,
-    ]
+    arrays = [np.array(level), signal.duration, signal.left, signal.right, *matrices, *quadrature]
     sizes = np.array([count, channels, m, 2 * m + 1, order], dtype=np.uint64)
     given = sizes.tobytes() + b"".join(np.ascontiguousarray(each).tobytes() for each in arrays)
     text = subprocess.run([str(sanitized)], input=given, check=True, capture_output=True).stdout.decode().split()
     found = [float.fromhex(each) if "x" in each else float(each) for each in text]
-    crossing = ours.last_above(level)
-    assert crossing is not None
-    expected = [ours.diverging, *ours.peak(), *ours.products(order, doubt), 1.0, *crossing]
+    # the program prints integrals, and the crossing by segment and theta
+    segment, theta = int(found.pop(-2)), found.pop(-1)
+    found.append(signal.start[segment] + theta * signal.duration[segment])
+    integrals = np.multiply(ours.mean_products(order), signal.duration.sum())
+    expected = [ours.diverging, *ours.peak(), *integrals, 1.0, ours.last_time_above(level)]
     np.testing.assert_allclose(found, expected, rtol=1e-12)

@@ -23,14 +23,12 @@ int main(void) {
   const size_t n = sizes[0], c = sizes[1], m = sizes[2], points = sizes[3];
   metrics_signal s = {.segments = n, .channels = c, .orders = m, .left_stride = n * c, .right_stride = n * c};
   double *level = read_array(1);
-  double *input[] = {read_array(n),         read_array(m * n * c), read_array(m * n * c), read_array(n),
-                     read_array(4 * m * m), read_array(2 * m)};
+  double *input[] = {read_array(n), read_array(m * n * c), read_array(m * n * c), read_array(4 * m * m), read_array(2 * m)};
   s.duration = input[0];
   s.left = input[1];
   s.right = input[2];
-  s.doubt = input[3];
-  s.control = input[4];
-  s.highest = input[5];
+  s.control = input[3];
+  s.highest = input[4];
   double *output[] = {allocated(2 * m * n * c), allocated(n), allocated(n), allocated(n), allocated((n + 1) * c)};
   s.terms = output[0];
   s.ends = output[1];
@@ -38,9 +36,8 @@ int main(void) {
   s.errors = output[3];
   s.jumps = output[4];
   s.kept = malloc(n * sizeof *s.kept);
-  double *parts[] = {read_array(points), read_array(2 * m * points), read_array(points), read_array(2 * METRICS_SAMPLES),
-                     read_array(points * n * c)};
-  const metrics_quadrature q = {points, sizes[4], parts[0], parts[1], parts[2], parts[3], parts[4]};
+  double *parts[] = {read_array(points), read_array(2 * m * points), read_array(points), read_array(2 * METRICS_SAMPLES)};
+  const metrics_quadrature q = {points, sizes[4], parts[0], parts[1], parts[2], parts[3]};
   double peak[2], products[3], theta = -1.0;
   size_t segment = 0;
   const size_t diverging = metrics_prepare(&s);
@@ -49,8 +46,8 @@ int main(void) {
   const int found = metrics_last_above(&s, *level, &segment, &theta);
   printf("%zu %a %a %a %a %a %d %zu %a\n", diverging, peak[0], peak[1], products[0], products[1], products[2], found, segment,
          theta);
-  for (size_t i = 0; i < 6; i++) free(input[i]);
-  for (size_t i = 0; i < 5; i++) free(output[i]), free(parts[i]);
+  for (size_t i = 0; i < 5; i++) free(input[i]), free(output[i]);
+  for (size_t i = 0; i < 4; i++) free(parts[i]);
   free(level);
   free(s.kept);
   return 0;
