@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from math import inf
 from numbers import Real
 from pathlib import Path
@@ -15,19 +16,40 @@ from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.lockstep import Course, Lockstep
 from flexfmu.cosim.engine.master.grid import time_grid
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.results import Column, Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.experiment.scene_run import Run
+from flexfmu.cosim.experiment.scene_run import Health, RestPositions, Run, Timing
 from flexfmu.cosim.experiment.system import REFERENCES, scene_system
 from flexfmu.fmu_build.choices import FIXED_STEP
 from flexfmu.model.scene.schema import Scene
 
 T = TypeVar("T", covariant=True)
 
+RECORDED = 32
+"""Number of variants whose recordings are in memory at the same time."""
+
 
 class NotTogetherError(CosimError):
     """Variants of a scene can't be simulated in lockstep."""
+
+
+@runtime_checkable
+class SignalMeasure(Protocol[T]):
+    """A measure that needs only some of the robot's outputs.
+
+    Attributes:
+        signals: names of the outputs, recorded with two derivatives; a robot may lack some.
+    """
+
+    @property
+    def signals(self) -> Sequence[str]: ...
+
+    def __call__(self, run: Run) -> T:
+        """Measure a run."""
+        ...
 
 
 @runtime_checkable
@@ -82,10 +104,23 @@ class SideBySide:
         if section.drive != "motion" or section.step_control is not None or not alone:
             raise NotTogetherError(f"the robot of scene {scene.name} doesn't follow its planned motion alone")
         self._fmu_path, self._settings = fmu_path, dict(parts.plant.parameters)
-        self._tolerance = section.tolerance if tolerance is None else tolerance
         step = section.step if communication_step is None else communication_step
         self._course = _course(parts.references, loop.motion.stop_time, step)
         self._end, self._lanes = loop.motion.duration, lanes
+        # what the runs of all variants share
+        self._run = Run(
+            plan=loop.motion,
+            recording=Recording(self._course.instants, {}),
+            outcome=Outcome.COMPLETED,
+            message="",
+            fmu_path=fmu_path,
+            communication_step=step,
+            tolerance=section.tolerance if tolerance is None else tolerance,
+            input_order=parts.references.announced_order,
+            health=Health({}, ()),
+            timing=Timing(0.0, 0.0, 0.0, 0.0),
+            rests=RestPositions(loop.motion, fmu_path),
+        )
 
     def peaks(
         self,
@@ -103,6 +138,37 @@ class SideBySide:
         Raises:
             BuildError: there is no C compiler, or the model's functions branch.
         """
+        able, solver, values, known = self._prepare(variants, outputs)
+        found, failed = solver.peaks(values, self._end, progress)
+        # back to the order of all variants
+        lacking = dict.fromkeys(outputs, 0.0)
+        rows = zip(found.tolist(), failed.tolist(), strict=True)
+        results = iter([None if lost else lacking | dict(zip(known, row, strict=True)) for row, lost in rows])
+        return [next(results) if plain else None for plain in able]
+
+    def runs(self, variants: Sequence[Mapping[str, Any]], outputs: Sequence[str]) -> Iterator[Run | None]:
+        """Yield the run of each variant with these outputs and two derivatives; None for one that the FMU must simulate.
+
+        Arguments and errors: as for `peaks`.
+        """
+        able, solver, values, known = self._prepare(variants, outputs)
+        recorded = iter(self._recordings(solver, values, known))
+        for variant, plain in zip(variants, able, strict=True):
+            recording = next(recorded) if plain else None
+            yield None if recording is None else replace(self._run, recording=recording, parameters=dict(variant))
+
+    def _recordings(self, solver: Lockstep, values: RealArray, names: Sequence[str]) -> Iterator[Recording | None]:
+        """Yield the recordings of variants; None for one that failed."""
+        time, units = self._course.instants, [self._variables[name].unit or "" for name in names]
+        for first in range(0, len(values), RECORDED):
+            for arrays, lost in zip(*solver.record(values[first : first + RECORDED]), strict=True):
+                columns = (Column(unit, *each) for unit, each in zip(units, arrays, strict=True))
+                yield None if lost else Recording(time, dict(zip(names, columns, strict=True)))
+
+    def _prepare(
+        self, variants: Sequence[Mapping[str, Any]], outputs: Sequence[str]
+    ) -> tuple[list[bool], Lockstep, RealArray, list[str]]:
+        """Whether each variant can go along, the solver, changed values of those that can, and the outputs that exist."""
         able = [_is_plain(variant, self._variables) for variant in variants]
         changed, values = self._values([each for each, plain in zip(variants, able, strict=True) if plain])
         known = [name for name in outputs if name in self._variables]
@@ -112,15 +178,10 @@ class SideBySide:
             self._course,
             changed,
             known,
-            tolerance=self._tolerance,
+            tolerance=self._run.tolerance,
             lanes=self._lanes,
         )
-        found, failed = solver.peaks(values, self._end, progress)
-        # back to the order of all variants
-        lacking = dict.fromkeys(outputs, 0.0)
-        rows = zip(found.tolist(), failed.tolist(), strict=True)
-        results = iter([None if lost else lacking | dict(zip(known, row, strict=True)) for row, lost in rows])
-        return [next(results) if plain else None for plain in able]
+        return able, solver, values, known
 
     def _values(self, variants: Sequence[Mapping[str, float]]) -> tuple[list[str], RealArray]:
         """Names of the k parameters that any variant changes, and their values (N, k)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from math import ceil
@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.master.master import Progress
 from flexfmu.cosim.engine.results import EVERYTHING, Selection
-from flexfmu.cosim.experiment.lockstep import PeakMeasure, SideBySide
+from flexfmu.cosim.experiment.lockstep import PeakMeasure, SideBySide, SignalMeasure
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_run import Run
@@ -69,7 +69,7 @@ def run_variants(
     The FMU is built once; each motion is planned, and its references calculated, once for all variants with this motion.
 
     Variants that differ in parameters of a motion-driven robot are simulated side by side in the lanes of the processor's
-    vector registers if ``measure`` needs only peaks, as `flexfmu.cosim.metrics.chosen.chosen_metrics` tells. They have common
+    vector registers if ``measure`` tells which outputs it needs, as `flexfmu.cosim.metrics.chosen.measuring` does. They have common
     steps, chosen by the variant with the largest error: each result agrees with that of the variant's own run within the
     tolerance. All other variants are runs of the FMU, to the last bit.
 
@@ -175,22 +175,34 @@ class _Task(Generic[T]):
     ) -> dict[int, VariantResult[T]]:
         """The results of the variants that can be simulated in lockstep, by their keys."""
         measure = self.measure
-        if not isinstance(measure, PeakMeasure) or len(variants) < FEW:
+        if not isinstance(measure, PeakMeasure | SignalMeasure) or len(variants) < FEW:
             return {}
+        changes = [_part(each, motion=False) for each in variants.values()]
 
-        def peaks() -> list[dict[str, float] | None]:
-            side_by_side = SideBySide(self._changed(motion), self.fmu_path, self.communication_step, self.tolerance)
-            return side_by_side.peaks([_part(each, motion=False) for each in variants.values()], measure.outputs, done)
+        def simulated() -> Iterable[VariantResult[T] | None]:
+            together = SideBySide(self._changed(motion), self.fmu_path, self.communication_step, self.tolerance)
+            if isinstance(measure, PeakMeasure):
+                peaks = together.peaks(changes, measure.outputs, done)
+                return [
+                    None if each is None else VariantResult(variant, measure.of_peaks(each))
+                    for variant, each in zip(variants.values(), peaks, strict=True)
+                ]
+            runs = zip(variants.values(), together.runs(changes, measure.signals), strict=True)
+            return [None if run is None else self._measured(variant, run, done) for variant, run in runs]
 
         # where they can't be planned or simulated, the FMU tells why
-        found = _attempt(peaks)
+        found = _attempt(simulated)
         if isinstance(found, Exception):
             return {}
-        return {
-            i: VariantResult(variants[i], measure.of_peaks(each))
-            for i, each in zip(variants, found, strict=True)
-            if each is not None
-        }
+        return {i: each for i, each in zip(variants, found, strict=True) if each is not None}
+
+    def _measured(self, variant: Changes, run: Run, done: Callable[[int], None]) -> VariantResult[T]:
+        """The result of a variant that was simulated."""
+        outcome = _attempt(self.measure, run)
+        done(1)
+        return (
+            VariantResult(variant, None, outcome) if isinstance(outcome, Exception) else VariantResult(variant, outcome)
+        )
 
 
 def _part(variant: Changes, *, motion: bool) -> dict[str, Any]:

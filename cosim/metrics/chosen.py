@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 
-from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.experiment.scene_run import Run
-from flexfmu.cosim.metrics.metric_table import ALL_METRICS
-from flexfmu.cosim.metrics.metrics import metrics_of
-from flexfmu.cosim.metrics.signals import TIP_DEFLECTIONS, TORQUES
+from flexfmu.cosim.metrics.metrics import check_names, metrics_of
+from flexfmu.cosim.metrics.signals import ACCELERATION, FIRST_BENDING, POSITION, TIP_DEFLECTIONS, TORQUES, VELOCITY
 
 PEAKS: Mapping[str, str] = {
     **{f"peak_torque_{joint}": name for joint, name in enumerate(TORQUES, start=1)},
     **{f"peak_tip_deflection_{leg}": name for leg, name in enumerate(TIP_DEFLECTIONS, start=1)},
 }
 """Metrics that are the largest magnitude of one output over the motion → name of the output."""
+
+
+SIGNALS = (*TORQUES, *TIP_DEFLECTIONS, *POSITION, *VELOCITY, *ACCELERATION, FIRST_BENDING, f"der({FIRST_BENDING},2)")
+"""The recorded signals that any metric of a motion-driven robot needs."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,12 @@ class ChosenMetrics:
 
     def __call__(self, run: Run) -> dict[str, float | None]:
         """Measure a run."""
-        found = metrics_of(run)
-        return {name: found[name] for name in self.names}
+        return metrics_of(run, self.names)
+
+    @property
+    def signals(self) -> Sequence[str]:
+        """The outputs that the metrics need, with two derivatives."""
+        return SIGNALS
 
 
 @dataclass(frozen=True)
@@ -49,17 +54,14 @@ class PeakMetrics(ChosenMetrics):
         return {name: peaks[PEAKS[name]] for name in self.names}
 
 
-def chosen_metrics(*names: str) -> ChosenMetrics:
-    """The measure of some metrics, for `flexfmu.cosim.experiment.variants.run_variants`.
+def measuring(names: Collection[str]) -> ChosenMetrics:
+    """Return the measure of these metrics, as a sweep takes it: ``run_variants(scene, variants, measuring(names))``.
 
-    Peaks of torques and of tip deflections alone are the fastest: variants are then simulated side by side.
+    `flexfmu.cosim.experiment.variants.run_variants` then simulates variants side by side; peaks of torques and of tip
+    deflections alone are the fastest.
 
     Raises:
-        InputError: there is no such metric.
+        InputError: there is no metric of such a name.
     """
-    for name in names:
-        if name not in ALL_METRICS:
-            near = get_close_matches(name, ALL_METRICS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(ALL_METRICS)}"
-            raise InputError(f"there is no metric {name!r}; {hint}")
-    return (PeakMetrics if all(name in PEAKS for name in names) else ChosenMetrics)(names)
+    check_names(names)
+    return (PeakMetrics if all(name in PEAKS for name in names) else ChosenMetrics)(tuple(names))

@@ -9,7 +9,7 @@ on the phase of a stiff mode.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import partial
@@ -92,16 +92,6 @@ def metrics_of(run: Run, names: Collection[str] | None = None) -> dict[str, floa
     Arguments and errors: as for `measure_run`.
     """
     return Metrics({name: each.value for name, each in measure_run(run, 0, names).items()})
-
-
-def measuring(names: Collection[str]) -> Callable[[Run], dict[str, float | None]]:
-    """Return `metrics_of` for these metrics, as a sweep takes it: ``run_variants(scene, variants, measuring(names))``.
-
-    Raises:
-        InputError: there is no metric of such a name.
-    """
-    check_names(names)
-    return partial(metrics_of, names=tuple(names))
 
 
 def check_names(names: Collection[str]) -> None:
