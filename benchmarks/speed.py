@@ -23,6 +23,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
+from speed_command_line import command_line_figures
 from speed_figure import SpeedFigure
 from speed_loops import loop_figures
 from speed_measurements import RECORDINGS, Peers, Whole, cold_build, overheads, variants, whole_runs, yardstick
@@ -132,7 +133,15 @@ def main() -> int:
         folder = Path(name)
         unit, runs = yardstick(folder), whole_runs(folder, REPEAT)
         figures = [*printed(whole_figures(runs)), *printed(overhead_figures(folder))]
-    for measure in (build_figures, variant_figures, lockstep_figures, metric_figures, loop_figures, peer_figures):
+    for measure in (
+        build_figures,
+        command_line_figures,
+        variant_figures,
+        lockstep_figures,
+        metric_figures,
+        loop_figures,
+        peer_figures,
+    ):
         figures += printed(measure())
     # compare with the baseline
     compared = {"counters": counters(runs), "times": times(figures, unit)}
