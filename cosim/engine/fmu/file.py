@@ -28,6 +28,9 @@ from flexfmu.fmu_build.naming import NAMES
 
 Result = TypeVar("Result")
 
+NEEDLESS = ("sources/", "documentation/")
+"""Folders of an FMU that stay packed."""
+
 
 @dataclass(frozen=True)
 class UnpackedFmu:
@@ -132,7 +135,8 @@ def _unpack(digest: str, path: Path) -> tuple[Path, Any]:
     """
     if digest not in _unpacked:
         folder = _root() / digest
-        attempt(path, lambda: fmpy.extract(str(path), unzipdir=str(folder)))
+        # without what no run needs, most of the files
+        attempt(path, lambda: fmpy.extract(str(path), str(folder), lambda name: not name.startswith(NEEDLESS)))
         description = attempt(path, lambda: read_model_description(str(folder), validate=False))
         # annotations of our own FMUs
         if str(description.generationTool).startswith("flexfmu "):
