@@ -28,6 +28,7 @@ from speed_figure import SpeedFigure
 from speed_loops import loop_figures
 from speed_measurements import RECORDINGS, Peers, Whole, cold_build, overheads, variants, whole_runs, yardstick
 from speed_metrics import metric_figures
+from speed_motions import motion_figures
 from speed_variants import lockstep_figures
 
 REPEAT = 30
@@ -133,15 +134,17 @@ def main() -> int:
         folder = Path(name)
         unit, runs = yardstick(folder), whole_runs(folder, REPEAT)
         figures = [*printed(whole_figures(runs)), *printed(overhead_figures(folder))]
-    for measure in (
+    measures = (
         build_figures,
         command_line_figures,
         variant_figures,
         lockstep_figures,
         metric_figures,
+        motion_figures,
         loop_figures,
         peer_figures,
-    ):
+    )
+    for measure in measures:
         figures += printed(measure())
     # compare with the baseline
     compared = {"counters": counters(runs), "times": times(figures, unit)}

@@ -263,7 +263,8 @@ def revert(series: Jet) -> Jet:
     term = quotient
     for k in range(1, series.order + 1):
         inverse[k] = term.coefficients[k - 1] / k
-        term = term * quotient
+        if k < series.order:
+            term = term * quotient
     return Jet(inverse)
 
 

@@ -133,10 +133,11 @@ class GridRules:
             fixed[0] = self.start
         if self.stop in ends:
             fixed[-1] = self.stop
-        times = np.union1d(regular[(_distance(regular, fixed) > self.near) & (regular < self.stop)], fixed)
+        apart = ~_beside(regular, fixed, self.near)
+        times = np.union1d(regular[apart & (regular < self.stop)], fixed)
         # where slaves sample, and where signals may jump
         due = tuple(_nearest(times, times_due) for _, times_due in instants)
-        marked = _distance(times, marks) <= self.near
+        marked = _beside(times, marks, self.near)
         grid = TimeGrid(times, np.logical_or.reduce([marked, *due]), due)
         return grid if first == -np.inf and last == np.inf else grid.part((times >= low) & (times < high))
 
@@ -145,6 +146,8 @@ class GridRules:
         per_step, ratios = self._ratios
         count = int((self.stop - self.start) / self.step + 1.0) if self.ticks else 0
         tick = _numbers(first - self.start, last - self.start, self.step, count)
+        if not ratios:
+            return self.start + self.step * tick.astype(np.float64)
         # express each point in common ticks, and keep the first of equal ones
         numbers, times = [per_step * tick], [self.start + self.step * tick.astype(np.float64)]
         for (period, offset), (each, when) in zip(ratios, instants, strict=True):
@@ -218,15 +221,14 @@ def merge(instants: Iterable[float], near: float) -> RealArray:
     return ascending[np.diff(ascending, prepend=-np.inf) > near]
 
 
-def _distance(times: RealArray, marks: RealArray) -> RealArray:
-    """Distance of each time to the nearest mark; ``marks`` need not be sorted."""
-    if not marks.size:
-        return np.full(times.shape, np.inf)
-    ascending = np.sort(marks)
-    after = np.searchsorted(ascending, times).clip(0, ascending.size - 1)
-    before = (after - 1).clip(0)
-    distance: RealArray = np.minimum(abs(ascending[after] - times), abs(ascending[before] - times))
-    return distance
+def _beside(times: RealArray, marks: RealArray, near: float) -> Flags:
+    """Whether each of the ascending times is within ``near`` of a mark."""
+    # count the neighbourhoods that begin and end before each time
+    changes = np.zeros(times.size + 1, dtype=np.int64)
+    np.add.at(changes, times.searchsorted(marks - near), 1)
+    np.add.at(changes, times.searchsorted(marks + near, "right"), -1)
+    beside: Flags = np.cumsum(changes[:-1]) > 0
+    return beside
 
 
 def _check_clock(clock: Clock, start: float, stop: float) -> None:
