@@ -14,8 +14,6 @@ from flexfmu.fmu_build.toolchain import (
     FIRST_HEADER,
     GENERATED_FLAGS,
     LANES_FLAGS,
-    LARGE,
-    LARGE_FLAGS,
     RUNTIME_FLAGS,
     SOLVER_LANES,
     CompileJob,
@@ -55,7 +53,7 @@ def compile_library(
     def flags(name: str) -> tuple[str, ...]:
         if name not in sources.generated:
             return (*runtime_flags, *LANES_FLAGS) if name == SOLVER_LANES else runtime_flags
-        return (*generated_flags, *LARGE_FLAGS) if len(texts[name]) > LARGE else generated_flags
+        return generated_flags
 
     jobs = {name: CompileJob(name, (*flags(name), *first)) for name in sorted(texts) if name.endswith(".c")}
     library = f"{sources.model_identifier}{compiler.platform.suffix}"

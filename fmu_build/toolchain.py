@@ -22,10 +22,6 @@ RUNTIME_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 GENERATED_FLAGS = ("-std=c99", "-O2", "-w")
 """Flags for generated code, without warnings, since they would concern CasADi."""
 
-LARGE, LARGE_FLAGS = 40_000, ("-O1",)
-"""Size of generated code [bytes] from which flags are added: at -O2, registers for thousands of variables take GCC twice as
-long, and code without branches doesn't become faster."""
-
 SOLVER_LANES, LANES_FLAGS = "lanes_collocation.c", ("-O3",)
 """The file of the runtime that gains from loops in vector registers, and its further flags."""
 
