@@ -51,6 +51,40 @@ class _Table:
     polynomials: RealArray
     ends: RealArray
 
+    def at(self, times: RealArray) -> _Table:
+        """The table for the same points some cycles later.
+
+        Lengths of steps differ by the rounding of late times: Hermite polynomials follow to first order, so that they
+        reach the left limits at the ends of these steps.
+        """
+        if self.polynomials.shape[1] <= HERMITE_ORDER:
+            return self
+        change = np.append(np.diff(times) - np.diff(self.times), 0.0)[:, None, None]
+        upper = self._later[:, END_ORDER + 1 :]
+        np.multiply(self._slopes, change, out=upper)
+        upper += self.polynomials[:, END_ORDER + 1 :]
+        return _Table(times, self._later, self.ends)
+
+    @cached_property
+    def _later(self) -> RealArray:
+        """Polynomials of the later cycle that is current."""
+        return self.polynomials.copy()
+
+    @cached_property
+    def _slopes(self) -> RealArray:
+        """Derivatives of the upper five coefficients by the lengths of the steps, (N, 5, variables).
+
+        At the end of the step the polynomial and its derivatives stay what they are: p(h; h) = d gives dp/dh = -p' there;
+        at its beginning dp/dh and its derivatives are zero.
+        """
+        widths = np.diff(self.times)[:, None]
+        # derivatives of orders 1 to 5 at the end
+        fifth = sum(self.polynomials[:-1, END_ORDER + 1 + j] * (widths**j / factorial(j)) for j in range(END_ORDER + 1))
+        right = -np.concatenate([self.ends[1:, 1:].swapaxes(0, 1), np.asarray(fifth)[None]])
+        slopes = np.zeros((self.times.size, END_ORDER + 1, self.ends.shape[2]))
+        slopes[:-1] = hermite_derivatives(np.zeros_like(right), right, widths)[END_ORDER + 1 :].swapaxes(0, 1)
+        return slopes
+
 
 class TrajectorySlave:
     """Streams ``<axis>.reference.position``, ``.velocity`` and ``.acceleration`` of a trajectory.
@@ -137,7 +171,7 @@ class TrajectorySlave:
                 if sum(each.times.size for each in self._tables) > KEPT_POINTS:
                     self._tables.clear()
                 self._tables.append(known)
-        self._table, self._times = known, times
+        self._table, self._times = known if np.array_equal(known.times, times) else known.at(times), times
         self._begin()
 
     def _holds(self, table: _Table, times: RealArray) -> bool:
