@@ -27,6 +27,10 @@ LANE_FLAGS: Mapping[int, tuple[str, ...]] = {
 }
 """Number of lanes → compiler flags for the registers that hold them."""
 
+WORK = ("-DFLEX_WORK_AT_START=1e5", "-DFLEX_WORK_PER_STEP=200.0", "-DFLEX_WORK_PER_SECOND=1e6")
+"""Evaluations of the equations that variants may make: some 50 times the usual number, where an FMU may make 10,000 times as many. A
+variant that takes more leaves, and its FMU goes on alone."""
+
 _FIRST = ("-include", "batch_functions.h")
 _NUMBER = r"-?\d+\.?\d*(?:e[-+]?\d+)?"
 _ALONE = re.compile(rf"(?<==){_NUMBER}(?=;)|(?<=flex_twin_all\(){_NUMBER}(?=\))|(?<=flex_twin_of\(){_NUMBER}(?=,)")
@@ -80,7 +84,7 @@ def batch_library(fmu: Path, lanes: int) -> Path:
         BuildError: the FMU has no sources, its functions branch, or there is no compiler.
     """
     generated = {name: in_lanes(name, code) for name, code in _generated_code(fmu).items()}
-    flags = (f"-DFLEX_WIDTH={lanes}", *LANE_FLAGS[lanes])
+    flags = (f"-DFLEX_WIDTH={lanes}", *LANE_FLAGS[lanes], *WORK)
     return _compiled("flexfmu_batch", generated, batch_sources(lanes), flags)
 
 

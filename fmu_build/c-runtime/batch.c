@@ -5,6 +5,11 @@
 #include "batch_peaks.h"
 #include "plant.h"
 
+/* evaluations of the equations that lanes may make after some of them were changed, see integrator.c */
+#ifndef FLEX_WORK_AT_START
+#define FLEX_WORK_AT_START 1e6
+#endif
+
 typedef struct {
   const flex_batch_task *task;
   flex_plant *plant;
@@ -144,13 +149,14 @@ static void resume(batch *whole) {
   flex_integrator_restart(&plant->integrator);
   flex_plant_moved(plant);
   plant->record->integrator.step = 0.0;
+  plant->integrator.work_left = FLEX_WORK_AT_START;
   plant->record->integrator.is_factored = 0;
 }
 
 // variants that can't reach the time by themselves leave; returns whether one can, and the others have gone on with it
 static int part(batch *whole, double time) {
   int from[FLEX_WIDTH], survivor = -1;
-  double now = whole->plant->record->time, work_left = whole->plant->integrator.work_left;
+  double now = whole->plant->record->time;
   keep_lanes(whole);
 
   // each variant in all lanes, from where all are
@@ -162,7 +168,6 @@ static int part(batch *whole, double time) {
     whole->gone[lane] = !reach(whole, time);
     if (!whole->gone[lane]) survivor = lane;
     whole->plant->record->time = now;
-    whole->plant->integrator.work_left = work_left;
   }
   if (survivor < 0) return 0;
 

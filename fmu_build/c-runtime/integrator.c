@@ -35,8 +35,12 @@
 #ifndef FLEX_WORK_AT_START
 #define FLEX_WORK_AT_START 1e6
 #endif
+#ifndef FLEX_WORK_PER_STEP
 #define FLEX_WORK_PER_STEP 1e3
+#endif
+#ifndef FLEX_WORK_PER_SECOND
 #define FLEX_WORK_PER_SECOND 4e7
+#endif
 
 void flex_integrator_take_state(flex_integrator *integrator, int n, flex_arena *arena) {
   size_t size = (size_t)n;
