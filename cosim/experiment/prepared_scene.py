@@ -23,7 +23,7 @@ from flexfmu.cosim.experiment.planning import MotionPlan, plan
 from flexfmu.cosim.experiment.recording import RigidMotion, SceneRecording, slave_facts
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
-from flexfmu.cosim.experiment.scene_run import Companion, Health, RestPositions, Run, Timing
+from flexfmu.cosim.experiment.scene_run import Companion, Health, RestingRobot, RestPositions, Run, Timing
 from flexfmu.cosim.experiment.system import coupling_of, scene_system
 from flexfmu.cosim.experiment.timing import Stopwatch
 from flexfmu.model.scene.cosimulation import LEAST_TOLERANCE
@@ -206,7 +206,7 @@ class PreparedScene:
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=theirs)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
         self._facts = slave_facts(self._parts.slaves)
-        self._rests = RestPositions(self._loop.motion, self._fmu_path)
+        self._rests = RestPositions(self._loop.motion, RestingRobot(scene, self._fmu_path))
         # the simulator is made at the first run; a companion has the same arguments
         self._simulator: Simulator | None = None
         self._again: Mapping[str, Any] = {
@@ -285,6 +285,7 @@ class PreparedScene:
         self._again = {**self._again, "scene": scene, "loop": loop}
         self._parts.references.follow(loop.driving)
         self._recording.follow(RigidMotion(loop.motion))
+        self._rests = self._rests.after(loop.motion)
         planning = watch.lap()
         # after an error the next run makes a new simulator
         simulator, self._simulator = self._simulator, None

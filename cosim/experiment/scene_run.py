@@ -129,15 +129,19 @@ class RestPositions:
     """End-effector positions at rest after a planned motion: static equilibria at the end pose, motors locked.
 
     The FMU calculates them by initialising at the end pose, a hundred times faster than the equations in CasADi, which are
-    used if the FMU can't. It is loaded at the first call and kept for others.
+    used if the FMU can't.
 
     Args:
         plan: the scene and its planned motion.
-        fmu_path: the FMU.
+        robot: the FMU, shared by motions of the same scene.
     """
 
-    def __init__(self, plan: MotionPlan, fmu_path: Path) -> None:
-        self._plan, self._path = plan, fmu_path
+    def __init__(self, plan: MotionPlan, robot: RestingRobot) -> None:
+        self._plan, self._robot = plan, robot
+
+    def after(self, plan: MotionPlan) -> RestPositions:
+        """Rest positions after another motion of the same robot from the same start."""
+        return RestPositions(plan, self._robot)
 
     def at(self, parameters: Mapping[str, float]) -> RealArray:
         """Position (2,) [m] with these parameters of the robot that differ from the scene's.
@@ -154,11 +158,27 @@ class RestPositions:
         else:
             return _rest_by_equations(scene_with_parameters(scene, parameters), joints)
         try:
-            return self._by_fmu(parameters, pose)
+            return self._robot.position(parameters, pose)
         except CosimError:
             return _rest_by_equations(scene_with_parameters(scene, parameters), joints)
 
-    def _by_fmu(self, parameters: Mapping[str, float], pose: Mapping[str, float]) -> RealArray:
+
+class RestingRobot:
+    """The FMU of a scene's robot, initialised to find static equilibria; loaded at the first call and kept for others."""
+
+    def __init__(self, scene: Scene, fmu_path: Path) -> None:
+        self._scene, self._path = scene, fmu_path
+
+    def position(self, parameters: Mapping[str, float], pose: Mapping[str, float]) -> RealArray:
+        """End-effector position (2,) [m] at rest with these parameters that differ from the scene's.
+
+        Args:
+            parameters: FMU parameters; those that scenes don't have are ignored.
+            pose: inputs or parameters of the FMU that set the pose.
+
+        Raises:
+            CosimError: the FMU can't be loaded, or finds no equilibrium.
+        """
         slave, (known, indices), position = self._slave, self._places, np.empty(2)
         slave.vary({**{name: value for name, value in parameters.items() if name in known}, **pose})
         # initialisation finds the equilibrium, without a step
@@ -171,14 +191,14 @@ class RestPositions:
 
     @cached_property
     def _slave(self) -> FmuSlave:
-        values = parameters_for(self._plan.scene, parameter_names(open_fmu(self._path).description))
+        values = parameters_for(self._scene, parameter_names(open_fmu(self._path).description))
         return FmuSlave(self._path, "plant", {**values, INITIAL.name: "static"}, output_order=0)
 
     @cached_property
     def _places(self) -> tuple[Collection[str], NDArray[np.intp]]:
         """Names of the parameters that matter to the robot, and indices of the end-effector position."""
         names = [variable.name for variable in self._slave.variables]
-        return scene_parameters(self._plan.scene).keys(), np.array([names.index(name) for name in END_EFFECTOR])
+        return scene_parameters(self._scene).keys(), np.array([names.index(name) for name in END_EFFECTOR])
 
 
 def rest_position(run: Run) -> RealArray:
@@ -187,7 +207,7 @@ def rest_position(run: Run) -> RealArray:
     Raises:
         EquilibriumError: the end pose has no static equilibrium.
     """
-    return (run.rests or RestPositions(run.plan, run.fmu_path)).at(run.parameters)
+    return (run.rests or RestPositions(run.plan, RestingRobot(run.scene, run.fmu_path))).at(run.parameters)
 
 
 def _rest_by_equations(robot: Scene, joints: RealArray) -> RealArray:

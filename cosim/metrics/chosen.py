@@ -32,7 +32,8 @@ class ChosenMetrics:
 
     def __call__(self, run: Run) -> dict[str, float | None]:
         """Measure a run."""
-        return metrics_of(run, self.names)
+        found = metrics_of(run, self.names)
+        return {name: found[name] for name in self.names}
 
     @property
     def signals(self) -> Sequence[str]:

@@ -49,6 +49,20 @@ def test_runs_of_one_motion_share_the_fmu_that_rests(changes: dict[str, Any]) ->
     assert np.abs(found[0] - found[1]).max() > 1e-7
 
 
+def test_each_motion_has_its_own_rest() -> None:
+    """A prepared scene that follows another motion rests at that one's end; earlier runs keep theirs."""
+    scene = flexfmu.load_scene("barnard2012-6kg").replace(SHORT)
+    prepared = PreparedScene(scene)
+    first = prepared.run({"payload.mass": 3.0})
+    before = rest_position(first)
+    assert prepared.replan(scene.replace({"trajectory.width": 0.3}))
+    second = prepared.run({"payload.mass": 3.0})
+    for run in (first, second):
+        np.testing.assert_array_equal(rest_position(run), rest_position(replace(run, rests=None)))
+    np.testing.assert_array_equal(rest_position(first), before)
+    assert before[0] - rest_position(second)[0] == pytest.approx(0.05, abs=1e-4)
+
+
 def test_a_tabulated_motion_is_the_motion() -> None:
     """Its limits are kept for the same instants, sides and order, and for no others."""
     motion = plan(flexfmu.load_scene("barnard2012-6kg").replace(SHORT))
