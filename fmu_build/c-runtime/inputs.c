@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "lanes_stages.h"
+
 void flex_inputs_take(flex_inputs *inputs, int count, int order, flex_arena *arena) {
   inputs->count = count;
   inputs->order = order;
@@ -56,15 +58,14 @@ void flex_inputs_evaluate(const flex_inputs *inputs, double time, double offset,
   }
 }
 
-#if FLEX_WIDTH == 1
-void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const double *restrict offsets, double *restrict u) {
-  for (int i = 0; i < inputs->count; i++, u += 4) {
-    const real *c = polynomial(inputs, i);
-    double start = time - inputs->base[i], tau[4];
-    for (int lane = 0; lane < 4; lane++) tau[lane] = start + offsets[lane];
-    for (int lane = 0; lane < 4; lane++) u[lane] = c[inputs->degree[i]];
-    for (int k = inputs->degree[i] - 1; k >= 0; k--)
-      for (int lane = 0; lane < 4; lane++) u[lane] = u[lane] * tau[lane] + c[k];
+#ifdef FLEX_IN_LANES
+void flex_inputs_evaluate_lanes(const flex_inputs *inputs, double time, const double *offsets, double *u) {
+  for (int i = 0; i < inputs->count; i++, u += FLEX_MAX_STAGES) {
+    const double *c = polynomial(inputs, i);
+    flex_four tau = time - inputs->base[i] + flex_load_four(offsets);
+    flex_four value = c[inputs->degree[i]] - (flex_four){0.0};
+    for (int k = inputs->degree[i] - 1; k >= 0; k--) value = value * tau + c[k];
+    flex_store_four(u, value);
   }
 }
 #endif

@@ -16,6 +16,8 @@
 #pragma GCC target("avx2")
 #endif
 
+#define FLEX_IN_LANES
+#include "lanes_stages.h"
 #include "linear_algebra.c"
 #include "newton_matrix.c"
 #include "prediction.c"

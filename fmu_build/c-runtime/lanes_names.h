@@ -28,6 +28,8 @@
 #define flex_newton_refresh flex_newton_refresh_wide
 #define flex_newton_renew_mass flex_newton_renew_mass_wide
 #define flex_newton_solve flex_newton_solve_wide
+#define flex_newton_solve_lanes flex_newton_solve_lanes_wide
+#define flex_newton_use flex_newton_use_wide
 #define flex_newton_take_scratch flex_newton_take_scratch_wide
 #define flex_newton_take_state flex_newton_take_state_wide
 #define flex_predict flex_predict_wide

@@ -199,36 +199,59 @@ static void permute_complex(int n, const int *pivots, real *x) {
   for (int k = 0; k < n; k++) swap_rows(1, 0, 2, x, k, pivots[k]);
 }
 
-// substitution with column k of the factors
-static inline void complex_forward(int n, int k, const real *lu, real *x) {
-  subtract_complex(n - k - 1, x + 2 * k, lu + 2 * (k * n + k + 1), x + 2 * (k + 1));
+// y -= f0 x0 + f1 x1, one after the other
+static inline void subtract_two_complex(int n, const real *f, const real *restrict x0, const real *restrict x1,
+                                        real *restrict y) {
+  real re0 = f[0], im0 = f[1], minus_im0 = -f[1], re1 = f[2], im1 = f[3], minus_im1 = -f[3];
+  for (int i = 0; i < n; i++) {
+    real x_re = x0[2 * i], x_im = x0[2 * i + 1], z_re = x1[2 * i], z_im = x1[2 * i + 1];
+    y[2 * i] = y[2 * i] - (re0 * x_re + minus_im0 * x_im) - (re1 * z_re + minus_im1 * z_im);
+    y[2 * i + 1] = y[2 * i + 1] - (re0 * x_im + im0 * x_re) - (re1 * z_im + im1 * z_re);
+  }
 }
 
+// substitution with columns k and k + 1 of the factors
+static inline void complex_forward(int n, int k, const real *lu, real *x) {
+  const real *left = lu + 2 * (k * n + k + 1), *right = left + 2 * n;
+  subtract_complex(1, x + 2 * k, left, x + 2 * (k + 1));
+  const real values[4] = {x[2 * k], x[2 * k + 1], x[2 * k + 2], x[2 * k + 3]};
+  subtract_two_complex(n - k - 2, values, left + 2, right + 2, x + 2 * (k + 2));
+}
+
+// x = f x
+static inline void multiply_complex(const real *f, real *x) {
+  real re = x[0] * f[0] - x[1] * f[1], im = x[0] * f[1] + x[1] * f[0];
+  x[0] = re;
+  x[1] = im;
+}
+
+// with columns k and k - 1, or with the first alone
 static inline void complex_backward(int n, int k, const real *lu, real *x) {
-  const real *column = lu + 2 * k * n;
-  real re = column[2 * k], im = column[2 * k + 1];
-  const real value[2] = {x[2 * k] * re - x[2 * k + 1] * im, x[2 * k] * im + x[2 * k + 1] * re};
-  x[2 * k] = value[0];
-  x[2 * k + 1] = value[1];
-  subtract_complex(k, value, column, x);
+  const real *right = lu + 2 * k * n, *left = right - 2 * n;
+  multiply_complex(right + 2 * k, x + 2 * k);
+  if (k == 0) return;
+  subtract_complex(1, x + 2 * k, right + 2 * (k - 1), x + 2 * (k - 1));
+  multiply_complex(left + 2 * (k - 1), x + 2 * (k - 1));
+  const real values[4] = {x[2 * k], x[2 * k + 1], x[2 * k - 2], x[2 * k - 1]};
+  subtract_two_complex(k - 1, values, right, left, x);
 }
 
 void flex_complex_lu_solve(int n, const real *lu, const int *pivots, real *x) {
   permute_complex(n, pivots, x);
-  for (int k = 0; k < n; k++) complex_forward(n, k, lu, x);
-  for (int k = n - 1; k >= 0; k--) complex_backward(n, k, lu, x);
+  for (int k = 0; k + 2 <= n; k += 2) complex_forward(n, k, lu, x);
+  for (int k = n - 1; k >= 0; k -= 2) complex_backward(n, k, lu, x);
 }
 
 void flex_lu_solve_both(int n, const real *lu, const int *pivots, real *x, const real *complex_lu,
                         const int *complex_pivots, real *z) {
   permute(n, pivots, x);
   permute_complex(n, complex_pivots, z);
-  for (int k = 0; k < n; k++) {
-    if (k % 2 == 0 && k + 2 <= n) forward(n, k, lu, x);
+  for (int k = 0; k + 2 <= n; k += 2) {
+    forward(n, k, lu, x);
     complex_forward(n, k, complex_lu, z);
   }
-  for (int k = n - 1; k >= 0; k--) {
-    if ((n - 1 - k) % 2 == 0) backward(n, k, lu, x);
+  for (int k = n - 1; k >= 0; k -= 2) {
+    backward(n, k, lu, x);
     complex_backward(n, k, complex_lu, z);
   }
 }

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "elementary.h"
+#include "lanes_stages.h"
 #include "linear_algebra.h"
 
 /* relative step of the differences for D and K: about the cube root of the rounding error, since r is nearly linear */
@@ -59,7 +60,7 @@ static int difference_column(flex_newton_matrix *matrix, flex_equations *equatio
   return refused;
 }
 
-#if FLEX_WIDTH == 1
+#ifdef FLEX_IN_LANES
 static void spread(int n, const real *x, real *lanes) {
   for (int c = 0; c < n; c++)
     for (int lane = 0; lane < LANES; lane++) lanes[LANES * c + lane] = x[c];
@@ -106,8 +107,9 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
   memcpy(matrix->v, v, (size_t)n * sizeof *v);
   int refused = flex_mass_matrix(equations, y, u, matrix->mass);
   refused |= flex_residual(equations, y, v, a, u, matrix->r);
-  int has_lanes = flex_lanes_serve(equations);
-#if FLEX_WIDTH == 1
+  int has_lanes = 0;
+#ifdef FLEX_IN_LANES
+  has_lanes = flex_lanes_serve(equations);
   if (has_lanes) difference_lanes(matrix, equations, a, u, position_weight, rate_weight, scale);
 #endif
   for (int i = 0; i < n && !has_lanes; i++) {
@@ -237,6 +239,52 @@ void flex_newton_solve(flex_newton_matrix *matrix, real *x) {
     solve_both(matrix, matrix->component);
   for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.back[i], matrix->component, x + i * n);
 }
+
+void flex_newton_use(flex_newton_matrix *matrix, const flex_tableau *tableau) {
+  int s = tableau->stages, first = !tableau->blocks[0].is_complex;
+  basis eigenvectors;
+  real_basis(tableau, &eigenvectors);
+  matrix->tableau = tableau;
+
+  // a pair of components takes the first two lanes, a lone one or another pair follow; a lane without a stage repeats the last
+  for (int j = 0; j < s; j++)
+    for (int lane = 0; lane < FLEX_MAX_STAGES; lane++) {
+      matrix->to_components[j][lane] = eigenvectors.to[(lane + first) % s][j];
+      matrix->to_stages[j][lane] = eigenvectors.back[lane < s ? lane : s - 1][j];
+    }
+}
+
+#ifdef FLEX_IN_LANES
+void flex_newton_solve_lanes(flex_newton_matrix *matrix, double *x) {
+  const flex_tableau *tableau = matrix->tableau;
+  int n = matrix->n, s = tableau->stages, has_real = !tableau->blocks[0].is_complex;
+  double *alone = matrix->component, *first = alone + has_real * n, *second = first + 2 * n;
+
+  // components along the eigenvectors: a pair, and a lone one or another pair
+  for (int c = 0; c < n; c++) {
+    flex_four mixed = flex_mix_lanes(s, matrix->to_components, x + FLEX_MAX_STAGES * c);
+    first[2 * c] = mixed[0];
+    first[2 * c + 1] = mixed[1];
+    if (has_real) alone[c] = mixed[2];
+    if (s == 4) second[2 * c] = mixed[2], second[2 * c + 1] = mixed[3];
+  }
+
+  // their solutions
+  if (has_real)
+    flex_lu_solve_both(n, factors_of(matrix, 0), pivots_of(matrix, 0), alone, factors_of(matrix, 1), pivots_of(matrix, 1),
+                       first);
+  else
+    flex_complex_lu_solve(n, factors_of(matrix, 0), pivots_of(matrix, 0), first);
+  if (s == 4) flex_complex_lu_solve(n, factors_of(matrix, 1), pivots_of(matrix, 1), second);
+
+  // back to the stages
+  for (int c = 0; c < n; c++) {
+    const double pairs[4] = {first[2 * c], first[2 * c + 1], second[2 * c], second[2 * c + 1]};
+    const double both[4] = {alone[c], first[2 * c], first[2 * c + 1], 0.0};
+    flex_store_four(x + FLEX_MAX_STAGES * c, flex_mix_lanes(s, matrix->to_stages, has_real ? both : pairs));
+  }
+}
+#endif
 
 void flex_newton_filter(flex_newton_matrix *matrix, real *x) {
   int n = matrix->n;

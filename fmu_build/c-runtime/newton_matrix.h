@@ -27,10 +27,16 @@ typedef struct {
 
   /* scratch */
   real *component, *pairs, *y, *v, *r, *lanes;
+
+  /* eigenvectors by columns, with one lane for each component and for each stage */
+  double to_components[FLEX_MAX_STAGES][FLEX_MAX_STAGES], to_stages[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
 } flex_newton_matrix;
 
 void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena);
 void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, int n_inputs, flex_arena *arena);
+
+/* chooses the method */
+void flex_newton_use(flex_newton_matrix *matrix, const flex_tableau *tableau);
 
 /* forgets M, D, K and the factors */
 void flex_newton_clear(flex_newton_matrix *matrix);
@@ -49,6 +55,11 @@ int flex_newton_factor(flex_newton_matrix *matrix, double h);
 
 /* x [stages n] replaced by the solution */
 void flex_newton_solve(flex_newton_matrix *matrix, real *x);
+
+#ifdef FLEX_IN_LANES
+/* the same with the stages side by side, x [n FLEX_MAX_STAGES] */
+void flex_newton_solve_lanes(flex_newton_matrix *matrix, double *x);
+#endif
 
 /* x [n] replaced by the size of inverse(M + h z D + h^2 z^2 K) M x, which leaves slow modes and takes stiff ones away */
 void flex_newton_filter(flex_newton_matrix *matrix, real *x);

@@ -9,6 +9,7 @@
 
 #include "elementary.h"
 
+#include "lanes_corrections.h"
 #include "linear_algebra.h"
 
 /* iterations after which a step is given up: with a contraction of 0.3 all digits are there */
@@ -53,7 +54,8 @@ void flex_stages_take_scratch(flex_stages *stages, int n, int n_inputs, flex_are
 }
 
 void flex_stages_use(flex_stages *stages, const flex_tableau *tableau) {
-  stages->tableau = stages->matrix.tableau = tableau;
+  stages->tableau = tableau;
+  flex_newton_use(&stages->matrix, tableau);
 
   // by columns; a lane without a stage repeats the last one
   for (int lane = 0; lane < FLEX_MAX_STAGES; lane++) {
@@ -107,72 +109,25 @@ static void move(int n, double h, double drift, const real *restrict y, const re
   w[c] = v[c] + h * w[c];
 }
 
-#if FLEX_WIDTH == 1
-/* one coordinate of all stages, from its accelerations; the operations of `flex_combine` and `move` in their order */
-static inline void move_lanes(int s, double (*restrict to_position)[FLEX_MAX_STAGES],
-                              double (*restrict to_rate)[FLEX_MAX_STAGES], const double *restrict drift, double h,
-                              double y, double v, const real *restrict a, real *restrict q, real *restrict w) {
-  double square = h * h;
-  for (int i = 0; i < FLEX_MAX_STAGES; i++) {
-    double position = to_position[0][i] * a[0] + to_position[1][i] * a[1], rate = to_rate[0][i] * a[0] + to_rate[1][i] * a[1];
-    if (s == 3) {
-      position += to_position[2][i] * a[2];
-      rate += to_rate[2][i] * a[2];
-    }
-    if (s == 4) {
-      position = position + to_position[2][i] * a[2] + to_position[3][i] * a[3];
-      rate = rate + to_rate[2][i] * a[2] + to_rate[3][i] * a[3];
-    }
-    q[i] = y + (drift[i] * v + square * position);
-    w[i] = v + h * rate;
-  }
-}
-
-// residuals of all stages, side by side
-static void evaluate_lanes(flex_stages *stages, double h, const real *y, const real *v) {
-  const flex_tableau *tableau = stages->tableau;
-  int n = stages->n, s = tableau->stages;
-  double drift[FLEX_MAX_STAGES], *q = stages->position, *w = stages->rate, *a = stages->lanes, *r = a + FLEX_MAX_STAGES * n;
-  for (int i = 0; i < FLEX_MAX_STAGES; i++) drift[i] = stages->nodes[i] * h;
-  for (int c = 0; c < n; c++) {
-    real *each = a + FLEX_MAX_STAGES * c;
-    for (int i = 0; i < FLEX_MAX_STAGES; i++) each[i] = stages->acceleration[(i < s ? i : s - 1) * n + c];
-    move_lanes(s, stages->to_position, stages->to_rate, drift, h, y[c], v[c], each, q + FLEX_MAX_STAGES * c,
-               w + FLEX_MAX_STAGES * c);
-  }
-  const real *u = stages->u + FLEX_MAX_STAGES * stages->inputs->count;
-  flex_residual_lanes(stages->equations, s, q, w, a, u, r);
-  for (int c = 0; c < n; c++)
-    for (int i = 0; i < s; i++) stages->residual[i * n + c] = r[FLEX_MAX_STAGES * c + i];
-}
-
-#endif
-
 // inputs of the stages, and side by side where they are evaluated so
 static void evaluate_inputs(flex_stages *stages, double t, double h) {
   const flex_tableau *tableau = stages->tableau;
   int s = tableau->stages, m = stages->inputs->count;
-  if (!flex_lanes_serve(stages->equations)) {
-    for (int i = 0; i < s; i++) flex_inputs_evaluate(stages->inputs, t, tableau->c[i] * h, stages->u + i * m);
+#ifdef FLEX_IN_LANES
+  if (flex_lanes_serve(stages->equations)) {
+    double offsets[FLEX_MAX_STAGES], *lanes = stages->u + FLEX_MAX_STAGES * m;
+    flex_store_four(offsets, flex_load_four(stages->nodes) * h);
+    flex_inputs_evaluate_lanes(stages->inputs, t, offsets, lanes);
+    for (int k = 0; k < m; k++)
+      for (int i = 0; i < s; i++) stages->u[i * m + k] = lanes[FLEX_MAX_STAGES * k + i];
     return;
   }
-#if FLEX_WIDTH == 1
-  double offsets[FLEX_MAX_STAGES], *lanes = stages->u + FLEX_MAX_STAGES * m;
-  for (int i = 0; i < FLEX_MAX_STAGES; i++) offsets[i] = stages->nodes[i] * h;
-  flex_inputs_evaluate_lanes(stages->inputs, t, offsets, lanes);
-  for (int k = 0; k < m; k++)
-    for (int i = 0; i < s; i++) stages->u[i * m + k] = lanes[FLEX_MAX_STAGES * k + i];
 #endif
+  for (int i = 0; i < s; i++) flex_inputs_evaluate(stages->inputs, t, tableau->c[i] * h, stages->u + i * m);
 }
 
 // residuals of all stages at the present accelerations
 static int evaluate(flex_stages *stages, double h, const real *y, const real *v) {
-#if FLEX_WIDTH == 1
-  if (flex_lanes_serve(stages->equations)) {
-    evaluate_lanes(stages, h, y, v);
-    return 0;
-  }
-#endif
   const flex_tableau *tableau = stages->tableau;
   int n = stages->n, s = tableau->stages, m = stages->inputs->count, refused = 0;
   const real *a = stages->acceleration;
@@ -218,10 +173,25 @@ static void note_contraction(flex_stages_record *record, double h, double contra
   record->unchecked_steps = 0;
 }
 
-// newton iterations with the present matrix
-static flex_outcome iterate(flex_stages *stages, double h, const real *y, const real *v, real scale, double target) {
-  flex_stages_record *record = stages->record;
+// one correction of all stages and its size; returns 0, or 1 if the model refused to be evaluated
+static int correct(flex_stages *stages, double h, const real *y, const real *v, real scale, double *size) {
+#ifdef FLEX_IN_LANES
+  if (flex_lanes_serve(stages->equations)) {
+    *size = correct_lanes(stages, h, y, v, scale);
+    return 0;
+  }
+#endif
   int count = stages->tableau->stages * stages->n;
+  if (evaluate(stages, h, y, v)) return 1;
+  flex_newton_solve(&stages->matrix, stages->residual);
+  for (int i = 0; i < count; i++) stages->acceleration[i] -= stages->residual[i];
+  *size = stage_norm(stages, stages->residual, scale);
+  return 0;
+}
+
+// newton iterations with the present matrix
+static flex_outcome repeat_corrections(flex_stages *stages, double h, const real *y, const real *v, real scale, double target) {
+  flex_stages_record *record = stages->record;
   int least = record->unchecked_steps >= UNCHECKED_STEPS ? 2 : 1;
   double floor = ROUNDING * DBL_EPSILON * (flex_common(scale) + stage_norm(stages, stages->acceleration, scale));
   double enough = fmax(target, floor / ROUNDING);
@@ -229,10 +199,8 @@ static flex_outcome iterate(flex_stages *stages, double h, const real *y, const 
 
   for (int k = 1; k <= MAX_ITERATIONS; k++) {
     // one correction and its size
-    if (evaluate(stages, h, y, v)) return FLEX_NOT_FINITE;
-    flex_newton_solve(&stages->matrix, stages->residual);
-    for (int i = 0; i < count; i++) stages->acceleration[i] -= stages->residual[i];
-    double correction = stage_norm(stages, stages->residual, scale);
+    double correction;
+    if (correct(stages, h, y, v, scale, &correction)) return FLEX_NOT_FINITE;
     record->iterations++;
     if (!isfinite(correction)) return FLEX_NOT_FINITE;
     if (k == 1) record->misprediction = correction;
@@ -248,6 +216,19 @@ static flex_outcome iterate(flex_stages *stages, double h, const real *y, const 
     previous = correction;
   }
   return FLEX_NO_CONVERGENCE;
+}
+
+// the same; side by side where the residual is evaluated so
+static flex_outcome iterate(flex_stages *stages, double h, const real *y, const real *v, real scale, double target) {
+#ifdef FLEX_IN_LANES
+  int has_lanes = flex_lanes_serve(stages->equations);
+  if (has_lanes) spread_stages(stages, stages->acceleration, stages->lanes);
+#endif
+  flex_outcome outcome = repeat_corrections(stages, h, y, v, scale, target);
+#ifdef FLEX_IN_LANES
+  if (has_lanes) collect_stages(stages, stages->lanes, stages->acceleration);
+#endif
+  return outcome;
 }
 
 // the present matrix does not even make the iterations converge well
