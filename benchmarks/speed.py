@@ -29,6 +29,7 @@ from speed_loops import loop_figures
 from speed_measurements import RECORDINGS, Peers, Whole, cold_build, overheads, variants, whole_runs, yardstick
 from speed_metrics import metric_figures
 from speed_motions import motion_figures
+from speed_recording import recording_figures
 from speed_variants import lockstep_figures
 
 REPEAT = 30
@@ -157,6 +158,7 @@ def main() -> int:
         metric_figures,
         motion_figures,
         loop_figures,
+        recording_figures,
         peer_figures,
     )
     for measure in measures:

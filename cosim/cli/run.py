@@ -72,6 +72,32 @@ def run(
             show_default=False,
         ),
     ] = None,
+    record: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SIGNAL",
+            help="Record this signal alone; may be repeated. Default: what the scene says, or all.",
+            show_default=False,
+        ),
+    ] = None,
+    record_step: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Interval of the recorded instants. Default: what the scene says, or every communication point.",
+            show_default=False,
+        ),
+    ] = None,
+    record_order: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=0,
+            max=2,
+            help="Number of recorded derivatives. Default: what the scene says, or 2.",
+            show_default=False,
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> int:
     """Co-simulate a scene: writes results.csv, summary.json and report.html, prints the metrics.
@@ -84,6 +110,8 @@ def run(
     if scene.lower().endswith(".ssp") or is_zipfile(scene):
         if report:
             raise InputError("--report goes with a scene; an SSP file has no report")
+        if record or record_step is not None or record_order is not None:
+            raise InputError("--record, --record-step and --record-order go with a scene")
         from flexfmu.cosim.cli.run_ssp import run_ssp_command
 
         return run_ssp_command(Path(scene), out, step, stop_time, json, isolate, ssd, output_order)
@@ -94,8 +122,15 @@ def run(
         raise InputError("--ssd goes with an SSP file; a scene is one system")
     if output_order is not None:
         raise InputError("--output-order goes with an SSP file; in a scene each FMU has its own `output_order`")
-    from flexfmu.cosim.cli.run_scene import run_command
+    from flexfmu.cosim.cli.run_scene import Recorded, run_command
 
     return run_command(
-        scene, out, json, step, isolate, 1 if verify is None else 2 * verify, not json if report is None else report
+        scene,
+        out,
+        json,
+        step,
+        isolate,
+        1 if verify is None else 2 * verify,
+        not json if report is None else report,
+        Recorded(record, record_step, record_order),
     )

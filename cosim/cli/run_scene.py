@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from flexfmu.cosim.cli.console import FAILURE, print_text, progress, show_note
 from flexfmu.cosim.engine.errors import ResultsError
 from flexfmu.cosim.engine.files import RESULTS, OutputFolder
 from flexfmu.cosim.engine.master.simulation_loop import Progress
+from flexfmu.cosim.engine.results import EVERYTHING, Selection
 from flexfmu.cosim.experiment.prepared_scene import Run, run_scene
 from flexfmu.cosim.metrics.metric_table import METRICS, Measurement
 from flexfmu.cosim.metrics.metrics import measure, settings_for, with_errors
@@ -18,8 +19,28 @@ from flexfmu.cosim.metrics.recorded_solution import Settings
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.reports.text import to_json
 from flexfmu.model.choice_text import choice_sentence
+from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
+
+
+class Recorded(NamedTuple):
+    """Options for the recording; None for the scene's keys."""
+
+    names: list[str] | None = None
+    step: float | None = None
+    order: int | None = None
+
+    def selection(self, section: Cosimulation) -> Selection:
+        """What is recorded, by these options and the scene's keys."""
+        return Selection(
+            self.names or section.record,
+            section.record_order if self.order is None else self.order,
+            section.record_step if self.step is None else self.step,
+        )
+
+
+BY_SCENE = Recorded()
 
 
 def run_command(
@@ -30,6 +51,7 @@ def run_command(
     isolate: bool | None = None,
     companions: int = 1,
     has_report: bool = True,
+    recorded: Recorded = BY_SCENE,
 ) -> int:
     """Simulate, write, print; the exit status.
 
@@ -46,14 +68,22 @@ def run_command(
 
             scene = resolved(scene, show)
         show("planning the motion, building the FMU", None)
+        record = recorded.selection(scene.cosimulation)
         run = run_scene(
-            scene, communication_step=step, progress=lambda fraction: show("simulating", fraction), isolate=isolate
+            scene,
+            communication_step=step,
+            progress=lambda fraction: show("simulating", fraction),
+            isolate=isolate,
+            record=record,
         )
         # the recording first, whatever becomes of metrics and plots
         show("writing the results", None)
         run.recording.write_csv(folder.path / "results.csv")
         progressing = partial(show, "estimating the errors")
-        settings, measurements, problem = _measure(run, companions, progressing)
+        # metrics and report are of all signals with two derivatives
+        is_whole = record.names is None and record.order == EVERYTHING.order
+        has_report = has_report and is_whole
+        settings, measurements, problem = _measure(run, companions if is_whole else None, progressing)
         summary = summarise(run, measurements)
         folder.write("summary.json", to_json(summary))
         if has_report:
@@ -75,11 +105,11 @@ def run_command(
 
 
 def _measure(
-    run: Run, companions: int, progress: Progress
+    run: Run, companions: int | None, progress: Progress
 ) -> tuple[Settings | None, Mapping[str, Measurement], str | None]:
-    """What the metrics depend on, the metrics, and why there are none where that is so."""
+    """What the metrics depend on, the metrics, and why there are none where that is so; without ``companions`` none are wanted."""
     none = dict.fromkeys(METRICS, Measurement(None))
-    if not run.completed:
+    if companions is None or not run.completed:
         return None, none, run.message if run.outcome.is_failure else None
     try:
         settings = settings_for(run)

@@ -186,15 +186,20 @@ class Selection:
         names: names of the signals to keep, as in the recording; None for all.
         order: highest time derivative to keep, 0 (values alone) to 2; metrics need 2, since they evaluate the
             continuous solution between communication points.
+        step: interval of the recorded instants [s], counted from the start; jumps of the references and the end are
+            recorded too. None for every communication point.
 
     Raises:
-        InputError: the order isn't 0, 1 or 2, or ``names`` is a single text.
+        InputError: the order isn't 0, 1 or 2, the step isn't positive, or ``names`` is a single text.
     """
 
     names: Collection[str] | None = None
     order: int = 2
+    step: float | None = None
 
     def __post_init__(self) -> None:
+        if self.step is not None and not 0.0 < self.step < np.inf:
+            raise InputError(f"the interval of the recorded instants must be above 0 s and finite, got {self.step} s")
         if self.order not in (0, 1, 2):
             raise InputError(f"derivatives are recorded up to order 0, 1 or 2, got {self.order!r}")
         if isinstance(self.names, str):

@@ -124,7 +124,7 @@ def export_slaves(
     loop = loop_of(scene) if loop is None else loop
     robot = build_scene(scene, cache=cache).path
     system = scene_system(scene, loop, robot)
-    step = scene.cosimulation.step
+    step = scene.cosimulation.communication_step
     chosen = _chosen(system.slaves, names, step)
     # an FMU for each slave
     options = BuildOptions(platforms=None if platforms is None else tuple(platforms), naming=naming, cache=cache)
@@ -163,7 +163,7 @@ class _Exporter:
             case BlockSlave():
                 build_block_fmu(slave.block, path, stop_time=self.stop_time, **options)
             case TrajectorySlave():
-                step = scene.cosimulation.step
+                step = scene.cosimulation.communication_step
                 build_trajectory_fmu(slave.trajectory, path, stop_time=self.stop_time, step=step, **options)
 
 

@@ -104,7 +104,7 @@ class SideBySide:
         if section.drive != "motion" or section.step_control is not None or not alone:
             raise NotTogetherError(f"the robot of scene {scene.name} doesn't follow its planned motion alone")
         self._fmu_path, self._settings = fmu_path, dict(parts.plant.parameters)
-        step = section.step if communication_step is None else communication_step
+        step = section.communication_step if communication_step is None else communication_step
         self._course = _course(parts.references, loop.motion.stop_time, step)
         self._end, self._lanes = loop.motion.duration, lanes
         # what the runs of all variants share

@@ -12,14 +12,15 @@ from typing import Any, TypedDict, Unpack
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.isolation import isolation
 from flexfmu.cosim.engine.master.master import Progress
-from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.engine.master.outcome import Outcome, Simulation
 from flexfmu.cosim.engine.master.simulator import Simulator
 from flexfmu.cosim.engine.master.system import connect
-from flexfmu.cosim.engine.results import EVERYTHING, Selection
-from flexfmu.cosim.engine.slave import Sampled
+from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.engine.slave import RealArray, Sampled
 from flexfmu.cosim.experiment.divergence import divergence
 from flexfmu.cosim.experiment.loop import Loop, make_loop
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
+from flexfmu.cosim.experiment.recorded_instants import RecordedInstants
 from flexfmu.cosim.experiment.recording import RigidMotion, SceneRecording, slave_facts
 from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
@@ -54,6 +55,7 @@ class Options(TypedDict, total=False):
     initial: str | None
     isolate: bool | None
     call_limit: float | None
+    record: Selection | None
 
 
 def run_scene(
@@ -70,6 +72,7 @@ def run_scene(
     loop: Loop | None = None,
     isolate: bool | None = None,
     call_limit: float | None = None,
+    record: Selection | None = None,
 ) -> Run:
     """Plan the scene's motion, build its FMU or take it from the cache, and co-simulate motion and dwell.
 
@@ -78,7 +81,8 @@ def run_scene(
 
     Args:
         scene: the scene.
-        communication_step: communication step [s]; None for the scene's value.
+        communication_step: communication step [s]; None for the scene's value, or steps chosen from the motion if the
+            scene has none.
         tolerance: relative tolerance for the FMU; None for the scene's value.
         input_order: degree of the input polynomials, 0 (values only) to 9; None for the highest that the FMU supports.
         fmu_path: FMU of a scene with the same effects, instead of building one; its parameters are set from this scene.
@@ -92,6 +96,7 @@ def run_scene(
             scene's Python slaves are isolated, but not runs with Python slaves passed as objects, whose changes would be
             lost in the child process.
         call_limit: time limit of one call of a slave in an isolated run [s]; None for the scene's value.
+        record: which signals are recorded, how often, and with how many derivatives; None for the scene's keys.
 
     Returns:
         The run; if a slave fails, with the recording up to then.
@@ -113,6 +118,7 @@ def run_scene(
         loop=loop,
         isolate=isolate,
         call_limit=call_limit,
+        record=record,
     )
     return prepared.run(parameters, progress)
 
@@ -160,7 +166,9 @@ class PreparedScene:
     Example:
         ``prepared = PreparedScene(scene); runs = [prepared.run({"payload.mass": mass}) for mass in masses]``
 
-    Args and errors: as for `run_scene`; ``record`` selects the recorded signals and the number of their derivatives.
+    Steps chosen from the motion are those of the scene's own parameters; other parameters may shorten some of them.
+
+    Args and errors: as for `run_scene`.
     """
 
     def __init__(
@@ -174,7 +182,7 @@ class PreparedScene:
         initial: str | None = None,
         motion: MotionPlan | None = None,
         loop: Loop | None = None,
-        record: Selection = EVERYTHING,
+        record: Selection | None = None,
         isolate: bool | None = None,
         call_limit: float | None = None,
     ) -> None:
@@ -198,17 +206,21 @@ class PreparedScene:
         self._coupling = coupling_of(section)
         self._system = connect(self._parts.slaves, self._parts.wiring.connections, loops=self._coupling.loops)
         # settings: step, tolerance, isolation, recorded signals
-        self._step = section.step if communication_step is None else communication_step
+        fixed = section.step if communication_step is None else communication_step
+        record = Selection(section.record, section.record_order, section.record_step) if record is None else record
+        self._instants = RecordedInstants(self._parts, self._loop.motion, fixed, record)
+        self._step = section.communication_step if fixed is None else fixed
         _check_step(self._step, self._loop.motion.duration)
         self._tolerance = section.tolerance if tolerance is None else tolerance
         self._isolate = section.isolate if isolate is None else isolate
         self._call_limit = section.call_limit if call_limit is None else call_limit
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=theirs)
-        self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), record)
+        self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), self._instants.recorded)
         self._facts = slave_facts(self._parts.slaves)
         self._rests = RestPositions(self._loop.motion, RestingRobot(scene, self._fmu_path))
         # the simulator is made at the first run; a companion has the same arguments
         self._simulator: Simulator | None = None
+        self._points: RealArray | None = None
         self._again: Mapping[str, Any] = {
             "scene": scene,
             "fmu_path": self._fmu_path,
@@ -234,8 +246,14 @@ class PreparedScene:
         Raises:
             InputError: a parameter doesn't exist or is out of range.
         """
-        parts, watch = self._parts.with_parameters(parameters or {}), Stopwatch()
-        simulation = self._ready().run(self._tolerance, progress)
+        watch, changes = Stopwatch(), parameters or {}
+        simulate = partial(self._simulated, progress=progress)
+        if self._instants.is_open:
+            # steps for the scene's own parameters first
+            self._parts.with_parameters({})
+            self._instants.choose(simulate, self._stop_time, self._tolerance)
+        parts = self._parts.with_parameters(changes)
+        simulation = self._instants.run(simulate, self._tolerance, own=not changes)
         timing = Timing(*self._times, watch.lap())
         # the message of a failed run includes values with suspicious units
         hints = () if simulation.outcome is Outcome.COMPLETED else self._loop.motion.scene.unit_hints
@@ -303,20 +321,26 @@ class PreparedScene:
     @stop_time.setter
     def stop_time(self, value: float) -> None:
         self._stop_time, self._simulator = value, None
+        self._instants.forget()
 
-    def _ready(self) -> Simulator:
+    def _simulated(self, points: RealArray | None, tolerance: float, *, progress: Progress | None = None) -> Simulation:
+        """Simulate with these communication points, or with the communication step."""
+        if self._simulator is None or points is not self._points:
+            self._points, self._simulator = points, self._ready(points)
+        return self._simulator.run(tolerance, progress)
+
+    def _ready(self, points: RealArray | None = None) -> Simulator:
         """The simulator with the current stop time."""
-        if self._simulator is None:
-            self._simulator = Simulator(
-                self._system,
-                self._stop_time,
-                self._step,
-                algorithm=self._coupling.algorithm,
-                step_control=self._coupling.step_control,
-                record=self._recording.needed,
-                isolation=self._isolation,
-            )
-        return self._simulator
+        return Simulator(
+            self._system,
+            self._stop_time,
+            self._step,
+            algorithm=self._coupling.algorithm,
+            step_control=self._coupling.step_control,
+            record=self._recording.needed,
+            isolation=self._isolation,
+            points=points,
+        )
 
     def _companion(self, parameters: Mapping[str, float]) -> Companion:
         """The companion: communication steps that divide those of the run, and tighter tolerances."""

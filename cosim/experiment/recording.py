@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flexfmu.cosim.engine.dense_output import integral
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.results import Column, Recording, Selection
 from flexfmu.cosim.engine.slave import RealArray, Sampled, Slave, offset
@@ -47,7 +48,10 @@ class SceneRecording:
             feeding = parts.wiring.feeding
             sources = {name for name in outputs if selection.keeps(name) or selection.keeps(_short(name))}
             sources |= {feeding[name] for name in selection.names if name in feeding}
-        self.needed = Selection(sources, selection.order)
+            # signals that others are derivatives of, for values in between
+            integrals = [found[0] for name in sources if (found := integral(name)) is not None]
+            sources |= {name for name in integrals if name in outputs}
+        self.needed = Selection(sources, selection.order, selection.step)
 
     def follow(self, rigid: RigidMotion) -> None:
         """Complete recordings with another motion of the rigid robot from now on."""

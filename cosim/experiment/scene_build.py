@@ -69,7 +69,7 @@ def build_scene(
         key=scene_key(scene),
         output=output,
         platforms=platforms,
-        step=scene.cosimulation.step,
+        step=scene.cosimulation.communication_step,
         tolerance=scene.cosimulation.tolerance,
         stop_time=stop_time,
         naming=naming,

@@ -93,7 +93,7 @@ class _Builder:
     def imperfection(self, section: Any, controllers: Sequence[Slave]) -> PayloadError | Slave:
         """The imperfection of a section; its default sample time is that of the first sampled controller."""
         own = (slave.sample_time for slave in controllers if isinstance(slave, Sampled))
-        sample_time = next(own, self._scene.cosimulation.step)
+        sample_time = next(own, self._scene.cosimulation.communication_step)
         if isinstance(section, PayloadErrorSection):
             error: PayloadError = build(section, self._context(self._planned, "", sample_time))
             return error

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.master.master import Progress
-from flexfmu.cosim.engine.results import EVERYTHING, Selection
+from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.lockstep import PeakMeasure, SideBySide, SignalMeasure
 from flexfmu.cosim.experiment.prepared_scene import PreparedScene
 from flexfmu.cosim.experiment.scene_build import build_scene
@@ -60,7 +60,7 @@ def run_variants(
     *,
     communication_step: float | None = None,
     tolerance: float | None = None,
-    record: Selection = EVERYTHING,
+    record: Selection | None = None,
     progress: Progress | None = None,
     processes: int = 1,
 ) -> list[VariantResult[T]]:
@@ -78,7 +78,8 @@ def run_variants(
         variants: changes of each variant.
         measure: function from a completed run to the result, `flexfmu.cosim.metrics.metrics.metrics_of` for example.
         communication_step, tolerance: as for `flexfmu.cosim.experiment.prepared_scene.run_scene`.
-        record: signals that ``measure`` needs; fewer take less time.
+        record: signals that ``measure`` needs, how often, and with how many derivatives; fewer take less time. None for
+            the scene's keys.
         progress: called now and then with the completed fraction, 0..1.
         processes: number of processes; with more than one, ``measure`` must be picklable, such as a function of a module.
 
@@ -129,7 +130,7 @@ class _Task(Generic[T]):
     measure: Callable[[Run], T]
     communication_step: float | None
     tolerance: float | None
-    record: Selection
+    record: Selection | None
 
     def results(
         self, variants: Sequence[Changes], done: Callable[[int], None] = lambda count: None

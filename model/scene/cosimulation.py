@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, named_kind, quantity
+from flexfmu.model.scene.section import Seconds, SecondsOrZero, Section, as_tuple, named_kind, quantity
 
 RelativeTolerance = Annotated[float, quantity("1", gt=0.0, le=0.1)]
 
@@ -64,8 +64,20 @@ LoopSolverSection = Annotated[
 ]
 
 
+def _step(value: object) -> object:
+    return None if value == "auto" else value
+
+
+RECORD_STEP = 1e-3
+"""Default interval of the recorded instants where the run chooses its communication steps [s]."""
+
+
 class Cosimulation(Section):
     """Drive, integration and coupling of a run.
+
+    `step` is the communication step; left out, or "auto", the steps are chosen from the motion, which alone drives the
+    robot then. `record_step` is the interval of the recorded instants (default: every communication point, 1 ms with chosen
+    steps), `record` the recorded signals (default: all), `record_order` the number of their derivatives.
 
     `integrator` is the FMU's method, `integrator_step` its fixed step; with 0 the steps follow from `tolerance`.
     `algorithm` couples the slaves over a communication step. `loop_solver` solves algebraic loops, which are errors
@@ -74,7 +86,10 @@ class Cosimulation(Section):
     """
 
     drive: Literal["motion", "torque"] = "motion"
-    step: Seconds
+    step: Annotated[Seconds | None, BeforeValidator(_step)] = None
+    record_step: Seconds | None = None
+    record: Annotated[tuple[str, ...] | None, BeforeValidator(as_tuple)] = None
+    record_order: Annotated[int, quantity("derivatives", ge=0, le=2)] = 2
     tolerance: FmuTolerance
     initial: Literal["static", "undeformed"] = "static"
     integrator: Literal["automatic", "gauss2", "gauss3", "gauss4", "radau3", "dopri5", "rk4"] = "automatic"
@@ -85,3 +100,15 @@ class Cosimulation(Section):
     loop_solver: LoopSolverSection | None = None
     isolate: bool | None = None
     call_limit: Seconds = 60.0
+
+    @model_validator(mode="after")
+    def _step_where_needed(self) -> Self:
+        if self.step is None and (self.drive == "torque" or self.step_control is not None):
+            where = 'drive = "torque"' if self.drive == "torque" else "step_control"
+            raise ValueError(f"`step` is missing: with {where} it is needed, 1e-3 s for example")
+        return self
+
+    @property
+    def communication_step(self) -> float:
+        """The communication step [s]; where the run chooses its steps, the interval of the recorded instants."""
+        return self.step or self.record_step or RECORD_STEP

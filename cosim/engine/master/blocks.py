@@ -14,7 +14,7 @@ from math import ceil, inf
 import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
-from flexfmu.cosim.engine.master.grid import MAXIMUM_RATIO, Clock, GridRules, TimeGrid
+from flexfmu.cosim.engine.master.grid import MAXIMUM_RATIO, NO_POINTS, Clock, GridRules, TimeGrid
 from flexfmu.cosim.engine.master.system import System
 from flexfmu.cosim.engine.slave import (
     COINCIDENT,
@@ -73,6 +73,7 @@ class RunGrid:
     Attributes:
         start, stop: [s].
         steps: number of communication steps.
+        records: number of recorded instants; those where signals may jump count twice.
         jumps: number of points at which signals may jump.
         most: largest number of steps in a block.
         least_step, largest_step: shortest and longest communication step [s].
@@ -84,13 +85,15 @@ class RunGrid:
         self._kept: list[Block] = []
         # one pass over all blocks counts them, and keeps a few
         kept: list[Block] = []
-        self.steps = self.most = count = 0
+        self.steps = self.most = self.records = count = 0
         self.jumps, self.least_step, self.largest_step = 0, inf, 0.0
         for count, block in enumerate(self.blocks(), start=1):
             widths = np.diff(block.grid.times)
             self.steps, self.most = self.steps + block.steps, max(self.most, block.steps)
             # the first point of a later block is the last one of the block before
-            self.jumps += int(block.grid.marked[int(count > 1) :].sum())
+            own = slice(int(count > 1), None)
+            self.jumps += int(block.grid.marked[own].sum())
+            self.records += int((block.grid.instants * (1 + block.grid.marked))[own].sum())
             self.least_step = min(self.least_step, float(widths.min()))
             self.largest_step = max(self.largest_step, float(widths.max()))
             if count <= KEPT:
@@ -128,7 +131,7 @@ class RunGrid:
             cut = number // self._parts * self._ticks + number % self._parts * self._ticks // self._parts
             # between two ticks, which may be replaced by marks beside them
             high = self.start + (cut - 0.5) * step
-            if not high + SHORTEST * step < self.stop or not self._rules.ticks:
+            if not high + SHORTEST * step < self.stop or not (self._rules.ticks or self._rules.points.size):
                 yield self._rules.between(low)
                 return
             yield self._rules.between(low, high)
@@ -139,7 +142,8 @@ def _joined(first: TimeGrid, second: TimeGrid) -> TimeGrid:
     """The points of both parts."""
     due = tuple(np.concatenate(pair) for pair in zip(first.due, second.due, strict=True))
     times, marked = np.concatenate([first.times, second.times]), np.concatenate([first.marked, second.marked])
-    return TimeGrid(times, marked, due)
+    recorded = None if first.recorded is None else np.concatenate([first.instants, second.instants])
+    return TimeGrid(times, marked, due, recorded)
 
 
 def _cycle(rules: GridRules, period: float) -> tuple[int, int]:
@@ -155,7 +159,15 @@ def _cycle(rules: GridRules, period: float) -> tuple[int, int]:
     return ticks, ceil(ticks / largest)
 
 
-def system_grid(system: System, start: float, stop: float, step: float, ticks: bool) -> RunGrid:
+def system_grid(
+    system: System,
+    start: float,
+    stop: float,
+    step: float,
+    ticks: bool,
+    points: RealArray = NO_POINTS,
+    record_step: float | None = None,
+) -> RunGrid:
     """The communication points of a run.
 
     Args:
@@ -163,6 +175,8 @@ def system_grid(system: System, start: float, stop: float, step: float, ticks: b
         start, stop: [s].
         step: communication step [s]; it is divided for slaves that limit it.
         ticks: whether the points start + n * step belong to the grid, besides breakpoints and sample instants.
+        points: further points, ascending [s].
+        record_step: interval of the recorded points [s]; None for all.
 
     Raises:
         InputError: as `GridRules`; or a slave needs steps shorter than 1 / `MAXIMUM_RATIO` of the communication step.
@@ -182,7 +196,7 @@ def system_grid(system: System, start: float, stop: float, step: float, ticks: b
                     f"{step:g} s; what is that fast hardly matters: leave it out, or take a smaller step"
                 )
             parts = max(parts, ceil(wanted - COINCIDENT))
-    return RunGrid(GridRules(start, stop, step / parts, marks, clocks, ticks), period)
+    return RunGrid(GridRules(start, stop, step / parts, marks, clocks, ticks, points, record_step), period)
 
 
 def check_regular_steps(system: System, grid: RunGrid, step: float, varies: bool) -> None:

@@ -39,15 +39,16 @@ class CompiledLoop:
         self._progress = CProgress(points=0, records=self._recorder.count)
         self._program = self._prepared()
         # the addressed arrays are kept until the next block
-        times, jumps = np.ascontiguousarray(grid.times), flags(grid.marked)
+        times, jumps, instants = np.ascontiguousarray(grid.times), flags(grid.marked), flags(grid.instants)
         self._program.times, self._program.jumps = address(times), address(jumps)
+        self._program.instants = address(instants)
         tables = []
         for array, listed in zip(self._packed, self._instructions, strict=True):
             for packed, each in zip(array, listed, strict=False):
                 if each.table is not None:
                     tables.append(each.table())
                     packed.source = address(tables[-1]) + each.offset
-        self._times, self._kept = times, (jumps, *tables)
+        self._times, self._kept = times, (jumps, instants, *tables)
 
     @cached_property
     def _instructions(self) -> tuple[list[Instruction], list[Instruction]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from math import lcm
@@ -34,6 +34,9 @@ SUGGESTED_RATIO = 10
 MAXIMUM_TICKS = 100_000
 """Largest number of common ticks in a communication step; two of them stay further apart than `COINCIDENT`."""
 
+NO_POINTS = np.empty(0)
+"""No points besides the others."""
+
 
 @dataclass(frozen=True)
 class Clock:
@@ -58,15 +61,25 @@ class TimeGrid:
         times: (N + 1,) communication points [s], strictly increasing.
         marked: (N + 1,) whether signals may jump at the point: breakpoints and sample instants.
         due: for each clock (N + 1,) whether its slave samples at the point.
+        recorded: (N + 1,) whether signals are recorded at the point; None for all points.
     """
 
     times: RealArray
     marked: Flags
     due: tuple[Flags, ...] = ()
+    recorded: Flags | None = None
+
+    @property
+    def instants(self) -> Flags:
+        """(N + 1,) whether signals are recorded at the point."""
+        return np.ones(self.times.shape, dtype=np.bool_) if self.recorded is None else self.recorded
 
     def part(self, points: slice | Flags) -> TimeGrid:
         """Some of the points."""
-        return TimeGrid(self.times[points], self.marked[points], tuple(each[points] for each in self.due))
+        due = tuple(each[points] for each in self.due)
+        return TimeGrid(
+            self.times[points], self.marked[points], due, None if self.recorded is None else self.recorded[points]
+        )
 
 
 @dataclass(frozen=True)
@@ -81,6 +94,8 @@ class GridRules:
         marks: further points, at which signals may jump [s].
         clocks: sample times of the sampled slaves.
         ticks: whether the points start + n * step belong to the grid.
+        points: further points, ascending, at which nothing jumps [s].
+        record_step: interval of the recorded points [s], besides marks, start and stop; None for all points.
 
     Raises:
         InputError: the step isn't positive, the stop isn't after the start, there would be more than `MAXIMUM_POINTS`
@@ -93,6 +108,8 @@ class GridRules:
     marks: Sequence[float] = ()
     clocks: Sequence[Clock] = ()
     ticks: bool = True
+    points: RealArray = field(default_factory=lambda: NO_POINTS)
+    record_step: float | None = None
 
     def __post_init__(self) -> None:
         start, stop, step = self.start, self.stop, self.step
@@ -106,6 +123,13 @@ class GridRules:
             )
         for clock in self.clocks:
             _check_clock(clock, start, stop)
+        if self.record_step is not None:
+            multiple = self.record_step / step
+            if not 0.5 < multiple < np.inf or abs(multiple - round(multiple)) > RATIO_TOLERANCE * multiple:
+                raise InputError(
+                    f"signals can be recorded every whole number of communication steps of {step:.12g} s, not every "
+                    f"{self.record_step:.12g} s; {max(1, round(multiple)) * step:.12g} s fits"
+                )
         _ = self._ratios
 
     @property
@@ -124,7 +148,8 @@ class GridRules:
         # with a step more on both sides, since coinciding instants may be on either side of the limits
         first, last = low - self.step, high + self.step
         instants = [_instants(clock, self, first, last) for clock in self.clocks]
-        regular = self._regular_points(instants, first, last)
+        further = self.points[self.points.searchsorted(first) : self.points.searchsorted(last)]
+        regular = np.union1d(self._regular_points(instants, first, last), further)
         # marks, start and stop replace the regular points that coincide with them
         marks = self.inside[self.inside.searchsorted(first) : self.inside.searchsorted(last)]
         ends = [end for end in (self.start, self.stop) if first <= end < last]
@@ -138,7 +163,11 @@ class GridRules:
         # where slaves sample, and where signals may jump
         due = tuple(_nearest(times, times_due) for _, times_due in instants)
         marked = _beside(times, marks, self.near)
-        grid = TimeGrid(times, np.logical_or.reduce([marked, *due]), due)
+        recorded = None
+        if self.record_step is not None:
+            nearest = self.start + self.record_step * np.rint((times - self.start) / self.record_step)
+            recorded = marked | (abs(times - nearest) <= self.near) | (times == self.stop)
+        grid = TimeGrid(times, np.logical_or.reduce([marked, *due]), due, recorded)
         return grid if first == -np.inf and last == np.inf else grid.part((times >= low) & (times < high))
 
     def _regular_points(self, instants: Sequence[tuple[Indices, RealArray]], first: float, last: float) -> RealArray:

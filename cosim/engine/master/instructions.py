@@ -73,6 +73,7 @@ class CProgram(Structure):
         ("capacity", c_size_t),
         ("times", c_void_p),
         ("jumps", c_void_p),
+        ("instants", c_void_p),
         ("recorded_times", c_void_p),
         ("active", c_void_p),
     )

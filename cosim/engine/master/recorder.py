@@ -32,7 +32,7 @@ RELEASED = 8192
 LINE = 8
 """Numbers in a cache line. Columns are an odd number of lines apart, so that they don't compete for the same lines."""
 
-SPEND_LESS = "take a larger communication step or sample time, a shorter run, or in Python record fewer signals: PreparedScene(scene, record=Selection(..))"
+SPEND_LESS = "take a larger communication step or sample time, a shorter run, or record fewer signals or less often: `cosimulation.record`, `record_step`"
 
 
 class Recorder:

@@ -143,6 +143,7 @@ class SimulationLoop:
 
     def _go_in_python(self, block: Block) -> None:
         times, marked, cross = block.grid.times.tolist(), block.grid.marked.tolist(), self._cross
+        recorded = block.grid.instants.tolist()
         exchange, record = self._schedule.exchange, self._recorder.append
         start, stop, count = self._grid.start, self._grid.stop, self._grid.steps
         every = max(1, count // PROGRESS_CALLS)
@@ -151,10 +152,11 @@ class SimulationLoop:
             cross(times[n], time)
             self._passed += 1
             # left limits where signals may jump, then the exchange, then right limits
-            if jump:
+            if jump and recorded[n + 1]:
                 record(time)
             exchange(n + 1, time, jump)
-            record(time)
+            if recorded[n + 1]:
+                record(time)
             passed = self._before + self._passed
             if self._progress is not None and (passed % every == 0 or passed == count):
                 self._progress((time - start) / (stop - start))

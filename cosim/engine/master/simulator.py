@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from flexfmu.cosim.engine.child_process import ChildLostError, in_child, portable
-from flexfmu.cosim.engine.errors import CostWarning, SlaveEnded, SlaveError, SlaveWarning
+from flexfmu.cosim.engine.errors import CostWarning, InputError, SlaveEnded, SlaveError, SlaveWarning
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
 from flexfmu.cosim.engine.master.algorithms import Algorithm, GaussSeidel
 from flexfmu.cosim.engine.master.blocks import check_regular_steps, system_grid
@@ -21,6 +21,7 @@ from flexfmu.cosim.engine.master.coupling_error import CouplingError
 from flexfmu.cosim.engine.master.couplings import Transport, feedback_signals
 from flexfmu.cosim.engine.master.delays import SignalDelay, signal_delays
 from flexfmu.cosim.engine.master.dependencies import Connection
+from flexfmu.cosim.engine.master.grid import NO_POINTS
 from flexfmu.cosim.engine.master.isolation import Isolation
 from flexfmu.cosim.engine.master.loops import check_can_save, needs_rollback
 from flexfmu.cosim.engine.master.outcome import Outcome, Simulation, blown_up, message_of, outcome_of, overshot
@@ -81,6 +82,7 @@ class Simulator:
         compiled: bool | None = None,
         record: Selection = EVERYTHING,
         isolation: Isolation | None = None,
+        points: RealArray | None = None,
     ) -> None:
         outputs = [
             (slave.name, each.name) for slave in system.slaves for each in slave.variables if each.causality == "output"
@@ -91,16 +93,22 @@ class Simulator:
             "algorithm": algorithm,
             "compiled": compiled,
             "record": record,
+            "points": points,
         }
         self._system, self._step, self._control, self._selection = system, step, step_control, record
         # time grid, order of calls, memory for the recording
-        self._grid = system_grid(system, start, stop, step, step_control is None)
+        ticks = step_control is None and points is None
+        if record.step is not None and step_control is not None:
+            raise InputError(
+                "step control records all of its communication points: leave out the interval of the recording"
+            )
+        self._grid = system_grid(system, start, stop, step, ticks, NO_POINTS if points is None else points, record.step)
         check_regular_steps(system, self._grid, step, step_control is not None)
         chosen = GaussSeidel() if algorithm is None else algorithm
         # step control also monitors outputs that aren't recorded
         read = record if step_control is None else EVERYTHING
         self._schedule = Schedule(system, self._grid, chosen, read)
-        capacity = self._grid.steps + 1 + self._grid.jumps
+        capacity = self._grid.records
         self._recorder = Recorder(self._schedule.outputs, capacity, shared=isolation is not None)
         self._isolation = isolation
         # the loop over the points in C, if the plan allows it and there is a compiler

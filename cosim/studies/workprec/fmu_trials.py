@@ -75,7 +75,7 @@ def algorithm_trials(subject: SceneUnderTest, announce: Announce) -> Iterator[Wo
     for algorithm in ("gauss-seidel", "jacobi", "implicit"):
         for divisor in (1, 2, 4, 8):
             # steps divide the sample times
-            step = min([section.step, *samples]) / divisor
+            step = min([section.communication_step, *samples]) / divisor
             announce(f"{algorithm}, communication step {1e3 * step:g} ms")
             scene: dict[str, object] = {"cosimulation.algorithm": algorithm}
             options = {"communication_step": step, "tolerance": 1e-9}

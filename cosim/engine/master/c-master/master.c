@@ -142,16 +142,16 @@ EXPORTED int master_run(const master_program *program, size_t points, master_pro
   while (progress->points < points) {
     const size_t point = progress->points + 1;
     const double begin = program->times[point - 1], end = program->times[point];
-    const int jump = program->jumps[point];
+    const int jump = program->jumps[point], recorded = program->instants[point];
     /* all slaves step to the point */
     progress->instruction = 0;
     if (carry_out_all(program->advance, program->n_advance, point, begin, end, jump, program->active, progress)) return 1;
     progress->points = point;
     /* left limits where signals may jump, then the exchange, then right limits */
-    if (jump) record(program, end, progress);
+    if (jump && recorded) record(program, end, progress);
     progress->instruction = program->n_advance;
     if (carry_out_all(program->exchange, program->n_exchange, point, end, end, jump, program->active, progress)) return 1;
-    record(program, end, progress);
+    if (recorded) record(program, end, progress);
   }
   return 0;
 }

@@ -60,7 +60,7 @@ typedef struct {
   size_t n_channels;
   size_t capacity; /* length of each column */
   const double *times;
-  const unsigned char *jumps;
+  const unsigned char *jumps, *instants; /* whether signals may jump at a point, and whether they are recorded there */
   double *recorded_times;
   volatile int *active; /* the owner of the instruction that is, or was last, carried out; another process may look at it */
 } master_program;

@@ -46,7 +46,7 @@ typedef void (*function)(void);
 int main(int argc, char **argv) {
   (void)argv;
   static double times[POINTS + 1], recorded_times[2 * POINTS], columns[N][2 * POINTS], table[POINTS + 1][4];
-  static unsigned char jumps[POINTS + 1], due[POINTS + 1];
+  static unsigned char jumps[POINTS + 1], instants[POINTS + 1], due[POINTS + 1];
   static counter plant, sampled, task;
   static double row[N], memory[2], sent[2], sampled_at[2] = {0.0, 0.0}, task_at[3] = {0.0, 0.5, 0.0};
   void *const handles[] = {&plant, &sampled, &task, memory};
@@ -55,7 +55,7 @@ int main(int argc, char **argv) {
   const double halves[] = {0.5};
   const long long backwards[] = {2, 1, 0}, first[] = {0, 1, 2}, pair[] = {2, 0};
   for (int k = 0; k <= POINTS; k++) {
-    times[k] = 0.25 * k, jumps[k] = k % 4 == 0, due[k] = k % 2 == 0;
+    times[k] = 0.25 * k, jumps[k] = k % 4 == 0, instants[k] = 1, due[k] = k % 2 == 0;
     for (int i = 0; i < 4; i++) table[k][i] = 10.0 * k + i;
   }
   /* over a step: the plant steps; at an instant: a row of the table backwards into the plant, a block of its first number, and
@@ -87,7 +87,8 @@ int main(int argc, char **argv) {
   volatile int active = 0;
   const master_program program = {.advance = advance, .exchange = exchange, .n_advance = 1,
                                   .n_exchange = sizeof exchange / sizeof *exchange, .channels = &channel, .n_channels = 1,
-                                  .capacity = 2 * POINTS, .times = times, .jumps = jumps, .recorded_times = recorded_times,
+                                  .capacity = 2 * POINTS, .times = times, 
+                                  .jumps = jumps, .instants = instants, .recorded_times = recorded_times,
                                   .active = &active};
   master_progress progress = {0};
   /* six points: the second and the fourth jump of the grid are beyond them */
