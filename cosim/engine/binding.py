@@ -100,7 +100,7 @@ class Refresh:
         self.take, self.send = take, send
 
     def __call__(self) -> None:
-        if (self.take.source[self.take.indices] != self.take.target).any():
+        if self.take.source[self.take.indices].tobytes() != self.take.target.tobytes():
             self.take()
             self.send()
 
@@ -120,6 +120,20 @@ class Evaluation:
 
     def __call__(self) -> None:
         self._call()
+
+
+class Reevaluation:
+    """An evaluation that the loop in C makes only if inputs have changed since the last one.
+
+    Attributes:
+        evaluation: the evaluation.
+        inputs, seen: the inputs (n,), and those of the last evaluation.
+    """
+
+    __slots__ = ("evaluation", "inputs", "seen")
+
+    def __init__(self, evaluation: Evaluation, inputs: RealArray, seen: RealArray) -> None:
+        self.evaluation, self.inputs, self.seen = evaluation, inputs, seen
 
 
 class SampleStep:
@@ -156,7 +170,7 @@ class SampleStep:
 TASK_NUMBERS = 3
 """Size of the state of a task's step; that of a step to the instant is smaller by one."""
 
-SampleCall = SampleStep | Call
+SampleCall = SampleStep | Reevaluation | Call
 """What a sample consists of."""
 
 Phase = Literal["sample", "output", "update"]
@@ -165,7 +179,7 @@ Phase = Literal["sample", "output", "update"]
 
 @runtime_checkable
 class SamplesInC(Protocol):
-    """Can be sampled by calls that the loop in C makes: `Evaluation`, `SampleStep`, `Copy`, `Take` and FMI transfers."""
+    """Can be sampled by calls that the loop in C makes: `Evaluation`, `Reevaluation`, `SampleStep`, `Copy`, `Take`, `Refresh`, FMI transfers."""
 
     def sample_calls(self, phase: Phase) -> tuple[SampleCall, ...] | None:
         """The calls that do what the method ``phase`` does; None if it takes Python. The slave has been initialised."""

@@ -8,7 +8,7 @@ import casadi
 import numpy as np
 
 from flexfmu.cosim.control.blocks.code import block_function, bound, evaluation
-from flexfmu.cosim.engine.binding import Copy, Phase, SampleCall, Take, is_range
+from flexfmu.cosim.engine.binding import Copy, Phase, Reevaluation, SampleCall, Take, is_range
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray, SlaveVariable
 from flexfmu.fmu_build.block_codegen import check_block
@@ -48,6 +48,7 @@ class BlockSlave:
         self._memory = np.zeros(len(self.variables) + 2 * len(block.states))
         self._memory[: self._known] = [each.start or 0.0 for each in known]
         self._states, self._next = self._memory[len(self.variables) :].reshape(2, -1)
+        self._seen = np.zeros(self._inputs)
         # calls of the function on these buffers: output and update together, and each alone
         self._buffers: list[object] = []
         self._function = function = block_function(block, compiled)
@@ -100,15 +101,21 @@ class BlockSlave:
         self._states[:] = self._next
 
     def sample_calls(self, phase: Phase) -> tuple[SampleCall, ...] | None:
-        """The evaluation of a sample, and the copy of the next states; None if it can't be called from C."""
-        calls = {"sample": self._sample, "output": self._output, "update": self._update}
-        found = evaluation(self._function, calls[phase])
+        """The evaluations of a sample and copies; None if C can't evaluate the block.
+
+        With states the outputs are evaluated together with the next states, and these again only if inputs change later.
+        """
+        found = evaluation(self._function, self._update if phase == "update" else self._sample)
         if found is None:
             return None
-        # without states there is nothing to update
         if not self._next.size:
             return () if phase == "update" else (found,)
-        return (found,) if phase == "output" else (found, Copy(self._next, self._states, np.arange(self._next.size)))
+        # what is copied: next states to states, inputs to those seen at the output
+        count, inputs = self._inputs, self._memory[: self._inputs]
+        move = Copy(self._next, self._states, np.arange(self._next.size))
+        see = (Copy(inputs, self._seen, np.arange(count)),) if count else ()
+        again = (Reevaluation(found, inputs, self._seen),) if count else ()
+        return {"sample": (found, move), "output": (found, *see), "update": (*again, move)}[phase]
 
     def step(self, time: float, step: float) -> None:
         """Do nothing: the outputs are constant between the sample instants."""

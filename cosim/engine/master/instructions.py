@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexfmu.cosim.engine.binding import Evaluation, Refresh, SampleStep, is_range
+from flexfmu.cosim.engine.binding import Evaluation, Reevaluation, Refresh, SampleStep, is_range
 from flexfmu.cosim.engine.fmu.calls import address
 from flexfmu.cosim.engine.master.plan import When
 from flexfmu.cosim.engine.slave import Indices, RealArray
@@ -160,10 +160,15 @@ def _reached(call: partial[int]) -> dict[str, int | None]:
     return {"function": pointer(call.func), "component": addressof(call.args[0])}
 
 
-def evaluation(call: Evaluation, when: When, owner: int) -> Instruction:
-    """Evaluates the equations of a block."""
+def evaluation(call: Evaluation, when: When, owner: int, again: Reevaluation | None = None) -> Instruction:
+    """Evaluates the equations of a block; with ``again`` only if its inputs have changed."""
     pointers: dict[str, int | None] = {"function": call.function, "component": addressof(call.argument)}
-    return Instruction(Opcode.EVALUATE, when, owner, _never, {}, pointers, (call,))
+    packed = Instruction(Opcode.EVALUATE, when, owner, _never, {}, pointers, (call,))
+    if again is not None:
+        packed.numbers["count"] = again.inputs.size
+        packed.addresses |= {"source": address(again.inputs), "target": address(again.seen)}
+        packed.kept = (call, again)
+    return packed
 
 
 def sample_step(call: SampleStep, when: When, owner: int) -> Instruction:

@@ -12,7 +12,17 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from flexfmu.cosim.engine.binding import Both, Copy, Evaluation, Phase, Refresh, SamplesInC, SampleStep, Take
+from flexfmu.cosim.engine.binding import (
+    Both,
+    Copy,
+    Evaluation,
+    Phase,
+    Reevaluation,
+    Refresh,
+    SamplesInC,
+    SampleStep,
+    Take,
+)
 from flexfmu.cosim.engine.fmu.instance import Checked
 from flexfmu.cosim.engine.master.instructions import (
     Instruction,
@@ -118,10 +128,13 @@ def _sample(schedule: Schedule, operation: Operation) -> Iterator[Instruction]:
         yield python_callback(schedule.bind(operation), when, i)
         return
     for call in calls:
-        if isinstance(call, SampleStep):
-            yield sample_step(call, when, i)
-        else:
-            yield from _transfer(call, when, i)
+        match call:
+            case SampleStep():
+                yield sample_step(call, when, i)
+            case Reevaluation():
+                yield evaluation(call.evaluation, when, i, call)
+            case _:
+                yield from _transfer(call, when, i)
 
 
 def _table_row(table: Callable[[], RealArray], outputs: OutputPort, owner: int, rows: int) -> Instruction:

@@ -39,7 +39,8 @@ static void gather(const master_instruction *op, const double *source) {
 /* fmi2SetReal with values that have changed since */
 static int refresh(const master_instruction *op, const double *source) {
   int same = 1;
-  for (size_t i = 0; i < op->count; i++) same = same && op->target[i] == source[op->columns[i]];
+  for (size_t i = 0; i < op->count; i++)
+    same = same && memcmp(&op->target[i], &source[op->columns[i]], sizeof(double)) == 0;
   if (same) return 0;
   for (size_t i = 0; i < op->count; i++) op->target[i] = source[op->columns[i]];
   return ((values_call)op->function)(*op->component, op->references, op->count, op->target);
@@ -86,7 +87,8 @@ static int carry_out(const master_instruction *op, size_t point, double begin, d
     case MASTER_FINITE:
       return !all_finite(op->target, op->count);
     case MASTER_EVALUATE:
-      ((evaluation)op->function)(*op->component);
+      if (op->count == 0 || memcmp(op->target, op->source, op->count * sizeof(double)) != 0)
+        ((evaluation)op->function)(*op->component);
       return 0;
     case MASTER_SAMPLE:
       *status = step_to(op, end);

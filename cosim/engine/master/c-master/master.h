@@ -15,7 +15,8 @@ enum {
   MASTER_COPY,        /* target[0 .. count - 1] = source[..] */
   MASTER_GATHER,      /* target[places[i]] = source[columns[i]], i < count */
   MASTER_FINITE,      /* fails unless target[0 .. count - 1] are finite */
-  MASTER_EVALUATE,    /* the equations of a block: function(what component points to) */
+  MASTER_EVALUATE,    /* the equations of a block: function(what component points to), unless count > 0 and the inputs
+                         source[0 .. count - 1] are those seen last, target[..] */
   MASTER_SAMPLE,      /* fmi2DoStep to a sample instant: function, component, target = {time reached, step or 0} */
   MASTER_TASK,        /* fmi2DoStep from a sample instant: function, component, target = {first, sample time, count} */
   MASTER_REFRESH,     /* fmi2SetReal with target[i] = source[columns[i]], i < count, unless they are equal already */

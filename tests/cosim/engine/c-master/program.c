@@ -38,6 +38,7 @@ static int step(void *component, double time, double length, int no_rollback) {
 static void square(void *memory) {
   double *values = memory;
   values[1] = values[0] * values[0];
+  values[2] += 1.0;
 }
 
 /* the places of functions with other types in an instruction */
@@ -48,7 +49,7 @@ int main(int argc, char **argv) {
   static double times[POINTS + 1], recorded_times[2 * POINTS], columns[N][2 * POINTS], table[POINTS + 1][4];
   static unsigned char jumps[POINTS + 1], instants[POINTS + 1], due[POINTS + 1];
   static counter plant, sampled, task;
-  static double row[N], memory[2], sent[2], sampled_at[2] = {0.0, 0.0}, task_at[3] = {0.0, 0.5, 0.0};
+  static double row[N], memory[3], seen[1], sent[2], sampled_at[2] = {0.0, 0.0}, task_at[3] = {0.0, 0.5, 0.0};
   void *const handles[] = {&plant, &sampled, &task, memory};
   const unsigned references[] = {0, 1, 2};
   const int orders[] = {1, 2, 3};
@@ -71,6 +72,11 @@ int main(int argc, char **argv) {
       {.kind = MASTER_MULTIPLY, .source = halves, .count = 1, .places = first, .target = memory},
       {.kind = MASTER_ADD, .source = halves, .count = 1, .places = first, .target = memory},
       {.kind = MASTER_EVALUATE, .condition = MASTER_WHEN_DUE, .due = due, .function = (function)square, .component = &handles[3]},
+      {.kind = MASTER_EVALUATE, .function = (function)square, .component = &handles[3], .count = 1, .source = row,
+       .target = seen},
+      {.kind = MASTER_COPY, .source = row, .count = 1, .target = seen},
+      {.kind = MASTER_EVALUATE, .function = (function)square, .component = &handles[3], .count = 1, .source = row,
+       .target = seen},
       {.kind = MASTER_SAMPLE, .condition = MASTER_WHEN_DUE, .due = due, .function = (function)step, .component = &handles[1],
        .target = sampled_at},
       {.kind = MASTER_REFRESH, .function = (function)set_values, .component = &handles[1], .references = references,
@@ -95,7 +101,7 @@ int main(int argc, char **argv) {
   CHECK(master_run(&program, 6, &progress) == 0);
   CHECK(progress.points == 6 && progress.records == 7);
   CHECK(plant.steps == 6 && plant.time == 1.5 && plant.inputs[0] == 62.0 && plant.inputs[2] == 60.0);
-  CHECK(memory[1] == 31.5 * 31.5);
+  CHECK(memory[1] == 31.5 * 31.5 && memory[2] == 3 + 6);
   CHECK(sampled.steps == 3 && sampled.time == 1.5 && sampled.sets == 6 && sampled.inputs[0] == 60.0 && sampled.inputs[1] == 62.0);
   CHECK(task.steps == 3 && task.time == 1.5);
   /* left limits of the jump at 1 s, then its derivatives */
@@ -105,7 +111,7 @@ int main(int argc, char **argv) {
   if (argc == 1) table[7][0] = 0.0 / (double)(progress.status);
   CHECK(master_run(&program, POINTS, &progress) == 1);
   if (argc == 1) {
-    CHECK(progress.points == 7 && progress.instruction == 12 && progress.status == 0);
+    CHECK(progress.points == 7 && progress.instruction == 15 && progress.status == 0);
   } else {
     CHECK(progress.points == 7 && progress.instruction == 0 && progress.status == 3);
   }
