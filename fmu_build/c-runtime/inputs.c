@@ -2,7 +2,9 @@
 
 #include <string.h>
 
+#ifdef FLEX_IN_LANES
 #include "lanes_stages.h"
+#endif
 
 void flex_inputs_take(flex_inputs *inputs, int count, int order, flex_arena *arena) {
   inputs->count = count;
