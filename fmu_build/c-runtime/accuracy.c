@@ -65,7 +65,7 @@ double flex_fitting_step(double step, double suggested, double error, double all
   // the longest step, where even it is accurate enough; else the error's power law
   double longest = fmax(MAX_GROWTH * step, suggested);
   if (error * flex_whole_power(longest / step, order) <= SAFETY * allowed) return longest;
-  return step * pow(SAFETY * allowed / error, 1.0 / order);
+  return step * flex_root(SAFETY * allowed / error, order);
 }
 
 double flex_next_step(double step, double suggested, double fitting) {
