@@ -303,6 +303,7 @@ class PreparedScene:
         self._again = {**self._again, "scene": scene, "loop": loop}
         self._parts.references.follow(loop.driving)
         self._recording.follow(RigidMotion(loop.motion))
+        self._instants.follow(loop.motion)
         self._rests = self._rests.after(loop.motion)
         planning = watch.lap()
         # after an error the next run makes a new simulator

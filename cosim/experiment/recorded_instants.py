@@ -74,6 +74,10 @@ class RecordedInstants:
         """Whether communication points have to be chosen first."""
         return self._chooses and self._steps is None
 
+    def follow(self, motion: MotionPlan) -> None:
+        """Record runs of another motion from now on."""
+        self._motion, self._steps = motion, None
+
     def forget(self) -> None:
         """Choose the communication points anew."""
         self._steps = None

@@ -10,7 +10,7 @@ import mmap
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -42,23 +42,41 @@ class Recorder:
         ports: output ports to record.
         capacity: expected number of instants; further memory is added if there are more.
         shared: whether child processes record into the same memory.
+        keeps: whether a signal of that name is recorded.
 
     Attributes:
         values: expected number of recorded values.
         time: (capacity,) recorded instants [s] of the current part of the memory; NaN beyond the last one.
-        blocks: for each port its current signals (orders + 1, n) and the recorded ones (orders + 1, n, capacity).
+        blocks: current signals (n,) that are recorded into successive columns (n, capacity), and these columns.
 
     Raises:
         InputError: there is not enough memory for the expected values.
     """
 
-    def __init__(self, ports: Sequence[OutputPort], capacity: int, *, shared: bool = False) -> None:
-        # names and units of the columns
-        signals = [(port.slave.name, [port.slave.variables[i] for i in port.indices]) for port in ports]
-        self._names = [[f"{slave}.{each.name}" for each in variables] for slave, variables in signals]
-        self._texts = [[each.type == "String" for each in variables] for _, variables in signals]
-        self._units = [[each.unit for each in variables] for _, variables in signals]
-        self._signals = [port.signals[: port.recorded] for port in ports]
+    def __init__(
+        self,
+        ports: Sequence[OutputPort],
+        capacity: int,
+        *,
+        shared: bool = False,
+        keeps: Callable[[str], bool] = lambda name: True,
+    ) -> None:
+        # variables that are kept, by name, as indices in their port
+        named = [
+            [(f"{port.slave.name}.{(variable := port.slave.variables[i]).name}", variable) for i in port.indices]
+            for port in ports
+        ]
+        self._kept = [[(i, *each) for i, each in enumerate(signals) if keeps(each[0])] for signals in named]
+        # current signals: runs of successive ones, order by order
+        self._orders = [port.recorded for port in ports]
+        self._signals: list[RealArray] = []
+        for port, kept in zip(ports, self._kept, strict=True):
+            rows, places = port.signals[: port.recorded], np.array([i for i, *_ in kept], dtype=np.intp)
+            if places.size == rows.shape[1]:
+                self._signals.append(rows.reshape(-1))
+                continue
+            runs = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if places.size else []
+            self._signals += [row[run[0] : run[-1] + 1] for row in rows for run in runs]
         self._shared = shared
         self._width = 1 + sum(signals.size for signals in self._signals)
         self.expect(capacity)
@@ -96,7 +114,7 @@ class Recorder:
         self.time, self._first = part[0], sum(each.shape[1] for each in self._parts[:-1])
         self.blocks = []
         for signals in self._signals:
-            self.blocks.append((signals, part[place : place + signals.size].reshape(*signals.shape, part.shape[1])))
+            self.blocks.append((signals, part[place : place + signals.size]))
             place += signals.size
 
     def append(self, time: float) -> None:
@@ -104,8 +122,8 @@ class Recorder:
         if self._count == self._first + self.time.size:
             self._add_part()
         place = self._count - self._first
-        for signals, rows in self.blocks:
-            rows[:, :, place] = signals
+        for signals, columns in self.blocks:
+            columns[:, place] = signals
         self.time[place] = time
         self.advance(self._count + 1)
 
@@ -158,13 +176,14 @@ class Recorder:
         self._own_references = min(self._own_references, self._references())
         columns: dict[str, Column] = {}
         place = 1
-        for names, units, texts, signals in zip(self._names, self._units, self._texts, self._signals, strict=True):
-            # texts are recorded as codes
-            known, end = TEXTS.known() if any(texts) else [], place + signals.size
-            for i, (name, unit, text) in enumerate(zip(names, units, texts, strict=True)):
-                value, *derivatives = (self._joined(row) for row in range(place + i, end, signals.shape[1]))
-                first, second = (None, None) if text else (*derivatives, None, None)[:2]
-                columns[name] = Column(unit, value, first, second, known if text else None)
+        for kept, orders in zip(self._kept, self._orders, strict=True):
+            end = place + orders * len(kept)
+            for i, (_, name, variable) in enumerate(kept):
+                value, *derivatives = (self._joined(row) for row in range(place + i, end, len(kept)))
+                # texts are recorded as codes
+                known = TEXTS.known() if variable.type == "String" else None
+                first, second = (None, None) if known is not None else (*derivatives, None, None)[:2]
+                columns[name] = Column(variable.unit, value, first, second, known)
             place = end
         return Recording(self.times, columns)
 

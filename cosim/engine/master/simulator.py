@@ -108,8 +108,18 @@ class Simulator:
         # step control also monitors outputs that aren't recorded
         read = record if step_control is None else EVERYTHING
         self._schedule = Schedule(system, self._grid, chosen, read)
-        capacity = self._grid.records
-        self._recorder = Recorder(self._schedule.outputs, capacity, shared=isolation is not None)
+        # signals that may become unstable: those in closed loops, if some of them are extrapolated
+        feedback, couplings = feedback_signals(system), self._schedule.couplings
+        transports = {couplings[each.source, each.target].transport for each in feedback}
+        self._feedback = self._source_names(feedback) if Transport.EXTRAPOLATED in transports else ()
+        self._loops = feedback_signals(system, sampled=True)
+        checked = {*self._feedback, *self._source_names(self._loops)}
+        self._recorder = Recorder(
+            self._schedule.outputs,
+            self._grid.records,
+            shared=isolation is not None,
+            keeps=lambda name: read.keeps(name) or name in checked,
+        )
         self._isolation = isolation
         # the loop over the points in C, if the plan allows it and there is a compiler
         self._compiled: CompiledLoop | None = None
@@ -119,11 +129,6 @@ class Simulator:
         if step_control is not None:
             check_can_save(filter(needs_rollback, system.slaves), "step control")
             self._coupling_error(step_control)
-        # signals that may become unstable: those in closed loops, if some of them are extrapolated
-        feedback, couplings = feedback_signals(system), self._schedule.couplings
-        transports = {couplings[each.source, each.target].transport for each in feedback}
-        self._feedback = self._source_names(feedback) if Transport.EXTRAPOLATED in transports else ()
-        self._loops = feedback_signals(system, sampled=True)
         self._terminating = [(i, slave) for i, slave in enumerate(system.slaves) if isinstance(slave, Terminates)]
         self._delays: dict[float, tuple[SignalDelay, ...]] = {}
 
@@ -133,11 +138,12 @@ class Simulator:
         Raises:
             InputError: the time grid is invalid, or there is not enough memory for the recording.
         """
-        grid = system_grid(self._system, self._grid.start, stop, self._step, self._control is None)
+        ticks, every = self._control is None, self._selection.step
+        grid = system_grid(self._system, self._grid.start, stop, self._step, ticks, record_step=every)
         check_regular_steps(self._system, grid, self._step, self._control is not None)
         self._grid = grid
         self._schedule.move_to(grid)
-        self._recorder.expect(grid.steps + 1 + grid.jumps)
+        self._recorder.expect(grid.records)
 
     def run(self, tolerance: float | None = None, progress: Progress | None = None) -> Simulation:
         """Co-simulate from start to stop; see `flexfmu.cosim.engine.master.master.simulate`.

@@ -106,6 +106,20 @@ def test_results_are_the_recorders_memory() -> None:
     assert held.nbytes < 1.02 * 5 * 8 * COUNT
 
 
+def test_only_what_is_kept_takes_memory() -> None:
+    """Of a port that is read as a whole, with the same numbers."""
+    port = Port()
+    recorder = Recorder([port], COUNT, keeps=lambda name: name == "source.z")  # type: ignore[list-item]
+    fill(port, recorder)
+    recording = recorder.recording()
+    assert [*recording.columns] == ["source.z"]
+    z = recording["source.z"]
+    assert np.array_equal(z.values, -np.arange(COUNT))
+    assert z.first is not None
+    assert np.array_equal(z.first, 3 * np.arange(COUNT))
+    assert recorder.values == 2 * COUNT
+
+
 @pytest.mark.skipif(not AVAILABLE, reason="needs Linux")
 @pytest.mark.parametrize("large", [False, True])
 def test_a_child_records_for_its_parent(large: bool, monkeypatch: pytest.MonkeyPatch) -> None:
