@@ -28,6 +28,9 @@ from flexfmu.model.scene.schema import Scene
 
 T = TypeVar("T", covariant=True)
 
+KINDS = ("position", "velocity", "acceleration")
+"""Last part of the references' names, by the order of the time derivative."""
+
 RECORDED = 32
 """Number of variants whose recordings are in memory at the same time."""
 
@@ -105,7 +108,7 @@ class SideBySide:
             raise NotTogetherError(f"the robot of scene {scene.name} doesn't follow its planned motion alone")
         self._fmu_path, self._settings = fmu_path, dict(parts.plant.parameters)
         step = section.communication_step if communication_step is None else communication_step
-        self._course = _course(parts.references, loop.motion.stop_time, step)
+        self._course = _course(parts.references, loop.motion.duration, loop.motion.stop_time, step)
         self._end, self._lanes = loop.motion.duration, lanes
         # what the runs of all variants share
         self._run = Run(
@@ -127,6 +130,7 @@ class SideBySide:
         variants: Sequence[Mapping[str, Any]],
         outputs: Sequence[str],
         progress: Callable[[int], None] = lambda count: None,
+        durations: Sequence[float] | None = None,
     ) -> list[dict[str, float] | None]:
         """The largest magnitudes of outputs over the motion, for each variant; None for one that the FMU must simulate.
 
@@ -134,12 +138,17 @@ class SideBySide:
             variants: changed parameters of each variant.
             outputs: names of outputs; those that the robot lacks are zero.
             progress: called now and then with the number of variants that were completed since the last call.
+            durations: of each variant's motion, of the same shape [s]; None for the scene's own.
 
         Raises:
             BuildError: there is no C compiler, or the model's functions branch.
+            NotTogetherError: the durations differ, and the processor has no lanes.
         """
         able, solver, values, known = self._prepare(variants, outputs)
-        found, failed = solver.peaks(values, self._end, progress)
+        if durations is not None and solver.lanes == 1:
+            raise NotTogetherError("motions of other durations need a processor with AVX2 or AVX-512")
+        paces = None if durations is None else np.array(durations)[able] / self._end
+        found, failed = solver.peaks(values, self._end, progress, paces)
         # back to the order of all variants
         lacking = dict.fromkeys(outputs, 0.0)
         rows = zip(found.tolist(), failed.tolist(), strict=True)
@@ -191,12 +200,14 @@ class SideBySide:
         return changed, np.array(values, dtype=float).reshape(len(variants), len(changed))
 
 
-def _course(references: TrajectorySlave, stop: float, step: float) -> Course:
-    """The references at the communication points from 0 to ``stop`` [s]."""
+def _course(references: TrajectorySlave, end: float, stop: float, step: float) -> Course:
+    """The references at the communication points from 0 over the motion's end to ``stop`` [s]."""
     grid = time_grid(0.0, stop, step, references.breakpoints)
     references.prepare(grid.times)
     names = [each.name for each in references.variables]
-    return Course(grid.times, grid.marked, names, references.ended[0, 0], references.announced[:-1])
+    kinds = [KINDS.index(name.rpartition(".")[2]) for name in names]
+    motion = int(grid.times.searchsorted(end))
+    return Course(grid.times, grid.marked, names, references.ended[0, 0], references.announced[:-1], kinds, motion)
 
 
 def _is_plain(variant: Mapping[str, Any], variables: Mapping[str, Any]) -> bool:

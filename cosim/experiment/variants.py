@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from math import ceil
+from numbers import Real
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -26,6 +27,12 @@ the FMU, such as ``payload.mass``."""
 
 FEW = 16
 """Fewer variants of one motion than this are simulated by the FMU, which needs no library for lockstep."""
+
+DURATION = "trajectory.duration"
+"""Key of the motion's duration [s]."""
+
+BAND = 1.25
+"""Largest ratio of durations side by side: their communication points are at the same places of the motion."""
 
 SHARES, LARGEST_SHARE = 4, 5000
 """Shares of the variants for each process, and the largest number of variants in a share."""
@@ -68,9 +75,9 @@ def run_variants(
 
     The FMU is built once; each motion is planned, and its references calculated, once for all variants with this motion.
 
-    Variants that differ in parameters of a motion-driven robot are simulated side by side in the lanes of the processor's
-    vector registers if ``measure`` tells which outputs it needs, as `flexfmu.cosim.metrics.chosen.measuring` does. They have common
-    steps, chosen by the variant with the largest error: each result agrees with that of the variant's own run within the
+    Variants that differ in parameters of a motion-driven robot (for peaks also in the motion's duration) are simulated side by
+    side in the lanes of the processor's vector registers if ``measure`` tells which outputs it needs, as
+    `flexfmu.cosim.metrics.chosen.measuring` does. They have common steps, chosen by the variant with the largest error: each result agrees with that of the variant's own run within the
     tolerance. All other variants are runs of the FMU, to the last bit.
 
     Args:
@@ -144,20 +151,43 @@ class _Task(Generic[T]):
                 last[:] = [self._prepared(motion)]
             return last[0]
 
+        # side by side what can be, and what is left by the FMU
         found: dict[int, VariantResult[T]] = {}
-        groups: dict[str, list[int]] = {}
-        for i, variant in enumerate(variants):
-            groups.setdefault(repr(sorted(_part(variant, motion=True).items())), []).append(i)
-        for members in groups.values():
-            # variants with the same motion: in lockstep, and what is left by the FMU
-            motion = _part(variants[members[0]], motion=True)
-            found |= self._in_lockstep(motion, {i: variants[i] for i in members}, done)
-            left = [i for i in members if i not in found]
-            ready = _attempt(prepared, motion) if left else None
-            for i in left:
+        for members in self._bands(variants):
+            found |= self._in_lockstep({i: variants[i] for i in members}, done)
+        left = {i: variant for i, variant in enumerate(variants) if i not in found}
+        for members in _groups(left, lambda variant: _part(variant, motion=True)):
+            ready = _attempt(prepared, _part(variants[members[0]], motion=True))
+            for i in members:
                 found[i] = _result(variants[i], ready, self.measure)
                 done(1)
         return [found[i] for i in range(len(variants))]
+
+    def _bands(self, variants: Sequence[Changes]) -> Iterator[list[int]]:
+        """Yield the indices of variants that may be simulated side by side.
+
+        They have the same motion; for peaks also motions of one shape, in bands of similar durations, the longest first.
+        """
+        measure = self.measure
+        if not isinstance(measure, PeakMeasure | SignalMeasure):
+            return
+        scales = isinstance(measure, PeakMeasure) and not self.scene.shaper
+        shape = _without_duration if scales else lambda variant: _part(variant, motion=True)
+        for members in _groups(dict(enumerate(variants)), shape):
+            lasting = [i for i in members if isinstance(self._duration(variants[i]), Real)] if scales else members
+            lasting.sort(key=lambda i: -self._duration(variants[i]) if scales else i)
+            first = 0
+            for k in range(1, len(lasting) + 1):
+                longest = self._duration(variants[lasting[first]])
+                if k < len(lasting) and (not scales or longest <= BAND * self._duration(variants[lasting[k]])):
+                    continue
+                if k - first >= FEW:
+                    yield lasting[first:k]
+                first = k
+
+    def _duration(self, variant: Changes) -> Any:
+        """Duration of a variant's motion [s]."""
+        return variant.get(DURATION, self.scene.trajectory.duration)
 
     def _changed(self, motion: Changes) -> Scene:
         return self.scene.replace(dict(motion)) if motion else self.scene
@@ -171,24 +201,25 @@ class _Task(Generic[T]):
             record=self.record,
         )
 
-    def _in_lockstep(
-        self, motion: Changes, variants: Mapping[int, Changes], done: Callable[[int], None]
-    ) -> dict[int, VariantResult[T]]:
-        """The results of the variants that can be simulated in lockstep, by their keys."""
-        measure = self.measure
-        if not isinstance(measure, PeakMeasure | SignalMeasure) or len(variants) < FEW:
-            return {}
-        changes = [_part(each, motion=False) for each in variants.values()]
+    def _in_lockstep(self, variants: Mapping[int, Changes], done: Callable[[int], None]) -> dict[int, VariantResult[T]]:
+        """The results of those variants of a band that can be simulated in lockstep, by their keys."""
+        measure, members = self.measure, [*variants.values()]
+        changes = [_part(each, motion=False) for each in members]
+        durations = [self._duration(each) for each in members]
 
         def simulated() -> Iterable[VariantResult[T] | None]:
-            together = SideBySide(self._changed(motion), self.fmu_path, self.communication_step, self.tolerance)
+            # the scene has the longest duration; the shortest must be valid too
+            self._changed(_part(members[-1], motion=True))
+            scene = self._changed(_part(members[0], motion=True))
+            together = SideBySide(scene, self.fmu_path, self.communication_step, self.tolerance)
             if isinstance(measure, PeakMeasure):
-                peaks = together.peaks(changes, measure.outputs, done)
+                peaks = together.peaks(changes, measure.outputs, done, None if len(set(durations)) == 1 else durations)
                 return [
                     None if each is None else VariantResult(variant, measure.of_peaks(each))
-                    for variant, each in zip(variants.values(), peaks, strict=True)
+                    for variant, each in zip(members, peaks, strict=True)
                 ]
-            runs = zip(variants.values(), together.runs(changes, measure.signals), strict=True)
+            assert isinstance(measure, SignalMeasure)
+            runs = zip(members, together.runs(changes, measure.signals), strict=True)
             return [None if run is None else self._measured(variant, run, done) for variant, run in runs]
 
         # where they can't be planned or simulated, the FMU tells why
@@ -204,6 +235,19 @@ class _Task(Generic[T]):
         return (
             VariantResult(variant, None, outcome) if isinstance(outcome, Exception) else VariantResult(variant, outcome)
         )
+
+
+def _groups(variants: Mapping[int, Changes], key: Callable[[Changes], Changes]) -> Iterable[list[int]]:
+    """Keys of variants of which ``key`` gives the same changes, in the order of the variants."""
+    groups: dict[str, list[int]] = {}
+    for i, variant in variants.items():
+        groups.setdefault(repr(sorted(key(variant).items())), []).append(i)
+    return groups.values()
+
+
+def _without_duration(variant: Changes) -> dict[str, Any]:
+    """The changes of the motion but its duration."""
+    return {key: value for key, value in _part(variant, motion=True).items() if key != DURATION}
 
 
 def _part(variant: Changes, *, motion: bool) -> dict[str, Any]:

@@ -17,6 +17,7 @@ typedef struct {
   real *recording; /* [instants (order + 1) n_recorded] */
   real *motion;    /* position, rate and acceleration [instants 3 n], if derivatives are calculated later */
   int *has_rates;  /* [instants] 1 = the recording has the derivatives */
+  real pace;       /* of the motions */
   int *gone;       /* [FLEX_WIDTH] 1 = the lane is a copy of another one */
 } batch;
 
@@ -29,13 +30,14 @@ static int instants(const flex_batch_task *task) {
 }
 
 /* arrays of a plant that a lane's future depends on; without the Newton matrix and the last steps, which are made anew */
-enum { PIECES = 9 };
+enum { PIECES = 11 };
 typedef struct {
   real *at;
   int count;
 } piece;
 
-static void find_pieces(flex_plant *plant, piece *pieces) {
+static void find_pieces(batch *whole, piece *pieces) {
+  flex_plant *plant = whole->plant;
   const flex_model *model = plant->model;
   flex_integrator *g = &plant->integrator;
   const piece found[PIECES] = {
@@ -48,12 +50,14 @@ static void find_pieces(flex_plant *plant, piece *pieces) {
       {plant->outputs, model->n_outputs},
       {plant->inputs.coefficients, model->n_inputs * (model->max_input_order + 1)},
       {&g->record->scale, 1},
+      {&g->stages.pace, 1},
+      {&whole->pace, 1},
   };
   memcpy(pieces, found, sizeof found);
 }
 
 static size_t lane_numbers(const flex_model *model) {
-  return (size_t)(model->n_parameters + model->n_derived + 7 * model->n + 2 + model->n_outputs) +
+  return (size_t)(model->n_parameters + model->n_derived + 7 * model->n + 4 + model->n_outputs) +
          (size_t)model->n_inputs * (size_t)(model->max_input_order + 3);
 }
 
@@ -75,7 +79,7 @@ size_t flex_batch_size(const flex_batch_task *task) {
 
 // pieces of the caller's memory, from its first aligned byte on
 static batch make_batch(const flex_batch_task *task, void *memory) {
-  batch whole = {task, NULL, NULL, NULL, NULL, NULL, NULL};
+  batch whole = {task, NULL, NULL, NULL, NULL, NULL, flex_real(1.0), NULL};
   char *first = memory;
   flex_arena arena = {first + (sizeof(real) - (uintptr_t)first % sizeof(real)) % sizeof(real), 0};
   size_t used = take(&whole, task, &arena);
@@ -86,7 +90,7 @@ static batch make_batch(const flex_batch_task *task, void *memory) {
 static void keep_lanes(batch *whole) {
   piece pieces[PIECES];
   real *to = whole->kept;
-  find_pieces(whole->plant, pieces);
+  find_pieces(whole, pieces);
   for (int i = 0; i < PIECES; to += pieces[i++].count) memcpy(to, pieces[i].at, (size_t)pieces[i].count * sizeof(real));
 }
 
@@ -94,7 +98,7 @@ static void keep_lanes(batch *whole) {
 static void put_lanes(batch *whole, const int *from) {
   piece pieces[PIECES];
   const real *kept = whole->kept;
-  find_pieces(whole->plant, pieces);
+  find_pieces(whole, pieces);
   for (int i = 0; i < PIECES; i++)
     for (int c = 0; c < pieces[i].count; c++, kept++)
       for (int lane = 0; lane < FLEX_WIDTH; lane++) flex_set_lane(pieces[i].at + c, lane, flex_lane(*kept, from[lane]));
@@ -103,7 +107,8 @@ static void put_lanes(batch *whole, const int *from) {
 static void set_lane_parameters(batch *whole, int lane, const double *values) {
   const flex_batch_task *task = whole->task;
   for (int i = 0; i < flex_the_model.n_parameters; i++) flex_set_lane(whole->plant->p + i, lane, task->parameters[i]);
-  for (int i = 0; i < task->n_changed; i++) flex_set_lane(whole->plant->p + task->changed[i], lane, values[i]);
+  for (int i = 0; i < task->n_changed; i++) flex_set_lane(whole->plant->p + task->changed[i], lane, values[1 + i]);
+  flex_set_lane(&whole->pace, lane, values[0]);
 }
 
 // inputs before the motion
@@ -113,15 +118,24 @@ static void set_before(batch *whole) {
   flex_plant_inputs_changed(whole->plant);
 }
 
-// polynomials of the step that begins at a communication point
+// of the step that begins at a communication point
+static real pace_of(const batch *whole, int point) { return point < whole->task->n_motion ? whole->pace : flex_real(1.0); }
+
+// polynomials of that step in the common time; a lane with another pace has other rates
 static void set_inputs(batch *whole, int point) {
   const flex_batch_task *task = whole->task;
   flex_inputs *inputs = &whole->plant->inputs;
   int m = inputs->count, orders = task->n_orders;
   const double *derivatives = task->polynomials + (size_t)point * (size_t)(orders * m);
+  real pace = pace_of(whole, point);
+  whole->plant->integrator.stages.pace = pace;
+  const real slower[] = {flex_real(1.0), 1.0 / pace, 1.0 / (pace * pace)};
+  if (point == task->n_motion && !flex_is_zero_or_more(-flex_fabs(whole->pace - 1.0)))
+    flex_integrator_restart(&whole->plant->integrator);
   for (int i = 0; i < m; i++) {
     real *coefficients = inputs->coefficients + i * (inputs->order + 1);
-    for (int k = 0; k < orders; k++) coefficients[k] = flex_real(derivatives[k * m + i] / flex_factorial(k));
+    for (int k = 0; k < orders; k++)
+      coefficients[k] = derivatives[k * m + i] / flex_factorial(k) * slower[task->kinds[i]];
     inputs->base[i] = task->times[point];
     inputs->degree[i] = orders - 1;
   }
@@ -269,7 +283,7 @@ static void run(batch *whole, int count, const double *values, int *failed) {
   plant->record->method = task->method;
   plant->record->starts_static = task->starts_static;
   for (int lane = 0; lane < FLEX_WIDTH; lane++) {
-    set_lane_parameters(whole, lane, values + (size_t)(lane < count ? lane : count - 1) * (size_t)task->n_changed);
+    set_lane_parameters(whole, lane, values + (size_t)(lane < count ? lane : count - 1) * (size_t)(1 + task->n_changed));
     whole->gone[lane] = lane >= count;
   }
   flex_plant_parameters_changed(plant);
@@ -284,7 +298,7 @@ void flex_batch_record(const flex_batch_task *task, void *memory, int count, con
   int n = task->n_recorded, orders = task->order + 1, times = instants(task);
   for (int first = 0; first < count; first += FLEX_WIDTH) {
     int members = count - first < FLEX_WIDTH ? count - first : FLEX_WIDTH;
-    run(&whole, members, values + (size_t)first * (size_t)task->n_changed, failed + first);
+    run(&whole, members, values + (size_t)first * (size_t)(1 + task->n_changed), failed + first);
 
     // by variants, outputs and orders
     double *to = recordings + (size_t)first * (size_t)n * (size_t)(orders * times);
@@ -323,7 +337,8 @@ static real find_peak(batch *whole, double end, int output) {
       if ((follows || goes_on) && flex_is_positive(peak - larger - beyond)) continue;
       add_rates(whole, instant, point, task->times[point]);
       add_rates(whole, instant + 1, point, task->times[point + 1]);
-      peak = flex_segment_peak(task->times[point + 1] - task->times[point], stride, left, right, peak);
+      real step = (task->times[point + 1] - task->times[point]) * pace_of(whole, point);
+      peak = flex_segment_peak(step, stride, left, right, peak);
     }
   return peak;
 }
@@ -333,7 +348,7 @@ void flex_batch_peaks(const flex_batch_task *task, void *memory, double end, int
   batch whole = make_batch(task, memory);
   for (int first = 0; first < count; first += FLEX_WIDTH) {
     int members = count - first < FLEX_WIDTH ? count - first : FLEX_WIDTH;
-    run(&whole, members, values + (size_t)first * (size_t)task->n_changed, failed + first);
+    run(&whole, members, values + (size_t)first * (size_t)(1 + task->n_changed), failed + first);
     int is_done = 0;
     for (int lane = 0; lane < members; lane++) is_done |= !failed[first + lane];
     for (int i = 0; is_done && i < task->n_recorded; i++) {

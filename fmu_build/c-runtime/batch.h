@@ -23,6 +23,11 @@ typedef struct {
   int n_orders;
   const double *before, *polynomials;
 
+  /* motions of one shape: so many points have to be reached for the motion's end, up to which a variant's own time has its pace;
+   * for each input the order of the time derivative that it is [n_inputs] */
+  int n_motion;
+  const int *kinds;
+
   /* solver: as the FMU's parameters */
   double tolerance, fixed_step;
   int method, starts_static;
@@ -50,7 +55,8 @@ FLEX_BATCH_EXPORT int flex_batch_width(void);
 /* bytes of memory that simulating a task needs, zeroed by the caller */
 FLEX_BATCH_EXPORT size_t flex_batch_size(const flex_batch_task *task);
 
-/* simulates `count` variants. values [count n_changed]: changed parameters. recordings [count n_recorded (order + 1)
+/* simulates `count` variants. values [count (1 + n_changed)]: how many times as long as that of the inputs the variant's motion
+ * takes, and changed parameters. recordings [count n_recorded (order + 1)
  * instants], the instants being the communication points, those with jumps twice; failed [count]: 1 where a variant couldn't
  * be simulated */
 FLEX_BATCH_EXPORT void flex_batch_record(const flex_batch_task *task, void *memory, int count, const double *values,

@@ -47,7 +47,7 @@ static double sharpened(const double *coefficients, double peak) {
   return peak;
 }
 
-real flex_segment_peak(double step, int stride, const real *begin, const real *end, real peak) {
+real flex_segment_peak(real step, int stride, const real *begin, const real *end, real peak) {
   real b[DEGREE + 1];
   real slope0 = (0.2 * step) * begin[stride], slope1 = (0.2 * step) * end[stride];
   real curve0 = (0.05 * step * step) * begin[2 * stride], curve1 = (0.05 * step * step) * end[2 * stride];

@@ -6,6 +6,6 @@
 
 /* the larger of `peak` and the largest magnitude of the quintic Hermite polynomial over a segment. begin, end: value, first
  * and second derivative, `stride` apart; step: length of the segment [s] */
-real flex_segment_peak(double step, int stride, const real *begin, const real *end, real peak);
+real flex_segment_peak(real step, int stride, const real *begin, const real *end, real peak);
 
 #endif

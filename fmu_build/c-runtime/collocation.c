@@ -52,7 +52,8 @@ static double bend(const flex_integrator *integrator, double h) {
 }
 
 // changes of positions and rates over a step, into the first and the second half of `change`
-static void step_increments(flex_integrator *integrator, double h) {
+static void step_increments(flex_integrator *integrator, double step) {
+  real h = flex_paced(step, integrator->stages.pace);
   const flex_tableau *tableau = integrator->stages.tableau;
   int n = integrator->n;
   real *dy = integrator->change, *dv = dy + n;
@@ -116,7 +117,8 @@ static flex_outcome solve(flex_integrator *integrator, double t, double h, doubl
 }
 
 // the cheap estimate: acceleration at the start against the polynomial of the stages, without what stiff modes add
-static double cheap_error(flex_integrator *integrator, double h) {
+static double cheap_error(flex_integrator *integrator, double step) {
+  real h = flex_paced(step, integrator->stages.pace);
   const flex_tableau *tableau = integrator->stages.tableau;
   int n = integrator->n;
   real *defect = integrator->defect;
@@ -127,7 +129,7 @@ static double cheap_error(flex_integrator *integrator, double h) {
   flex_newton_filter(&integrator->stages.matrix, defect);
 
   // norm of the defect in rates and positions
-  double rate = DEFECT_RATE * h, position = DEFECT_POSITION * h * h;
+  real rate = DEFECT_RATE * h, position = DEFECT_POSITION * h * h;
   real sum = flex_real(0.0);
   for (int c = 0; c < n; c++) {
     real of_rate = rate * rate * integrator->stages.rate_weight[c];

@@ -134,11 +134,11 @@ int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations
 }
 
 // matrix of one eigenvalue z: M + h z D + h^2 z^2 K
-static void assemble(const flex_newton_matrix *matrix, const flex_eigenvalue *z, double h, real *block) {
+static void assemble(const flex_newton_matrix *matrix, const flex_eigenvalue *z, real h, real *block) {
   const real *mass = matrix->mass, *damping = matrix->damping, *stiffness = matrix->stiffness;
   int count = matrix->n * matrix->n;
-  double re = h * z->value[0], im = h * z->value[1];
-  double square_re = re * re - im * im, square_im = 2.0 * re * im;
+  real re = h * z->value[0], im = h * z->value[1];
+  real square_re = re * re - im * im, square_im = 2.0 * re * im;
   if (!z->is_complex) {
     for (int i = 0; i < count; i++) block[i] = mass[i] + re * damping[i] + square_re * stiffness[i];
     return;
@@ -158,13 +158,13 @@ static int *pivots_of(const flex_newton_matrix *matrix, int block) {
   return matrix->pivots + block * matrix->n;
 }
 
-int flex_newton_factor(flex_newton_matrix *matrix, double h) {
+int flex_newton_factor(flex_newton_matrix *matrix, double h, real pace) {
   const flex_tableau *tableau = matrix->tableau;
   int singular = 0;
   if (fabs(h - matrix->record->factored_step) <= STEP_CHANGE * h) return 0;
   for (int k = 0; k < tableau->n_blocks; k++) {
     real *factors = factors_of(matrix, k);
-    assemble(matrix, &tableau->blocks[k], h, factors);
+    assemble(matrix, &tableau->blocks[k], flex_paced(h, pace), factors);
     singular |= tableau->blocks[k].is_complex ? flex_complex_lu_factor(matrix->n, factors, pivots_of(matrix, k))
                                               : flex_lu_factor(matrix->n, factors, pivots_of(matrix, k));
   }

@@ -50,8 +50,8 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
 /* M alone, D and K as they are. Returns 0, or 1 if the model refused to be evaluated. */
 int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations, const real *y, const real *u);
 
-/* factors for the step size h, unless those that are there do. Returns 0, or 1 if a matrix is singular. */
-int flex_newton_factor(flex_newton_matrix *matrix, double h);
+/* factors for the step size h in the lanes' own time, unless those that are there do. Returns 0, or 1 if a matrix is singular. */
+int flex_newton_factor(flex_newton_matrix *matrix, double h, real pace);
 
 /* x [stages n] replaced by the solution */
 void flex_newton_solve(flex_newton_matrix *matrix, real *x);

@@ -86,6 +86,7 @@ flex_plant *flex_plant_create(const flex_model *model, void *memory) {
   integrator->stages.position_weight = plant->scale;
   integrator->stages.rate_weight = plant->scale + model->n;
   integrator->floor = plant->scale + 2 * model->n;
+  integrator->stages.pace = flex_real(1.0);
   integrator->fixed_step = &plant->record->fixed_step;
   flex_plant_reset(plant);
   return plant;
@@ -417,6 +418,11 @@ flex_failure flex_plant_need_rates(flex_plant *plant, int order) {
   flex_outcome outcome = flex_integrator_factor(&plant->integrator, plant->u);
   if (outcome != FLEX_DONE) return outcome_now(plant, outcome, 0.0);
   flex_inputs_rates(&plant->inputs, record->time, plant->u1, plant->u2);
+  for (int i = 0; i < plant->inputs.count; i++) {
+    real pace = plant->integrator.stages.pace;
+    plant->u1[i] = flex_own_rate(plant->u1[i], pace);
+    plant->u2[i] = flex_own_rate(flex_own_rate(plant->u2[i], pace), pace);
+  }
 
   // jerk and rates of the outputs, then snap and their second rates
   if (!(record->have & FLEX_HAVE_FIRST_RATES)) {

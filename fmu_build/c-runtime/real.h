@@ -1,7 +1,7 @@
 /* The solver's type of number, `real`: a double, or with FLEX_WIDTH > 1 a vector with one double, a lane, for each of so many
  * variants that are simulated in lockstep (GCC's and Clang's vector extensions).
  *
- * Time and step size are common to all lanes. Decisions are made by the worst lane: norms are the largest of all lanes in
+ * Time and step size are common to all lanes, but for a pace: a lane's own time may pass faster or slower. Decisions are made by the worst lane: norms are the largest of all lanes in
  * units of the lane's own motion, conditions hold if they hold in every lane. With one lane nothing is left of all this. */
 #ifndef FLEXFMU_REAL_H
 #define FLEXFMU_REAL_H
@@ -64,6 +64,16 @@ static inline double flex_worst(real norm, real scale) {
   return norm;
 }
 static inline double flex_common(real scale) { return scale; }
+
+/* a span of the common time in the lane's own, which passes `pace` times as fast; a rate in the common time in the lane's */
+static inline real flex_paced(double span, real pace) {
+  (void)pace;
+  return span;
+}
+static inline real flex_own_rate(real rate, real pace) {
+  (void)pace;
+  return rate;
+}
 #else
 typedef double real __attribute__((vector_size(8 * FLEX_WIDTH)));
 typedef int64_t flex_real_bits __attribute__((vector_size(8 * FLEX_WIDTH)));
@@ -122,6 +132,9 @@ static inline double flex_common(real scale) {
   (void)scale;
   return 1.0;
 }
+
+static inline real flex_paced(double span, real pace) { return span * pace; }
+static inline real flex_own_rate(real rate, real pace) { return rate / pace; }
 #endif
 
 static inline real *flex_take_reals(flex_arena *arena, size_t count) { return flex_take(arena, count * sizeof(real)); }

@@ -94,9 +94,9 @@ double flex_error_norm(const flex_stages *stages, const real *dy, const real *dv
 }
 
 // integrals of the accelerations in units of the step → positions and rates
-static void move(int n, double h, double drift, const real *restrict y, const real *restrict v, real *restrict q,
+static void move(int n, real h, real drift, const real *restrict y, const real *restrict v, real *restrict q,
                  real *restrict w) {
-  double square = h * h;
+  real square = h * h;
   int c = 0;
   for (; c + 2 <= n; c += 2) {
     q[c] = y[c] + (drift * v[c] + square * q[c]);
@@ -128,6 +128,7 @@ static void evaluate_inputs(flex_stages *stages, double t, double h) {
 
 // residuals of all stages at the present accelerations
 static int evaluate(flex_stages *stages, double h, const real *y, const real *v) {
+  real span = flex_paced(h, stages->pace);
   const flex_tableau *tableau = stages->tableau;
   int n = stages->n, s = tableau->stages, m = stages->inputs->count, refused = 0;
   const real *a = stages->acceleration;
@@ -135,15 +136,15 @@ static int evaluate(flex_stages *stages, double h, const real *y, const real *v)
     real *q = stages->position + i * n, *w = stages->rate + i * n;
     flex_combine(n, s, tableau->a_squared[i], a, q);
     flex_combine(n, s, tableau->a[i], a, w);
-    move(n, h, tableau->c[i] * h, y, v, q, w);
+    move(n, span, tableau->c[i] * span, y, v, q, w);
     refused |= flex_residual(stages->equations, q, w, a + i * n, stages->u + i * m, stages->residual + i * n);
   }
   return refused;
 }
 
 // positions change by about h^2/6 times the acceleration (the mean of c^2/2), rates by h times it
-static void weigh(flex_stages *stages, double h) {
-  double position = h * h / 6.0;
+static void weigh(flex_stages *stages, real h) {
+  real position = h * h / 6.0;
   for (int c = 0; c < stages->n; c++)
     stages->weight[c] = h * h * stages->rate_weight[c] + position * position * stages->position_weight[c];
 }
@@ -279,12 +280,12 @@ flex_outcome flex_stages_solve(flex_stages *stages, double t, double h, const re
                                real scale, double target) {
   flex_stages_record *record = stages->record;
   const flex_tableau *tableau = stages->tableau;
-  weigh(stages, h);
+  weigh(stages, flex_paced(h, stages->pace));
 
   for (;;) {
     // matrix and inputs of this step
     if (is_worn(stages) && refresh(stages, t, h, y, v, a0, scale)) return FLEX_NOT_FINITE;
-    if (flex_newton_factor(&stages->matrix, h)) return FLEX_NOT_FINITE;
+    if (flex_newton_factor(&stages->matrix, h, stages->pace)) return FLEX_NOT_FINITE;
     evaluate_inputs(stages, t, h);
     int was_fresh = record->fresh_steps == 0, measures = record->unchecked_steps >= UNCHECKED_STEPS;
     long long before = record->iterations;

@@ -41,6 +41,8 @@ typedef struct {
   /* error norm: sqrt(sum of position_weight dy^2 + rate_weight dv^2) */
   const real *position_weight, *rate_weight;
 
+  real pace; /* of each lane's own time */
+
   /* the unknowns, stages x n: prediction before, result after a solution */
   real *acceleration;
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from flexfmu.cosim.experiment.scene_build import build_scene
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.system import scene_system
 from flexfmu.cosim.experiment.variants import VariantError, run_variants
-from flexfmu.cosim.metrics.chosen import ChosenMetrics, PeakMetrics, measuring
+from flexfmu.cosim.metrics.chosen import PeakMetrics, measuring
 from flexfmu.cosim.metrics.metric_table import METRICS
 from flexfmu.cosim.metrics.metrics import metrics_of
 from flexfmu.fmu_build.batch_build import in_lanes, lanes_of_processor
@@ -48,7 +48,8 @@ def lockstep(lanes: int, order: int = 2) -> Lockstep:
     grid = time_grid(0.0, loop.motion.stop_time, STEP, references.breakpoints)
     references.prepare(grid.times)
     names = [each.name for each in references.variables]
-    course = Course(grid.times, grid.marked, names, references.ended[0, 0], references.announced[:-1])
+    polynomials, kinds = references.announced[:-1], [0, 0, 1, 1, 2, 2]
+    course = Course(grid.times, grid.marked, names, references.ended[0, 0], polynomials, kinds, 200)
     return Lockstep(fmu, parts.plant.parameters, course, NAMES, OUTPUTS, order=order, tolerance=TOLERANCE, lanes=lanes)
 
 
@@ -135,11 +136,35 @@ def test_peaks_are_the_metrics() -> None:
     measure = measuring(["peak_torque_1", "peak_torque_2", "peak_tip_deflection_1"])
     assert isinstance(measure, PeakMetrics)
     side_by_side = run_variants(SCENE, variants, measure, communication_step=STEP, tolerance=TOLERANCE)
-    singly = run_variants(SCENE, variants, ChosenMetrics(measure.names), communication_step=STEP, tolerance=TOLERANCE)
+    singly = run_variants(
+        SCENE, variants, partial(metrics_of, names=measure.names), communication_step=STEP, tolerance=TOLERANCE
+    )
     for one, other in zip(side_by_side, singly, strict=True):
         assert one.changes == other.changes
         assert one.value is not None
         assert one.value == pytest.approx(other.value, rel=10 * TOLERANCE)
+
+
+@pytest.mark.skipif(LANES[-1] == 1, reason="one lane has one duration")
+def test_durations_side_by_side() -> None:
+    """Motions of one shape, slower and faster, with other payloads: each has its own time in the same steps."""
+    durations, masses = np.linspace(0.18, 0.3, 34), np.linspace(2.0, 6.0, 34)
+    variants: list[dict[str, Any]] = [
+        {"trajectory.duration": float(duration), "payload.mass": float(mass)}
+        for duration, mass in zip(durations, masses, strict=True)
+    ]
+    measure = measuring(["peak_torque_1", "peak_torque_2"])
+    shuffled = [variants[i] for i in np.random.default_rng(1).permutation(34)]
+    shuffled.insert(5, {"trajectory.duration": -1.0})
+    side_by_side = run_variants(SCENE, shuffled, measure, communication_step=STEP, tolerance=TOLERANCE)
+    singly = run_variants(
+        SCENE, shuffled, partial(metrics_of, names=measure.names), communication_step=STEP, tolerance=TOLERANCE
+    )
+    assert [each.error is None for each in side_by_side] == [i != 5 for i in range(35)]
+    for one, other in zip(side_by_side, singly, strict=True):
+        assert one.changes == other.changes
+        if one.value is not None:
+            assert one.value == pytest.approx(other.value, rel=10 * TOLERANCE)
 
 
 def test_metrics_of_recordings() -> None:

@@ -40,6 +40,8 @@ class _Task(Structure):
         ("n_orders", c_int),
         ("before", _DOUBLES),
         ("polynomials", _DOUBLES),
+        ("n_motion", c_int),
+        ("kinds", _INTS),
         ("tolerance", c_double),
         ("fixed_step", c_double),
         ("method", c_int),
@@ -64,6 +66,8 @@ class Course:
         names: names of the m inputs.
         before: (m,) values before the first point.
         polynomials: (N - 1, orders, m) derivatives, from order 0, at the beginning of each step's polynomials.
+        kinds: (m,) for inputs that are time derivatives of others their order, 0 to 2.
+        motion: number of steps until the motion's end.
     """
 
     times: RealArray
@@ -71,6 +75,8 @@ class Course:
     names: Sequence[str]
     before: RealArray
     polynomials: RealArray
+    kinds: Sequence[int]
+    motion: int
 
     @property
     def instants(self) -> RealArray:
@@ -129,6 +135,7 @@ class Lockstep:
             "jumps": course.jumps.astype(np.intc),
             "before": np.ascontiguousarray(course.before[columns]),
             "polynomials": np.ascontiguousarray(course.polynomials[:, :, columns]),
+            "kinds": np.array(course.kinds, dtype=np.intc)[columns],
             "parameters": parameters,
             "changed": np.array([places[name] for name in changed], dtype=np.intc),
             "recorded": np.array([references[name] - first for name in outputs], dtype=np.intc),
@@ -137,6 +144,7 @@ class Lockstep:
         self._task = _Task(
             n_points=course.times.size,
             n_orders=course.polynomials.shape[1],
+            n_motion=course.motion,
             tolerance=max(tolerance, LEAST_TOLERANCE),
             fixed_step=float(settings.get(FIXED_STEP, 0.0)),
             method=number(INTEGRATOR.name, 1),
@@ -148,7 +156,7 @@ class Lockstep:
         )
 
     def record(self, values: RealArray) -> tuple[RealArray, Flags]:
-        """Simulate variants and record them.
+        """Simulate variants of the course's own motion and record them.
 
         Args:
             values: (N, k) changed parameters of each variant.
@@ -157,12 +165,16 @@ class Lockstep:
             The recordings (N, n, order + 1, instants), and (N,) whether a variant failed.
         """
         recordings = np.empty((len(values), *self._shape, self._instants))
-        return recordings, self._run(
-            values, recordings, self._library.flex_batch_record, (), self._memory(finds_peaks=False)
-        )
+        memory = self._memory(finds_peaks=False)
+        values = np.insert(values, 0, 1.0, axis=1)
+        return recordings, self._run(values, recordings, self._library.flex_batch_record, (), memory)
 
     def peaks(
-        self, values: RealArray, end: float, progress: Callable[[int], None] = lambda count: None
+        self,
+        values: RealArray,
+        end: float,
+        progress: Callable[[int], None] = lambda count: None,
+        paces: RealArray | None = None,
     ) -> tuple[RealArray, Flags]:
         """Simulate variants and find the largest magnitude of each output, by its value and two derivatives.
 
@@ -170,12 +182,15 @@ class Lockstep:
             values: (N, k) changed parameters of each variant.
             end: time up to which magnitudes count, one of the communication points [s].
             progress: called now and then with the number of variants that were simulated since the last call.
+            paces: (N,) how many times as long as the course's motion each variant's motion of the same shape takes; the
+                standstill after it takes the same time. None for the course's own motion.
 
         Returns:
             The peaks (N, n), and (N,) whether a variant failed.
         """
         peaks, failed = np.empty((len(values), self._shape[0])), np.zeros(len(values), dtype=np.bool_)
         memory = self._memory(finds_peaks=True)
+        values = np.insert(values, 0, 1.0 if paces is None else paces, axis=1)
         for first in range(0, len(values), BATCH):
             piece = slice(first, first + BATCH)
             failed[piece] = self._run(
