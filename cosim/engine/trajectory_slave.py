@@ -33,8 +33,8 @@ FEW = 8
 MANY = 64
 """Number of looked-up points above which the kept ones are discarded."""
 
-KEPT_POINTS = 2**16
-"""Number of points of kept tables above which all are discarded; 48 MB."""
+KEPT_POINTS = 2**14
+"""Number of points of kept tables above which all are discarded; 12 MB."""
 
 ROUNDING = 4.0
 """Bound of rounding errors of times, in units in the last place of the last one."""

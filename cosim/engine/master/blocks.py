@@ -27,7 +27,7 @@ from flexfmu.cosim.engine.slave import (
     offset,
 )
 
-BLOCK = 4096
+BLOCK = 2048
 """Largest number of ticks, or of sample instants of a slave, in a block."""
 
 SHORTEST = 64

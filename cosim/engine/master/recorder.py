@@ -23,7 +23,7 @@ from flexfmu.cosim.engine.slave import TEXTS, RealArray
 _MADV_POPULATE_WRITE = 23
 """MADV_POPULATE_WRITE of Linux 5.14 and later; Python's mmap has no name for it."""
 
-LARGE = 2**25
+LARGE = 2**27
 """Size of a recording [bytes] from which it is mapped from a temporary file, where the platform can reserve its space."""
 
 RELEASED = 8192
