@@ -151,6 +151,7 @@ _BATCH = (
         "batch.",
         "batch_functions.",
         "batch_peaks.",
+        "batch_run.",
         "collocation.",
         "elementary",
         "equations.",

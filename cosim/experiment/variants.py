@@ -109,9 +109,13 @@ def run_variants(
     shares = [variants[first : first + size] for first in range(0, len(variants), size)]
     found: list[VariantResult[T]] = []
     with ProcessPoolExecutor(processes) as pool:
-        for results in pool.map(task.results, shares):
-            found += results
-            report.add(len(results))
+        try:
+            for results in pool.map(task.results, shares):
+                found += results
+                report.add(len(results))
+        finally:
+            # after Ctrl-C no further share begins
+            pool.shutdown(wait=False, cancel_futures=True)
     return found
 
 

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Sequence
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -215,6 +220,33 @@ def test_controlled_robots_and_several_processes() -> None:
             assert single.value == pytest.approx(shared.value, rel=1e-3)
     with pytest.raises(InputError, match="at least 1 process, got 0"):
         run_variants(SCENE, variants, measure, processes=0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux" or not shutil.which("gcc"), reason="preloads GCC's sanitizers")
+def test_sanitizers_find_nothing(tmp_path: Path) -> None:
+    """Variants that fail and others, in the widest library."""
+    script = (
+        "import numpy as np, test_lockstep as t\n"
+        "variants = np.array([(mass, *t.BASE[1:]) for mass in (0.5, np.nan, 2.0, 6.0, 3.0)] + [(*t.BASE[:4], 0.3)])\n"
+        "for lanes in t.LANES[-1:]:\n"
+        "    solver = t.lockstep(lanes)\n"
+        "    assert solver.peaks(variants, 0.2, paces=np.linspace(1.0, 1.1, 6))[1].tolist() == [0, 1, 0, 0, 0, 1]\n"
+        "    assert solver.record(variants)[1].tolist() == [0, 1, 0, 0, 0, 1]\n"
+    )
+    libraries = [
+        subprocess.run(["gcc", f"-print-file-name={name}"], capture_output=True, text=True, check=True).stdout.strip()
+        for name in ("libasan.so", "libubsan.so")
+    ]
+    environment = os.environ | {
+        "CC": "gcc -fsanitize=address,undefined -fno-sanitize-recover=all",
+        "FLEXFMU_CACHE": str(tmp_path),
+        "LD_PRELOAD": " ".join(libraries),
+        "ASAN_OPTIONS": "detect_leaks=0",
+        "PYTHONPATH": str(Path(__file__).parent),
+    }
+    ran = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
 
 
 def test_branches_have_no_lanes() -> None:
