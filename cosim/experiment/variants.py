@@ -34,7 +34,7 @@ DURATION = "trajectory.duration"
 BAND = 1.25
 """Largest ratio of durations side by side: their communication points are at the same places of the motion."""
 
-SHARES, LARGEST_SHARE = 4, 5000
+SHARES, LARGEST_SHARE = 4, 1000
 """Shares of the variants for each process, and the largest number of variants in a share."""
 
 MOTION = "trajectory."
@@ -113,9 +113,10 @@ def run_variants(
             for results in pool.map(task.results, shares):
                 found += results
                 report.add(len(results))
-        finally:
+        except BaseException:
             # after Ctrl-C no further share begins
             pool.shutdown(wait=False, cancel_futures=True)
+            raise
     return found
 
 
