@@ -23,13 +23,16 @@ from flexfmu.cosim.engine.trajectory_slave import TrajectorySlave
 from flexfmu.cosim.experiment.scene_loop import loop_of
 from flexfmu.cosim.experiment.scene_run import Health, RestingRobot, RestPositions, Run, Timing
 from flexfmu.cosim.experiment.system import REFERENCES, scene_system
-from flexfmu.fmu_build.choices import FIXED_STEP
+from flexfmu.fmu_build.choices import FIXED_STEP, INTEGRATOR
 from flexfmu.model.scene.schema import Scene
 
 T = TypeVar("T", covariant=True)
 
 KINDS = ("position", "velocity", "acceleration")
 """Last part of the references' names, by the order of the time derivative."""
+
+EXPLICIT = ("dopri5", "rk4")
+"""Integration methods whose steps have one time for all variants."""
 
 RECORDED = 32
 """Number of variants whose recordings are in memory at the same time."""
@@ -142,11 +145,14 @@ class SideBySide:
 
         Raises:
             BuildError: there is no C compiler, or the model's functions branch.
-            NotTogetherError: the durations differ, and the processor has no lanes.
+            NotTogetherError: the durations differ, and the processor has no lanes, or steps are fixed or explicit.
         """
         able, solver, values, known = self._prepare(variants, outputs)
-        if durations is not None and solver.lanes == 1:
-            raise NotTogetherError("motions of other durations need a processor with AVX2 or AVX-512")
+        own_steps = FIXED_STEP in self._settings or self._settings.get(INTEGRATOR.name) in EXPLICIT
+        if durations is not None and (solver.lanes == 1 or own_steps):
+            raise NotTogetherError(
+                "other durations need a processor with AVX2, and a collocation method with error control"
+            )
         paces = None if durations is None else np.array(durations)[able] / self._end
         found, failed = solver.peaks(values, self._end, progress, paces)
         # back to the order of all variants

@@ -172,6 +172,31 @@ def test_durations_side_by_side() -> None:
             assert one.value == pytest.approx(other.value, rel=10 * TOLERANCE)
 
 
+SCENES: dict[str, dict[str, Any]] = {
+    "rigid": {"effects.proximal_bending": 0, "effects.distal_axial": 0},
+    "friction": {"effects.joint_friction": {"viscous": 0.5, "coulomb": 1.0, "velocity": 0.05}},
+    "undamped": {"effects.damping": {"kind": "none"}, "cosimulation.tolerance": 1e-8},
+    "fixed steps": {"cosimulation.integrator_step": 5e-4},
+    "explicit": {"cosimulation.integrator": "dopri5"},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", SCENES.values(), ids=SCENES)
+def test_other_scenes(changes: dict[str, Any]) -> None:
+    """Effects, tolerances and methods; explicit steps have one time for all, so other durations are left to the FMU."""
+    scene = SCENE.replace(changes)
+    measure = measuring(["peak_torque_1", "peak_torque_2"])
+    for key in ("payload.mass", "trajectory.duration"):
+        low, high = (1.0, 6.0) if key == "payload.mass" else (0.18, 0.2)
+        variants = [{key: float(value)} for value in np.linspace(low, high, 16)]
+        side_by_side = run_variants(scene, variants, measure, communication_step=STEP)
+        singly = run_variants(scene, variants[::5], partial(metrics_of, names=measure.names), communication_step=STEP)
+        for one, other in zip(side_by_side[::5], singly, strict=True):
+            assert one.value is not None
+            assert one.value == pytest.approx(other.value, rel=1e-5)
+
+
 def test_metrics_of_recordings() -> None:
     """All metrics, from runs in lockstep and from those of the FMU: small differences of large numbers lose digits."""
     variants = [{"payload.mass": mass} for mass in np.linspace(2.0, 8.0, 17)]
