@@ -94,6 +94,9 @@ def structural_sizes(description: Any, parameters: Mapping[str, Any]) -> dict[st
     Raises:
         InputError: a value doesn't fit its type or range.
     """
+    # FMI 2.0 has none, and variants of a scene ask at each run
+    if description.fmiVersion.startswith("2."):
+        return {}
     known = settable_variables(description)
     given = {n: value for n, value in parameters.items() if n in known and _structural(known[n])}
     return {each.name: int(each.value) for each in settings(known, given)}

@@ -70,11 +70,14 @@ def find_instability(time: RealArray, signals: Iterable[tuple[str, RealArray]]) 
         time: (N,) recorded instants [s]; of two equal ones the last counts.
         signals: (name, values (N,)) of signals in closed loops.
     """
+    known = list(signals)
+    if not known:
+        return None
     last = _right_limits(time)
     if last.sum() <= WINDOW * WINDOWS:
         return None
     instants = time[last]
-    return _fastest(_judge(instants, name, values[last]) for name, values in signals)
+    return _fastest(_judge(instants, name, values[last]) for name, values in known)
 
 
 def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) -> Instability | None:
@@ -84,9 +87,12 @@ def find_alternation(time: RealArray, signals: Iterable[tuple[str, RealArray]]) 
         time: (N,) recorded instants [s]; of two equal ones the last counts.
         signals: (name, values (N,)) of signals in closed loops, those of sampled slaves included.
     """
+    known = list(signals)
+    if not known:
+        return None
     last = _right_limits(time)
     instants = time[last]
-    return _fastest(_overshooting(instants, name, values[last]) for name, values in signals)
+    return _fastest(_overshooting(instants, name, values[last]) for name, values in known)
 
 
 def _right_limits(time: RealArray) -> NDArray[np.bool_]:
