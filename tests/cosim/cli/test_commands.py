@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -162,16 +162,21 @@ def test_full_disk_leaves_no_half_file(
     simulated: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A disk that fills up while the report is written: one line, the files before it whole, no remains."""
-    write = Path.write_text
+    opened = Path.open
 
-    def full(self: Path, text: str, **options: Any) -> int:
-        if "report" in self.name:
-            write(self, text[:1000], **options)
+    def full(self: Path, *arguments: Any, **options: Any) -> Any:
+        file = opened(self, *arguments, **options)
+
+        def writelines(pieces: Iterable[str]) -> None:
+            file.write(next(iter(pieces))[:1000])
             raise OSError(28, "No space left on device", str(self))
-        return write(self, text, **options)
+
+        if "report" in self.name:
+            file.writelines = writelines
+        return file
 
     simulated()
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "open", full)
     result = flexfmu("run", SCENE, "--out", str(tmp_path))
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     assert "No space left on device" in result.stderr
