@@ -145,13 +145,42 @@ def runtime_sources(kind: FmuKind = "plant") -> dict[str, str]:
     return {entry.name: entry.read_text(encoding="utf-8") for entry in entries}
 
 
-_BATCH = tuple(
-    """
-    accuracy. batch. batch_functions. batch_peaks. batch_run. collocation. elementary equations. explicit
-    dormand_prince. friction.h gauss_tableaus. inputs. integration_step. integrator. lanes linear_algebra.
-    memory. methods. model. newton_matrix. outcome. plant. powers. prediction. private. radau_tableau. real.
-    refusal.h runge_kutta_4. stages. statics. tableaus. tangent. twins.
-    """.split()
+_BATCH = (
+    "accuracy.",
+    "batch.",
+    "batch_functions.",
+    "batch_peaks.",
+    "batch_run.",
+    "collocation.",
+    "elementary",
+    "equations.",
+    "explicit",
+    "dormand_prince.",
+    "friction.h",
+    "gauss_tableaus.",
+    "inputs.",
+    "integration_step.",
+    "integrator.",
+    "lanes",
+    "linear_algebra.",
+    "memory.",
+    "methods.",
+    "model.",
+    "newton_matrix.",
+    "outcome.",
+    "plant.",
+    "powers.",
+    "prediction.",
+    "private.",
+    "radau_tableau.",
+    "real.",
+    "refusal.h",
+    "runge_kutta_4.",
+    "stages.",
+    "statics.",
+    "tableaus.",
+    "tangent.",
+    "twins.",
 )
 """Prefixes of the runtime's files that variants in lockstep need: the numerical layer without FMI and friction."""
 
