@@ -214,16 +214,18 @@ class Selection:
         return recording if self.names is None else recording.only(self.keeps)
 
     def check(self, known: Collection[str]) -> None:
-        """Check that all names are among the known ones.
+        """Check that there are names, and that all are among the known ones.
 
         Raises:
-            InputError: a signal doesn't exist.
+            InputError: there is none, or a signal doesn't exist.
         """
+        if self.names is not None and not self.names:
+            raise InputError("the list of signals to record is empty; name one, or None for all")
         for name in self.names or ():
             if name not in known:
-                near = get_close_matches(name, known, n=1, cutoff=0.0)
-                hint = f"; did you mean {near[0]!r}?" if near else ""
-                raise InputError(f"there is no signal {name!r} to record{hint}")
+                near = get_close_matches(name, known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known)}"
+                raise InputError(f"there is no signal {name!r} to record; {hint}")
 
 
 EVERYTHING = Selection()

@@ -98,10 +98,12 @@ def run_variants(
 
     Raises:
         BuildError: the FMU can't be built.
-        InputError: the number of processes is below 1.
+        InputError: the number of processes isn't whole or is below 1.
     """
-    if processes < 1:
-        raise InputError(f"variants need at least 1 process, got {processes}; give the number of processors to use")
+    if not isinstance(processes, int) or processes < 1:
+        raise InputError(
+            f"variants need a whole number of processes from 1 on, got {processes}; give the number of processors to use"
+        )
     task = _Task(scene, build_scene(scene).path, measure, communication_step, tolerance, record)
     report = _Report(len(variants), progress)
     if processes == 1 or len(variants) < 2:

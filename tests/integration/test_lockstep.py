@@ -246,7 +246,7 @@ def test_controlled_robots_and_several_processes() -> None:
         assert [each.error for each in one] == [None] * 17
         for single, shared in zip(one, two, strict=True):
             assert single.value == pytest.approx(shared.value, rel=1e-3)
-    with pytest.raises(InputError, match="at least 1 process, got 0"):
+    with pytest.raises(InputError, match="whole number of processes from 1 on, got 0"):
         run_variants(SCENE, variants, measure, processes=0)
 
 
