@@ -62,7 +62,7 @@ def test_a_signal_that_does_not_exist() -> None:
     """The error names the nearest one, before anything is simulated."""
     with pytest.raises(InputError, match=r"'joint1.torqe'.*did you mean 'joint1.torque'"):
         PreparedScene(SCENE, record=Selection(["joint1.torqe"]))
-    with pytest.raises(InputError, match="'nope' to record; there are: .*joint1.torque"):
+    with pytest.raises(InputError, match=r"'nope' to record; there are: .*joint1.torque"):
         PreparedScene(SCENE, record=Selection(["nope"]))
     with pytest.raises(InputError, match="is empty"):
         PreparedScene(SCENE, record=Selection([]))
