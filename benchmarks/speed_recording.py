@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import resource
 import subprocess
 import sys
 import warnings
@@ -11,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from long_runs import LOOP
+from long_runs import LOOP, peak
 from paper_scene import SCENE, SCENES, best_times, timed
 from speed_figure import SpeedFigure
 
@@ -83,7 +82,7 @@ def main(what: str, step: float = 0.0) -> float:
     warnings.simplefilter("ignore", CostWarning)
     run = PreparedScene(scene, record=record).run()
     assert run.completed
-    return 1024e-9 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak()
 
 
 if __name__ == "__main__":
