@@ -175,17 +175,18 @@ class Recorder:
         """
         self._own_references = min(self._own_references, self._references())
         columns: dict[str, Column] = {}
-        place = 1
+        time, *rows = self._rows()
+        place = 0
         for kept, orders in zip(self._kept, self._orders, strict=True):
             end = place + orders * len(kept)
-            for i, (_, name, variable) in enumerate(kept):
-                value, *derivatives = (self._joined(row) for row in range(place + i, end, len(kept)))
+            for i, (_, name, variable) in enumerate(kept, place):
+                value, *derivatives = rows[i : end : len(kept)]
                 # texts are recorded as codes
                 known = TEXTS.known() if variable.type == "String" else None
                 first, second = (None, None) if known is not None else (*derivatives, None, None)[:2]
                 columns[name] = Column(variable.unit, value, first, second, known)
             place = end
-        return Recording(self.times, columns)
+        return Recording(time, columns)
 
     def _references(self) -> int:
         """Number of references to the memory, those of its views included."""
@@ -199,6 +200,12 @@ class Recorder:
     def populate(self) -> None:
         """Map all shared memory at once, which is faster than page by page; call it in the process that records."""
         self._memory.populate()
+
+    def _rows(self) -> list[RealArray]:
+        """All columns, time first."""
+        if len(self._parts) == 1:
+            return list(self._parts[0][:, : self._count])
+        return [self._joined(column) for column in range(self._width)]
 
     def _joined(self, column: int) -> RealArray:
         """What is recorded in a column; a copy only if step control has needed several parts of memory."""
