@@ -217,6 +217,7 @@ class PreparedScene:
         self._isolation = isolation(self._isolate, self._parts.slaves, self._call_limit, theirs=theirs)
         self._recording = SceneRecording(self._parts, RigidMotion(self._loop.motion), self._instants.recorded)
         self._facts = slave_facts(self._parts.slaves)
+        self._sampled = [slave for slave in self._parts.slaves if isinstance(slave, Sampled)]
         self._rests = RestPositions(self._loop.motion, RestingRobot(scene, self._fmu_path))
         # the simulator is made at the first run; a companion has the same arguments
         self._simulator: Simulator | None = None
@@ -345,7 +346,7 @@ class PreparedScene:
 
     def _companion(self, parameters: Mapping[str, float]) -> Companion:
         """The companion: communication steps that divide those of the run, and tighter tolerances."""
-        samples = [slave.sample_time for slave in self._parts.slaves if isinstance(slave, Sampled)]
+        samples = [slave.sample_time for slave in self._sampled]
         longest = min(0.5 * self._step, self._loop.motion.duration / COMPANION_STEPS, *(0.5 * each for each in samples))
         step = self._step / ceil(self._step / longest * (1.0 - 1e-9))
         tolerance = max(COMPANION_TOLERANCE * self._tolerance, LEAST_TOLERANCE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -255,7 +256,7 @@ class Simulator:
     def _result(self, ending: Ending) -> Simulation:
         """The result of a run that has ended; warns of remarks of the slaves."""
         recording = _without_absent(self._recorder.recording(), self._system.slaves)
-        _warn(recording, self._system.slaves)
+        _warn(recording, self._reporting)
 
         def values(names: Sequence[str]) -> Iterator[tuple[str, RealArray]]:
             return ((name, recording[name].values) for name in names)
@@ -280,6 +281,11 @@ class Simulator:
             self._delays = {step: signal_delays(self._system, self._schedule.couplings, step)}
         kept, delays = self._selection.of(recording), self._delays[step]
         return Simulation(kept, outcome, message, error, reached.steps, reached.rejected, delays)
+
+    @cached_property
+    def _reporting(self) -> list[tuple[str, Reports]]:
+        """Names and slaves of those that report, looked up after the first run, when all have their attributes."""
+        return [(slave.name, slave) for slave in self._system.slaves if isinstance(slave, Reports)]
 
     def _coupling_error(self, control: StepDoubling) -> CouplingError:
         """A new estimator of the coupling error; every run needs its own, since it adapts to the run's magnitudes."""
@@ -310,11 +316,11 @@ def _without_absent(recording: Recording, slaves: Sequence[Slave]) -> Recording:
     return recording.with_columns(changed) if changed else recording
 
 
-def _warn(recording: Recording, slaves: Sequence[Slave]) -> None:
+def _warn(recording: Recording, slaves: Sequence[tuple[str, Reports]]) -> None:
     """Warn of differences between what slaves do and what they declare or were asked to do."""
-    for slave in slaves:
-        remarks = list(slave.remarks) if isinstance(slave, Reports) else []
+    for name, slave in slaves:
+        remarks = list(slave.remarks)
         if isinstance(slave, FmuSlave):
-            remarks += slave.absence([name for name in slave.absent if f"{slave.name}.{name}" in recording.columns])
+            remarks += slave.absence([each for each in slave.absent if f"{name}.{each}" in recording.columns])
         for remark in remarks:
-            warnings.warn(f"{slave.name}: {remark}", SlaveWarning, stacklevel=5)
+            warnings.warn(f"{name}: {remark}", SlaveWarning, stacklevel=5)
