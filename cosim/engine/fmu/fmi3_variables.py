@@ -108,6 +108,9 @@ def by_elements(description: Any, parameters: Mapping[str, Any]) -> dict[str, Va
     Raises:
         InputError: the number of values for an array isn't its number of elements.
     """
+    # FMI 2.0 has no arrays, and variants of a scene ask at each run
+    if description.fmiVersion.startswith("2."):
+        return dict(parameters)
     elements = {each.name: each for each in description.modelVariables if isinstance(each, Element)}
     if not elements:
         return dict(parameters)

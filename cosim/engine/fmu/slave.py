@@ -248,8 +248,10 @@ class FmuSlave:
         # leave out inputs set by the master, guesses, and variables that can't be read
         preset = {self.variables[index].name for index in self._presets}
         for name, start in self._starts.items():
+            if not start.setting.lasting or name in preset:
+                continue
             value, found = start.setting.value, self._read_back(start.setting)
-            if start.setting.lasting and name not in preset and found is not None and not same(value, found):
+            if found is not None and not same(value, found):
                 variable = _settable(self._fmu)[name]
                 yield (
                     f"{name} was set to {in_words(variable, value)}, but is {in_words(variable, found)} after initialisation: "
