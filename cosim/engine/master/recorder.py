@@ -180,11 +180,13 @@ class Recorder:
         for kept, orders in zip(self._kept, self._orders, strict=True):
             end = place + orders * len(kept)
             for i, (_, name, variable) in enumerate(kept, place):
-                value, *derivatives = rows[i : end : len(kept)]
                 # texts are recorded as codes
-                known = TEXTS.known() if variable.type == "String" else None
-                first, second = (None, None) if known is not None else (*derivatives, None, None)[:2]
-                columns[name] = Column(variable.unit, value, first, second, known)
+                if variable.type == "String":
+                    columns[name] = Column(variable.unit, rows[i], texts=TEXTS.known())
+                else:
+                    value, *derivatives = rows[i : end : len(kept)]
+                    first, second = (*derivatives, None, None)[:2]
+                    columns[name] = Column(variable.unit, value, first, second)
             place = end
         return Recording(time, columns)
 
