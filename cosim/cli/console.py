@@ -6,6 +6,7 @@ Exit status 0: done. 1: it ran and failed. 2: wrong usage or input, nothing was 
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -115,6 +116,16 @@ def keep_stdout() -> None:
         os.close(own)
         return
     sys.stdout = open(own, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)  # noqa: SIM115 - lives as long as the process
+
+
+def end_loading() -> None:
+    """Start the garbage collector that the program began without: never through the modules, which stay to the end.
+
+    A caller whose collector runs keeps its own.
+    """
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
 
 
 def abandon_stdout() -> None:

@@ -6,6 +6,7 @@ returns the exit status. It imports what it needs while it runs: CasADi, SciPy a
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from flexfmu.cosim.cli.build import build
 from flexfmu.cosim.cli.console import (
     FAILURE,
     abandon_stdout,
+    end_loading,
     keep_stdout,
     one_line_errors,
     orderly_termination,
@@ -49,6 +51,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Entry point of the command ``flexfmu``."""
+    gc.disable()  # until the command's modules are loaded, see `end_loading`
     # no search of all installed packages for plugins of pydantic
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     keep_stdout()
@@ -84,6 +87,8 @@ def _reporting(command: Callable[..., int]) -> Callable[..., None]:
 
     @wraps(command)
     def run_command(**arguments: Any) -> None:
+        if command is not run:  # which loads most and ends it itself
+            end_loading()
         with one_line_errors():
             raise typer.Exit(command(**arguments))
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from flexfmu.cosim.cli.console import end_loading
 from flexfmu.cosim.cli.options import JsonOption
 from flexfmu.cosim.engine.errors import InputError
 
@@ -114,6 +115,7 @@ def run(
             raise InputError("--record, --record-step and --record-order go with a scene")
         from flexfmu.cosim.cli.run_ssp import run_ssp_command
 
+        end_loading()
         return run_ssp_command(Path(scene), out, step, stop_time, json, isolate, ssd, output_order)
     # options that a scene doesn't have
     if stop_time is not None:
@@ -124,6 +126,7 @@ def run(
         raise InputError("--output-order goes with an SSP file; in a scene each FMU has its own `output_order`")
     from flexfmu.cosim.cli.run_scene import Recorded, run_command
 
+    end_loading()
     return run_command(
         scene,
         out,
