@@ -79,6 +79,7 @@ def test_twins_give_the_bits_of_casadi(name: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(side_by_side, one_by_one)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", SCENES.values(), ids=SCENES)
 def test_most_operations_of_the_legs_are_twins(changes: dict[str, Any]) -> None:
     """Both legs go through the same formulas; what closes the mechanism and the frame's signs don't hide that."""

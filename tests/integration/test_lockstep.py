@@ -113,6 +113,7 @@ def test_neighbours_change_nothing(lanes: int, drawn: list[tuple[float, ...]], r
     np.testing.assert_array_equal(peaks[:, 0], peaks[:, 4])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", LIBRARIES)
 @pytest.mark.parametrize(
     "bad",

@@ -138,6 +138,7 @@ EFFECTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", ["motion", "torque"])
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS.keys())
 def test_an_effect_costs_what_it_is(effect: Effect, drive: str) -> None:

@@ -71,6 +71,7 @@ def test_another_motion_is_that_of_a_fresh_scene() -> None:
     assert first.plan.duration == 0.2
 
 
+@pytest.mark.slow
 def test_what_depends_on_the_motion_is_not_used_again() -> None:
     """A start, which is a parameter of the FMU, other settings, a controller or a motion of the user's own need a new scene."""
     prepared = PreparedScene(SCENE, communication_step=1e-3)

@@ -39,6 +39,7 @@ def same(found: Recording, whole: Recording) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, PD])
 def test_every_nth_point(robot: Scene, changes: dict[str, Any]) -> None:
     """An interval of so many communication steps records the same bits at fewer instants: its multiples, jumps of the motion
@@ -92,6 +93,7 @@ def test_chosen_steps_are_the_same_whatever_ran_before(robot: Scene) -> None:
     assert same(PreparedScene(scene).run({"payload.mass": 0.1}).recording, changed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{"cosimulation.step": "auto"}, {"cosimulation.record_step": 1e-3}])
 def test_variants_of_the_motion(robot: Scene, changes: dict[str, Any]) -> None:
     """A prepared scene that follows other motions records as one that is made for each."""

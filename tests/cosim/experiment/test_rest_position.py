@@ -20,6 +20,7 @@ SHORT: dict[str, Any] = {"trajectory.duration": 0.2, "trajectory.dwell": 0.02, "
 TORQUES: dict[str, Any] = {"cosimulation.drive": "torque", "effects.motor_inertia": 0.05}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, TORQUES], ids=["motion", "torques"])
 @pytest.mark.parametrize("parameters", [{}, {"payload.mass": 2.0}, {"proximal.length": 0.241}], ids=str)
 def test_the_fmu_rests_where_the_equations_do(changes: dict[str, Any], parameters: dict[str, float]) -> None:

@@ -132,6 +132,7 @@ class Task(FmuTask):
         super().__init__(slave, 2.0 * SAMPLE_TIME, offset)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [
