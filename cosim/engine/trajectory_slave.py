@@ -33,8 +33,8 @@ FEW = 8
 MANY = 64
 """Number of looked-up points above which the kept ones are discarded."""
 
-KEPT_POINTS = 2**14
-"""Number of points of kept tables above which all are discarded; 12 MB."""
+KEPT_POINTS = 2**17
+"""Number of points of kept tables above which all are discarded; 94 MB."""
 
 ROUNDING = 4.0
 """Bound of rounding errors of times, in units in the last place of the last one."""
@@ -162,7 +162,8 @@ class TrajectorySlave:
     def prepare(self, times: RealArray) -> None:
         """Calculate the polynomials of all steps between the points (N,) [s]; go to the left limits at the first point.
 
-        If the points are the same as before, or at the same place of an earlier cycle, nothing is recalculated.
+        If the points are the same as before, at the same place of an earlier cycle, or as many points of standstill
+        after the motion, nothing is recalculated.
         """
         known = next((each for each in self._tables if self._holds(each, times)), None)
         if known is None:
@@ -171,19 +172,26 @@ class TrajectorySlave:
                 if sum(each.times.size for each in self._tables) > KEPT_POINTS:
                     self._tables.clear()
                 self._tables.append(known)
-        self._table, self._times = known if np.array_equal(known.times, times) else known.at(times), times
+        is_same = np.array_equal(known.times, times) or self._rests(times)
+        self._table, self._times = known if is_same else known.at(times), times
         self._begin()
 
     def _holds(self, table: _Table, times: RealArray) -> bool:
         """Whether a table is that of these points, or of the same points some cycles before, but for rounding errors."""
         if table.times.size != times.size:
             return False
+        if self._rests(table.times) and self._rests(times):
+            return True
         shift = self.period * round((times[0] - table.times[0]) / self.period) if self.period > 0.0 else 0.0
         # the first cycle has the most exact times; after the last one the motion doesn't begin again
         if shift < 0.0 or (shift > 0.0 and times[-1] >= self.trajectory.duration):
             return False
         rounding = ROUNDING * float(np.spacing(times[-1])) if shift else 0.0
         return bool((abs(times - shift - table.times) <= rounding).all())
+
+    def _rests(self, times: RealArray) -> bool:
+        """Whether the points lie after the motion, by more than a step: all references stay what they are."""
+        return bool(times[0] - float(np.diff(times).max()) > self.trajectory.duration)
 
     def _calculated(self, times: RealArray) -> _Table:
         """The polynomials of all steps between these points, and the left limits."""

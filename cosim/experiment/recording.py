@@ -99,7 +99,8 @@ class RigidMotion:
         An instant that appears twice has the left limit, then the right one.
         """
         if not np.array_equal(time, self._time):
-            self._time, self._columns = time, self._calculate(time)
+            # a copy: a view would keep the recorder's memory, which then couldn't serve the next run
+            self._time, self._columns = time.copy(), self._calculate(time)
         return self._columns
 
     def _calculate(self, time: RealArray) -> Mapping[str, Column]:

@@ -33,8 +33,8 @@ BLOCK = 2048
 SHORTEST = 64
 """A last block with fewer points belongs to the block before."""
 
-KEPT = 16
-"""Largest number of blocks that are kept; those of longer runs are calculated again in every run."""
+KEPT = 128
+"""Largest number of blocks that are kept, 3 MB; those of longer runs are calculated again in every run."""
 
 CYCLES = 16
 """Largest number of cycles after which the points of the grid repeat."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import ref
+
 import numpy as np
 import pytest
 
@@ -85,3 +87,10 @@ def test_what_depends_on_the_motion_is_not_used_again() -> None:
     }
     scene = SCENE.replace(driven)
     assert not PreparedScene(scene).replan(scene.replace({"trajectory.duration": 0.3}))
+
+
+def test_the_memory_of_a_result_serves_the_next_run() -> None:
+    """Where a result is dropped, nothing else holds its memory, from the first run on."""
+    prepared = PreparedScene(SCENE, communication_step=1e-3)
+    first = ref(prepared.run().recording.time.base)
+    assert prepared.run().recording.time.base is first()
