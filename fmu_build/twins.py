@@ -103,6 +103,7 @@ class _Pairing:
             # a change of sign, which only one of two parts may have, counts for nothing
             height = max((self._levels[i] for i in graph.operands(k)), default=0)
             self._levels.append(height if graph.is_leaf(k) or node[0] == "NEG" else height + 1)
+        self._operations = [k for k in range(len(graph.nodes)) if not graph.is_leaf(k)]
 
     def join(self, first: int, second: int) -> None:
         """Make twins of two nodes."""
@@ -123,8 +124,9 @@ class _Pairing:
         """Join the nodes whose operands mirror each other; how many twins these are."""
         waiting: dict[Any, list[int]] = defaultdict(list)
         found = 0
-        for k in range(len(self._graph.nodes)):
-            if k in self.twins or self._graph.is_leaf(k):
+        for k in self._operations:
+            # without twins among the operands, both keys are the same
+            if k in self.twins or self.twins.keys().isdisjoint(self._graph.nodes[k][1:]):
                 continue
             key, mirrored = self._key(k, tag, False), self._key(k, tag, True)
             if key == mirrored:

@@ -44,7 +44,10 @@ def taylor_coefficients(
         elif name == casadi.OP_CONST:
             work[targets[0]] = (casadi.SX(function.instruction_constant(k)), _ZERO, _ZERO)
         else:
-            work[targets[0]] = _SPECIAL.get(name, partial(_chain_rule, name))(*(work[i] for i in sources))
+            operands = [coefficient for i in sources for coefficient in work[i]]
+            given = (each.nnz() > 0 for each in operands)
+            value, first, second = _recurrence(name, *given).call(operands)
+            work[targets[0]] = value, first, second
     first, second = (casadi.vertcat(*(jet[order] for jet in results)) for order in (1, 2))
     return first, second
 
@@ -85,6 +88,14 @@ _SPECIAL: dict[int, Callable[..., Jet]] = {
 
 
 @cache
+def _recurrence(operation: int, *given: bool) -> casadi.Function:
+    """The recurrence of an operation for operands whose coefficients are `given` (three flags each); the others are zero."""
+    flat = [casadi.SX.sym("x", casadi.Sparsity.dense(1, 1) if each else casadi.Sparsity(1, 1)) for each in given]
+    jets: list[Jet] = [(flat[k], flat[k + 1], flat[k + 2]) for k in range(0, len(flat), 3)]
+    rule = _SPECIAL.get(operation, partial(_chain_rule, operation))
+    return casadi.Function("recurrence", flat, list(rule(*jets)))
+
+
 def _partials(operation: int, arity: int) -> casadi.Function:
     """Value, first and halved second partial derivatives f, fx, fy, fxx/2, fxy, fyy/2 of an operation."""
     x, y = casadi.SX.sym("x"), casadi.SX.sym("y")

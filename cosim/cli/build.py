@@ -31,7 +31,6 @@ def build(
 ) -> int:
     """Build the FMI 2.0 FMU of a scene, for co-simulation and model exchange."""
     from flexfmu.cosim.experiment.scene_build import build_scene
-    from flexfmu.cosim.reports.summary import choice_summary
     from flexfmu.model.choice_text import choice_sentence
     from flexfmu.model.scene.file import load_scene
 
@@ -54,6 +53,8 @@ def build(
         )
     # standard output
     if json:
+        from flexfmu.cosim.reports.summary import choice_summary
+
         choice = choice_summary(robot)
         chosen = {"effect_choice": choice} if choice else {}
         print_text(to_json(asdict(built) | {"path": str(built.path)} | chosen))
