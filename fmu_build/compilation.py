@@ -82,9 +82,10 @@ def _work_folder() -> Iterator[Path]:
 
 
 def _kept_object(job: CompileJob, texts: dict[str, str], compiler: Compiler) -> str:
-    """Name of a job's object file in the cache, a hash of source, all headers, flags and compiler."""
-    headers = [text for name, text in sorted(texts.items()) if name.endswith(".h")]
-    parts = (compiler.identity(), repr(job), compiler.platform.name, texts[job.source], *headers)
+    """Name of a job's object file in the cache, a hash of source, all headers, files it includes, flags and compiler."""
+    source = texts[job.source]
+    read = [text for name, text in sorted(texts.items()) if name.endswith(".h") or f'#include "{name}"' in source]
+    parts = (compiler.identity(), repr(job), compiler.platform.name, source, *read)
     return f"objects/{content_hash(part.encode() for part in parts)}.o"
 
 

@@ -20,7 +20,7 @@ from flexfmu.fmu_build.build import build_fmu
 from flexfmu.fmu_build.compilation import compile_library
 from flexfmu.fmu_build.errors import ArchiveError, CacheWarning, MissingCompilerError, PlatformError
 from flexfmu.fmu_build.platforms import native_platform
-from flexfmu.fmu_build.sources import generate_sources
+from flexfmu.fmu_build.sources import Sources, generate_sources
 from flexfmu.fmu_build.validation.binaries import COSIMULATION_FUNCTIONS, EXCHANGE_FUNCTIONS, read_elf
 from flexfmu.model.symbolic import SymbolicModel
 
@@ -244,6 +244,21 @@ def test_full_temporary_folder_is_an_error(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
     with pytest.raises(ArchiveError, match="TMPDIR"):
         build_fmu(make_oscillators(), output=tmp_path / "robot.fmu")
+
+
+@pytest.mark.parametrize("changed", ["part.c", "part.h"])
+def test_a_changed_part_compiles_again_what_includes_it(changed: str) -> None:
+    """After an update of the package no file keeps what it once included."""
+    compiler = toolchain.find_compiler(native_platform())
+
+    def library(texts: dict[str, str]) -> bytes:
+        return compile_library(Sources("parts", "", "", {}, texts, {}), compiler)
+
+    exported = '__attribute__((visibility("default"))) double number(void) { return PART + part; }'
+    whole = f'#include "part.h"\n#include "part.c"\n{exported}\n'
+    texts = {"whole.c": whole, "part.c": "static const double part = 1.25;\n", "part.h": "#define PART 3.5\n"}
+    assert library(texts) == library(texts)
+    assert library(texts) != library(texts | {changed: texts[changed].replace("5", "7")})
 
 
 @pytest.mark.slow
