@@ -20,7 +20,11 @@ from flexfmu.trajectories.roots import root_between
 
 Evaluate = Callable[[RealArray], RealArray]
 Basis = Literal["assumed-modes", "craig-bampton"]
-"""Set of shape functions of the elastic links, see `flexfmu.model.elastic_family`."""
+"""Set of shape functions of the elastic links, see `flexfmu.model.link_shapes`."""
+
+LinkGroup = Literal["proximal", "distal"]
+Direction = Literal["axial", "bending"]
+"""Of a deflection."""
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import casadi
 import numpy as np
 
+from flexfmu.model.beams import LinkGroup
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
-from flexfmu.model.robot import Family, LinkGroup, Robot
+from flexfmu.model.robot import Family, Robot
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import EffectNote
 from flexfmu.trajectories.jets import RealArray

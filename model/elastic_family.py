@@ -1,69 +1,20 @@
-"""Elasticity of the links: mode shapes, strain energy and outputs.
-
-A scene chooses between two bases. Proximal links are clamped to the motors, distal links are pinned at both ends. With
-`assumed-modes` the shapes are the paper's. With `craig-bampton` the first shape of a family is the static deflection
-under a tip force, and the others are fixed-interface modes, whose tip is fixed. The static shape alone contains the
-whole compliance at the tip, so few coordinates suffice (Craig and Bampton, AIAA Journal 6, 1968). Hinges transmit no
-moment, so there is no static shape for one. The tip of a pinned-pinned link has no transverse displacement, so both
-bases are the same there.
-"""
+"""Elasticity of the links: strain energy and outputs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import casadi
 import numpy as np
 
-from flexfmu.model.beams import (
-    Basis,
-    Shape,
-    clamped_free_bending,
-    clamped_pinned_bending,
-    fixed_fixed_axial,
-    fixed_free_axial,
-    gram,
-    integrate_shapes,
-    pinned_pinned_bending,
-    tip_force_axial,
-    tip_force_bending,
-)
+from flexfmu.model.beams import Direction, LinkGroup, Shape, gram, integrate_shapes
 from flexfmu.model.effects import Effect, EffectContext, Output, column, form, symmetric
+from flexfmu.model.link_shapes import scene_shapes
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
-from flexfmu.model.robot import FAMILIES, Direction, Family, LinkGroup, Robot
-from flexfmu.model.rotary_inertia import ThickBeam, slenderness, thick_beams
+from flexfmu.model.robot import Family, Robot
+from flexfmu.model.rotary_inertia import ThickBeam, thick_beams
 from flexfmu.model.symbolic import EffectNote
-from flexfmu.model.timoshenko import timoshenko_shapes
 from flexfmu.trajectories.jets import RealArray
-
-Shapes = Callable[[int], tuple[Shape, ...]]
-"""Number of modes → shapes."""
-
-
-def family_shapes(basis: Basis, group: LinkGroup, direction: Direction, modes: int) -> tuple[Shape, ...]:
-    """The first `modes` shapes of a family."""
-    return _SHAPES[basis, direction, group](modes)
-
-
-def _vibrations(shape: Callable[[int], Shape]) -> Shapes:
-    return lambda modes: tuple(shape(k) for k in range(1, modes + 1))
-
-
-def _static_and(static: Callable[[], Shape], held: Callable[[int], Shape]) -> Shapes:
-    return lambda modes: (static(), *_vibrations(held)(modes - 1)) if modes else ()
-
-
-_ASSUMED_AXIAL, _STATIC_AXIAL = _vibrations(fixed_free_axial), _static_and(tip_force_axial, fixed_fixed_axial)
-_SHAPES: dict[tuple[Basis, Direction, LinkGroup], Shapes] = {
-    ("assumed-modes", "bending", "proximal"): _vibrations(clamped_free_bending),
-    ("assumed-modes", "bending", "distal"): _vibrations(pinned_pinned_bending),
-    ("assumed-modes", "axial", "proximal"): _ASSUMED_AXIAL,
-    ("assumed-modes", "axial", "distal"): _ASSUMED_AXIAL,
-    ("craig-bampton", "bending", "proximal"): _static_and(tip_force_bending, clamped_pinned_bending),
-    ("craig-bampton", "bending", "distal"): _vibrations(pinned_pinned_bending),
-    ("craig-bampton", "axial", "proximal"): _STATIC_AXIAL,
-    ("craig-bampton", "axial", "distal"): _STATIC_AXIAL,
-}
 
 
 class ElasticFamily(Effect):
@@ -72,19 +23,10 @@ class ElasticFamily(Effect):
     @classmethod
     def from_scene(cls, context: EffectContext) -> Iterator[Effect]:
         chosen, thick = context.scene.effects, thick_beams(context)
-        for group, direction in FAMILIES:
-            key = f"{group}_{direction}"
-            modes: int = getattr(chosen, key)
-            if not modes:
-                continue
-            # shapes of the beam theory; shear matters in bending alone
+        for (group, direction), shapes in scene_shapes(context.scene).items():
+            # shear matters in bending alone
             beam = thick.get(group) if direction == "bending" else None
-            shapes = (
-                timoshenko_shapes(chosen.basis, group, modes, slenderness(context.scene.mechanism, group))
-                if beam is not None
-                else family_shapes(chosen.basis, group, direction, modes)
-            )
-            static = key in chosen.quasi_static
+            static = f"{group}_{direction}" in chosen.quasi_static
             yield cls(context.registry, context.links[group], group, direction, shapes, beam, static)
 
     def __init__(

@@ -20,11 +20,12 @@ from importlib import import_module
 
 import casadi
 
+from flexfmu.model.beams import LinkGroup
 from flexfmu.model.closure import Closure, IndependentMotion, ProjectedForces
 from flexfmu.model.dynamics import RedundantDynamics, derive_dynamics
 from flexfmu.model.effects import Effect, EffectContext, Output, Stiction
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry, link_properties, mechanism_parameters
-from flexfmu.model.robot import LinkGroup, Robot, make_robot
+from flexfmu.model.robot import Robot, make_robot
 from flexfmu.model.scene.effects import EFFECTS
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene

@@ -17,10 +17,10 @@ from collections.abc import Iterator, Mapping
 import casadi
 import numpy as np
 
-from flexfmu.model.beams import Evaluate, gram
+from flexfmu.model.beams import Evaluate, LinkGroup, gram
 from flexfmu.model.effects import Effect, EffectContext, form, symmetric
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
-from flexfmu.model.robot import ElasticSymbols, Family, Link, LinkGroup, Robot
+from flexfmu.model.robot import ElasticSymbols, Family, Link, Robot
 from flexfmu.model.scene.mechanism import LinkSection as Rod
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import EffectNote

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Mapping
 import casadi
 import numpy as np
 
+from flexfmu.model.beams import LinkGroup
 from flexfmu.model.effects import Effect, EffectContext, column, dot, form, symmetric
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
-from flexfmu.model.robot import Link, LinkGroup, Robot
+from flexfmu.model.robot import Link, Robot
 from flexfmu.model.symbolic import EffectNote
 
 

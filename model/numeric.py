@@ -10,7 +10,7 @@ import numpy as np
 
 from flexfmu.model.five_bar import assemble
 from flexfmu.model.foreshortening import bending_beyond
-from flexfmu.model.robot import FAMILIES
+from flexfmu.model.link_shapes import FAMILIES
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import casadi
 
-from flexfmu.model.robot import LinkGroup
+from flexfmu.model.beams import LinkGroup
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.model.symbolic import Variable
 

@@ -9,24 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi
 import numpy as np
 
-from flexfmu.model.beams import Shape, ShapeIntegrals, integrate_shapes
+from flexfmu.model.beams import Direction, LinkGroup, Shape, ShapeIntegrals, integrate_shapes
 
-LinkGroup = Literal["proximal", "distal"]
-Direction = Literal["axial", "bending"]
 LEGS = (1, 2)
-FAMILIES: tuple[tuple[LinkGroup, Direction], ...] = (
-    ("proximal", "axial"),
-    ("proximal", "bending"),
-    ("distal", "axial"),
-    ("distal", "bending"),
-)
-"""Elastic families: link group and direction of deflection."""
-
 LINK_ORDER: tuple[tuple[str, LinkGroup, int], ...] = (
     ("link11", "proximal", 1),
     ("link12", "distal", 1),

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import casadi
 
-from flexfmu.model.beams import gram, mean
+from flexfmu.model.beams import LinkGroup, gram, mean
 from flexfmu.model.effects import Effect, EffectContext, column, dot, form, symmetric
 from flexfmu.model.parameters import LinkProperties, ParameterRegistry
-from flexfmu.model.robot import LinkGroup, Robot
-from flexfmu.model.scene.mechanism import LinkSection as LinkKeys
-from flexfmu.model.scene.mechanism import Mechanism
+from flexfmu.model.robot import Robot
 from flexfmu.model.symbolic import EffectNote, Variable
-from flexfmu.model.timoshenko import Slenderness, shear_coefficient
+from flexfmu.model.timoshenko import shear_coefficient
 from flexfmu.trajectories.jets import RealArray
 
 
@@ -55,15 +53,6 @@ def thick_beams(context: EffectContext) -> dict[LinkGroup, ThickBeam]:
         rigidity = k * shear_modulus * part.area / part.length
         beams[group] = ThickBeam(rigidity, part.second_moment / part.area / part.length**2)
     return beams
-
-
-def slenderness(mechanism: Mechanism, group: LinkGroup) -> Slenderness:
-    """The slenderness of a link group with the values of the scene, for the mode shapes."""
-    link: LinkKeys = getattr(mechanism, group)
-    nu = mechanism.material.poissons_ratio
-    rotary = (link.diameter**2 + link.inner_diameter**2) / (16.0 * link.length**2)
-    k = shear_coefficient(link.diameter, link.inner_diameter, nu)
-    return Slenderness(rotary, 2.0 * (1.0 + nu) / k * rotary)
 
 
 class RotaryInertia(Effect):

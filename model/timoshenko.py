@@ -13,20 +13,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-import casadi
 import numpy as np
 from numpy.polynomial import Legendre
 
-from flexfmu.model.beams import STATIC, Basis, Evaluate, Shape, fixed_interface, ordinal, pinned_pinned
-from flexfmu.model.robot import LinkGroup
+from flexfmu.model.beams import STATIC, Basis, Evaluate, LinkGroup, Shape, fixed_interface, ordinal, pinned_pinned
+from flexfmu.model.scene.mechanism import LinkSection, Mechanism
 from flexfmu.trajectories.jets import RealArray
+
+if TYPE_CHECKING:
+    import casadi
 
 SPARE_POLYNOMIALS = 20
 """Number of polynomials in addition to two for each mode; the modes converge exponentially."""
 
-Number = TypeVar("Number", float, casadi.SX)
+Number = TypeVar("Number", float, "casadi.SX")
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,17 @@ def shear_coefficient(outer: Number, inner: Number, poissons_ratio: Number) -> N
     return 6.0 * (1.0 + nu) * bore / ((7.0 + 6.0 * nu) * bore + (20.0 + 12.0 * nu) * ratio)
 
 
+def slenderness(mechanism: Mechanism, group: LinkGroup) -> Slenderness:
+    """The slenderness of a link group with the values of the scene, for the mode shapes."""
+    link: LinkSection = getattr(mechanism, group)
+    nu = mechanism.material.poissons_ratio
+    rotary = (link.diameter**2 + link.inner_diameter**2) / (16.0 * link.length**2)
+    k = shear_coefficient(link.diameter, link.inner_diameter, nu)
+    return Slenderness(rotary, 2.0 * (1.0 + nu) / k * rotary)
+
+
 def timoshenko_shapes(basis: Basis, group: LinkGroup, modes: int, slenderness: Slenderness) -> tuple[Shape, ...]:
-    """The first `modes` bending shapes of a link group, like `flexfmu.model.elastic_family.family_shapes`."""
+    """The first `modes` bending shapes of a link group, like `flexfmu.model.link_shapes.family_shapes`."""
     if group == "distal":
         return tuple(pinned_pinned_timoshenko(k, slenderness) for k in range(1, modes + 1))
     if basis == "craig-bampton":

@@ -20,7 +20,7 @@ from functools import lru_cache
 import casadi
 import numpy as np
 
-from flexfmu.model.robot import LinkGroup
+from flexfmu.model.beams import LinkGroup
 from flexfmu.model.scene.mechanism import LinkSection
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.timoshenko import shear_coefficient

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flexfmu.model.beams import LinkGroup
 from flexfmu.model.kinematics import RigidForwardKinematics
-from flexfmu.model.robot import LinkGroup
 from flexfmu.model.scene.assembly import bases, elbow
 from flexfmu.model.scene.mechanism import Mechanism
 from flexfmu.trajectories.curves import Point

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 
 from flexfmu.fmu_build.codegen import generate_functions
+from flexfmu.model.beams import LinkGroup
 from flexfmu.model.effects import Effect as Base
 from flexfmu.model.effects import EffectContext
 from flexfmu.model.five_bar import effect_classes
 from flexfmu.model.parameters import ParameterRegistry, link_properties, mechanism_parameters
 from flexfmu.model.plants import build_model
-from flexfmu.model.robot import LinkGroup
 from flexfmu.model.scene.file import load_scene
 from flexfmu.model.scene.schema import Scene
 from flexfmu.model.symbolic import SymbolicModel

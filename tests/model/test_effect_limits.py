@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
-from flexfmu.model.elastic_family import family_shapes
+from flexfmu.model.link_shapes import family_shapes
 from flexfmu.model.modes import damped_modes, natural_frequencies
 from flexfmu.model.numeric import numeric_model, standstill
 from flexfmu.model.scene.assembly import elbow as elbow_of
