@@ -6,8 +6,8 @@
 #define flex_cholesky_solve flex_cholesky_solve_wide
 #define flex_collocation_step flex_collocation_step_wide
 #define flex_combine flex_combine_wide
-#define flex_complex_lu_factor flex_complex_lu_factor_wide
-#define flex_complex_lu_solve flex_complex_lu_solve_wide
+#define flex_complex_invert flex_complex_invert_wide
+#define flex_complex_multiply flex_complex_multiply_wide
 #define flex_error_norm flex_error_norm_wide
 #define flex_inputs_clear flex_inputs_clear_wide
 #define flex_inputs_default flex_inputs_default_wide
@@ -17,9 +17,9 @@
 #define flex_inputs_rates flex_inputs_rates_wide
 #define flex_inputs_set flex_inputs_set_wide
 #define flex_inputs_take flex_inputs_take_wide
+#define flex_invert flex_invert_wide
 #define flex_lu_factor flex_lu_factor_wide
 #define flex_lu_solve flex_lu_solve_wide
-#define flex_lu_solve_both flex_lu_solve_both_wide
 #define flex_motion_norm flex_motion_norm_wide
 #define flex_multiply flex_multiply_wide
 #define flex_newton_clear flex_newton_clear_wide

@@ -1,8 +1,13 @@
-/* LU with partial pivoting, its complex twin and Cholesky's factors L D L' without roots, for matrices of some ten rows (sources: linear_algebra.h).
+/* LU with partial pivoting, inverses and Cholesky's factors L D L' without roots, for matrices of some ten rows (sources: linear_algebra.h).
  * All work goes along columns, two at a time, in loops that compilers turn into vector instructions. */
 #include "linear_algebra.h"
 
 #include <math.h>
+#include <string.h>
+
+#ifdef FLEX_IN_LANES
+#include "lanes_stages.h"
+#endif
 
 // y += f0 x0 + f1 x1; without aliases and in pairs, which compilers turn into vector instructions also where they are careful
 static inline void add_two(int n, real f0, const real *restrict x0, real f1, const real *restrict x1,
@@ -70,13 +75,6 @@ void flex_combine(int n, int count, const double *factors, const real *columns, 
   if (j < count) add_one(n, flex_real(factors[j]), columns + j * n, y);
 }
 
-void flex_multiply(int n, const real *matrix, const real *x, real *y) {
-  int j = 0;
-  for (int i = 0; i < n; i++) y[i] = flex_real(0.0);
-  for (; j + 2 <= n; j += 2) add_two(n, x[j], matrix + j * n, x[j + 1], matrix + (j + 1) * n, y);
-  if (j < n) add_one(n, x[j], matrix + j * n, y);
-}
-
 static void swap_rows(int columns, int stride, int width, real *a, int i, int k) {
   if (i == k) return;
   for (int j = 0; j < columns; j++)
@@ -142,80 +140,13 @@ static void permute(int n, const int *pivots, real *x) {
   }
 }
 
-// substitution with columns k and k + 1 of the factors
-static inline void forward(int n, int k, const real *lu, real *x) {
-  const real *left = lu + k * n, *right = left + n;
-  x[k + 1] -= x[k] * left[k + 1];
-  add_two(n - k - 2, -x[k], left + k + 2, -x[k + 1], right + k + 2, x + k + 2);
-}
-
-// with columns k and k - 1, or with the first alone
-static inline void backward(int n, int k, const real *lu, real *x) {
-  const real *right = lu + k * n, *left = right - n;
-  x[k] *= right[k];
-  if (k == 0) return;
-  x[k - 1] = (x[k - 1] - x[k] * right[k - 1]) * left[k - 1];
-  add_two(k - 1, -x[k], right, -x[k - 1], left, x);
-}
-
 void flex_lu_solve(int n, const real *lu, const int *pivots, real *x) {
   permute(n, pivots, x);
-  for (int k = 0; k + 2 <= n; k += 2) forward(n, k, lu, x);
-  for (int k = n - 1; k >= 0; k -= 2) backward(n, k, lu, x);
-}
-
-int flex_complex_lu_factor(int n, real *a, int *pivots) {
-  for (int k = 0; k < n; k++) {
-    real *column = a + 2 * k * n;
-
-    // largest entry of the column becomes the pivot
-    int pivot = k + find_pivot(n - k, 2, column + 2 * k);
-    pivots[k] = pivot;
-    swap_rows(n, 2 * n, 2, a, k, pivot);
-    real re = column[2 * k], im = column[2 * k + 1], square = re * re + im * im;
-    if (!flex_is_finite(square) || flex_has_zero(square)) return 1;
-
-    // multipliers
-    re /= square;
-    im /= -square;
-    column[2 * k] = re;
-    column[2 * k + 1] = im;
-    for (int i = k + 1; i < n; i++) {
-      real x = column[2 * i], y = column[2 * i + 1];
-      column[2 * i] = x * re - y * im;
-      column[2 * i + 1] = x * im + y * re;
-    }
-
-    // rank-one update of the rest
-    for (int j = k + 1; j < n; j++) {
-      real *target = a + 2 * (j * n + k);
-      subtract_complex(n - k - 1, target, column + 2 * (k + 1), target + 2);
-    }
+  for (int k = 0; k < n; k++) add_one(n - k - 1, -x[k], lu + k * n + k + 1, x + k + 1);
+  for (int k = n - 1; k >= 0; k--) {
+    x[k] *= lu[k * n + k];
+    add_one(k, -x[k], lu + k * n, x);
   }
-  return 0;
-}
-
-static void permute_complex(int n, const int *pivots, real *x) {
-  for (int k = 0; k < n; k++) swap_rows(1, 0, 2, x, k, pivots[k]);
-}
-
-// y -= f0 x0 + f1 x1, one after the other
-static inline void subtract_two_complex(int n, const real *f, const real *restrict x0, const real *restrict x1,
-                                        real *restrict y) {
-  real re0 = f[0], im0 = f[1], minus_im0 = -f[1], re1 = f[2], im1 = f[3], minus_im1 = -f[3];
-  for (int i = 0; i < n; i++) {
-    real x_re = x0[2 * i], x_im = x0[2 * i + 1], z_re = x1[2 * i], z_im = x1[2 * i + 1];
-    y[2 * i] = y[2 * i] - (re0 * x_re + minus_im0 * x_im) - (re1 * z_re + minus_im1 * z_im);
-    y[2 * i + 1] = y[2 * i + 1] - (re0 * x_im + im0 * x_re) - (re1 * z_im + im1 * z_re);
-  }
-}
-
-// substitution with columns k and k + 1 of the factors
-static inline void complex_forward(int n, int k, const real *lu, real *x) {
-  const real *left = lu + 2 * (k * n + k + 1), *right = left + 2 * n;
-  subtract_complex(1, x + 2 * k, left, x + 2 * (k + 1));
-  const real values[4] = {x[2 * k], x[2 * k + 1], x[2 * k + 2], x[2 * k + 3]};
-  subtract_two_complex(n - k - 2, values, left + 2, right + 2, x + 2 * (k + 2));
 }
 
 // x = f x
@@ -225,35 +156,129 @@ static inline void multiply_complex(const real *f, real *x) {
   x[1] = im;
 }
 
-// with columns k and k - 1, or with the first alone
-static inline void complex_backward(int n, int k, const real *lu, real *x) {
-  const real *right = lu + 2 * k * n, *left = right - 2 * n;
-  multiply_complex(right + 2 * k, x + 2 * k);
-  if (k == 0) return;
-  subtract_complex(1, x + 2 * k, right + 2 * (k - 1), x + 2 * (k - 1));
-  multiply_complex(left + 2 * (k - 1), x + 2 * (k - 1));
-  const real values[4] = {x[2 * k], x[2 * k + 1], x[2 * k - 2], x[2 * k - 1]};
-  subtract_two_complex(k - 1, values, right, left, x);
+#ifdef FLEX_IN_LANES
+static inline void multiply_four(int n, const double *a, const double *x, double *y) {
+  flex_four sum = {0.0};
+  for (int j = 0; j < n; j++) sum += x[j] * flex_load_four(a + j * n);
+  flex_store_four(y, sum);
 }
 
-void flex_complex_lu_solve(int n, const real *lu, const int *pivots, real *x) {
-  permute_complex(n, pivots, x);
-  for (int k = 0; k + 2 <= n; k += 2) complex_forward(n, k, lu, x);
-  for (int k = n - 1; k >= 0; k -= 2) complex_backward(n, k, lu, x);
+static inline void multiply_two_complex(int n, const double *a, const double *x, double *y) {
+  flex_four by_re = {0.0}, by_im = {0.0};
+  for (int j = 0; j < n; j++) {
+    flex_four column = flex_load_four(a + 2 * j * n);
+    by_re += x[2 * j] * column;
+    by_im += x[2 * j + 1] * column;
+  }
+  const double rows[4] = {by_re[0] - by_im[1], by_re[1] + by_im[0], by_re[2] - by_im[3], by_re[3] + by_im[2]};
+  memcpy(y, rows, sizeof rows);
+}
+#else
+static void multiply_four(int n, const real *a, const real *x, real *restrict y) {
+  real s0 = flex_real(0.0), s1 = s0, s2 = s0, s3 = s0;
+  for (int j = 0; j < n; j++, a += n) {
+    s0 += x[j] * a[0];
+    s1 += x[j] * a[1];
+    s2 += x[j] * a[2];
+    s3 += x[j] * a[3];
+  }
+  y[0] = s0, y[1] = s1, y[2] = s2, y[3] = s3;
 }
 
-void flex_lu_solve_both(int n, const real *lu, const int *pivots, real *x, const real *complex_lu,
-                        const int *complex_pivots, real *z) {
-  permute(n, pivots, x);
-  permute_complex(n, complex_pivots, z);
-  for (int k = 0; k + 2 <= n; k += 2) {
-    forward(n, k, lu, x);
-    complex_forward(n, k, complex_lu, z);
+static void multiply_two_complex(int n, const real *a, const real *x, real *restrict y) {
+  real p0 = flex_real(0.0), p1 = p0, p2 = p0, p3 = p0, q0 = p0, q1 = p0, q2 = p0, q3 = p0;
+  for (int j = 0; j < n; j++, x += 2, a += 2 * n) {
+    p0 += x[0] * a[0], q0 += x[1] * a[0];
+    p1 += x[0] * a[1], q1 += x[1] * a[1];
+    p2 += x[0] * a[2], q2 += x[1] * a[2];
+    p3 += x[0] * a[3], q3 += x[1] * a[3];
   }
-  for (int k = n - 1; k >= 0; k -= 2) {
-    backward(n, k, lu, x);
-    complex_backward(n, k, complex_lu, z);
+  y[0] = p0 - q1, y[1] = p1 + q0, y[2] = p2 - q3, y[3] = p3 + q2;
+}
+#endif
+
+// one row of A x, of which every `step`-th entry counts
+static real row(int n, const real *a, int stride, const real *x, int step) {
+  real sum = flex_real(0.0);
+  for (int j = 0; j < n; j++) sum += x[j * step] * a[j * stride];
+  return sum;
+}
+
+void flex_multiply(int n, const real *matrix, const real *x, real *y) {
+  int i = 0;
+  for (; i + 4 <= n; i += 4) multiply_four(n, matrix + i, x, y + i);
+  for (; i < n; i++) y[i] = row(n, matrix + i, n, x, 1);
+}
+
+// two rows at once: what real parts of x make of them, what imaginary parts do
+void flex_complex_multiply(int n, const real *matrix, const real *x, real *y) {
+  int i = 0;
+  for (; i + 2 <= n; i += 2) multiply_two_complex(n, matrix + 2 * i, x, y + 2 * i);
+  if (i == n) return;
+  y[2 * i] = row(n, matrix + 2 * i, 2 * n, x, 2) - row(n, matrix + 2 * i + 1, 2 * n, x + 1, 2);
+  y[2 * i + 1] = row(n, matrix + 2 * i + 1, 2 * n, x, 2) + row(n, matrix + 2 * i, 2 * n, x + 1, 2);
+}
+
+// columns of an inverse in the order of its rows' exchanges
+static void exchange_columns(int n, int width, const int *pivots, real *a) {
+  for (int k = n - 1; k >= 0; k--)
+    for (int i = 0; i < width * n && pivots[k] != k; i++) {
+      real *left = a + k * width * n + i, *right = a + pivots[k] * width * n + i, kept = *left;
+      *left = *right;
+      *right = kept;
+    }
+}
+
+int flex_invert(int n, real *a, int *pivots) {
+  for (int k = 0; k < n; k++) {
+    real *column = a + k * n;
+
+    // largest entry of the column becomes the pivot
+    pivots[k] = k + find_pivot(n - k, 1, column + k);
+    swap_rows(n, n, 1, a, k, pivots[k]);
+    if (!flex_is_finite(column[k]) || flex_has_zero(column[k])) return 1;
+    real inverse = 1.0 / column[k];
+
+    // unknown k eliminated from all rows, and replaced by the right-hand side k
+    for (int j = 0; j < n; j++) {
+      real *target = a + j * n, share = target[k] * inverse;
+      if (j == k) continue;
+      add_one(n, -share, column, target);
+      target[k] = share;
+    }
+    for (int i = 0; i < n; i++) column[i] *= -inverse;
+    column[k] = inverse;
   }
+  exchange_columns(n, 1, pivots, a);
+  return 0;
+}
+
+int flex_complex_invert(int n, real *a, int *pivots) {
+  for (int k = 0; k < n; k++) {
+    real *column = a + 2 * k * n;
+
+    // largest entry of the column becomes the pivot
+    pivots[k] = k + find_pivot(n - k, 2, column + 2 * k);
+    swap_rows(n, 2 * n, 2, a, k, pivots[k]);
+    real re = column[2 * k], im = column[2 * k + 1], square = re * re + im * im;
+    if (!flex_is_finite(square) || flex_has_zero(square)) return 1;
+    const real inverse[2] = {re / square, -im / square}, opposite[2] = {-inverse[0], -inverse[1]};
+
+    // unknown k eliminated from all rows, and replaced by the right-hand side k
+    for (int j = 0; j < n; j++) {
+      real *target = a + 2 * j * n, share[2] = {target[2 * k], target[2 * k + 1]};
+      if (j == k) continue;
+      multiply_complex(inverse, share);
+      subtract_complex(n, share, column, target);
+      target[2 * k] = share[0];
+      target[2 * k + 1] = share[1];
+    }
+    for (int i = 0; i < n; i++) multiply_complex(opposite, column + 2 * i);
+    column[2 * k] = inverse[0];
+    column[2 * k + 1] = inverse[1];
+  }
+  exchange_columns(n, 2, pivots, a);
+  return 0;
 }
 
 int flex_cholesky_factor(int n, real *a) {

@@ -18,14 +18,13 @@ int flex_lu_factor(int n, real *a, int *pivots);
 /* x = inverse(A) x with the factors above */
 void flex_lu_solve(int n, const real *lu, const int *pivots, real *x);
 
-/* the same for complex matrices: a [2 n n], x [2 n] */
-int flex_complex_lu_factor(int n, real *a, int *pivots);
-void flex_complex_lu_solve(int n, const real *lu, const int *pivots, real *x);
+/* inverse(A) in place of A, pivots [n] are scratch (Gauss and Jordan's method). Its product with a vector waits for nothing, where
+ * a solution with factors is a chain of operations. Returns 0, or 1 if a pivot is zero or not finite. */
+int flex_invert(int n, real *a, int *pivots);
 
-/* x and z replaced by the solutions of a real and a complex system. Either solution is a chain of operations that wait for one
- * another; side by side they take little longer than one */
-void flex_lu_solve_both(int n, const real *lu, const int *pivots, real *x, const real *complex_lu,
-                        const int *complex_pivots, real *z);
+/* the same for complex matrices, a [2 n n], and y = A x, which are of [2 n] */
+int flex_complex_invert(int n, real *a, int *pivots);
+void flex_complex_multiply(int n, const real *a, const real *x, real *y);
 
 /* A = L D L' in place, lower triangle; in place of the unit diagonal of L the inverse of D. Returns 0, or 1 if A is not positive
  * definite. */

@@ -13,7 +13,7 @@
 /* relative step of the differences for D and K: about the cube root of the rounding error, since r is nearly linear */
 #define DIFFERENCE 1e-5
 
-/* relative change of the step size that the factors bear: the convergence suffers less than from the model's own change */
+/* relative change of the step size that the inverses bear: the convergence suffers less than from the model's own change */
 #define STEP_CHANGE 1e-3
 
 enum { LANES = 4 };
@@ -24,22 +24,27 @@ void flex_newton_take_state(flex_newton_matrix *matrix, int n, flex_arena *arena
   matrix->mass = flex_take_reals(arena, square);
   matrix->damping = flex_take_reals(arena, square);
   matrix->stiffness = flex_take_reals(arena, square);
-  matrix->factors = flex_take_reals(arena, 2 * FLEX_MAX_BLOCKS * square);
-  matrix->pivots = flex_take_ints(arena, (size_t)(FLEX_MAX_BLOCKS * n));
+  matrix->inverses = flex_take_reals(arena, 2 * 2 * FLEX_MAX_BLOCKS * square);
 }
 
 void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, int n_inputs, flex_arena *arena) {
   size_t size = (size_t)n;
   matrix->component = flex_take_reals(arena, FLEX_MAX_STAGES * size);
-  matrix->pairs = flex_take_reals(arena, 2 * size);
+  matrix->solution = flex_take_reals(arena, FLEX_MAX_STAGES * size);
+  matrix->pivots = flex_take_ints(arena, size);
   matrix->y = flex_take_reals(arena, size);
   matrix->v = flex_take_reals(arena, size);
   matrix->r = flex_take_reals(arena, size);
   matrix->lanes = flex_take_reals(arena, LANES * (4 * size + (size_t)n_inputs));
 }
 
+// M, D or K is another one
+static void forget_inverses(flex_newton_matrix *matrix) {
+  matrix->record->steps[0] = matrix->record->steps[1] = 0.0;
+}
+
 void flex_newton_clear(flex_newton_matrix *matrix) {
-  matrix->record->factored_step = 0.0;
+  forget_inverses(matrix);
   matrix->record->is_known = 0;
 }
 
@@ -113,7 +118,7 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
   if (has_lanes) difference_lanes(matrix, equations, a, u, position_weight, rate_weight, scale);
 #endif
   for (int i = 0; i < n && !has_lanes; i++) {
-    // what is held doesn't move: with anything in its columns, rounding errors of the factors would move it
+    // what is held doesn't move: with anything in its columns, rounding errors of the inverse would move it
     if (flex_is_held(equations, i)) {
       memset(matrix->stiffness + i * n, 0, (size_t)n * sizeof *y);
       memset(matrix->damping + i * n, 0, (size_t)n * sizeof *y);
@@ -124,12 +129,12 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
     refused |= difference_column(matrix, equations, a, u, matrix->v, i, dv, matrix->damping + i * n);
   }
   matrix->record->is_known = !refused;
-  matrix->record->factored_step = 0.0;
+  forget_inverses(matrix);
   return refused;
 }
 
 int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations, const real *y, const real *u) {
-  matrix->record->factored_step = 0.0;
+  forget_inverses(matrix);
   return flex_mass_matrix(equations, y, u, matrix->mass);
 }
 
@@ -149,27 +154,33 @@ static void assemble(const flex_newton_matrix *matrix, const flex_eigenvalue *z,
   }
 }
 
-// place of the factors and the pivots of one eigenvalue
-static real *factors_of(const flex_newton_matrix *matrix, int block) {
-  return matrix->factors + 2 * block * matrix->n * matrix->n;
+// place of the present inverse for one eigenvalue
+static real *inverse_of(const flex_newton_matrix *matrix, int block) {
+  return matrix->inverses + 2 * (FLEX_MAX_BLOCKS * matrix->record->present + block) * matrix->n * matrix->n;
 }
 
-static int *pivots_of(const flex_newton_matrix *matrix, int block) {
-  return matrix->pivots + block * matrix->n;
+// whether the present inverses are for the step size h
+static int serves(const flex_newton_record *record, double h) {
+  return fabs(h - record->steps[record->present]) <= STEP_CHANGE * h;
 }
 
 int flex_newton_factor(flex_newton_matrix *matrix, double h, real pace) {
+  flex_newton_record *record = matrix->record;
   const flex_tableau *tableau = matrix->tableau;
   int singular = 0;
-  if (fabs(h - matrix->record->factored_step) <= STEP_CHANGE * h) return 0;
+
+  // present ones, those before: a step and its halves take turns
+  if (serves(record, h)) return 0;
+  record->present = 1 - record->present;
+  if (serves(record, h)) return 0;
   for (int k = 0; k < tableau->n_blocks; k++) {
-    real *factors = factors_of(matrix, k);
-    assemble(matrix, &tableau->blocks[k], flex_paced(h, pace), factors);
-    singular |= tableau->blocks[k].is_complex ? flex_complex_lu_factor(matrix->n, factors, pivots_of(matrix, k))
-                                              : flex_lu_factor(matrix->n, factors, pivots_of(matrix, k));
+    real *inverse = inverse_of(matrix, k);
+    assemble(matrix, &tableau->blocks[k], flex_paced(h, pace), inverse);
+    singular |= tableau->blocks[k].is_complex ? flex_complex_invert(matrix->n, inverse, matrix->pivots)
+                                              : flex_invert(matrix->n, inverse, matrix->pivots);
   }
-  matrix->record->factored_step = singular ? 0.0 : h;
-  matrix->record->factorisations++;
+  record->steps[record->present] = singular ? 0.0 : h;
+  record->factorisations++;
   return singular;
 }
 
@@ -193,7 +204,23 @@ static void real_basis(const flex_tableau *tableau, basis *found) {
   }
 }
 
-// real parts, then imaginary parts → pairs, and back
+// the systems of all eigenvalues, components to solutions: a real eigenvalue's first, complex ones as pairs
+static void solve_blocks(flex_newton_matrix *matrix) {
+  const flex_tableau *tableau = matrix->tableau;
+  const real *x = matrix->component;
+  real *solution = matrix->solution;
+  int n = matrix->n;
+  for (int k = 0; k < tableau->n_blocks; k++) {
+    int width = 1 + tableau->blocks[k].is_complex;
+    if (width == 1)
+      flex_multiply(n, inverse_of(matrix, k), x, solution);
+    else
+      flex_complex_multiply(n, inverse_of(matrix, k), x, solution);
+    x += width * n, solution += width * n;
+  }
+}
+
+// real parts, then imaginary parts <-> pairs, for all complex eigenvalues
 static void to_pairs(int n, const real *x, real *pairs) {
   for (int c = 0; c < n; c++) {
     pairs[2 * c] = x[c];
@@ -208,36 +235,21 @@ static void from_pairs(int n, const real *pairs, real *x) {
   }
 }
 
-// the system of a pair of complex eigenvalues; x: real, then imaginary parts
-static void solve_complex(flex_newton_matrix *matrix, int block, real *x) {
-  int n = matrix->n;
-  to_pairs(n, x, matrix->pairs);
-  flex_complex_lu_solve(n, factors_of(matrix, block), pivots_of(matrix, block), matrix->pairs);
-  from_pairs(n, matrix->pairs, x);
-}
-
-// the systems of a real eigenvalue and of a pair of complex ones
-static void solve_both(flex_newton_matrix *matrix, real *x) {
-  int n = matrix->n;
-  to_pairs(n, x + n, matrix->pairs);
-  flex_lu_solve_both(n, factors_of(matrix, 0), pivots_of(matrix, 0), x, factors_of(matrix, 1), pivots_of(matrix, 1),
-                     matrix->pairs);
-  from_pairs(n, matrix->pairs, x + n);
-}
-
 void flex_newton_solve(flex_newton_matrix *matrix, real *x) {
   const flex_tableau *tableau = matrix->tableau;
-  int n = matrix->n, s = tableau->stages;
+  int n = matrix->n, s = tableau->stages, first = !tableau->blocks[0].is_complex;
+  real *split = matrix->solution, *component = matrix->component;
   basis eigenvectors;
   real_basis(tableau, &eigenvectors);
 
   // components along the eigenvectors, their solutions, back to the stages
-  for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.to[i], x, matrix->component + i * n);
-  if (tableau->blocks[0].is_complex)
-    for (int k = 0; k < tableau->n_blocks; k++) solve_complex(matrix, k, matrix->component + 2 * k * n);
-  else
-    solve_both(matrix, matrix->component);
-  for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.back[i], matrix->component, x + i * n);
+  for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.to[i], x, split + i * n);
+  if (first) memcpy(component, split, (size_t)n * sizeof *x);
+  for (int i = first; i < s; i += 2) to_pairs(n, split + i * n, component + i * n);
+  solve_blocks(matrix);
+  if (first) memcpy(component, matrix->solution, (size_t)n * sizeof *x);
+  for (int i = first; i < s; i += 2) from_pairs(n, matrix->solution + i * n, component + i * n);
+  for (int i = 0; i < s; i++) flex_combine(n, s, eigenvectors.back[i], component, x + i * n);
 }
 
 void flex_newton_use(flex_newton_matrix *matrix, const flex_tableau *tableau) {
@@ -269,13 +281,8 @@ void flex_newton_solve_lanes(flex_newton_matrix *matrix, double *x) {
     if (s == 4) second[2 * c] = mixed[2], second[2 * c + 1] = mixed[3];
   }
 
-  // their solutions
-  if (has_real)
-    flex_lu_solve_both(n, factors_of(matrix, 0), pivots_of(matrix, 0), alone, factors_of(matrix, 1), pivots_of(matrix, 1),
-                       first);
-  else
-    flex_complex_lu_solve(n, factors_of(matrix, 0), pivots_of(matrix, 0), first);
-  if (s == 4) flex_complex_lu_solve(n, factors_of(matrix, 1), pivots_of(matrix, 1), second);
+  solve_blocks(matrix);
+  alone = matrix->solution, first = alone + has_real * n, second = first + 2 * n;
 
   // back to the stages
   for (int c = 0; c < n; c++) {
@@ -288,14 +295,14 @@ void flex_newton_solve_lanes(flex_newton_matrix *matrix, double *x) {
 
 void flex_newton_filter(flex_newton_matrix *matrix, real *x) {
   int n = matrix->n;
-  real *rhs = matrix->component;
+  real *rhs = matrix->component, *solution = matrix->solution;
   flex_multiply(n, matrix->mass, x, rhs);
   if (!matrix->tableau->blocks[0].is_complex) {
-    flex_lu_solve(n, matrix->factors, matrix->pivots, rhs);
-    memcpy(x, rhs, (size_t)n * sizeof *x);
+    flex_multiply(n, inverse_of(matrix, 0), rhs, x);
     return;
   }
   memset(rhs + n, 0, (size_t)n * sizeof *rhs);
-  solve_complex(matrix, 0, rhs);
-  for (int i = 0; i < n; i++) x[i] = flex_hypot(rhs[i], rhs[n + i]);
+  to_pairs(n, rhs, solution);
+  flex_complex_multiply(n, inverse_of(matrix, 0), solution, rhs);
+  for (int i = 0; i < n; i++) x[i] = flex_hypot(rhs[2 * i], rhs[2 * i + 1]);
 }

@@ -11,7 +11,8 @@
 
 /* plain numbers, saved and restored with the state of the plant */
 typedef struct {
-  double factored_step; /* step size of the factorised matrices [s]; 0 = none */
+  double steps[2];      /* step sizes of the inverted matrices [s], the present one and the one before; 0 = none */
+  int present;          /* which of the two is the present one */
   int is_known;         /* 1 = M, D, K are there */
   long long factorisations;
 } flex_newton_record;
@@ -21,12 +22,12 @@ typedef struct {
   const flex_tableau *tableau;
   flex_newton_record *record;
 
-  /* numeric state: M, D, K [n n] and the factors of the matrices of all eigenvalues */
-  real *mass, *damping, *stiffness, *factors;
-  int *pivots;
+  /* numeric state: M, D, K [n n] and the inverses of the matrices of all eigenvalues, for two step sizes */
+  real *mass, *damping, *stiffness, *inverses;
 
   /* scratch */
-  real *component, *pairs, *y, *v, *r, *lanes;
+  real *component, *solution, *y, *v, *r, *lanes;
+  int *pivots;
 
   /* eigenvectors by columns, with one lane for each component and for each stage */
   double to_components[FLEX_MAX_STAGES][FLEX_MAX_STAGES], to_stages[FLEX_MAX_STAGES][FLEX_MAX_STAGES];
@@ -38,7 +39,7 @@ void flex_newton_take_scratch(flex_newton_matrix *matrix, int n, int n_inputs, f
 /* chooses the method */
 void flex_newton_use(flex_newton_matrix *matrix, const flex_tableau *tableau);
 
-/* forgets M, D, K and the factors */
+/* forgets M, D, K and the inverses */
 void flex_newton_clear(flex_newton_matrix *matrix);
 
 /* M, D, K at a point by differences. position_weight, rate_weight, scale: the error norm and the size of the motion in it,
@@ -50,7 +51,7 @@ int flex_newton_refresh(flex_newton_matrix *matrix, flex_equations *equations, c
 /* M alone, D and K as they are. Returns 0, or 1 if the model refused to be evaluated. */
 int flex_newton_renew_mass(flex_newton_matrix *matrix, flex_equations *equations, const real *y, const real *u);
 
-/* factors for the step size h in the lanes' own time, unless those that are there do. Returns 0, or 1 if a matrix is singular. */
+/* inverses for the step size h in the lanes' own time, unless those that are there do. Returns 0, or 1 if a matrix is singular. */
 int flex_newton_factor(flex_newton_matrix *matrix, double h, real pace);
 
 /* x [stages n] replaced by the solution */
