@@ -78,10 +78,20 @@ int flex_backend_advance(flex_backend *backend, double t0, double t1) {
   return explained(backend, "integration", flex_plant_advance(plant_of(backend), t0, t1));
 }
 
+// what importers read by dozens in every step: outputs that are there are a table, the rest is computed or refused one by one
 int flex_backend_get_reals(flex_backend *backend, const unsigned *index, size_t count, double *value) {
   flex_plant *plant = plant_of(backend);
-  for (size_t i = 0; i < count; i++)
+  unsigned first = flex_first_output(plant->model), n = (unsigned)plant->model->n_outputs;
+  const double *outputs = plant->outputs;
+  int is_there = flex_plant_has(plant, FLEX_HAVE_OUTPUTS);
+  for (size_t i = 0; i < count; i++) {
+    if (is_there && index[i] - first < n) {
+      value[i] = outputs[index[i] - first];
+      continue;
+    }
     if (flex_get_real(plant, index[i], &value[i])) return 1;
+    is_there = flex_plant_has(plant, FLEX_HAVE_OUTPUTS);
+  }
   return 0;
 }
 
@@ -100,16 +110,31 @@ int flex_backend_set_integer(flex_backend *backend, unsigned index, int value) {
 int flex_backend_set_input_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
                                        const double *value) {
   flex_plant *plant = plant_of(backend);
-  for (size_t i = 0; i < count; i++)
-    if (flex_set_input_derivative(plant, index[i], order[i], value[i])) return 1;
+  unsigned n_inputs = (unsigned)plant->model->n_inputs, highest = (unsigned)plant->model->max_input_order;
+  double time = plant->record->time;
+  for (size_t i = 0; i < count; i++) {
+    int fits = index[i] < n_inputs && (unsigned)order[i] - 1 < highest && value[i] - value[i] == 0.0;
+    if (!fits) return flex_refuse_input_derivative(plant, index[i], order[i], value[i]);
+    flex_inputs_set_derivative(&plant->inputs, (int)index[i], time, order[i], value[i]);
+    if (i == 0) flex_plant_inputs_changed(plant);
+  }
   return 0;
 }
 
 int flex_backend_get_output_derivatives(flex_backend *backend, const unsigned *index, size_t count, const int *order,
                                         double *value) {
   flex_plant *plant = plant_of(backend);
-  for (size_t i = 0; i < count; i++)
+  unsigned first = flex_first_output(plant->model), n = (unsigned)plant->model->n_outputs, highest = 0;
+  const double *const rates[] = {plant->first_rates, plant->second_rates};
+  for (size_t i = 0; i < count; i++) {
+    unsigned from_zero = (unsigned)order[i] - 1;
+    if (from_zero < highest && index[i] - first < n) {
+      value[i] = rates[from_zero][index[i] - first];
+      continue;
+    }
     if (flex_get_output_derivative(plant, index[i], order[i], &value[i])) return 1;
+    highest = (unsigned)order[i] > highest ? (unsigned)order[i] : highest;
+  }
   return 0;
 }
 

@@ -100,7 +100,7 @@ static int is_known(flex_plant *plant, unsigned index) {
   return !flex_refuse_reference(plant->message, index, (int)fixed_step_index(plant) + 1);
 }
 
-int flex_compute_real(flex_plant *plant, unsigned index, double *value) {
+int flex_get_real(flex_plant *plant, unsigned index, double *value) {
   const flex_model *model = plant->model;
   unsigned m = (unsigned)model->n_inputs, p = (unsigned)model->n_parameters;
   if (!is_known(plant, index)) return 1;
@@ -208,7 +208,7 @@ int flex_refuse_input_derivative(flex_plant *plant, unsigned index, int order, d
   return flex_refuse_derivative(plant->message, name, order, model->max_input_order, value);
 }
 
-int flex_compute_output_derivative(flex_plant *plant, unsigned index, int order, double *value) {
+int flex_get_output_derivative(flex_plant *plant, unsigned index, int order, double *value) {
   const flex_model *model = plant->model;
   unsigned output = flex_output_of(model, index);
   if (!is_known(plant, index)) return 1;
