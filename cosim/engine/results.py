@@ -61,6 +61,40 @@ class Column:
         return [known[code] if 0 <= code < len(known) else '""' for code in self.values.astype(int).tolist()]
 
 
+class LazyColumns(Mapping[str, Column]):
+    """Columns that are made when they are first asked for: making all of them takes longer than short runs should.
+
+    Args:
+        names: their names in order.
+        make: makes the column of a name; its arrays must have the length of the recording's times.
+    """
+
+    def __init__(self, names: Collection[str], make: Callable[[str], Column]) -> None:
+        self._names, self._make, self._made = names, make, dict[str, Column]()
+
+    def __getitem__(self, name: str) -> Column:
+        """Return the column of that name."""
+        found = self._made.get(name)
+        if found is None:
+            if name not in self._names:
+                raise KeyError(name)
+            found = self._made[name] = self._make(name)
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Copies and pickles have all columns."""
+        return dict, (dict(self),)
+
+
 @dataclass(frozen=True)
 class Recording:
     """Signals over time. An instant at which signals jump appears twice: left limits first, then right limits.
@@ -77,8 +111,8 @@ class Recording:
     columns: Mapping[str, Column]
 
     def __post_init__(self) -> None:
-        shape = self.time.shape
-        for name, column in self.columns.items():
+        shape, columns = self.time.shape, {} if isinstance(self.columns, LazyColumns) else self.columns
+        for name, column in columns.items():
             for values in (column.values, column.first, column.second):
                 if values is not None and values.shape != shape:
                     raise ResultsError(f"{name!r} has {values.size} values for {self.time.size} instants")
@@ -105,7 +139,7 @@ class Recording:
 
     def only(self, keeps: Callable[[str], bool]) -> Recording:
         """Return the recording with only those signals for whose names ``keeps`` is true."""
-        return Recording(self.time, {name: column for name, column in self.columns.items() if keeps(name)})
+        return Recording(self.time, {name: self.columns[name] for name in self.columns if keeps(name)})
 
     def write_csv(self, path: str | os.PathLike[str]) -> Path:
         """Write time and values (not the derivatives) in the format of `fmpy.util.read_csv`; return the path.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.dense_output import integral
 from flexfmu.cosim.engine.fmu.file import open_fmu
-from flexfmu.cosim.engine.results import Column, Recording, Selection
+from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, Selection
 from flexfmu.cosim.engine.slave import RealArray, Sampled, Slave, offset
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.system import PLANT, REFERENCES, SceneSystem
@@ -52,6 +52,9 @@ class SceneRecording:
             integrals = [found[0] for name in sources if (found := integral(name)) is not None]
             sources |= {name for name in integrals if name in outputs}
         self.needed = Selection(sources, selection.order, selection.step)
+        # names in the scene's recording, for the names of the master's
+        self._recorded: tuple[str, ...] = ()
+        self._named: Mapping[str, Source] = {}
 
     def follow(self, rigid: RigidMotion) -> None:
         """Complete recordings with another motion of the rigid robot from now on."""
@@ -59,11 +62,30 @@ class SceneRecording:
 
     def of(self, recorded: Recording, parts: SceneSystem) -> Recording:
         """The scene's recording from the master's, with short names, unconnected inputs and the rigid motion."""
-        time, columns = recorded.time, plain_names(recorded.columns, PLANT, REFERENCES, parts.wiring.feeding)
-        columns |= constants(parts.plant, parts.constants, time.size)
-        if self._with_rigid:
-            columns |= self._rigid.columns(time)
-        return self._selection.of(Recording(time, columns))
+        time, rigid, values = recorded.time, self._rigid, parts.constants
+        named = self._sources(recorded.columns, parts)
+
+        def column(name: str) -> Column:
+            source = named[name]
+            if source.name:
+                return held(recorded[source.name]) if source.held else recorded[source.name]
+            if name in values:
+                return held(Column(source.unit, np.broadcast_to(values[name], time.shape)))
+            return rigid.columns(time)[name]
+
+        return Recording(time, LazyColumns(named, column))
+
+    def _sources(self, recorded: Collection[str], parts: SceneSystem) -> Mapping[str, Source]:
+        """Where the selected signals come from, for the names in the master's recording; the same in all runs."""
+        if self._recorded != (names := tuple(recorded)):
+            found = plain_names(names, PLANT, REFERENCES, parts.wiring.feeding)
+            units = {each.name: each.unit for each in parts.plant.variables}
+            found |= {name: Source("", unit=units[name]) for name in parts.constants}
+            if self._with_rigid:
+                found |= dict.fromkeys(self._rigid.names, Source(""))
+            self._recorded = names
+            self._named = {name: source for name, source in found.items() if self._selection.keeps(name)}
+        return self._named
 
 
 def _short(name: str) -> str:
@@ -78,6 +100,21 @@ KINDS = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s2"))
 
 PIECE = 8192
 """Number of instants whose derivatives are evaluated at once."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a signal of the scene's recording comes from.
+
+    Attributes:
+        name: its name in the master's recording; empty for a constant input and the rigid motion.
+        held: whether it is an input, whose missing derivatives are zero.
+        unit: unit of a constant input.
+    """
+
+    name: str
+    held: bool = False
+    unit: str = ""
 
 
 class RigidMotion:
@@ -144,25 +181,25 @@ def slave_facts(slaves: Sequence[Slave]) -> tuple[SlaveFacts, ...]:
 
 
 def plain_names(
-    recorded: Mapping[str, Column], plant: str, references: str, feeding: Mapping[str, str]
-) -> dict[str, Column]:
-    """The recorded columns with short names.
+    recorded: Collection[str], plant: str, references: str, feeding: Mapping[str, str]
+) -> dict[str, Source]:
+    """Short names of recorded signals → where these come from.
 
     Outputs of the plant, its inputs (such as ``joint1.torque``) and the trajectory's outputs have their own names. All other
     signals, and references that an inline block replaces, have the name ``slave.variable``.
 
     Args:
-        recorded: columns named ``slave.variable``.
+        recorded: names ``slave.variable``.
         plant, references: names of these slaves.
         feeding: input of the plant → ``slave.output`` connected to it; ignored if that isn't recorded.
     """
-    columns: dict[str, Column] = {}
-    for name, column in recorded.items():
+    found: dict[str, Source] = {}
+    for name in recorded:
         owner, _, variable = name.partition(".")
         superseded = owner == references and feeding.get(variable, name) != name
-        columns[variable if owner in (plant, references) and not superseded else name] = column
-    acting = [(name, source) for name, source in feeding.items() if name not in columns and source in recorded]
-    return columns | {name: held(recorded[source]) for name, source in acting}
+        found[variable if owner in (plant, references) and not superseded else name] = Source(name)
+    acting = [(name, source) for name, source in feeding.items() if name not in found and source in recorded]
+    return found | {name: Source(source, held=True) for name, source in acting}
 
 
 def held(column: Column) -> Column:
@@ -170,12 +207,6 @@ def held(column: Column) -> Column:
     zero = np.broadcast_to(0.0, column.values.shape)
     first = zero if column.first is None else column.first
     return Column(column.unit, column.values, first, zero if column.second is None else column.second)
-
-
-def constants(plant: Slave, values: Mapping[str, float], count: int) -> dict[str, Column]:
-    """Columns of the plant's unconnected inputs with constant values, at ``count`` instants."""
-    units = {each.name: each.unit for each in plant.variables if each.name in values}
-    return {name: held(Column(units[name], np.broadcast_to(value, (count,)))) for name, value in values.items()}
 
 
 def _description(slave: Slave) -> str:

@@ -6,8 +6,7 @@ A trial instance shows which of its stated output derivatives an FMU of another 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,40 +26,26 @@ from flexfmu.cosim.engine.fmu.capabilities import (
 from flexfmu.cosim.engine.fmu.file import UnpackedFmu, open_fmu, resized
 from flexfmu.cosim.engine.fmu.fmi3 import Fmi3Instance
 from flexfmu.cosim.engine.fmu.fmi3_transfers import Fmi3Transfers
-from flexfmu.cosim.engine.fmu.fmi3_variables import by_elements
 from flexfmu.cosim.engine.fmu.instance import (
     BoundStep,
-    Checked,
     FmuInstance,
     FmuStates,
     Instance,
     StatusCall,
     load_calls,
 )
+from flexfmu.cosim.engine.fmu.start_values import StartValues
 from flexfmu.cosim.engine.fmu.transfers import Statistics, Transfers
 from flexfmu.cosim.engine.fmu.variables import (
     FmuVariables,
     Handle,
-    Setting,
     Value,
-    in_words,
     read_variables,
-    same,
-    settable_variables,
-    settings,
 )
 from flexfmu.cosim.engine.slave import Call, Indices, RealArray
 
 LISTED = 5
 """Largest number of names in a sentence; there may be hundreds."""
-
-
-@dataclass(frozen=True)
-class _Start:
-    """A start value and the call that sets it."""
-
-    setting: Setting
-    set: Checked
 
 
 class FmuSlave:
@@ -120,9 +105,9 @@ class FmuSlave:
         # the instance, transfers of its variables, and calls that set start values
         self._instance, self._transfers = _interface(self._fmu)
         self._counters = Statistics(known.others, self._transfers.get)
-        self._readings: dict[str, tuple[StatusCall, Callable[[], Value]]] = {}
-        self._starts = self._given_starts = self._starting(self._given)
+        self._starts = StartValues(self._fmu, self._instance, self._transfers, self._given)
         self._presets: dict[int, float] = {}
+        self._preset: tuple[list[int], RealArray, StatusCall] | None = None
         self._run: FmuStates | None = None
         self._free: Call = nothing
         # results of a run
@@ -189,20 +174,14 @@ class FmuSlave:
         Raises:
             InputError: a parameter doesn't exist or is structural, or its value doesn't fit its type or range.
         """
+        if not changes and self.parameters == self._given:
+            return
         if resized(self._fmu, {**self._given, **changes}).sizes != self._fmu.sizes:
             raise InputError(
                 f"{self.name}: structural parameters can't vary from run to run; make a slave for each of them"
             )
-        self._starts = {**self._given_starts, **self._starting(changes)}
+        self._starts.vary(changes)
         self.parameters = {**self._given, **changes}
-
-    def _starting(self, parameters: Mapping[str, Value]) -> dict[str, _Start]:
-        """Return name → start value and the call that sets it."""
-        transfers, checked = self._transfers, self._instance.checked
-        return {
-            each.name: _Start(each, checked(f"setting {each.name} = {each.value}", transfers.setting(each)))
-            for each in settings(_settable(self._fmu), by_elements(self._fmu.description, parameters))
-        }
 
     def initialize(self, start_time: float, stop_time: float, tolerance: float | None) -> None:
         """Instantiate, set parameters and inputs, and go through initialisation mode.
@@ -224,46 +203,30 @@ class FmuSlave:
         self._free = weakref.finalize(self, run.free)
         instance.set_up(start_time, stop_time, tolerance)
         # start values and inputs before initialisation mode
-        for start in self._starts.values():
-            start.set()
-        handles = [self._handles[index] for index in self._presets]
-        presets = self._transfers.set(handles, np.array([*self._presets.values()]))
+        self._starts.set()
+        presets = self._set_presets()
         instance.check("setting inputs", presets)
 
         # and again in initialisation mode, for FMUs of other tools that have lost them
         def repeat() -> None:
-            if self._fmu.is_ours:
-                return
-            for start in self._starts.values():
-                found = self._read_back(start.setting)
-                if start.setting.lasting and (found is None or not same(start.setting.value, found)):
-                    instance.accepts(start.set.call)
-            instance.check("setting inputs", presets)
+            if not self._fmu.is_ours:
+                self._starts.set_lost()
+                instance.check("setting inputs", presets)
 
         instance.initialize(repeat)
-        self.remarks = tuple(self._differences())
-
-    def _differences(self) -> Iterator[str]:
-        """Yield a sentence for each start value that differs from the value read back."""
-        # leave out inputs set by the master, guesses, and variables that can't be read
+        # inputs that the master has set may differ
         preset = {self.variables[index].name for index in self._presets}
-        for name, start in self._starts.items():
-            if not start.setting.lasting or name in preset:
-                continue
-            value, found = start.setting.value, self._read_back(start.setting)
-            if found is not None and not same(value, found):
-                variable = _settable(self._fmu)[name]
-                yield (
-                    f"{name} was set to {in_words(variable, value)}, but is {in_words(variable, found)} after initialisation: "
-                    f"{self.path.name} ignores it or calculates it"
-                )
+        self.remarks = tuple(each for name, each in self._starts.differences() if name not in preset)
 
-    def _read_back(self, setting: Setting) -> Value | None:
-        """Return the present value of a variable with a start value; None if the FMU doesn't provide it."""
-        if setting.name not in self._readings:
-            self._readings[setting.name] = self._transfers.reading(setting)
-        call, value = self._readings[setting.name]
-        return value() if self._instance.accepts(call) else None
+    def _set_presets(self) -> StatusCall:
+        """Return the call that sets the inputs stored for initialisation; runs of one system have the same ones."""
+        if self._preset is None or self._preset[0] != [*self._presets]:
+            values = np.empty(len(self._presets))
+            handles = [self._handles[index] for index in self._presets]
+            self._preset = [*self._presets], values, self._transfers.set(handles, values)
+        _, values, call = self._preset
+        values[:] = [*self._presets.values()]
+        return call
 
     def step(self, time: float, step: float) -> None:
         """Advance from ``time`` by ``step`` [s].
@@ -419,9 +382,3 @@ def _interface(fmu: UnpackedFmu) -> tuple[Instance, Transfers | Fmi3Transfers]:
 def _variables(fmu: UnpackedFmu) -> FmuVariables:
     """Return the variables of the FMU's model description, read once."""
     return read_variables(fmu.description)
-
-
-@cache
-def _settable(fmu: UnpackedFmu) -> Mapping[str, Any]:
-    """Return the FMU's variables whose start values can be set, read once."""
-    return settable_variables(fmu.description)

@@ -17,8 +17,8 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.ports import OutputPort
-from flexfmu.cosim.engine.results import Column, Recording
-from flexfmu.cosim.engine.slave import TEXTS, RealArray
+from flexfmu.cosim.engine.results import Column, LazyColumns, Recording
+from flexfmu.cosim.engine.slave import TEXTS, RealArray, SlaveVariable
 
 _MADV_POPULATE_WRITE = 23
 """MADV_POPULATE_WRITE of Linux 5.14 and later; Python's mmap has no name for it."""
@@ -67,8 +67,8 @@ class Recorder:
             for port in ports
         ]
         self._kept = [[(i, *each) for i, each in enumerate(signals) if keeps(each[0])] for signals in named]
+        self._places = _places(self._kept, [port.recorded for port in ports])
         # current signals: runs of successive ones, order by order
-        self._orders = [port.recorded for port in ports]
         self._signals: list[RealArray] = []
         for port, kept in zip(ports, self._kept, strict=True):
             rows, places = port.signals[: port.recorded], np.array([i for i, *_ in kept], dtype=np.intp)
@@ -174,21 +174,16 @@ class Recorder:
         They use the recorder's memory; the next run has new memory, unless they are no longer in use.
         """
         self._own_references = min(self._own_references, self._references())
-        columns: dict[str, Column] = {}
-        time, *rows = self._rows()
-        place = 0
-        for kept, orders in zip(self._kept, self._orders, strict=True):
-            end = place + orders * len(kept)
-            for i, (_, name, variable) in enumerate(kept, place):
-                # texts are recorded as codes
-                if variable.type == "String":
-                    columns[name] = Column(variable.unit, rows[i], texts=TEXTS.known())
-                else:
-                    value, *derivatives = rows[i : end : len(kept)]
-                    first, second = (*derivatives, None, None)[:2]
-                    columns[name] = Column(variable.unit, value, first, second)
-            place = end
-        return Recording(time, columns)
+        rows, places = self._rows(), self._places
+
+        def column(name: str) -> Column:
+            variable, own = places[name]
+            # texts are recorded as codes
+            if variable.type == "String":
+                return Column(variable.unit, rows[own[0]], texts=TEXTS.known())
+            return Column(variable.unit, *(rows[i] for i in own[:3]))
+
+        return Recording(rows[0], LazyColumns(places, column))
 
     def _references(self) -> int:
         """Number of references to the memory, those of its views included."""
@@ -203,16 +198,30 @@ class Recorder:
         """Map all shared memory at once, which is faster than page by page; call it in the process that records."""
         self._memory.populate()
 
-    def _rows(self) -> list[RealArray]:
+    def _rows(self) -> RealArray | list[RealArray]:
         """All columns, time first."""
         if len(self._parts) == 1:
-            return list(self._parts[0][:, : self._count])
+            return self._parts[0][:, : self._count]
         return [self._joined(column) for column in range(self._width)]
 
     def _joined(self, column: int) -> RealArray:
         """What is recorded in a column; a copy only if step control has needed several parts of memory."""
         pieces = [part[column] for part in self._parts]
         return pieces[0][: self._count] if len(pieces) == 1 else np.concatenate(pieces)[: self._count]
+
+
+Kept = Sequence[tuple[int, str, SlaveVariable]]
+"""Recorded signals of a port: index, name and variable."""
+
+
+def _places(ports: Sequence[Kept], orders: Sequence[int]) -> dict[str, tuple[SlaveVariable, range]]:
+    """Name of a signal → its variable, and its rows in the memory, order by order."""
+    found, place = {}, 1
+    for kept, count in zip(ports, orders, strict=True):
+        end = place + count * len(kept)
+        found |= {name: (variable, range(i, end, len(kept))) for i, (_, name, variable) in enumerate(kept, place)}
+        place = end
+    return found
 
 
 class _Memory:
