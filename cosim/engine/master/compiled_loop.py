@@ -5,9 +5,11 @@ Between two pieces Python reports progress, and the user can interrupt the run.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from ctypes import addressof
 from functools import cached_property
 from typing import Any
+from weakref import ref
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from flexfmu.cosim.engine.master.instructions import CChannel, CProgram, CProgre
 from flexfmu.cosim.engine.master.program import instructions
 from flexfmu.cosim.engine.master.recorder import Recorder
 from flexfmu.cosim.engine.master.schedule import Schedule
+from flexfmu.cosim.engine.slave import RealArray
 
 
 class CompiledLoop:
@@ -31,24 +34,39 @@ class CompiledLoop:
 
     def __init__(self, library: RunProgram, schedule: Schedule, recorder: Recorder) -> None:
         self._library, self._schedule, self._recorder = library, schedule, recorder
-        self._progress = CProgress()
+        self._progress, self._program = CProgress(), CProgram()
+        # what the program refers to: points and flags of the block, recorded times, tables
+        self._grid: TimeGrid | None = None
+        self._recorded: Callable[[], RealArray | None] = lambda: None
         self._kept: tuple[object, ...] = ()
+        self._tables: dict[int, RealArray] = {}
 
     def enter(self, grid: TimeGrid) -> None:
         """Go on to these points, after the exchange at the first of them has been executed and recorded."""
         self._progress = CProgress(points=0, records=self._recorder.count)
-        self._program = self._prepared()
-        # the addressed arrays are kept until the next block
+        # runs one after the other have the same points, often the same memory, and the same tables
+        if self._recorder.time is not self._recorded():
+            self._program, self._recorded, self._grid = self._prepared(), ref(self._recorder.time), None
+        if grid is not self._grid:
+            self._take(grid)
+        for key, (packed, each) in enumerate(self._reading):
+            assert each.table is not None
+            if (table := each.table()) is not self._tables.get(key):
+                self._tables[key] = table
+                packed.source = address(table) + each.offset
+
+    def _take(self, grid: TimeGrid) -> None:
+        """Make the program refer to these points."""
         times, jumps, instants = np.ascontiguousarray(grid.times), flags(grid.marked), flags(grid.instants)
         self._program.times, self._program.jumps = address(times), address(jumps)
         self._program.instants = address(instants)
-        tables = []
-        for array, listed in zip(self._packed, self._instructions, strict=True):
-            for packed, each in zip(array, listed, strict=False):
-                if each.table is not None:
-                    tables.append(each.table())
-                    packed.source = address(tables[-1]) + each.offset
-        self._times, self._kept = times, (jumps, instants, *tables)
+        self._grid, self._times, self._kept = grid, times, (jumps, instants)
+
+    @cached_property
+    def _reading(self) -> list[tuple[Any, Instruction]]:
+        """The instructions that read from a table, packed and not."""
+        pairs = zip(self._packed, self._instructions, strict=True)
+        return [both for each in pairs for both in zip(*each, strict=False) if both[1].table is not None]
 
     @cached_property
     def _instructions(self) -> tuple[list[Instruction], list[Instruction]]:
