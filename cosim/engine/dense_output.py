@@ -9,14 +9,16 @@ Hermite's interpolation formula, Amer. Math. Monthly 67, 1960).
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from math import comb, factorial
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.engine.fmu.calls import address
+from flexfmu.cosim.engine.master.c_library import CDense, load_interpolation
+from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, Table
 from flexfmu.cosim.engine.slave import COINCIDENT, Indices, RealArray
 
 KNOWN = 3
@@ -24,6 +26,10 @@ KNOWN = 3
 
 POINTS = 4
 """Number of communication points of an interpolant: two on either side, fewer where signals may jump."""
+
+
+Signal = tuple[int, int, int, int, int]
+"""Where a signal is in a table, and what is interpolated; see `DenseOutput.of`."""
 
 
 def hermite_weights(nodes: RealArray, time: RealArray, order: int) -> RealArray:
@@ -86,77 +92,76 @@ class DenseOutput:
         between = inner[~lands]
         # all instants in order: fixed ones after those between that are earlier
         places = np.searchsorted(between, points[fixed]) + np.arange(fixed.size)
-        self._size = fixed.size + between.size
-        self._fixed, self._at_fixed = fixed, places
-        self._between = np.delete(np.arange(self._size), places)
-        self.time = np.empty(self._size)
-        self.time[places], self.time[self._between] = points[fixed], between
-        # first point of each instant's interpolant, within its piece
-        self._segment = segment = points.searchsorted(between) - 1
+        self.time = np.empty(fixed.size + between.size)
+        rest = np.delete(np.arange(self.time.size), places)
+        self.time[places], self.time[rest] = points[fixed], between
+        # points that are instants, and the last point before each of the others
+        segment = points.searchsorted(between) - 1
+        self._points, self._last = np.full(self.time.size, -1, np.int64), np.empty(self.time.size, np.intp)
+        self._points[places] = self._last[places] = fixed
+        self._last[rest] = segment
+        # four points around each instant between, with weights; fewer of them in short pieces
+        self._begins = np.zeros(self.time.size, np.int64)
+        self._weights = np.zeros((order + 1, self.time.size, KNOWN, POINTS))
         piece = ends.searchsorted(segment, "right")
-        self._groups = [
-            _Group(points, between, np.flatnonzero(count == chosen), first, chosen, order)
-            for count in [np.minimum(POINTS, ends[piece] - begins[piece] + 1)]
-            for chosen in np.unique(count).tolist()
-            for first in [np.clip(segment - chosen // 2 + 1, begins[piece], ends[piece] + 1 - chosen)]
-        ]
+        counts = np.minimum(POINTS, ends[piece] - begins[piece] + 1)
+        for count in np.unique(counts).tolist():
+            of = np.flatnonzero(counts == count)
+            first = np.clip(segment[of] - count // 2 + 1, begins[piece][of], ends[piece][of] + 1 - count)
+            own = first[:, None] + np.arange(count)
+            weights = hermite_weights(points[own], between[of], order).swapaxes(2, 3)
+            begin = self._begins[rest[of]] = np.clip(first, 0, max(points.size - POINTS, 0))
+            columns = own - begin[:, None]
+            self._weights[:, rest[of][:, None, None], np.arange(KNOWN)[:, None], columns[:, None]] = weights
+        self._signals: tuple[Mapping[str, tuple[str, range]], Mapping[str, Signal]] | None = None
+        self._in_c = CDense(self.time.size, *map(address, (self._begins, self._points, self._weights)))
 
-    def of(self, known: RealArray, orders: int) -> RealArray:
-        """Return signals and their derivatives at all instants, (orders, S, M).
+    def of(self, rows: RealArray, signals: Indices, orders: int) -> RealArray:
+        """Return derivatives of signals at all instants, (S, orders, M).
 
         Args:
-            known: (N, 3, S) value, first and second derivative of each signal at the communication points.
-            orders: number of derivatives to return, the value included; those from the fourth on are undefined at the
-                communication points themselves.
+            rows: (n, N) values and derivatives at the communication points.
+            signals: (S, 5) for each signal the row of its values, and how many rows further first and second derivatives are
+                each; row and distance of rows of what was recorded, for the instants that are communication points; lowest
+                derivative to return, 0 for the value.
+            orders: number of derivatives to return, up to 3.
         """
-        found = np.empty((orders, known.shape[2], self._size))
-        found[:KNOWN, :, self._at_fixed] = known[self._fixed, :orders].transpose(1, 2, 0)
-        for group in self._groups:
-            found[:, :, self._between[group.instants]] = group.of(known, orders)
+        found = np.empty((len(signals), orders, self.time.size))
+        interpolate = load_interpolation()
+        if interpolate is None or rows.shape[1] < POINTS:
+            for each, (row, step, own, own_step, lowest) in zip(found, signals.tolist(), strict=True):
+                self._in_python(rows, row, step, own, own_step, lowest, each)
+            return found
+        signals, (start, distance) = np.ascontiguousarray(signals, np.int64), _address_and_distance(rows)
+        interpolate(self._in_c, start, distance, address(signals), len(signals), orders, address(found))
         return found
 
-    def fix(self, column: Column, recorded: Column) -> None:
-        """Replace what was interpolated by what was recorded, at the instants that are communication points."""
-        for into, source in zip(_arrays(column), _arrays(recorded), strict=False):
-            into[self._at_fixed] = source[self._fixed]
+    def _in_python(
+        self, rows: RealArray, row: int, step: int, own: int, own_step: int, lowest: int, found: RealArray
+    ) -> None:
+        """The same sums, in the same order as in C, into ``found`` (orders, M)."""
+        places = np.minimum(self._begins[:, None] + np.arange(POINTS), rows.shape[1] - 1)
+        values, first, second = (rows[row + n * step][places] for n in range(KNOWN))
+        fixed = self._points >= 0
+        for n, (into, weights) in enumerate(zip(found, self._weights[lowest:], strict=False)):
+            part = weights[:, 0] * values + weights[:, 1] * first + weights[:, 2] * second
+            into[:] = (part[:, 0] + part[:, 1]) + (part[:, 2] + part[:, 3])
+            into[fixed] = rows[own + n * own_step][self._points[fixed]]
+
+    def signals_in(self, table: Table) -> Mapping[str, Signal]:
+        """Numbers for `of` of a table's signals; runs of one system have the same ones."""
+        if self._signals is None or self._signals[0] is not table.places:
+            self._signals = table.places, smooth_signals(table.places)
+        return self._signals[1]
 
     def held(self, column: Column) -> Column:
         """A column without two derivatives, held between the communication points."""
-        last = np.empty(self._size, np.intp)
-        last[self._at_fixed], last[self._between] = self._fixed, self._segment
-        return Column(column.unit, column.values[last], texts=column.texts)
+        return Column(column.unit, column.values[self._last], texts=column.texts)
 
 
-def _arrays(column: Column) -> list[RealArray]:
-    return [each for each in (column.values, column.first, column.second) if each is not None]
-
-
-class _Group:
-    """Instants between points whose interpolants have the same number of points.
-
-    Instants with the same interpolant are one matrix product: (instants and orders, 3 k) times (3 k, signals).
-    """
-
-    def __init__(
-        self, points: RealArray, time: RealArray, instants: Indices, first: Indices, count: int, order: int
-    ) -> None:
-        self.instants, self._count, self._first = instants, count, first[instants]
-        # place of each instant among those with the same interpolant
-        self._slot = np.arange(instants.size) - self._first.searchsorted(self._first)
-        weights = hermite_weights(points[self._first[:, None] + np.arange(count)], time[instants], order)
-        slots = int(self._slot.max(initial=-1)) + 1
-        placed = np.zeros((points.size - count + 1, slots, order + 1, KNOWN * count))
-        placed[self._first, self._slot] = weights.reshape(*weights.shape[:2], -1).swapaxes(0, 1)
-        # those of the first derivatives, for each number of them
-        shape = len(placed), -1, KNOWN * count
-        self._weights = [placed[:, :, :orders].reshape(shape) for orders in range(1, order + 2)]
-
-    def of(self, known: RealArray, orders: int) -> RealArray:
-        """Return the signals (N, 3, S) and their derivatives at these instants, (orders, S, R)."""
-        weights = self._weights[orders - 1]
-        found = np.matmul(weights, windows(known, self._count))
-        found = found.reshape(len(weights), -1, orders, known.shape[2])
-        return np.asarray(found[self._first, self._slot].transpose(1, 2, 0))
+def _address_and_distance(rows: RealArray) -> tuple[int, int]:
+    """Address of an array with contiguous rows, and their distance in numbers."""
+    return int(rows.ctypes.data), rows.strides[0] // rows.itemsize
 
 
 def windows(known: RealArray, count: int) -> RealArray:
@@ -177,27 +182,30 @@ def resampled(recording: Recording, dense: DenseOutput, order: int) -> Recording
         dense: their interpolation.
         order: highest derivative to keep, 0 to 2.
     """
-    columns = recording.columns
-    smooth = [name for name, column in columns.items() if column.second is not None]
-    bases = {name: signal for name in smooth if (signal := integral(name)) is not None and signal[0] in columns}
-    # signals with derivatives: first those of which others are derivatives
-    several = list(dict.fromkeys(base for base, _ in bases.values()))
-    found: dict[str, Column] = {}
-    for names, orders in (
-        (several, order + KNOWN),
-        ([name for name in smooth if name not in {*several, *bases}], order + 1),
-    ):
-        if not names:
-            continue
-        values = dense.of(_known(recording, names), orders)
-        found |= {name: Column(columns[name].unit, *values[: order + 1, i]) for i, name in enumerate(names)}
-        if names is several:
-            for name, (base, lowest) in bases.items():
-                found[name] = Column(columns[name].unit, *values[lowest : lowest + order + 1, several.index(base)])
-                # at the communication points it has its own values and derivatives
-                dense.fix(found[name], columns[name])
-    # the others, in the order of the recording
-    return Recording(dense.time, {name: found.get(name) or dense.held(column) for name, column in columns.items()})
+    columns, table = recording.columns, Table.of(recording.columns)
+    signals = dense.signals_in(table)
+
+    @cache
+    def found() -> dict[str, RealArray]:
+        """All at once, when the first is asked for."""
+        return dict(zip(signals, dense.of(table.rows, np.array([*signals.values()]), order + 1), strict=True))
+
+    def column(name: str) -> Column:
+        return Column(table.places[name][0], *found()[name]) if name in signals else dense.held(columns[name])
+
+    return Recording(dense.time, LazyColumns(columns, column))
+
+
+def smooth_signals(places: Mapping[str, tuple[str, range]]) -> dict[str, Signal]:
+    """Name → numbers for `DenseOutput.of` of the signals with two derivatives."""
+    smooth = {name: own for name, (_, own) in places.items() if len(own) >= KNOWN}
+    found: dict[str, Signal] = {}
+    for name, own in smooth.items():
+        base, lowest = integral(name) or (name, 0)
+        if base not in smooth:
+            base, lowest = name, 0
+        found[name] = smooth[base].start, smooth[base].step, own.start, own.step, lowest
+    return found
 
 
 def known_signals(recording: Recording) -> RealArray:

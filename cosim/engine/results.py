@@ -61,16 +61,46 @@ class Column:
         return [known[code] if 0 <= code < len(known) else '""' for code in self.values.astype(int).tolist()]
 
 
+@dataclass(frozen=True)
+class Table:
+    """Signals as rows of an array.
+
+    Attributes:
+        rows: (n, N) values and derivatives at N instants.
+        places: name of a signal → unit, and indices of the rows with its value and derivatives.
+    """
+
+    rows: RealArray
+    places: Mapping[str, tuple[str, range]]
+
+    @classmethod
+    def of(cls, columns: Mapping[str, Column]) -> Table:
+        """Return these columns as a table."""
+        if isinstance(columns, LazyColumns) and columns.table is not None:
+            return columns.table
+        rows, places = list[RealArray](), {}
+        for name, column in columns.items():
+            own = [each for each in (column.values, column.first, column.second) if each is not None]
+            places[name] = column.unit, range(len(rows), len(rows) + len(own))
+            rows += own
+        return cls(np.array(rows), places)
+
+
 class LazyColumns(Mapping[str, Column]):
     """Columns that are made when they are first asked for: making all of them takes longer than short runs should.
 
     Args:
         names: their names in order.
         make: makes the column of a name; its arrays must have the length of the recording's times.
+        table: the array that they come from.
+
+    Attributes:
+        table: the array that the columns come from; None if there are others.
     """
 
-    def __init__(self, names: Collection[str], make: Callable[[str], Column]) -> None:
+    def __init__(self, names: Collection[str], make: Callable[[str], Column], table: Table | None = None) -> None:
         self._names, self._make, self._made = names, make, dict[str, Column]()
+        self.table = table
 
     def __getitem__(self, name: str) -> Column:
         """Return the column of that name."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.master.ports import OutputPort
-from flexfmu.cosim.engine.results import Column, LazyColumns, Recording
+from flexfmu.cosim.engine.results import Column, LazyColumns, Recording, Table
 from flexfmu.cosim.engine.slave import TEXTS, RealArray, SlaveVariable
 
 _MADV_POPULATE_WRITE = 23
@@ -68,6 +68,7 @@ class Recorder:
         ]
         self._kept = [[(i, *each) for i, each in enumerate(signals) if keeps(each[0])] for signals in named]
         self._places = _places(self._kept, [port.recorded for port in ports])
+        self._texts = {name for kept in self._kept for _, name, variable in kept if variable.type == "String"}
         # current signals: runs of successive ones, order by order
         self._signals: list[RealArray] = []
         for port, kept in zip(ports, self._kept, strict=True):
@@ -177,13 +178,13 @@ class Recorder:
         rows, places = self._rows(), self._places
 
         def column(name: str) -> Column:
-            variable, own = places[name]
+            unit, own = places[name]
             # texts are recorded as codes
-            if variable.type == "String":
-                return Column(variable.unit, rows[own[0]], texts=TEXTS.known())
-            return Column(variable.unit, *(rows[i] for i in own[:3]))
+            if name in self._texts:
+                return Column(unit, rows[own[0]], texts=TEXTS.known())
+            return Column(unit, *(rows[i] for i in own))
 
-        return Recording(rows[0], LazyColumns(places, column))
+        return Recording(rows[0], LazyColumns(places, column, Table(rows, places)))
 
     def _references(self) -> int:
         """Number of references to the memory, those of its views included."""
@@ -198,11 +199,11 @@ class Recorder:
         """Map all shared memory at once, which is faster than page by page; call it in the process that records."""
         self._memory.populate()
 
-    def _rows(self) -> RealArray | list[RealArray]:
-        """All columns, time first."""
+    def _rows(self) -> RealArray:
+        """All columns as rows (n, count), time first; a copy only if step control has needed several parts of memory."""
         if len(self._parts) == 1:
             return self._parts[0][:, : self._count]
-        return [self._joined(column) for column in range(self._width)]
+        return np.concatenate(self._parts, axis=1)[:, : self._count]
 
     def _joined(self, column: int) -> RealArray:
         """What is recorded in a column; a copy only if step control has needed several parts of memory."""
@@ -214,12 +215,13 @@ Kept = Sequence[tuple[int, str, SlaveVariable]]
 """Recorded signals of a port: index, name and variable."""
 
 
-def _places(ports: Sequence[Kept], orders: Sequence[int]) -> dict[str, tuple[SlaveVariable, range]]:
-    """Name of a signal → its variable, and its rows in the memory, order by order."""
+def _places(ports: Sequence[Kept], orders: Sequence[int]) -> dict[str, tuple[str, range]]:
+    """Name of a signal → its unit, and its rows in the memory: value and derivatives, one for texts."""
     found, place = {}, 1
     for kept, count in zip(ports, orders, strict=True):
         end = place + count * len(kept)
-        found |= {name: (variable, range(i, end, len(kept))) for i, (_, name, variable) in enumerate(kept, place)}
+        for i, (_, name, variable) in enumerate(kept, place):
+            found[name] = variable.unit, range(i, i + 1 if variable.type == "String" else end, len(kept))
         place = end
     return found
 

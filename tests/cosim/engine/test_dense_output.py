@@ -35,10 +35,23 @@ def test_polynomials_are_exact() -> None:
     for degree in (0, 5, 8, 11):
         several = signals(degree)
         known = np.array([[signal.deriv(k)(POINTS) if k else signal(POINTS) for k in range(3)] for signal in several])
-        found = dense.of(np.ascontiguousarray(known.transpose(2, 1, 0)), 3)
-        for k in range(3):
-            expected = [signal.deriv(k)(dense.time) if k else signal(dense.time) for signal in several]
-            np.testing.assert_allclose(found[k], expected, rtol=1e-7, atol=1e-6)
+        for signal, rows in zip(several, known, strict=True):
+            for k, found in enumerate(dense.of(rows, np.array([[0, 1, 0, 1, 0]]), 3)[0]):
+                expected = signal.deriv(k)(dense.time) if k else signal(dense.time)
+                np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-6)
+
+
+def test_c_and_python_have_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Signals, derivatives of others and what was recorded itself, from rows of a larger array."""
+    dense, rows = (
+        DenseOutput(POINTS, np.sort(INSTANTS), 4),
+        np.random.default_rng(1).normal(size=(9, 40))[:, : POINTS.size],
+    )
+    signals = np.array([[0, 1, 0, 1, 0], [1, 3, 0, 4, 2], [2, 2, 3, 1, 1]])
+    in_c = dense.of(rows, signals, 3)
+    monkeypatch.setattr("flexfmu.cosim.engine.dense_output.load_interpolation", lambda: None)
+    np.testing.assert_array_equal(dense.of(rows, signals, 3), in_c)
+    assert abs(in_c).min() > 0.0
 
 
 def test_jumps_have_both_limits() -> None:

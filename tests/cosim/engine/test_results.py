@@ -147,3 +147,22 @@ def test_every_number_reads_back(tmp_path: Path) -> None:
     digits = [cell.partition(",")[2] for cell in path.read_text().splitlines()[1:]]
     assert all(float(cell) == value or value != value for cell, value in zip(digits, values.tolist(), strict=True))
     assert max(map(len, digits)) <= 25
+
+
+def test_lazy_columns_are_made_once_and_copied_whole() -> None:
+    """One is made when it is asked for, a pickle has all, and an unknown name is none of them."""
+    made: list[str] = []
+
+    def make(name: str) -> Column:
+        made.append(name)
+        return Column("m", np.arange(3.0))
+
+    recording = Recording(np.arange(3.0), LazyColumns(["a", "b"], make))
+    assert "c" not in recording.columns
+    assert recording["a"] is recording["a"]
+    assert made == ["a"]
+    copied = pickle.loads(pickle.dumps(recording))
+    assert made == ["a", "b"]
+    assert [*copied.columns] == [*recording.columns]
+    with pytest.raises(KeyError, match="no signal 'c'"):
+        recording["c"]

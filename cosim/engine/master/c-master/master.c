@@ -8,12 +8,6 @@
 #define FMI2_WARNING 1
 #define NO_ROLLBACK 1
 
-#if defined(_WIN32)
-#define EXPORTED __declspec(dllexport)
-#else
-#define EXPORTED __attribute__((visibility("default")))
-#endif
-
 typedef int (*values_call)(void *component, const unsigned *references, size_t count, double *values);
 typedef int (*derivatives_call)(void *component, const unsigned *references, size_t count, const int *orders,
                                 double *values);

@@ -7,6 +7,12 @@
 
 #include <stddef.h>
 
+#if defined(_WIN32)
+#define EXPORTED __declspec(dllexport)
+#else
+#define EXPORTED __attribute__((visibility("default")))
+#endif
+
 /* what an instruction does, and which of its fields it needs; `component` is where the handle of an FMU's instance is */
 enum {
   MASTER_VALUES,      /* fmi2SetReal or fmi2GetReal: function, component, references, count, target */
@@ -75,6 +81,6 @@ typedef struct {
 } master_progress;
 
 /* goes on until `points` steps are completed; 0, or 1 where an instruction has failed */
-int master_run(const master_program *program, size_t points, master_progress *progress);
+EXPORTED int master_run(const master_program *program, size_t points, master_progress *progress);
 
 #endif
