@@ -42,7 +42,7 @@ SAFETY = 4.0
 INTEGRATION = 0.5
 """Part of the tolerance for the integration; the rest is for the values in between."""
 
-TARGET = 0.2
+TARGET = 0.4
 """Error for which the points are spread, as a fraction of what is allowed."""
 
 STRETCH = 2.5

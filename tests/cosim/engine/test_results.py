@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import pickle
 import warnings
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from flexfmu.cosim.engine.errors import ResultsError
-from flexfmu.cosim.engine.results import Column, Recording
+from flexfmu.cosim.engine.results import Column, LazyColumns, Recording
 
 
 @pytest.fixture
