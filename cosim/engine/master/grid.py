@@ -149,7 +149,9 @@ class GridRules:
         first, last = low - self.step, high + self.step
         instants = [_instants(clock, self, first, last) for clock in self.clocks]
         further = self.points[self.points.searchsorted(first) : self.points.searchsorted(last)]
-        regular = np.union1d(self._regular_points(instants, first, last), further)
+        regular = self._regular_points(instants, first, last)
+        if instants or further.size:
+            regular = np.union1d(regular, further)
         # marks, start and stop replace the regular points that coincide with them
         marks = self.inside[self.inside.searchsorted(first) : self.inside.searchsorted(last)]
         ends = [end for end in (self.start, self.stop) if first <= end < last]
@@ -159,7 +161,8 @@ class GridRules:
         if self.stop in ends:
             fixed[-1] = self.stop
         apart = ~_beside(regular, fixed, self.near)
-        times = np.union1d(regular[apart & (regular < self.stop)], fixed)
+        others = regular[apart & (regular < self.stop)]
+        times = np.insert(others, others.searchsorted(fixed), fixed)
         # where slaves sample, and where signals may jump
         due = tuple(_nearest(times, times_due) for _, times_due in instants)
         marked = _beside(times, marks, self.near)
