@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -83,6 +82,8 @@ class Compiler:
         Raises:
             CompileError: the compiler fails; the message contains its first error line.
         """
+        from concurrent.futures import ThreadPoolExecutor
+
         ordered = sorted(jobs, key=lambda job: (folder / job.source).stat().st_size, reverse=True)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             for _ in pool.map(lambda job: self._compile_one(job, folder), ordered):

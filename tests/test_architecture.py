@@ -50,8 +50,11 @@ OPTIONAL = ("control", "exudyn", "plotly")
 HEAVY = (*OPTIONAL, "casadi", "matplotlib", "fmpy", "lief")
 """What a light module may put off loading, by an import within a function of what needs it."""
 
-SLOW = ("scipy",)
-"""What takes longer to load than a scene takes to read: functions that scenes don't need may import it."""
+SLOW = ("scipy", "concurrent")
+"""What takes as long to load as a scene takes to read, or loads `logging`: functions that runs don't need may import it."""
+
+SELDOM = ("trajectories.shapers", "cosim.control", "cosim.experiment.cycles", "model.symbolic")
+"""What a run without shapers, controllers and imperfections doesn't load: functions that need it may import it."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,8 @@ def test_imports_stand_at_the_top(modules: Mapping[str, Module]) -> None:
         # a heavy library that the top of the module does without
         loaded = {heavy for heavy in HEAVY if any(needs((heavy,), each, {module.name}) for each in module.top)}
         light = any(needs((heavy,), late, set()) for heavy in set(HEAVY) - loaded)
-        return light or needs((*OPTIONAL, *SLOW), late, set())
+        seldom = any(f"{late}.".startswith(f"{each}.") for each in SELDOM)
+        return light or seldom or needs((*OPTIONAL, *SLOW), late, set())
 
     wrong = [
         f"{module.name} imports {late} within a function"

@@ -179,7 +179,7 @@ class PiecewiseCurve:
         index = np.searchsorted(np.asarray(self.knots), s, side=checked_side(side))
         # each piece for all points on it at once
         result = np.empty((2, order + 1, len(s)))
-        for i in np.unique(index):
+        for i in np.flatnonzero(np.bincount(index)):
             here = index == i
             for row, jet in zip(result, self.pieces[i].jets(s[here] - self.edges[i], order), strict=True):
                 row[:, here] = jet.coefficients

@@ -205,7 +205,7 @@ def evaluate_profile(profile: Profile, eta: ArrayLike, order: int = 2, side: Sid
     # each piece at all of its fractions at once
     index = np.searchsorted([piece.start for piece in profile.pieces[1:]], eta, side=checked_side(side))
     coefficients = np.empty((order + 1, len(eta)))
-    for i in np.unique(index):
+    for i in np.flatnonzero(np.bincount(index)):
         coefficients[:, index == i] = profile.pieces[i].jet(eta[index == i], order).coefficients
     return Jet(coefficients)
 

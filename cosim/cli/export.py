@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from math import gcd, lcm
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +13,8 @@ from flexfmu.cosim.cli.options import JsonOption, PlatformOption, SceneArgument
 from flexfmu.cosim.reports.text import to_json
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
     from flexfmu.cosim.engine.master.system import System
 
 
@@ -50,6 +51,8 @@ def export(
 def _note_late_samples(system: System) -> None:
     """Say which samples other masters pass on a sample late: outputs that follow inputs at once, to slaves that sample
     at the same instants. What they are is in docs/ssp.md."""
+    from fractions import Fraction
+
     from flexfmu.cosim.engine.slave import Sampled, feedthrough, offset
 
     # sample time and offset [s], as the decimals that they are written as
@@ -75,6 +78,8 @@ def _note_late_samples(system: System) -> None:
 
 def _meet(first: tuple[Fraction, Fraction], second: tuple[Fraction, Fraction]) -> bool:
     """Whether two clocks ever sample at the same instant: their offsets differ by common parts of their sample times."""
+    from fractions import Fraction
+
     (time, begin), (other_time, other_begin) = first, second
     part = Fraction(gcd(time.numerator, other_time.numerator), lcm(time.denominator, other_time.denominator))
     return (begin - other_begin) % part == 0

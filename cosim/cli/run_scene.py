@@ -18,7 +18,6 @@ from flexfmu.cosim.metrics.metrics import measure, settings_for, with_errors
 from flexfmu.cosim.metrics.recorded_solution import Settings
 from flexfmu.cosim.reports.summary import summarise
 from flexfmu.cosim.reports.text import to_json
-from flexfmu.model.choice_text import choice_sentence
 from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.errors import EquilibriumError
 from flexfmu.model.scene.file import load_scene
@@ -96,6 +95,7 @@ def run_command(
         print_text(to_json(summary))
     else:
         from flexfmu.cosim.cli.run_summary import print_summary
+        from flexfmu.model.choice_text import choice_sentence
 
         print_summary(summary, choice_sentence(scene), folder.path, has_report)
     if problem is not None:

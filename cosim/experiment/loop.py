@@ -6,13 +6,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from flexfmu.cosim.control.imperfections.payload_error import PayloadError, with_payload_error
-from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.cosim.experiment.planning import APPLICATIONS, MotionPlan, shape_joints
 from flexfmu.cosim.experiment.user_slaves import SlaveNames, as_slave
 from flexfmu.cosim.experiment.wiring import InlineBlock, inline_block
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 from flexfmu.trajectories.trajectory import Trajectory
 
 
@@ -93,6 +90,8 @@ def close_loop(
     acting = tuple(as_slave(each, names) for each in controllers)
     inline_blocks, parameters = list(shaped.inline_blocks), dict[str, float]()
     for each in imperfections:
+        from flexfmu.cosim.control.imperfections.payload_error import PayloadError, with_payload_error
+
         if isinstance(each, PayloadError):
             parameters["payload.mass"] = with_payload_error(shaped.motion.scene, each.relative).payload.mass
         else:
@@ -121,6 +120,9 @@ def shape(
     if not shapers:
         motion = repeat(motion)
         return ShapedMotion(motion, motion.joints)
+
+    from flexfmu.cosim.control.shapers import Shaper
+    from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
     # shapers that change the planned motion: along the path, then of the joints
     chosen = [Shaper(each) if isinstance(each, ImpulseSequence) else each for each in shapers]

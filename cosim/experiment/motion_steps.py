@@ -14,6 +14,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.dense_output import KNOWN, POINTS, hermite_weights, known_signals, windows
 from flexfmu.cosim.engine.hermite import hermite_derivatives
+from flexfmu.cosim.engine.master.grid import merge
 from flexfmu.cosim.engine.results import Recording
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.trajectories.trajectory import Trajectory, limits
@@ -115,7 +116,7 @@ class ChosenSteps:
 
     def __init__(self, motion: Trajectory, stop: float, tolerance: float) -> None:
         self._motion, self._allowed = motion, (1.0 - INTEGRATION) * tolerance
-        self._edges = np.unique([*(each for each in motion.breakpoints if 0.0 <= each < stop), 0.0, stop])
+        self._edges = merge([*(each for each in motion.breakpoints if 0.0 <= each < stop), 0.0, stop], 0.0)
         self._enter(_first_points(motion, self._edges, tolerance))
         self._runs = 0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,10 +20,10 @@ from flexfmu.trajectories.jets import RealArray
 from flexfmu.trajectories.joint import JointTrajectory, check_margins
 from flexfmu.trajectories.path import PickAndPlacePath
 from flexfmu.trajectories.profiles import PROFILES
-from flexfmu.trajectories.shapers.sequence import ImpulseSequence
-from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory, ShapedTrajectory, path_deviation
-from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
 from flexfmu.trajectories.trajectory import TaskTrajectory, Trajectory, limits
+
+if TYPE_CHECKING:
+    from flexfmu.trajectories.shapers.sequence import ImpulseSequence
 
 Law = tuple[str, tuple[tuple[str, float], ...]]
 """Kind and parameters of a motion profile."""
@@ -171,6 +171,8 @@ def shape_joints(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
     Raises:
         TrajectoryError: the end effector comes too near to a singularity or to the workspace's boundary.
     """
+    from flexfmu.trajectories.shapers.shaped_joints import EndEffectorTrajectory, ShapedTrajectory
+
     joints = ShapedTrajectory(motion.joints, sequence)
     task = EndEffectorTrajectory(joints, RigidForwardKinematics(motion.scene.mechanism))
     check_margins(task, motion.kinematics)
@@ -183,6 +185,8 @@ def shape_path(motion: MotionPlan, sequence: ImpulseSequence) -> MotionPlan:
     Raises:
         TrajectoryError: negative impulses make the motion go backwards, or the joint references are shaped already.
     """
+    from flexfmu.trajectories.shapers.shaped_profile import shape_along_path
+
     if not isinstance(motion.task, TaskTrajectory):
         raise TrajectoryError("shaped joint references leave the path: shape the motion along the path first")
     task = shape_along_path(motion.task, sequence)
@@ -198,4 +202,6 @@ APPLICATIONS: Mapping[str, Callable[[MotionPlan, ImpulseSequence], MotionPlan]] 
 
 def deviation(motion: MotionPlan) -> float:
     """Largest distance [m] of the rigid end effector from the scene's path."""
+    from flexfmu.trajectories.shapers.shaped_joints import path_deviation
+
     return path_deviation(motion.task, motion.along_path.path)

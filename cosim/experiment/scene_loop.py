@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from flexfmu.cosim.control.imperfections.payload_error import PayloadError
-from flexfmu.cosim.control.sections import LoopContext, build
-from flexfmu.cosim.control.shapers import Shaper
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
 from flexfmu.cosim.engine.slave import Sampled, Slave
-from flexfmu.cosim.experiment.cycles import repeated
 from flexfmu.cosim.experiment.loop import Loop, close_loop, shape
 from flexfmu.cosim.experiment.parameters import holding_torques
 from flexfmu.cosim.experiment.planning import MotionPlan, plan
@@ -20,6 +16,10 @@ from flexfmu.model.scene.controllers import LearningSection
 from flexfmu.model.scene.imperfections import PayloadErrorSection
 from flexfmu.model.scene.loop import FmuSection, PythonSection
 from flexfmu.model.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.control.imperfections.payload_error import PayloadError
+    from flexfmu.cosim.control.shapers import Shaper
 
 
 def loop_of(scene: Scene, motion: MotionPlan | None = None) -> Loop:
@@ -63,6 +63,8 @@ def _repeated(scene: Scene, motion: MotionPlan) -> MotionPlan:
             raise InputError(
                 f"all learning controllers of a scene share one motion: give them the same `{key}`, got {values}"
             )
+    from flexfmu.cosim.experiment.cycles import repeated
+
     return repeated(motion, first.cycles, first.sample_time)
 
 
@@ -87,7 +89,7 @@ class _Builder:
         """The shaper of a section."""
         if isinstance(section, (PythonSection, FmuSection)):
             return self.slave(section, self._planned)
-        shaper: Shaper = build(section, self._context(self._planned, "", 0.0))
+        shaper: Shaper = self._built(section, self._planned, "", 0.0)
         return shaper
 
     def imperfection(self, section: Any, controllers: Sequence[Slave]) -> PayloadError | Slave:
@@ -95,7 +97,7 @@ class _Builder:
         own = (slave.sample_time for slave in controllers if isinstance(slave, Sampled))
         sample_time = next(own, self._scene.cosimulation.communication_step)
         if isinstance(section, PayloadErrorSection):
-            error: PayloadError = build(section, self._context(self._planned, "", sample_time))
+            error: PayloadError = self._built(section, self._planned, "", sample_time)
             return error
         return self.slave(section, self._planned, sample_time)
 
@@ -123,7 +125,7 @@ class _Builder:
         else:
             # the name first: it seeds random numbers
             name = self._names.chosen(section.name, section.kind.replace("-", "_"))
-            slave = build(section, self._context(motion, name, sample_time))
+            slave = self._built(section, motion, name, sample_time)
         # targets without the name of another slave are inputs of this slave, even if misspelt
         own = {variable.name for variable in slave.variables if variable.causality == "input"}
         heads = {head for name in own if (head := name.partition(".")[0]) not in self._names}
@@ -133,12 +135,15 @@ class _Builder:
             self.connect[f"{slave.name}.{target}" if is_own else target] = source
         return slave
 
-    def _context(self, motion: MotionPlan, name: str, sample_time: float) -> LoopContext:
-        """The context for the builder of a section."""
+    def _built(self, section: Any, motion: MotionPlan, name: str, sample_time: float) -> Any:
+        """What a section of a kind of our own describes."""
+        from flexfmu.cosim.control.sections import LoopContext, build
+
         period = None if motion.repetition is None else motion.repetition.period
-        return LoopContext(
+        context = LoopContext(
             motion.scene, motion.along_path, self._planned.joints, period, name, sample_time, self._before
         )
+        return build(section, context)
 
     def _before(self, kind: str) -> Sequence[float]:
         """Values of a signal of both joints before the start, at rest; no torques for a robot driven by motion."""

@@ -17,7 +17,6 @@ from typing import Any
 from flexfmu.cosim.engine.errors import InputError
 from flexfmu.cosim.engine.slave import Slave
 from flexfmu.model.scene.loop import RESERVED
-from flexfmu.model.symbolic import SymbolicBlock
 
 
 class SlaveNames:
@@ -75,6 +74,7 @@ def as_slave(source: Any, names: SlaveNames | None = None, name: str | None = No
     """
     from flexfmu.cosim.control.blocks.slave import BlockSlave
     from flexfmu.cosim.engine.fmu.sampled_slave import fmu_slave
+    from flexfmu.model.symbolic import SymbolicBlock
 
     names = names or SlaveNames()
     if isinstance(source, SymbolicBlock):

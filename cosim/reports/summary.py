@@ -200,8 +200,11 @@ def choice_summary(scene: Scene) -> dict[str, Any]:
 
 PACKAGES = ("flexfmu", "casadi", "fmpy", "numpy")
 
-_COMPILER = re.compile(rb"GCC: \([^)\0]*\) [\w.+-]+|(?:\w+ )?clang version [\w.+-]+|Apple clang version [\w.+-]+")
-"""Compiler signatures in binaries (section ``.comment`` of an ELF library)."""
+_COMPILERS = {
+    b"GCC: (": re.compile(rb"GCC: \([^)\0]*\) [\w.+-]+"),
+    b"clang version ": re.compile(rb"(?:\w+ )?clang version [\w.+-]+"),
+}
+"""Compiler signatures in binaries (section ``.comment`` of an ELF library), by a text that is quickly found."""
 
 
 def versions(fmu: Path | None = None) -> Mapping[str, str | None]:
@@ -223,9 +226,11 @@ def compiler_of(fmu: Path) -> str | None:
     try:
         with zipfile.ZipFile(fmu) as archive:
             libraries = [name for name in archive.namelist() if name.startswith("binaries/") and not name.endswith("/")]
-            signatures = [match for name in libraries for match in _COMPILER.findall(archive.read(name))]
+            contents = [archive.read(name) for name in libraries]
     except (OSError, zipfile.BadZipFile):
         return None
+    known = [(content, form) for content in contents for text, form in _COMPILERS.items() if text in content]
+    signatures = [match for content, form in known for match in form.findall(content)]
     return ", ".join(sorted({signature.decode("ascii", "replace") for signature in signatures})) or None
 
 

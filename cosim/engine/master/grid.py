@@ -151,7 +151,7 @@ class GridRules:
         further = self.points[self.points.searchsorted(first) : self.points.searchsorted(last)]
         regular = self._regular_points(instants, first, last)
         if instants or further.size:
-            regular = np.union1d(regular, further)
+            regular = _union(regular, further)
         # marks, start and stop replace the regular points that coincide with them
         marks = self.inside[self.inside.searchsorted(first) : self.inside.searchsorted(last)]
         ends = [end for end in (self.start, self.stop) if first <= end < last]
@@ -247,9 +247,15 @@ def _ratio(clock: Clock, what: str, step: float) -> Fraction:
     )
 
 
+def _union(first: RealArray, second: RealArray) -> RealArray:
+    """All instants of both in ascending order, each once; without numpy's masked arrays, which `np.union1d` loads."""
+    ascending = np.sort(np.concatenate([first, second]))
+    return ascending[np.diff(ascending, prepend=-np.inf) > 0.0]
+
+
 def merge(instants: Iterable[float], near: float) -> RealArray:
     """The instants in ascending order, without those that follow the one before by ``near`` or less."""
-    ascending = np.unique(np.fromiter(instants, dtype=np.float64))
+    ascending = np.sort(np.fromiter(instants, dtype=np.float64))
     return ascending[np.diff(ascending, prepend=-np.inf) > near]
 
 
