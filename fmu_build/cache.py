@@ -9,6 +9,7 @@ import hashlib
 import os
 import warnings
 from collections.abc import Iterable
+from functools import cache
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -70,8 +71,9 @@ def fmu_name(key: str) -> str:
     return f"{key}.fmu"
 
 
+@cache
 def package_fingerprint() -> str:
-    """Hash of the package's sources that turn a scene into an FMU: model and build."""
+    """Hash of the package's sources that turn a scene into an FMU: model and build; read once in a process."""
     files = (path for package in _PACKAGES for path in _source_files(package))
     return content_hash(part for path in files for part in (path.name.encode(), path.read_bytes()))
 

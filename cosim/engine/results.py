@@ -54,8 +54,7 @@ class Column:
     def shown(self) -> list[str]:
         """Return the N values as CSV cells: shortest numbers that read back exactly, or quoted texts (RFC 4180)."""
         if self.texts is None:
-            cells = _numbers(self.values)[1:-1]
-            return cells.split(",") if cells else []
+            return [] if self.values.size == 0 else _cells(self.values[None]).split(",")
         known = ['"' + text.replace('"', '""') + '"' for text in self.texts]
         return [known[code] if 0 <= code < len(known) else '""' for code in self.values.astype(int).tolist()]
 
@@ -194,10 +193,9 @@ class Recording:
         are_numbers = all(each.texts is None and each.values.dtype == np.float64 for each in columns)
         for begin in range(0, self.time.size, LINES):
             piece = slice(begin, begin + LINES)
-            # numbers alone as rows of JSON, texts cell by cell
+            # numbers alone in whole lines, texts cell by cell
             if are_numbers:
-                rows = _numbers(np.stack([each.values[piece] for each in columns], axis=1))
-                yield rows[2:-2].replace("],[", "\n") + "\n"
+                yield _cells(np.stack([each.values[piece] for each in columns], axis=1)) + "\n"
                 continue
             table = [Column(each.unit, each.values[piece], texts=each.texts).shown() for each in columns]
             yield "".join(",".join(row) + "\n" for row in zip(*table, strict=True))
@@ -227,11 +225,11 @@ class Recording:
         return cls(table[:, 0], columns)
 
 
-def _numbers(values: RealArray) -> str:
-    """The numbers as JSON, the shortest that read back exactly; those that JSON doesn't have are written nan, inf and -inf."""
-    # the JSON writer of pydantic is ten times faster than `repr`
-    text = to_json(values.tolist(), inf_nan_mode="constants").decode()
-    return text.replace("NaN", "nan").replace("Infinity", "inf")
+def _cells(table: RealArray) -> str:
+    """Lines of numbers (N, n) with commas between them, the shortest that read back exactly."""
+    # the JSON writer of pydantic is ten times faster than `repr`, and writes NaN and Infinity where `repr` writes nan and inf
+    text = b"\n".join([to_json(row, inf_nan_mode="constants")[1:-1] for row in table.tolist()]).decode()
+    return text if np.isfinite(table).all() else text.replace("NaN", "nan").replace("Infinity", "inf")
 
 
 def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from functools import cache
 from math import inf
-from xml.etree import ElementTree
 
 from flexfmu.cosim.engine.errors import FmuFileError
-from flexfmu.cosim.engine.fmu.file import UnpackedFmu
+from flexfmu.cosim.engine.fmu.file import UnpackedFmu, parsed
 
 INTERPOLATION_ORDER = 1
 """Highest input derivative of an FMU that states only canInterpolateInputs; FMI 2.0 has no attribute for the order."""
@@ -25,7 +24,7 @@ def highest_input_derivative(fmu: UnpackedFmu) -> int:
     """
     if not fmu.description.coSimulation.canInterpolateInputs:
         return 0
-    stated = ElementTree.parse(fmu.folder / "modelDescription.xml").find(ANNOTATION)
+    stated = parsed(fmu.folder).find(ANNOTATION)
     if stated is None:
         return INTERPOLATION_ORDER
     text = stated.get("maxOrder", "")

@@ -200,6 +200,12 @@ def _check(fmu: UnpackedFmu) -> None:
         raise FmuFileError(f"{path} has no binary for {platform} (it has: {found}); build it for this platform")
 
 
+@cache
+def parsed(folder: Path) -> ElementTree.ElementTree[Any]:
+    """The model description of an unpacked FMU, as XML."""
+    return ElementTree.parse(folder / "modelDescription.xml")
+
+
 def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[str, str]], Result]) -> Result | None:
     """Return the parsed content of an annotation of our own FMUs; None if there is no such annotation.
 
@@ -212,8 +218,7 @@ def _annotation(path: Path, folder: Path, element: str, parse: Callable[[dict[st
     Raises:
         FmuFileError: the annotation is invalid.
     """
-    root = ElementTree.parse(folder / "modelDescription.xml")
-    found = root.find(f"VendorAnnotations/Tool[@name='flexfmu']//{element}")
+    found = parsed(folder).find(f"VendorAnnotations/Tool[@name='flexfmu']//{element}")
     if found is None:
         return None
     try:
