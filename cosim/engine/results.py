@@ -18,8 +18,8 @@ from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.files import write_pieces
 from flexfmu.cosim.engine.slave import RealArray
 
-LINES = 512
-"""Number of lines of a CSV file that are written at once."""
+LINES = 96
+"""Number of lines of a CSV file that are written at once: few enough for memory that is used again instead of new pages."""
 
 
 @dataclass(frozen=True)
