@@ -14,10 +14,14 @@ static unsigned saved_states(void) {
 
 int flex_processor_lanes(void) {
   unsigned a, b, c, d;
-  if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_OSXSAVE) || !(c & bit_AVX)) return 1;
+  // a question takes microseconds in a virtual machine: each is asked once
+  if (__get_cpuid_max(0, 0) < 7) return 1;
+  __cpuid(1, a, b, c, d);
+  if (!(c & bit_OSXSAVE) || !(c & bit_AVX)) return 1;
   unsigned saved = saved_states();
   if ((saved & SSE_AND_AVX_STATE) != SSE_AND_AVX_STATE) return 1;
-  if (!__get_cpuid_count(7, 0, &a, &b, &c, &d) || !(b & bit_AVX2)) return 1;
+  __cpuid_count(7, 0, a, b, c, d);
+  if (!(b & bit_AVX2)) return 1;
   return (saved & AVX512_STATE) == AVX512_STATE && (b & bit_AVX512F) && (b & bit_AVX512DQ) ? 8 : 4;
 }
 #else
