@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 _DIGEST_BYTES = 64
 
+_SMALL_FILE, _SMALL_SIZE = "model_small_functions.c", 10_000
+"""Name of the file that holds all small generated files for the compiler, and their length [characters]."""
+
 
 def compile_library(
     sources: Sources,
@@ -47,11 +50,12 @@ def compile_library(
         ArchiveError: the temporary files can't be written.
     """
     # one job per C file, with flags for generated code or runtime
-    texts = sources.generated | sources.runtime
+    generated = _with_small_ones_joined(sources)
+    texts = generated | sources.runtime
     first = FIRST_HEADER if FIRST_HEADER[-1] in texts else ()
 
     def flags(name: str) -> tuple[str, ...]:
-        if name not in sources.generated:
+        if name not in generated:
             return (*runtime_flags, *LANES_FLAGS) if name == SOLVER_LANES else runtime_flags
         return generated_flags
 
@@ -68,6 +72,20 @@ def compile_library(
             _keep(folder / job.object_file, kept[job])
         compiler.link([job.object_file for job in jobs.values()], library, folder)
         return (folder / library).read_bytes()
+
+
+def _with_small_ones_joined(sources: Sources) -> dict[str, str]:
+    """The generated files with the small ones in one: to start the compiler and read the headers takes longer than to compile these.
+
+    The table with the GUID stays by itself, since another payload changes it alone; and so does everything without a GUID.
+    """
+    small = [
+        name
+        for name, text in sorted(sources.generated.items())
+        if name.endswith(".c") and len(text) < _SMALL_SIZE and sources.guid not in text
+    ]
+    others = {name: text for name, text in sources.generated.items() if name not in small}
+    return others | ({_SMALL_FILE: "\n".join(sources.generated[name] for name in small)} if small else {})
 
 
 @contextmanager
