@@ -70,7 +70,8 @@ class LinearizedMotion:
         matrices = [matrix.reshape(n, count, n).transpose(1, 0, 2) for matrix in found]
         # interpolate over the index: a jump is two instants at the same time
         between = _interpolated(coarse, np.stack(matrices, axis=1), np.arange(grid.time.size))
-        return LinearTimeVaryingSystem(between[:, 0], between[:, 1], between[:, 2], grid.spans, grid.steps)
+        mass, damping, stiffness = (np.ascontiguousarray(between[:, i]) for i in range(3))
+        return LinearTimeVaryingSystem(mass, damping, stiffness, grid.spans, grid.steps)
 
     @cached_property
     def load(self) -> RealArray:

@@ -57,10 +57,14 @@ class LinearTimeVaryingSystem:
 
     def restricted(self, kept: NDArray[np.intp]) -> LinearTimeVaryingSystem:
         """The subsystem of the coordinates `kept`."""
-        pick = np.ix_(np.arange(self.mass.shape[0]), kept, kept)
-        return LinearTimeVaryingSystem(
-            self.mass[pick], self.damping[pick], self.stiffness[pick], self.spans, self.steps
+        count, n, _ = self.mass.shape
+        # one index into each flat matrix is far quicker than three
+        pick = (n * kept[:, None] + kept).ravel()
+        mass, damping, stiffness = (
+            matrices.reshape(count, n * n).take(pick, axis=1).reshape(count, kept.size, kept.size)
+            for matrices in (self.mass, self.damping, self.stiffness)
         )
+        return LinearTimeVaryingSystem(mass, damping, stiffness, self.spans, self.steps)
 
     def response(self, load: RealArray, start: RealArray) -> Response:
         """The response to the load f (N, n) from rest at `start` (n,); positions and rates are continuous."""
