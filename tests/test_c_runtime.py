@@ -5,10 +5,15 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # pytest imports tests without their folder
+
+from object_files import compiled
 
 from flexfmu.fmu_build.sources import c_files, runtime_sources
 
@@ -35,7 +40,7 @@ def compile_all(folder: Path, sources: list[Path], flags: tuple[str, ...]) -> li
 
     def compile_one(source: Path) -> Path:
         target = folder / f"{source.stem}.o"
-        run(COMPILER, *FLAGS, *flags, "-I", RUNTIME, "-c", source, "-o", target)
+        target.write_bytes(compiled((COMPILER, *FLAGS, *flags, f"-I{RUNTIME}"), source))
         return target
 
     with ThreadPoolExecutor(2) as pool:

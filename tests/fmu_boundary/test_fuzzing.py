@@ -13,7 +13,7 @@ import pytest
 from boundary_support.harness import ADDRESS, COMPILER, build, has_sanitizer, run
 from boundary_support.subjects import SUBJECTS
 
-SEQUENCES = int(os.environ.get("FLEXFMU_FUZZ", "1000"))
+SEQUENCES = int(os.environ.get("FLEXFMU_FUZZ", "500"))
 FUZZER = ("tape.c", "fuzzed_calls.c", "fuzz.c", "fuzz_main.c")
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")

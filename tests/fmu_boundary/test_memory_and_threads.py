@@ -9,7 +9,7 @@ import pytest
 from boundary_support.harness import ADDRESS, COMPILER, THREAD, build, has_sanitizer, run
 from boundary_support.subjects import SUBJECTS
 
-CYCLES, FEWER = 2000, 100
+CYCLES, FEWER = 500, 50
 CHOSEN = ("robot", "block", "trajectory")
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")

@@ -8,6 +8,8 @@ import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from object_files import compiled
+
 from boundary_support.subjects import Subject
 
 C_TESTS = Path(__file__).parents[1] / "c"
@@ -50,8 +52,9 @@ def build(folder: Path, subject: Subject, tests: tuple[str, ...], flags: tuple[s
     def compile_one(job: tuple[Path, tuple[str, ...]]) -> Path:
         source, warnings = job
         target = folder / f"{source.stem}.o"
-        compiled = ("-std=c99", "-ffp-contract=off", *flags, *warnings, *subject.defines, f"-I{folder}", f"-I{C_TESTS}")
-        run(COMPILER, *compiled, "-c", source, "-o", target)
+        options = ("-std=c99", "-ffp-contract=off", *flags, *warnings, *subject.defines)
+        command = (COMPILER, *options, f"-I{folder}", f"-I{C_TESTS}")
+        target.write_bytes(compiled(command, source))
         return target
 
     with ThreadPoolExecutor(2) as pool:
