@@ -46,7 +46,6 @@ def benchmark() -> Any:
         ("oscillator", 0, (1e-1, 1e-2)),
         ("oscillator", 1, (1e-2, 1e-3, 1e-4)),
         ("oscillator", 2, (1e-2, 1e-4, 1e-6)),
-        pytest.param("robot with a spring", 1, (1e-2,), marks=pytest.mark.slow),
         ("robot led by a trajectory", 1, (1e-2,)),
     ],
 )
@@ -75,10 +74,11 @@ def test_systems_of_the_table(benchmark: Any) -> None:
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_step_control_keeps_the_tables_tolerances(benchmark: Any, monkeypatch: pytest.MonkeyPatch, system: str) -> None:
     """The same over the whole table, whose times are the benchmark's."""
-    # good for 5e-6
-    monkeypatch.setattr(benchmark, "REFERENCE_STEP", 1e-4)
     for case, order, tolerances in benchmark.TRIALS:
         for tolerance in tolerances if case == system else ():
+            # good for 5e-6, and for 2 % of a looser tolerance: its error falls with the square of the step
+            step = 4e-4 if tolerance >= 1e-2 else 2e-4 if tolerance >= 1e-3 else 1e-4
+            monkeypatch.setattr(benchmark, "REFERENCE_STEP", step)
             error, _, _ = benchmark.controlled(benchmark.CASES[case], order, tolerance, repetitions=1)
             assert 0.1 < error / tolerance < 3.0, (case, order, tolerance)
 
