@@ -164,11 +164,11 @@ def test_a_torque_step_gives_the_response_that_scipy_gives(tmp_path: Path) -> No
         bias = functions["residual"](x[:n], x[n:], np.zeros(n), u, derived).full().ravel()
         return np.concatenate([x[n:], -np.linalg.solve(functions["mass_matrix"](x[:n], u, derived).full(), bias)])
 
-    stop = 0.01
+    stop, steps = 0.004, 10
     solution = solve_ivp(rate, (0.0, stop), start, method="DOP853", rtol=1e-12, atol=1e-16)
     plant.set(TORQUES, u[:2])
-    for step in range(10):
-        plant.slave.doStep(step * 1e-3, 1e-3)
+    for step in range(steps):
+        plant.slave.doStep(step * stop / steps, stop / steps)
     end = np.concatenate([plant.get(model.unknowns), plant.get(rates)])
     plant.close()
     response = np.abs(solution.y - start[:, None]).max(axis=1)
