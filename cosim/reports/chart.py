@@ -1,25 +1,26 @@
 """Line charts as SVG elements of a page, in its colours and font. Matplotlib would take longer to load than a scene takes to run.
 
-The layout follows matplotlib's: ticks at multiples of 1, 2, 2.5, 5 and 10 times a power of ten, at most nine of them, limits 1 %
-and 5 % beyond the curves. Lengths are points, y downwards.
+The layout follows matplotlib's: limits 1 % and 5 % beyond the curves. Lengths are points, y downwards. A chart is complete without
+scripts; with them it zooms and shows values (`templates/page.js`): each panel has its axes in ``data-axes``, each curve its values
+in ``data-xy`` (`flexfmu.cosim.reports.curve_data`), and what moves with the axes is a group with ``data-at``.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Literal
 
 import numpy as np
 
 from flexfmu.cosim.engine.slave import RealArray
-
-INK, GREY, PALE = "var(--ink)", "var(--grey)", "var(--line)"
-FIRST, SECOND = "var(--first)", "var(--second)"
-"""Colours: variables that the page defines (``templates/report.html.j2``)."""
+from flexfmu.cosim.reports import svg
+from flexfmu.cosim.reports.axis import Axis
+from flexfmu.cosim.reports.curve_data import packed, spread, thinned
+from flexfmu.cosim.reports.svg import FIRST, GREY, INK, PALE
 
 FONT, SMALL, SMALLEST = 9.0, 8.5, 8.0
 """Font sizes of axes; of legends and notes; of marks."""
@@ -28,21 +29,29 @@ PADDING, BELOW, GAP, ROW = 3.0, 32.0, 9.5, 12.6
 """Distance from the chart's edge; space below the panels for ticks and label; between panels; of lines of text."""
 
 LEGEND, MARK, NOTES = 21.3, 9.1, 4.9
-"""Space above a panel for a legend, for a mark's text, and for texts of markers at its top."""
-
-MOST_TICKS, STEPS = 9, (1.0, 2.0, 2.5, 5.0, 10.0)
-"""Largest number of intervals between ticks, and their lengths."""
+"""Space above a panel for a legend of one row, for a mark's text, and for texts of markers at its top."""
 
 CHARACTERS, DIGIT, LETTER = {".": 0.32, "−": 0.84}, 0.64, 0.45
 """Widths of characters of a number, of digits, and of letters on average, relative to the font size."""
 
-RESOLUTION = 0.1
-"""To which points of curves are rounded."""
+DASHES = "3.6,2.7"
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A line through points x (N,), y (N,), broken where a value isn't finite; with a label it is in the legend."""
+    """A line through points x (N,), y (N,), broken where a value isn't finite.
+
+    Attributes:
+        x, y: the points.
+        label: text in the legend; without it the curve isn't there.
+        colour, width, opacity: of the line; width 0 for none.
+        dot: sign at each point.
+        is_read: whether pointing at the curve shows its values.
+        more: name with unit → further values (N,) that are shown instead of x and y.
+        notes: text for each point that is shown as well.
+        dashes: of the line, as SVG has them.
+        group: class of the element, for the page's script.
+    """
 
     x: RealArray
     y: RealArray
@@ -50,6 +59,12 @@ class Curve:
     colour: str = FIRST
     width: float = 1.4
     opacity: float = 1.0
+    dot: Literal["", "disc", "cross"] = ""
+    is_read: bool = True
+    more: Mapping[str, RealArray] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    dashes: str = ""
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -65,6 +80,7 @@ class Marker:
     text: str = ""
     offset: tuple[float, float] = (0.0, 0.0)
     anchor: Literal["start", "middle"] = "start"
+    group: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,9 +92,13 @@ class Panel:
         curves, markers: what is drawn, in this order.
         from_zero: whether the vertical axis starts at zero.
         limits: of the horizontal axis; None for those of the curves.
+        least: smallest value of the vertical axis; None for that of the curves.
         level: where a dashed horizontal line is drawn.
-        mark: where a dashed vertical line is drawn, and the text above it.
+        marks: where dashed vertical lines are drawn, and the texts above them.
         is_to_scale: whether both axes have the same scale.
+        logarithmic: which axes are logarithmic: "", "x", "y" or "xy".
+        is_function: whether x increases along each curve: values are then read at one x for all curves, otherwise at one point.
+        data: name → text, attributes ``data-name`` for the page's script.
     """
 
     label: str
@@ -86,9 +106,13 @@ class Panel:
     markers: Sequence[Marker] = ()
     from_zero: bool = False
     limits: tuple[float, float] | None = None
+    least: float | None = None
     level: float | None = None
-    mark: tuple[float, str] | None = None
+    marks: Sequence[tuple[float, str]] = ()
     is_to_scale: bool = False
+    logarithmic: str = ""
+    is_function: bool = True
+    data: Mapping[str, str] = field(default_factory=dict)
 
 
 def draw_chart(key: str, title: str, size: tuple[float, float], x_label: str, panels: Sequence[Panel]) -> str:
@@ -102,135 +126,141 @@ def draw_chart(key: str, title: str, size: tuple[float, float], x_label: str, pa
         panels: at least one; the legend is that of the first.
     """
     (width, height), boxes = size, list(_boxes(size, panels))
-    parts = [f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(title)}">']
+    name = escape(title)
+    parts = [f'<svg class="chart" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{name}">']
     for number, (panel, box) in enumerate(zip(panels, boxes, strict=True)):
-        parts += box.drawn(panel, f"{key}-{number}", x_label if number == len(panels) - 1 else None)
+        parts += box.drawn(panel, f"{key}-{number}", x_label, is_last=number == len(panels) - 1)
     return "\n".join([*parts, *_legend(panels[0], width), "</svg>"])
-
-
-@dataclass(frozen=True)
-class _Axis:
-    """An axis from the value ``low`` at the position ``begin`` to ``high`` at ``end``; ``room`` is the length that an interval needs."""
-
-    low: float
-    high: float
-    begin: float
-    end: float
-    room: float
-
-    def at(self, value: RealArray | float) -> RealArray:
-        """Return the positions of values."""
-        scale = (self.end - self.begin) / (self.high - self.low)
-        return np.asarray(self.begin + (np.asarray(value, dtype=float) - self.low) * scale)
-
-    @cached_property
-    def ticks(self) -> RealArray:
-        """Values of the ticks: multiples of the shortest step that leaves enough room, at least two."""
-        span = self.high - self.low
-        raw = span / min(max(int(abs(self.end - self.begin) / self.room), 1), MOST_TICKS)
-        power = 10.0 ** math.floor(math.log10(raw))
-        fitting = [step * power for step in STEPS if step * power >= raw * (1.0 - 1e-9)]
-        shorter = [step * power for step in reversed(STEPS) if step * power < raw]
-        for step in (fitting[0], *shorter, STEPS[-2] * 0.1 * power):
-            first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
-            if last > first:
-                break
-        return np.asarray(step * np.arange(first, last + 1), dtype=np.float64)
-
-    @cached_property
-    def labels(self) -> list[str]:
-        """Texts of the ticks, with as many decimals as tell them apart; powers of ten where there would be many zeros."""
-        ticks, largest = self.ticks, float(np.max(np.abs(self.ticks)))
-        if not 1e-4 <= largest < 1e6:
-            return [f"{tick:.6g}".replace("-", "−") for tick in ticks.tolist()]
-        exact = 1e-3 * float(ticks[1] - ticks[0])
-        decimals = next((d for d in range(12) if np.all(np.abs(ticks - np.round(ticks, d)) < exact)), 12)
-        return [f"{tick + 0.0:.{decimals}f}".replace("-", "−") for tick in ticks.tolist()]
 
 
 @dataclass(frozen=True)
 class _Box:
     """The axes of a panel."""
 
-    x: _Axis
-    y: _Axis
+    x: Axis
+    y: Axis
 
-    def drawn(self, panel: Panel, key: str, x_label: str | None) -> Iterator[str]:
-        """Yield the elements of a panel, grid first; ticks of the horizontal axis have labels if the axis has one."""
+    def drawn(self, panel: Panel, key: str, x_label: str, is_last: bool) -> Iterator[str]:
+        """Yield the elements of a panel, grid first; ticks of the horizontal axis have labels in the last panel."""
         left, right, top, bottom = self.x.begin, self.x.end, self.y.end, self.y.begin
+        yield self._opened(panel, x_label, is_last)
         yield (
             f'<clipPath id="{key}"><rect x="{left:.2f}" y="{top:.2f}" width="{right - left:.2f}" '
             f'height="{bottom - top:.2f}"/></clipPath>'
         )
         verticals = "".join(f"M{x:.2f} {bottom:.2f}V{top:.2f}" for x in self.x.at(self.x.ticks))
         horizontals = "".join(f"M{left:.2f} {y:.2f}H{right:.2f}" for y in self.y.at(self.y.ticks))
-        yield _line(verticals + horizontals, PALE, 0.8)
+        yield svg.line(verticals + horizontals, PALE, 0.8, extra=' class="grid"')
         # curves and markers within the box
         yield f'<g clip-path="url(#{key})">'
-        yield from (
-            _line(_path(self.x.at(each.x), self.y.at(each.y)), each.colour, each.width, each.opacity, cap="round")
-            for each in panel.curves
-        )
+        for each in panel.curves:
+            yield from self._curve(each, panel)
         yield "</g>"
-        for each in panel.markers:
-            yield from _marker(each, float(self.x.at(each.x)), float(self.y.at(each.y)))
+        for marker in panel.markers:
+            yield self._at(marker.x, marker.y, _marker(marker), marker.group)
         yield from self._marks(panel)
         # axes with ticks
         ticks = "".join(f"M{x:.2f} {bottom:.2f}v3.5" for x in self.x.at(self.x.ticks))
         ticks += "".join(f"M{left:.2f} {y:.2f}h-3.5" for y in self.y.at(self.y.ticks))
-        yield _line(f"M{left:.2f} {top:.2f}V{bottom:.2f}H{right:.2f}{ticks}", GREY, 0.8)
-        yield from self._texts(panel, x_label)
+        yield svg.line(f"M{left:.2f} {top:.2f}V{bottom:.2f}H{right:.2f}{ticks}", GREY, 0.8, extra=' class="frame"')
+        yield from self._texts(panel, x_label if is_last else None)
+        yield "</g>"
+
+    def _opened(self, panel: Panel, x_label: str, is_last: bool) -> str:
+        """Return the start tag of the panel's group, with all that a script needs to draw it anew."""
+        numbers = (
+            *(self.x.low, self.x.high, self.x.begin, self.x.end, self.x.is_log),
+            *(self.y.low, self.y.high, self.y.begin, self.y.end, self.y.is_log),
+        )
+        flags = {"function": panel.is_function, "scale": panel.is_to_scale, "zero": panel.from_zero, "last": is_last}
+        data = {
+            "axes": " ".join(f"{number:.9g}" for number in numbers),
+            "names": json.dumps([x_label, panel.label.replace("\n", " ")], ensure_ascii=False),
+            "flags": " ".join(name for name, is_set in flags.items() if is_set),
+            **panel.data,
+        }
+        return f'<g class="panel"{svg.attributes(data)}>'
+
+    def _curve(self, curve: Curve, panel: Panel) -> Iterator[str]:
+        """Yield the line and the signs of a curve, with its values."""
+        chosen = thinned(curve.y) if panel.is_function else spread(curve.y.size)
+        data = {"xy": packed(*(each[chosen] for each in (curve.x, curve.y, *curve.more.values())))}
+        data |= {"label": curve.label} if curve.label else {}
+        data |= {"more": json.dumps(list(curve.more), ensure_ascii=False)} if curve.more else {}
+        data |= {"notes": json.dumps([curve.notes[i] for i in chosen], ensure_ascii=False)} if curve.notes else {}
+        kind = f"{'curve' if curve.is_read else 'shape'} {curve.group}".strip()
+        x, y = self.x.at(curve.x), self.y.at(curve.y)
+        extra = f' class="{kind}"{svg.attributes(data)}'
+        yield svg.line(
+            svg.path(x, y), curve.colour, curve.width, curve.opacity, cap="round", dashes=curve.dashes, extra=extra
+        )
+        if curve.dot:
+            sign = f' class="{curve.dot}"'
+            yield svg.line(
+                svg.signs(x, y, curve.dot), curve.colour, 1.4 if curve.dot == "cross" else 4.5, cap="round", extra=sign
+            )
+
+    def _at(self, x: float | None, y: float | None, content: str, group: str = "") -> str:
+        """Return elements about a point that moves with the axes, or about an axis where a coordinate is None."""
+        place = float(self.x.at(x)) if x is not None else 0.0, float(self.y.at(y)) if y is not None else 0.0
+        coordinates = " ".join("*" if each is None else f"{each:.9g}" for each in (x, y))
+        kind = f"at {group}".strip()
+        return f'<g class="{kind}" data-at="{coordinates}" transform="translate({place[0]:.2f} {place[1]:.2f})">{content}</g>'
 
     def _marks(self, panel: Panel) -> Iterator[str]:
-        """Yield the dashed lines within the box, and the text above."""
+        """Yield the dashed lines within the box, and the texts above."""
         if panel.level is not None and self.y.low < panel.level < self.y.high:
-            line = f"M{self.x.begin:.2f} {self.y.at(panel.level):.2f}H{self.x.end:.2f}"
-            yield _line(line, GREY, 0.9, dashes="3.6,2.7")
-        if panel.mark is not None:
-            time, text = panel.mark
-            x, top = float(self.x.at(time)), self.y.end
-            yield _line(f"M{x:.2f} {self.y.begin:.2f}V{top:.2f}", GREY, 0.9, dashes="3.6,2.7")
-            yield _text(text, x, top - PADDING, SMALLEST, "middle", GREY)
+            line = svg.line(f"M{self.x.begin:.2f} 0H{self.x.end:.2f}", GREY, 0.9, dashes=DASHES)
+            yield self._at(None, panel.level, line)
+        for place, text in panel.marks:
+            line = svg.line(f"M0 {self.y.begin:.2f}V{self.y.end:.2f}", GREY, 0.9, dashes=DASHES)
+            yield self._at(place, None, line + svg.text(text, 0.0, self.y.end - PADDING, SMALLEST, "middle", GREY))
 
     def _texts(self, panel: Panel, x_label: str | None) -> Iterator[str]:
         """Yield the labels of ticks and axes."""
         left, bottom = self.x.begin, self.y.begin
+        yield '<g class="ticks">'
         for y, text in zip(self.y.at(self.y.ticks), self.y.labels, strict=True):
-            yield _text(text, left - 7.0, y + 3.42, FONT, "end")
+            yield svg.text(text, left - 7.0, y + 3.42, FONT, "end")
         if x_label is not None:
             for x, text in zip(self.x.at(self.x.ticks), self.x.labels, strict=True):
-                yield _text(text, x, bottom + 13.84, FONT, "middle")
-            yield _text(x_label, 0.5 * (left + self.x.end), bottom + 26.84, FONT, "middle")
+                yield svg.text(text, x, bottom + 13.84, FONT, "middle")
+        yield "</g>"
+        if x_label is not None:
+            yield svg.text(x_label, 0.5 * (left + self.x.end), bottom + 26.84, FONT, "middle")
         for row, text in enumerate(panel.label.split("\n")):
-            yield _text(text, 9.84 + ROW * row, 0.5 * (bottom + self.y.end), FONT, "middle", upright=False)
+            yield svg.text(text, 9.84 + ROW * row, 0.5 * (bottom + self.y.end), FONT, "middle", upright=False)
 
 
 def _boxes(size: tuple[float, float], panels: Sequence[Panel]) -> Iterator[_Box]:
     """Yield the axes of each panel, all of the same height and the same horizontal limits."""
     (width, height), count = size, len(panels)
-    above = [MARK * (panel.mark is not None) for panel in panels]
-    above[0] += NOTES * panels[0].is_to_scale + LEGEND * any(curve.label for curve in panels[0].curves)
+    above = [MARK * bool(panel.marks) for panel in panels]
+    rows = len(_rows(panels[0], width))
+    above[0] += NOTES * panels[0].is_to_scale + (LEGEND + ROW * (rows - 1) if rows else 0.0)
     each = (height - BELOW - PADDING - sum(above) - GAP * (count - 1)) / count
     # horizontal limits, and vertical axes with their places
+    is_log = "x" in panels[0].logarithmic
     low, high = panels[0].limits or _limits(
-        [curve.x for panel in panels for curve in panel.curves], 0.05 if panels[0].is_to_scale else 0.01
+        [curve.x for panel in panels for curve in panel.curves], 0.05 if panels[0].is_to_scale else 0.01, is_log
     )
     verticals, top = [], PADDING
     for panel, space in zip(panels, above, strict=True):
         top += space
-        bottom, top_limit = _limits([curve.y for curve in panel.curves], 0.05)
-        verticals.append(_Axis(0.0 if panel.from_zero else bottom, top_limit, top + each, top, 2.0 * FONT))
+        bottom, top_limit = _limits([curve.y for curve in panel.curves], 0.05, "y" in panel.logarithmic)
+        bottom = 0.0 if panel.from_zero else bottom if panel.least is None else max(bottom, panel.least)
+        verticals.append(Axis(bottom, top_limit, top + each, top, 2.0 * FONT, "y" in panel.logarithmic))
         top += each + GAP
     # the widest number leaves the rest to the panels
     digits = max(sum(CHARACTERS.get(c, DIGIT) for c in text) for axis in verticals for text in axis.labels)
-    rows = max(panel.label.count("\n") for panel in panels)
-    begin, end = 2 * 8.0 + ROW * rows + FONT * digits + 7.0, width - PADDING
+    lines = max(panel.label.count("\n") for panel in panels)
+    begin, end = 2 * 8.0 + ROW * lines + FONT * digits + 7.0, width - PADDING
     for panel, axis in zip(panels, verticals, strict=True):
-        horizontal = _Axis(low, high, begin, end, 3.0 * FONT)
+        horizontal = Axis(low, high, begin, end, 3.0 * FONT, is_log)
         yield _to_scale(horizontal, axis) if panel.is_to_scale else _Box(horizontal, axis)
 
 
-def _to_scale(x: _Axis, y: _Axis) -> _Box:
+def _to_scale(x: Axis, y: Axis) -> _Box:
     """Return axes of the same scale, as large as these ones allow, in the middle of their top."""
     across, down = x.high - x.low, y.high - y.low
     scale = min((x.end - x.begin) / across, (y.begin - y.end) / down)
@@ -238,9 +268,13 @@ def _to_scale(x: _Axis, y: _Axis) -> _Box:
     return _Box(replace(x, begin=x.begin + spare, end=x.end - spare), replace(y, begin=y.end + scale * down))
 
 
-def _limits(values: Sequence[RealArray], margin: float) -> tuple[float, float]:
-    """Return the smallest and the largest finite value, with a margin in terms of their difference."""
+def _limits(values: Sequence[RealArray], margin: float, is_log: bool = False) -> tuple[float, float]:
+    """Return the smallest and the largest finite value, with a margin in terms of their difference; positive ones on a log axis."""
     finite = np.concatenate([np.zeros(0), *(each[np.isfinite(each)] for each in values)])
+    if is_log:
+        logarithms = np.log10(finite[finite > 0.0])
+        low, high = _limits([logarithms if logarithms.size else np.array([-1.0, 0.0])], margin)
+        return 10.0**low, 10.0**high
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     if high - low <= 1e-12 * max(abs(low), abs(high)):
         span = 0.1 * max(abs(low), abs(high)) or 0.1  # of a constant
@@ -248,55 +282,43 @@ def _limits(values: Sequence[RealArray], margin: float) -> tuple[float, float]:
     return low - margin * (high - low), high + margin * (high - low)
 
 
-def _path(x: RealArray, y: RealArray) -> str:
-    """Return a path through points (N,), rounded, without those that change nothing, in one piece for each finite stretch."""
-    finite = np.isfinite(x) & np.isfinite(y)
-    edges = np.flatnonzero(np.diff(finite, prepend=False, append=False))
-    pieces = []
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        points = np.rint(np.clip(np.stack([x[begin:end], y[begin:end]], axis=1), -1e4, 1e4) / RESOLUTION)
-        # repeated points, then those on the straight line between their neighbours
-        points = points[np.concatenate([[True], np.any(np.diff(points, axis=0) != 0.0, axis=1)])]
-        steps = np.diff(points, axis=0)
-        turns = steps[:-1, 0] * steps[1:, 1] != steps[:-1, 1] * steps[1:, 0]
-        backwards = np.sum(steps[:-1] * steps[1:], axis=1) < 0.0
-        points = points[np.concatenate([[True], turns | backwards, [True]])[: len(points)]] * RESOLUTION
-        pieces.append("M" + " ".join(["%.1f %.1f"] * len(points)) % tuple(points.ravel().tolist()))
-    return "".join(pieces)
-
-
-def _line(path: str, colour: str, width: float, opacity: float = 1.0, *, cap: str = "butt", dashes: str = "") -> str:
-    """Return a path without filling."""
-    style = f'stroke="{colour}" stroke-width="{width:g}" stroke-linecap="{cap}" stroke-linejoin="round"'
-    dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
-    faint = f' stroke-opacity="{opacity:g}"' if opacity < 1.0 else ""
-    return f'<path d="{path}" fill="none" {style}{dashed}{faint}/>'
-
-
-def _text(text: str, x: float, y: float, size: float, anchor: str, colour: str = INK, *, upright: bool = True) -> str:
-    """Return a text with its baseline's start, middle or end at a point."""
-    turned = "" if upright else f' transform="rotate(-90 {x:.2f} {y:.2f})"'
-    place = f'x="{x:.2f}" y="{y:.2f}" font-size="{size:g}" text-anchor="{anchor}" fill="{colour}"{turned}'
-    return f"<text {place}>{escape(text)}</text>"
-
-
-def _marker(marker: Marker, x: float, y: float) -> Iterator[str]:
-    """Yield the disc or square, and the text beside it."""
+def _marker(marker: Marker) -> str:
+    """Return the disc or square about the origin, and the text beside it."""
     half, style = 0.5 * marker.size, f'fill="{marker.colour}" fill-opacity="{marker.opacity:g}"'
+    parts = ""
     if marker.size and marker.shape == "disc":
-        yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="{half:g}" {style}/>'
+        parts += f'<circle r="{half:g}" {style}/>'
     elif marker.size:
-        yield f'<rect x="{x - half:.2f}" y="{y - half:.2f}" width="{marker.size:g}" height="{marker.size:g}" {style}/>'
+        parts += f'<rect x="{-half:g}" y="{-half:g}" width="{marker.size:g}" height="{marker.size:g}" {style}/>'
     if marker.text:
-        yield _text(marker.text, x + marker.offset[0], y + marker.offset[1], SMALL, marker.anchor)
-
-
-def _legend(panel: Panel, width: float) -> list[str]:
-    """Return lines and texts of the curves with a label, side by side in the upper right corner."""
-    parts, x = [], width - PADDING - 4.6
-    for curve in reversed([curve for curve in panel.curves if curve.label]):
-        x -= LETTER * SMALL * len(curve.label)
-        parts.append(_text(curve.label, x, 14.11, SMALL, "start"))
-        parts.append(_line(f"M{x - 23.8:.2f} 11.13h17", curve.colour, curve.width))
-        x -= 40.8
+        parts += svg.text(marker.text, *marker.offset, SMALL, marker.anchor)
     return parts
+
+
+def _rows(panel: Panel, width: float) -> list[list[Curve]]:
+    """Return the curves with a label, in rows that are no wider than the chart."""
+    rows, used = list[list[Curve]](), math.inf
+    for curve in panel.curves:
+        if not curve.label:
+            continue
+        space = 40.8 + LETTER * SMALL * len(curve.label)
+        if used + space > width - PADDING:
+            rows.append([])
+            used = 0.0
+        rows[-1].append(curve)
+        used += space
+    return rows
+
+
+def _legend(panel: Panel, width: float) -> Iterator[str]:
+    """Yield lines and texts of the curves with a label, side by side at the right."""
+    for row, curves in enumerate(_rows(panel, width)):
+        x, y = width - PADDING - 4.6, ROW * row
+        for curve in reversed(curves):
+            x -= LETTER * SMALL * len(curve.label)
+            line = svg.line(
+                f"M{x - 23.8:.2f} {11.13 + y:.2f}h17", curve.colour, curve.width or 1.4, dashes=curve.dashes
+            )
+            text = svg.text(curve.label, x, 14.11 + y, SMALL, "start")
+            yield f'<g class="key" data-label="{escape(curve.label)}">{text}{line}</g>'
+            x -= 40.8

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,42 +21,19 @@ from flexfmu.cosim.metrics.signals import (
     sample,
     segments,
 )
-from flexfmu.cosim.reports.chart import FIRST, SECOND, Curve, Panel, draw_chart
+from flexfmu.cosim.reports.chart import Curve, Panel
+from flexfmu.cosim.reports.page import Plot
 from flexfmu.cosim.reports.scene_picture import scene_panel
+from flexfmu.cosim.reports.svg import FIRST, SECOND
 
 POINTS = 3000
 """Approximate number of points of a curve, as many as a plot of this size resolves."""
 
-WIDTH, HEIGHT, SCENE_HEIGHT, REFERENCES_HEIGHT = 374.4, 194.4, 252.0, 280.8
+SCENE_HEIGHT, REFERENCES_HEIGHT = 252.0, 280.8
 """Sizes of plots [pt]."""
 
 COLOURS = (FIRST, SECOND)
 """Of the curves of joints and links 1 and 2."""
-
-
-@dataclass(frozen=True)
-class Plot:
-    """A plot of the report.
-
-    Attributes:
-        key: short identifier.
-        title, caption: heading, and one sentence on the plot.
-        panels: pairs of axes below each other.
-        x_label: label of the horizontal axis.
-        height: of the plot [pt].
-    """
-
-    key: str
-    title: str
-    caption: str
-    panels: tuple[Panel, ...]
-    x_label: str = "time [s]"
-    height: float = HEIGHT
-
-    @property
-    def svg(self) -> str:
-        """The plot as an SVG element."""
-        return draw_chart(self.key, self.title, (WIDTH, self.height), self.x_label, self.panels)
 
 
 def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
@@ -104,7 +81,7 @@ def _references(run: Run) -> tuple[Panel, ...]:
             for joint, each, colour in zip((1, 2), values, COLOURS, strict=True)
         ]
         panels.append(
-            Panel(label=f"{kind}\n[{unit}]", curves=curves, mark=_mark(time, run) if kind == "acceleration" else None)
+            Panel(label=f"{kind}\n[{unit}]", curves=curves, marks=_marks(time, run) if kind == "acceleration" else ())
         )
     return tuple(panels)
 
@@ -116,7 +93,7 @@ def _pair(run: Run, names: tuple[str, ...], of: str, label: str, factor: float) 
         if name in run.recording.columns:
             time, values = _curve(segments(run.recording, [name]))
             curves.append(Curve(time, factor * values[:, 0], f"{of} {number}", colour))
-    return Panel(label=label, curves=curves, mark=_mark(run.recording.time, run))
+    return Panel(label=label, curves=curves, marks=_marks(run.recording.time, run))
 
 
 def _tracking_error(run: Run) -> Panel:
@@ -124,7 +101,7 @@ def _tracking_error(run: Run) -> Panel:
     for joint, colour in enumerate(COLOURS):
         time, values = _curve(joint_error(run.recording, joint, run.plan.joints))
         curves.append(Curve(time, 1e3 * values[:, 0], f"joint {joint + 1}", colour))
-    return Panel(label="error [mrad]", curves=curves, mark=_mark(run.recording.time, run))
+    return Panel(label="error [mrad]", curves=curves, marks=_marks(run.recording.time, run))
 
 
 def _dwell(run: Run, end_equilibrium: RealArray) -> Panel:
@@ -139,7 +116,7 @@ def _norm(run: Run, signal: HermiteSegments, label: str, factor: float, order: i
     """Return the norm of a signal's time derivative of the given order."""
     time, values = _curve(signal, order)
     curve = Curve(time, factor * np.linalg.norm(values, axis=1))
-    return Panel(label=label, curves=[curve], from_zero=True, mark=_mark(time, run))
+    return Panel(label=label, curves=[curve], from_zero=True, marks=_marks(time, run))
 
 
 def _curve(signal: HermiteSegments, order: int = 0) -> tuple[RealArray, RealArray]:
@@ -147,7 +124,7 @@ def _curve(signal: HermiteSegments, order: int = 0) -> tuple[RealArray, RealArra
     return sample(signal, int(np.clip(POINTS // max(len(signal.start), 1), 2, 20)), order)
 
 
-def _mark(time: RealArray, run: Run) -> tuple[float, str] | None:
+def _marks(time: RealArray, run: Run) -> list[tuple[float, str]]:
     """Return the mark at the end of the motion, if it lies between the times (N,) [s]."""
     end = run.plan.duration
-    return (end, "end of motion") if time[0] < end < time[-1] else None
+    return [(end, "end of motion")] if time[0] < end < time[-1] else []

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from typing import Any
 
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, display
+from flexfmu.cosim.reports.page import Figure, render
 from flexfmu.trajectories.blends import BLENDS
 from flexfmu.trajectories.profiles import PROFILES
-
-if TYPE_CHECKING:
-    from flexfmu.cosim.reports.plots import Plot
 
 TILES = (
     "peak_torque_1",
@@ -25,22 +21,16 @@ TILES = (
 """Metrics shown at the top of the report."""
 
 
-def render_report(summary: Mapping[str, Any], plots: Iterable[Plot]) -> str:
+def render_report(summary: Mapping[str, Any], plots: Iterable[Figure]) -> str:
     """Return the report as HTML.
 
     Args:
         summary: summary of the run by `flexfmu.cosim.reports.summary.summarise`.
         plots: plots of the run by `flexfmu.cosim.reports.plots.draw_plots`.
     """
-    # fill the template, all values as text
-    environment = Environment(
-        loader=PackageLoader("flexfmu.cosim.reports", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=False,
-    )
     health, metrics, errors = summary["health"], summary["metrics"], summary["errors"]
-    return environment.get_template("report.html.j2").render(
+    return render(
+        "report.html.j2",
         scene=summary["scene"],
         effects=summary["effects"],
         motion=_motion_sentence(summary["scene"]),

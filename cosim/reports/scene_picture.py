@@ -6,7 +6,8 @@ import numpy as np
 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.experiment.planning import MotionPlan
-from flexfmu.cosim.reports.chart import FIRST, GREY, INK, SECOND, Curve, Marker, Panel
+from flexfmu.cosim.reports.chart import Curve, Marker, Panel
+from flexfmu.cosim.reports.svg import FIRST, GREY, INK, SECOND
 from flexfmu.model.scene.assembly import bases, elbows
 from flexfmu.trajectories.curves import Point
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from flexfmu.cosim.reports.chart import Curve, Marker, Panel, _Axis, _path, draw_chart
+from flexfmu.cosim.reports.axis import Axis
+from flexfmu.cosim.reports.chart import Curve, Marker, Panel, draw_chart
+from flexfmu.cosim.reports.svg import path
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -18,7 +20,7 @@ def test_ticks_are_matplotlib_s(seed: int) -> None:
     rng = np.random.default_rng(seed)
     low = rng.uniform(-1.0, 1.0) * 10.0 ** rng.uniform(-2.0, 4.0)
     high, length, room = low + 10.0 ** rng.uniform(-1.0, 4.0), rng.uniform(60.0, 330.0), rng.choice([18.0, 27.0])
-    axis = _Axis(low, high, 0.0, length, room)
+    axis = Axis(low, high, 0.0, length, room)
     intervals = int(np.clip(length // room, 1, 9))
     expected = MaxNLocator(intervals, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     expected = expected[(expected >= low) & (expected <= high)]
@@ -31,7 +33,7 @@ def test_ticks_are_matplotlib_s(seed: int) -> None:
 
 def test_small_values_are_powers_of_ten() -> None:
     """A rigid robot's errors are rounding: the labels say so, instead of a row of zeros."""
-    labels = _Axis(0.0, 4e-12, 100.0, 0.0, 18.0).labels
+    labels = Axis(0.0, 4e-12, 100.0, 0.0, 18.0).labels
     assert labels[0] == "0"
     assert labels[1] == "1e−12"
 
@@ -40,9 +42,9 @@ def test_a_path_has_every_turn_and_breaks_where_a_value_is_missing() -> None:
     """Points on a straight line between their neighbours are left out, peaks and isolated stretches are not."""
     x = np.arange(9.0)
     y = np.array([0.0, 1.0, 2.0, 1.0, 0.0, np.nan, 5.0, np.inf, 7.0])
-    assert _path(x, y) == "M0.0 0.0 2.0 2.0 4.0 0.0M6.0 5.0M8.0 7.0"
-    assert _path(np.zeros(0), np.zeros(0)) == ""
-    back = _path(np.array([0.0, 2.0, 1.0]), np.zeros(3))
+    assert path(x, y) == "M0.0 0.0 2.0 2.0 4.0 0.0M6.0 5.0M8.0 7.0"
+    assert path(np.zeros(0), np.zeros(0)) == ""
+    back = path(np.array([0.0, 2.0, 1.0]), np.zeros(3))
     assert back == "M0.0 0.0 2.0 0.0 1.0 0.0"
 
 
@@ -50,7 +52,7 @@ def test_a_path_follows_its_points() -> None:
     """Dense or not, no point is further from the path than the rounding of its coordinates."""
     x = np.linspace(0.0, 330.0, 4001)
     y = 60.0 + 50.0 * np.sin(x / 3.0) * np.exp(-x / 200.0)
-    points = np.array([float(each) for each in re.findall(r"[\d.]+", _path(x, y))]).reshape(-1, 2)
+    points = np.array([float(each) for each in re.findall(r"[\d.]+", path(x, y))]).reshape(-1, 2)
     assert len(points) < len(x)
     error = np.abs(np.interp(x, points[:, 0], points[:, 1]) - y)
     assert np.all(error < 0.06 * (1.0 + np.abs(np.gradient(y, x))))
@@ -76,6 +78,8 @@ def test_one_scale_for_both_axes(extent: tuple[float, float]) -> None:
     text = draw_chart(
         "k", "t", (300.0, 200.0), "x", [Panel(label="y", curves=[curve], markers=markers, is_to_scale=True)]
     )
-    (x0, y0), (x1, _), (_, y2) = (map(float, found) for found in re.findall(r'cx="(\S+)" cy="(\S+)"', text))
+    (x0, y0), (x1, _), (_, y2) = (
+        map(float, found) for found in re.findall(r'class="at" .*?translate\((\S+) (\S+)\)', text)
+    )
     assert x1 - x0 == pytest.approx(y0 - y2, abs=0.02)
     assert x1 - x0 > 10.0
