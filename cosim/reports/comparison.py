@@ -1,0 +1,150 @@
+"""The page that compares runs: metrics side by side, their signals over each other, and spectra of what rings after the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, Measurement, display
+from flexfmu.cosim.reports.chart import Curve, Panel
+from flexfmu.cosim.reports.curve_data import MOST_POINTS, thinned
+from flexfmu.cosim.reports.page import Plot, Table, render_page
+from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
+from flexfmu.cosim.reports.svg import PALETTE
+
+SIGNALS: Mapping[str, tuple[str, float, Mapping[str, str]]] = {
+    "Motor torques": ("N·m", 1.0, {"joint1.torque": "joint 1", "joint2.torque": "joint 2"}),
+    "Joint angles": ("rad", 1.0, {"joint1.position": "joint 1", "joint2.position": "joint 2"}),
+    "Position of the end effector": ("m", 1.0, {"end_effector.position.x": "x", "end_effector.position.y": "y"}),
+    "Acceleration of the end effector": (
+        "m/s²",
+        1.0,
+        {"end_effector.acceleration.x": "x", "end_effector.acceleration.y": "y"},
+    ),
+    "Tip deflections": ("mm", 1e3, {"link11.tip_deflection": "link 1", "link21.tip_deflection": "link 2"}),
+}
+"""Heading of a plot → unit of its axes, factor from SI to that, and its signals with their labels."""
+
+SPECTRA = {"end_effector.position.x": "x", "end_effector.position.y": "y"}
+"""Signals whose spectra after the motion are compared, and their labels."""
+
+POINTS, FEWEST = 4000, 40
+"""Number of points that the curves of one signal have together, and of one curve at least: they limit the size of the page."""
+
+DASHED = "5,3"
+"""Of curves that repeat a colour."""
+
+
+@dataclass(frozen=True)
+class ComparedRun:
+    """A run, or a measurement, of a comparison.
+
+    Attributes:
+        name: short, unique.
+        recording: its signals; what isn't recorded isn't compared.
+        metrics: name → measurement, as `flexfmu.cosim.metrics.metrics.measure_run` has them; none for a measurement.
+        duration: end of the motion [s], from which spectra are taken; None if unknown.
+    """
+
+    name: str
+    recording: Recording
+    metrics: Mapping[str, Measurement] = field(default_factory=dict)
+    duration: float | None = None
+
+
+def render_comparison(
+    runs: Sequence[ComparedRun], tables: Sequence[Table] = (), plots: Sequence[Plot] = (), title: str = ""
+) -> str:
+    """Return the page that compares runs as HTML.
+
+    Args:
+        runs: at least one; differences are relative to the first.
+        tables: further tables, below the metrics.
+        plots: further plots, before those of the signals; their keys mustn't start with ``compared``.
+        title: heading of the page; by default the names of the runs.
+    """
+    lead = f"{len(runs)} runs, each in its colour; differences are relative to {runs[0].name}."
+    metrics = [table for table in [metrics_table(runs)] if table.rows]
+    return render_page(
+        title or " · ".join(run.name for run in runs), lead, [*plots, *_plots(runs)], [*metrics, *tables]
+    )
+
+
+def metrics_table(runs: Sequence[ComparedRun]) -> Table:
+    """Return the metrics of runs side by side, each with its difference from the first run's."""
+    names = [name for name in ALL_METRICS if any(name in run.metrics for run in runs)]
+    none = Measurement(None)
+    rows = []
+    for name in names:
+        found = [run.metrics.get(name, none) for run in runs]
+        rows.append([ALL_METRICS[name].label, *(_cell(name, each, found[0]) for each in found)])
+    return Table(
+        "Metrics", ["Metric", *(run.name for run in runs)], rows, "In brackets: difference from the first run."
+    )
+
+
+def _cell(name: str, measured: Measurement, first: Measurement) -> str:
+    """Return a value, with its difference from the first run's in percent."""
+    text = display(name, measured.value, error=measured.error)
+    if measured is first or measured.value is None or not first.value:
+        return text
+    difference = f"{100.0 * (measured.value / first.value - 1.0):+.3g}".replace("-", "−")
+    return f"{text} ({difference} %)"
+
+
+def _plots(runs: Sequence[ComparedRun]) -> Iterator[Plot]:
+    """Yield a plot for each group of signals that a run has, then the spectra."""
+    for number, (title, (unit, factor, names)) in enumerate(SIGNALS.items()):
+        found = {label: _curves(runs, name, factor) for name, label in names.items()}
+        panels = [
+            Panel(label=f"{label}\n[{unit}]", curves=curves, marks=_marks(runs) if i == 0 else ())
+            for i, (label, curves) in enumerate((label, curves) for label, curves in found.items() if curves)
+        ]
+        if panels:
+            yield Plot(f"compared-{number}", title, "As recorded.", tuple(panels), height=_height(panels))
+    panels = [spectrum_panel(f"{label}\n[µm]", _spectra(runs, name)) for name, label in SPECTRA.items()]
+    panels = [panel for panel in panels if panel.curves]
+    if panels:
+        caption = spectrum_caption("Position of the end effector after the end of the motion")
+        title = "Spectra of the residual vibration"
+        yield Plot("compared-spectra", title, caption, tuple(panels), "frequency [Hz]", _height(panels))
+
+
+def _height(panels: Sequence[Panel]) -> float:
+    return 90.0 + 100.0 * len(panels)
+
+
+def _curves(runs: Sequence[ComparedRun], name: str, factor: float) -> list[Curve]:
+    """Return a signal of all runs that have it."""
+    curves = []
+    for number, run in enumerate(runs):
+        if name in run.recording.columns:
+            values = run.recording[name].values
+            chosen = thinned(values, min(max(POINTS // len(runs), FEWEST), MOST_POINTS))
+            curves.append(_curve(number, run, run.recording.time[chosen], factor * values[chosen]))
+    return curves
+
+
+def _spectra(runs: Sequence[ComparedRun], name: str) -> list[Curve]:
+    """Return the spectra [µm] of a signal [m] after the motion, of all runs that have it for long enough."""
+    curves = []
+    for number, run in enumerate(runs):
+        if run.duration is not None and name in run.recording.columns:
+            found = spectrum(run.recording.time, run.recording[name].values, run.duration)
+            if found is not None:
+                curves.append(_curve(number, run, found[0], 1e6 * found[1]))
+    return curves
+
+
+def _curve(number: int, run: ComparedRun, x: RealArray, y: RealArray) -> Curve:
+    """Return a curve in the colour of its run."""
+    dashes = DASHED if number >= len(PALETTE) else ""
+    return Curve(x, y, run.name, PALETTE[number % len(PALETTE)], dashes=dashes)
+
+
+def _marks(runs: Sequence[ComparedRun]) -> list[tuple[float, str]]:
+    """Return the mark at the end of the motion, if all runs that say so have the same."""
+    ends = {run.duration for run in runs if run.duration is not None}
+    return [(ends.pop(), "end of motion")] if len(ends) == 1 else []
