@@ -22,15 +22,20 @@ from flexfmu.cosim.metrics.signals import (
     segments,
 )
 from flexfmu.cosim.reports.chart import Curve, Panel
-from flexfmu.cosim.reports.page import Plot
+from flexfmu.cosim.reports.motion_picture import bent_robot, path_panel
+from flexfmu.cosim.reports.page import WIDTH, Plot
 from flexfmu.cosim.reports.scene_picture import scene_panel
+from flexfmu.cosim.reports.spectrum import spectrum, spectrum_caption, spectrum_panel
 from flexfmu.cosim.reports.svg import FIRST, SECOND
 
 POINTS = 3000
 """Approximate number of points of a curve, as many as a plot of this size resolves."""
 
-SCENE_HEIGHT, REFERENCES_HEIGHT = 252.0, 280.8
-"""Sizes of plots [pt]."""
+REFERENCES_HEIGHT = 280.8
+"""Height of a plot [pt]."""
+
+BESIDE, BESIDES = 55.0, 70.0
+"""Space beside and above or below the panel of a plot to scale, about [pt]."""
 
 COLOURS = (FIRST, SECOND)
 """Of the curves of joints and links 1 and 2."""
@@ -43,12 +48,16 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
         run: a run, complete or not.
         end_equilibrium: (2,) end effector in static equilibrium at the end pose [m]; None if unknown, which omits the dwell.
     """
-    caption = "The rigid mechanism at start, middle and end of the path."
-    yield Plot("scene", "Scene", caption, (scene_panel(run.plan),), "x [m]", SCENE_HEIGHT)
     # a run that ended at its start has no curves
-    columns = run.recording.columns
+    columns, caption = run.recording.columns, "The rigid mechanism at start, middle and end of the path."
     if np.count_nonzero(np.diff(run.recording.time) > 0.0) == 0:
+        yield _to_scale("scene", "Scene", caption, scene_panel(run.plan))
         return
+    robot = bent_robot(run)
+    caption += " With scripts it moves, its deviation from the rigid robot magnified."
+    yield _to_scale("scene", "Scene", caption, scene_panel(run.plan, robot.data()))
+    caption = f"Path of the end effector; its deviation from the rigid robot's at the same time, {robot.magnification:g} times."
+    yield _to_scale("path", "Path", caption, path_panel(run, robot.magnification))
     yield Plot("references", "Joint references", "What drives the robot.", _references(run), height=REFERENCES_HEIGHT)
     torques = _pair(run, TORQUES, "joint", "torque [N·m]", 1.0)
     yield Plot("torques", "Motor torques", "Positive counter-clockwise.", (torques,))
@@ -69,6 +78,16 @@ def draw_plots(run: Run, end_equilibrium: RealArray | None) -> Iterator[Plot]:
     if run.recording.time[-1] > run.plan.duration and end_equilibrium is not None:
         caption = "Distance from the static equilibrium at the end pose during the dwell, and the settling band."
         yield Plot("dwell", "Residual vibration", caption, (_dwell(run, end_equilibrium),))
+        caption = spectrum_caption("Deviation of the end effector from the static equilibrium over the dwell")
+        panel = _spectrum(run, end_equilibrium)
+        if panel.curves:
+            yield Plot("spectrum", "Spectrum of the residual vibration", caption, (panel,), "frequency [Hz]")
+
+
+def _to_scale(key: str, title: str, caption: str, panel: Panel) -> Plot:
+    """Return a plot of a panel to scale [m], as high as that is."""
+    spans = [np.ptp(np.concatenate([getattr(curve, axis) for curve in panel.curves])) for axis in "xy"]
+    return Plot(key, title, caption, (panel,), "x [m]", BESIDES + (WIDTH - BESIDE) * float(spans[1] / spans[0]))
 
 
 def _references(run: Run) -> tuple[Panel, ...]:
@@ -110,6 +129,19 @@ def _dwell(run: Run, end_equilibrium: RealArray) -> Panel:
     limits = run.plan.duration, float(run.recording.time[-1])
     panel = _norm(run, vibration, "distance [µm]", 1e6)
     return replace(panel, level=1e6 * run.scene.cosimulation.settling_band, limits=limits)
+
+
+def _spectrum(run: Run, end_equilibrium: RealArray) -> Panel:
+    """Return the spectra of both components of the residual vibration [µm], with the frequencies that shapers are made for."""
+    vibration = deviation_from_point(position(run.recording), end_equilibrium).within(run.plan.duration, np.inf)
+    time, values = _curve(vibration)
+    curves = []
+    for axis, colour in enumerate(COLOURS):
+        found = spectrum(time, values[:, axis], run.plan.duration)
+        if found is not None:
+            curves.append(Curve(found[0], 1e6 * found[1], "xy"[axis], colour))
+    modes = [mode for shaper in run.scene.shaper for mode in getattr(shaper, "modes", None) or ()]
+    return spectrum_panel("amplitude [µm]", curves, [(mode.frequency, "mode of the shaper") for mode in modes])
 
 
 def _norm(run: Run, signal: HermiteSegments, label: str, factor: float, order: int = 0) -> Panel:

@@ -253,7 +253,7 @@
       return [input, html("output", {}, label)];
     };
     const [at, shownAt] = slider("time", { min: 0, max: instants - 1, step: 1, value: 0 });
-    const [by, shownBy] = slider("deflection", { min: 0, max: 3, step: 0.01, value: Math.log10(magnification) });
+    const [by, shownBy] = slider("deflection", { min: 0, max: Math.max(3, Math.log10(magnification) + 1), step: 0.01, value: Math.log10(magnification) });
     const place = (k, j) => {
       const i = 2 * (k * count + j);
       return `${panel.x.at(rigid[i] + times * deviation[i]).toFixed(1)} ${panel.y.at(rigid[i + 1] + times * deviation[i + 1]).toFixed(1)}`;

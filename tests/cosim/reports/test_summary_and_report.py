@@ -211,7 +211,7 @@ def test_report_is_one_offline_file(make_run: MakeRun) -> None:
 def test_report_shows_scene_metrics_and_plots(make_run: MakeRun) -> None:
     """Effects, every metric, every plot, parameters and versions are on the page."""
     text = report_of(make_run())
-    assert text.count("<svg") == 7
+    assert text.count("<svg") == 9
     page = Page(text)
     for wanted in (
         *(info.label for info in METRICS.values()),
