@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil
 from numbers import Real
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from flexfmu.cosim.engine.errors import CosimError, InputError
 from flexfmu.cosim.engine.master.master import Progress
@@ -54,6 +54,13 @@ class VariantResult(Generic[T]):
     changes: Changes
     value: T | None
     error: Exception | None = None
+
+
+class Variant(NamedTuple):
+    """A variant of a scene: keys of the scene that are planned anew, and parameters of its FMU."""
+
+    scene: Changes
+    parameters: Changes
 
 
 class VariantError(CosimError):
@@ -104,19 +111,31 @@ def run_variants(
         raise InputError(
             f"variants need a whole number of processes from 1 on, got {processes}; give the number of processors to use"
         )
-    task = _Task(scene, build_scene(scene).path, measure, communication_step, tolerance, record)
+    task = VariantTask(scene, build_scene(scene).path, measure, communication_step, tolerance, record)
+    split = [Variant(_part(each, motion=True), _part(each, motion=False)) for each in variants]
     report = _Report(len(variants), progress)
     if processes == 1 or len(variants) < 2:
-        return task.results(variants, report.add)
-    # shares of equal size, a few for each process so that all finish at about the same time
+        found = task.outcomes(split, report.add)
+    else:
+        found = _shared(task, split, report, processes)
+    return [
+        VariantResult(changes, None, each) if isinstance(each, Exception) else VariantResult(changes, each)
+        for changes, each in zip(variants, found, strict=True)
+    ]
+
+
+def _shared(
+    task: VariantTask[T], variants: Sequence[Variant], report: _Report, processes: int
+) -> Sequence[T | Exception]:
+    """The outcomes of variants by several processes, in shares of equal size: a few for each, so that all finish at about the same time."""
     size = max(1, min(LARGEST_SHARE, ceil(len(variants) / (SHARES * processes))))
     shares = [variants[first : first + size] for first in range(0, len(variants), size)]
-    found: list[VariantResult[T]] = []
+    found: list[T | Exception] = []
     with ProcessPoolExecutor(processes) as pool:
         try:
-            for results in pool.map(task.results, shares):
-                found += results
-                report.add(len(results))
+            for outcomes in pool.map(task.outcomes, shares):
+                found += outcomes
+                report.add(len(outcomes))
         except BaseException:
             # after Ctrl-C no further share begins
             pool.shutdown(wait=False, cancel_futures=True)
@@ -138,41 +157,50 @@ class _Report:
 
 
 @dataclass(frozen=True)
-class _Task(Generic[T]):
-    """What to do with each variant; attributes as the arguments of `run_variants`, ``fmu_path`` the built FMU."""
+class VariantTask(Generic[T]):
+    """What to do with each variant; attributes as the arguments of `run_variants`, ``fmu_path`` the built FMU.
+
+    What is planned, loaded and connected for a variant is kept for those that follow, also of later calls.
+    """
 
     scene: Scene
     fmu_path: Path
     measure: Callable[[Run], T]
-    communication_step: float | None
-    tolerance: float | None
-    record: Selection | None
+    communication_step: float | None = None
+    tolerance: float | None = None
+    record: Selection | None = None
+    _last: list[PreparedScene] = field(default_factory=list, init=False, repr=False, compare=False)
 
-    def results(
-        self, variants: Sequence[Changes], done: Callable[[int], None] = lambda count: None
-    ) -> list[VariantResult[T]]:
-        """The results in the order of the variants; ``done`` is called with numbers of completed variants."""
-        last: list[PreparedScene] = []
-
-        def prepared(motion: Changes) -> PreparedScene:
-            # where the motion alone is new, everything else is used again
-            if not (last and last[0].replan(self._changed(motion))):
-                last[:] = [self._prepared(motion)]
-            return last[0]
-
+    def outcomes(
+        self, variants: Sequence[Variant], done: Callable[[int], None] = lambda count: None
+    ) -> list[T | Exception]:
+        """The results, or errors, in the order of the variants; ``done`` is called with numbers of completed variants."""
         # side by side what can be, and what is left by the FMU
-        found: dict[int, VariantResult[T]] = {}
+        found: dict[int, T | Exception] = {}
         for members in self._bands(variants):
             found |= self._in_lockstep({i: variants[i] for i in members}, done)
         left = {i: variant for i, variant in enumerate(variants) if i not in found}
-        for members in _groups(left, lambda variant: _part(variant, motion=True)):
-            ready = _attempt(prepared, _part(variants[members[0]], motion=True))
+        for members in _groups(left, lambda variant: variant.scene):
+            ready = _attempt(self._ready, variants[members[0]].scene)
             for i in members:
-                found[i] = _result(variants[i], ready, self.measure)
+                found[i] = ready if isinstance(ready, Exception) else _attempt(self._single, ready, variants[i])
                 done(1)
         return [found[i] for i in range(len(variants))]
 
-    def _bands(self, variants: Sequence[Changes]) -> Iterator[list[int]]:
+    def _ready(self, changes: Changes) -> PreparedScene:
+        """The prepared scene with these changes; where the motion alone is new, everything else is used again."""
+        if not (self._last and self._last[0].replan(self._changed(changes))):
+            self._last[:] = [self._prepared(changes)]
+        return self._last[0]
+
+    def _single(self, ready: PreparedScene, variant: Variant) -> T:
+        """Simulate and measure one variant."""
+        run = ready.run(variant.parameters)
+        if not run.completed:
+            raise VariantError(run.message)
+        return self.measure(run)
+
+    def _bands(self, variants: Sequence[Variant]) -> Iterator[list[int]]:
         """Yield the indices of variants that may be simulated side by side.
 
         They have the same motion; for peaks also motions of one shape, in bands of similar durations, the longest first.
@@ -181,8 +209,7 @@ class _Task(Generic[T]):
         if not isinstance(measure, PeakMeasure | SignalMeasure):
             return
         scales = isinstance(measure, PeakMeasure) and not self.scene.shaper
-        shape = _without_duration if scales else lambda variant: _part(variant, motion=True)
-        for members in _groups(dict(enumerate(variants)), shape):
+        for members in _groups(dict(enumerate(variants)), _shape if scales else lambda variant: variant.scene):
             lasting = [i for i in members if isinstance(self._duration(variants[i]), Real)] if scales else members
             lasting.sort(key=lambda i: -self._duration(variants[i]) if scales else i)
             first = 0
@@ -194,42 +221,40 @@ class _Task(Generic[T]):
                     yield lasting[first:k]
                 first = k
 
-    def _duration(self, variant: Changes) -> Any:
+    def _duration(self, variant: Variant) -> Any:
         """Duration of a variant's motion [s]."""
-        return variant.get(DURATION, self.scene.trajectory.duration)
+        return variant.scene.get(DURATION, self.scene.trajectory.duration)
 
-    def _changed(self, motion: Changes) -> Scene:
-        return self.scene.replace(dict(motion)) if motion else self.scene
+    def _changed(self, changes: Changes) -> Scene:
+        return self.scene.replace(dict(changes)) if changes else self.scene
 
-    def _prepared(self, motion: Changes) -> PreparedScene:
+    def _prepared(self, changes: Changes) -> PreparedScene:
         return PreparedScene(
-            self._changed(motion),
+            self._changed(changes),
             communication_step=self.communication_step,
             tolerance=self.tolerance,
             fmu_path=self.fmu_path,
             record=self.record,
         )
 
-    def _in_lockstep(self, variants: Mapping[int, Changes], done: Callable[[int], None]) -> dict[int, VariantResult[T]]:
-        """The results of those variants of a band that can be simulated in lockstep, by their keys."""
+    def _in_lockstep(self, variants: Mapping[int, Variant], done: Callable[[int], None]) -> dict[int, T | Exception]:
+        """The outcomes of those variants of a band that can be simulated in lockstep, by their keys."""
         measure, members = self.measure, [*variants.values()]
-        changes = [_part(each, motion=False) for each in members]
+        changes = [each.parameters for each in members]
         durations = [self._duration(each) for each in members]
 
-        def simulated() -> Iterable[VariantResult[T] | None]:
+        def simulated() -> Iterable[T | Exception | None]:
             # the scene has the longest duration; the shortest must be valid too
-            self._changed(_part(members[-1], motion=True))
-            scene = self._changed(_part(members[0], motion=True))
-            together = SideBySide(scene, self.fmu_path, self.communication_step, self.tolerance)
+            self._changed(members[-1].scene)
+            together = SideBySide(
+                self._changed(members[0].scene), self.fmu_path, self.communication_step, self.tolerance
+            )
             if isinstance(measure, PeakMeasure):
                 peaks = together.peaks(changes, measure.outputs, done, None if len(set(durations)) == 1 else durations)
-                return [
-                    None if each is None else VariantResult(variant, measure.of_peaks(each))
-                    for variant, each in zip(members, peaks, strict=True)
-                ]
+                return [None if each is None else measure.of_peaks(each) for each in peaks]
             assert isinstance(measure, SignalMeasure)
-            runs = zip(members, together.runs(changes, measure.signals), strict=True)
-            return [None if run is None else self._measured(variant, run, done) for variant, run in runs]
+            runs = together.runs(changes, measure.signals)
+            return [None if run is None else self._measured(run, done) for run in runs]
 
         # where they can't be planned or simulated, the FMU tells why
         found = _attempt(simulated)
@@ -237,16 +262,14 @@ class _Task(Generic[T]):
             return {}
         return {i: each for i, each in zip(variants, found, strict=True) if each is not None}
 
-    def _measured(self, variant: Changes, run: Run, done: Callable[[int], None]) -> VariantResult[T]:
-        """The result of a variant that was simulated."""
+    def _measured(self, run: Run, done: Callable[[int], None]) -> T | Exception:
+        """The outcome of a variant that was simulated."""
         outcome = _attempt(self.measure, run)
         done(1)
-        return (
-            VariantResult(variant, None, outcome) if isinstance(outcome, Exception) else VariantResult(variant, outcome)
-        )
+        return outcome
 
 
-def _groups(variants: Mapping[int, Changes], key: Callable[[Changes], Changes]) -> Iterable[list[int]]:
+def _groups(variants: Mapping[int, Variant], key: Callable[[Variant], Changes]) -> Iterable[list[int]]:
     """Keys of variants of which ``key`` gives the same changes, in the order of the variants."""
     groups: dict[str, list[int]] = {}
     for i, variant in variants.items():
@@ -254,31 +277,14 @@ def _groups(variants: Mapping[int, Changes], key: Callable[[Changes], Changes]) 
     return groups.values()
 
 
-def _without_duration(variant: Changes) -> dict[str, Any]:
-    """The changes of the motion but its duration."""
-    return {key: value for key, value in _part(variant, motion=True).items() if key != DURATION}
+def _shape(variant: Variant) -> Changes:
+    """The changes of the scene but the motion's duration."""
+    return {key: value for key, value in variant.scene.items() if key != DURATION}
 
 
-def _part(variant: Changes, *, motion: bool) -> dict[str, Any]:
+def _part(changes: Changes, *, motion: bool) -> Changes:
     """The changes of the motion, or all others."""
-    return {key: value for key, value in variant.items() if key.startswith(MOTION) == motion}
-
-
-def _result(variant: Changes, ready: PreparedScene | Exception | None, measure: Callable[[Run], T]) -> VariantResult[T]:
-    """Simulate and measure one variant."""
-    # the motion can't be planned
-    if not isinstance(ready, PreparedScene):
-        return VariantResult(variant, None, ready)
-
-    def measured() -> T:
-        run = ready.run(_part(variant, motion=False))
-        if not run.completed:
-            raise VariantError(run.message)
-        return measure(run)
-
-    # an error affects only this variant
-    outcome = _attempt(measured)
-    return VariantResult(variant, None, outcome) if isinstance(outcome, Exception) else VariantResult(variant, outcome)
+    return {key: value for key, value in changes.items() if key.startswith(MOTION) == motion}
 
 
 def _attempt(action: Callable[..., T], *arguments: Any) -> T | Exception:

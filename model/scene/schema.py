@@ -15,6 +15,7 @@ from flexfmu.model.scene.cosimulation import Cosimulation
 from flexfmu.model.scene.effects import LOADS, Effects
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.imperfections import ImperfectionSection
+from flexfmu.model.scene.keys import set_value
 from flexfmu.model.scene.loop import FOLDER
 from flexfmu.model.scene.mechanism import Mechanism, Payload
 from flexfmu.model.scene.messages import sentence
@@ -137,7 +138,8 @@ class Scene(Section):
         """A new, validated scene with values changed by dotted keys.
 
         Args:
-            changes: dotted key of the scene file → new value (a section may be given as a dict).
+            changes: dotted key of the scene file → new value (a section may be given as a dict); elements of arrays have
+                their index or name, ``controller[0].derivative`` or ``controller.pd.derivative``.
 
         Raises:
             SceneError: a key is unknown or a value is invalid.
@@ -145,15 +147,7 @@ class Scene(Section):
         # set each dotted key in the scene's plain data, then validate all of it
         data = self.model_dump(exclude_none=True)
         for key, value in changes.items():
-            *parents, last = key.split(".")
-            section = data
-            for parent in parents:
-                section = section.setdefault(parent, {})
-                if not isinstance(section, dict):
-                    raise SceneError(
-                        f"scene {self.name} has no key {key}: {parent} is the value {section!r}, not a section"
-                    )
-            section[last] = value
+            set_value(data, key, value, f"scene {self.name}")
         return parse_scene(data, source=f"scene {self.name}")
 
 

@@ -254,7 +254,7 @@ def test_names_are_names_of_folders_too(name: str) -> None:
 
 def test_values_have_no_keys() -> None:
     """A dotted key that goes on below a value is told with that value."""
-    with pytest.raises(SceneError, match=r"payload\.mass\.x: mass is the value 6\.0, not a section"):
+    with pytest.raises(SceneError, match=r"payload\.mass\.x: payload\.mass is the value 6\.0, not a section"):
         load_scene("barnard2012-6kg").replace({"payload.mass.x": 3})
 
 
