@@ -33,6 +33,7 @@ from flexfmu.cosim.cli.modes import modes
 from flexfmu.cosim.cli.paper import paper
 from flexfmu.cosim.cli.run import run
 from flexfmu.cosim.cli.shaper import shaper
+from flexfmu.cosim.cli.sweep import sweep
 from flexfmu.cosim.cli.validate import validate
 from flexfmu.cosim.cli.workprec import workprec
 
@@ -95,5 +96,5 @@ def _reporting(command: Callable[..., int]) -> Callable[..., None]:
     return run_command
 
 
-for _command in (build, fmus, export, run, paper, modes, effects, shaper, workprec, validate):
+for _command in (build, fmus, export, run, sweep, paper, modes, effects, shaper, workprec, validate):
     app.command()(_reporting(_command))

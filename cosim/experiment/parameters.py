@@ -39,10 +39,10 @@ def scene_parameters(scene: Scene) -> dict[str, float]:
 
     Effects that the scene lacks have zeros; the stiffness of a rigid transmission is left out.
     """
-    return {name: known.value for name, known in _scene_values(scene).items()}
+    return {name: known.value for name, known in scene_values(scene).items()}
 
 
-def _scene_values(scene: Scene) -> dict[str, SceneValue]:
+def scene_values(scene: Scene) -> dict[str, SceneValue]:
     """Name of the FMU parameter → key and value in the scene.
 
     The name is the key without the sections `mechanism` and `effects`; components of vectors end in `.x` and `.y`.
@@ -88,7 +88,7 @@ def parameters_for(scene: Scene, available: Collection[str]) -> dict[str, float]
     Raises:
         InputError: the FMU lacks an effect of the scene, or has an effect that the scene lacks and no value switches off.
     """
-    known = _scene_values(scene)
+    known = scene_values(scene)
     # an effect of the scene that the FMU lacks
     for name, each in known.items():
         is_effect = each.key.startswith(("payload.", "effects.")) and name != SMOOTHING
@@ -109,7 +109,7 @@ def scene_with_parameters(scene: Scene, parameters: Mapping[str, float]) -> Scen
     Raises:
         SceneError: a value is out of range.
     """
-    known = _scene_values(scene)
+    known = scene_values(scene)
     changes: dict[str, Any] = {}
     for name, value in parameters.items():
         if name not in known or name.startswith("start."):

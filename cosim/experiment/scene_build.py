@@ -34,6 +34,13 @@ def scene_key(scene: Scene) -> str:
     return scene.model_dump_json(exclude=_WITHOUT_INFLUENCE)
 
 
+def depends_on(key: str) -> bool:
+    """Whether the model may depend on a dotted key of the scene, or on a part of what it names."""
+    section, _, rest = key.partition(".")
+    influenceless = _WITHOUT_INFLUENCE.get(section.partition("[")[0])
+    return influenceless is not True and (influenceless is None or rest.partition(".")[0] not in influenceless)
+
+
 def build_scene(
     scene: Scene,
     *,

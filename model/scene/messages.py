@@ -75,6 +75,12 @@ _BOUNDS = {
 }
 
 
+def unit_of(location: tuple[str | int, ...], root: type[BaseModel]) -> str:
+    """Unit of the key at a location, as pydantic writes it; empty where it has none."""
+    unit = _locate(location, root)[2]
+    return "" if unit == "1" else unit
+
+
 def _annotation(model: type[BaseModel] | None, keys: list[str]) -> Any:
     """Annotation of the last key in its section; None if the section has no such key."""
     field = model.model_fields.get(keys[-1].partition("[")[0]) if model is not None and keys else None

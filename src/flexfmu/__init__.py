@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flexfmu.api import build, linearize, modes, plan, run
+    from flexfmu.api import build, linearize, modes, plan, run, sweep
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
     from flexfmu.model.scene.file import load_scene
@@ -24,7 +24,19 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["Scene", "__version__", "build", "display", "linearize", "load_scene", "measure_run", "modes", "plan", "run"]
+__all__ = [
+    "Scene",
+    "__version__",
+    "build",
+    "display",
+    "linearize",
+    "load_scene",
+    "measure_run",
+    "modes",
+    "plan",
+    "run",
+    "sweep",
+]
 
 _HOMES = {
     "Scene": "flexfmu.model.scene.schema",
@@ -36,6 +48,7 @@ _HOMES = {
     "modes": "flexfmu.api",
     "plan": "flexfmu.api",
     "run": "flexfmu.api",
+    "sweep": "flexfmu.api",
 }
 """Public name → module that it is imported from at its first use."""
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from flexfmu.cosim.choices.effects.choice import resolved
 from flexfmu.cosim.engine.master.simulation_loop import Progress
+from flexfmu.cosim.engine.results import Selection
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.planning import plan as plan_motion
 from flexfmu.cosim.experiment.prepared_scene import run_scene
@@ -20,6 +21,8 @@ from flexfmu.model.scene.schema import Scene
 
 if TYPE_CHECKING:
     import control
+
+    from flexfmu.cosim.studies.sweep.result import SweepResult
 
 SceneSource = Scene | Path | str
 """A scene, the path of a scene file, or the name of a shipped scene."""
@@ -190,6 +193,76 @@ def linearize(
     from flexfmu.model.linear import linearize as linearize_scene  # needs CasADi, which `run` does without
 
     return linearize_scene(resolved(_scene(scene)), position, outputs)
+
+
+def sweep(
+    scene: SceneSource,
+    cases: Mapping[str, Any] | Sequence[Mapping[str, Any]] | str | Path,
+    *,
+    metrics: Collection[str] | None = None,
+    record: Collection[str] | None = None,
+    record_step: float | None = None,
+    sample: str | None = None,
+    seed: int = 0,
+    processes: int | None = None,
+    out: str | Path | None = None,
+    restart: bool = False,
+    dask: str | None = None,
+    progress: Progress | None = None,
+) -> SweepResult:
+    """Simulate many variants of a scene and measure each.
+
+        result = flexfmu.sweep("barnard2012-6kg", {"payload.mass": "0:8:9", "trajectory.duration": [0.3, 0.43]})
+        result.to_pandas(), result.plot(), result.failed
+
+    Calls `flexfmu.cosim.studies.sweep.sweep.sweep_scene`.
+
+    Args:
+        scene: a scene, the path of a scene file, or the name of a shipped scene.
+        cases: key of the scene → list of values, or a text as ``--vary`` takes it, ``0:8:50``; all combinations are simulated.
+            With ``sample`` a pair (from, to) is an interval. Or a list of changes, one dict for each case; or the path of a CSV
+            file with keys in its first line.
+        metrics: names of the metrics; None for all.
+        record: names of signals that are kept for each case; None for none.
+        record_step: interval of the kept signals [s]; None for every recorded instant.
+        sample: ``lhs:1000`` (Latin hypercube) or ``sobol:1024`` (Sobol sequence) instead of all combinations.
+        seed: seed of the sample.
+        processes: number of processes; None for one on each processor.
+        out: folder of the results, where every finished case is kept at once: the same call continues where it was
+            interrupted. None for memory alone.
+        restart: whether results of another sweep in the folder are discarded.
+        dask: address of a Dask scheduler whose workers simulate, ``tcp://host:8786``.
+        progress: function that is called with the finished fraction, 0 to 1.
+
+    Returns:
+        The cases as a sequence of dicts, with `to_pandas`, `plot`, `failed`, `summary` and `recording`. A case that fails has a
+        message and no metrics.
+
+    Raises:
+        SceneError: the scene doesn't exist, a key is unknown, or a value is invalid in every case.
+        InputError: the cases, a metric, the sample or the number of processes is invalid, or the folder has another sweep.
+        ResultsError: the folder can't be written or read.
+        TypeError: ``scene`` is of another type.
+    """
+    from flexfmu.cosim.studies.sweep.files import write_files
+    from flexfmu.cosim.studies.sweep.sweep import sweep_scene
+    from flexfmu.cosim.studies.sweep.vary import as_cases
+
+    folder = None if out is None else Path(out)
+    result = sweep_scene(
+        resolved(_scene(scene)),
+        as_cases(cases, sample, seed),
+        metrics=metrics,
+        record=None if record is None else Selection(list(record), step=record_step),
+        processes=processes,
+        folder=folder,
+        restart=restart,
+        dask=dask,
+        show=lambda done, total: None if progress is None else progress(done / total),
+    )
+    if folder is not None:
+        write_files(result, folder, plot=False)
+    return result
 
 
 def _scene(source: SceneSource) -> Scene:

@@ -1,0 +1,215 @@
+"""`flexfmu sweep`: many variants of a scene, resumable, as one table and picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flexfmu.cosim.cli.console import FAILURE, load_resolved, print_rich, print_text, progress, show_note
+from flexfmu.cosim.cli.options import JsonOption, SceneArgument
+from flexfmu.cosim.engine.errors import InputError
+
+if TYPE_CHECKING:
+    from flexfmu.cosim.studies.sweep.cases import Cases
+    from flexfmu.cosim.studies.sweep.result import SweepResult
+
+
+def sweep(
+    scene: SceneArgument,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUES",
+            help="A key of the scene and its values: payload.mass=0:8:50 (from, to, number), trajectory.duration=0.3,0.4, "
+            "controller.pd.derivative=50:200 (an interval for --sample). May be repeated: all combinations.",
+            show_default=False,
+        ),
+    ] = None,
+    sample: Annotated[
+        str | None,
+        typer.Option(
+            metavar="METHOD:N",
+            help="Instead of all combinations N cases of a Latin hypercube, lhs:1000, or of a Sobol sequence, sobol:1024.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the sample.")] = 0,
+    cases: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="Cases one by one: keys in the first line, a case in each other line; an empty cell leaves the scene's value.",
+            show_default=False,
+        ),
+    ] = None,
+    metrics: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAMES", help="Metrics, separated by commas; may be repeated. Default: all.", show_default=False
+        ),
+    ] = None,
+    record: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SIGNAL",
+            help="Keep this signal of each case, in signals/; may be repeated. Default: none.",
+            show_default=False,
+        ),
+    ] = None,
+    record_step: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="Interval of the kept signals. Default: every instant.", show_default=False
+        ),
+    ] = None,
+    processes: Annotated[
+        int | None,
+        typer.Option("-j", "--processes", metavar="N", min=1, help="Processes. Default: one for each processor."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the results. Default: results/<name of the scene>-sweep."),
+    ] = None,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Discard the results of another sweep in the folder.")
+    ] = False,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Simulate on the workers of this Dask scheduler, tcp://host:8786.",
+            show_default=False,
+        ),
+    ] = None,
+    plot: Annotated[
+        bool | None,
+        typer.Option(
+            "--plot/--no-plot", help="Draw sweep.png and sweep.svg. Default: draw them, but with --json don't."
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> int:
+    """Simulate many variants of a scene: writes sweep.csv (and sweep.parquet) with the metrics of each, and a picture.
+
+    Every finished case is kept at once. After Ctrl-C, a crash or a power cut the same command continues, and ends with the same
+    table. A case that fails is a line with its message.
+    """
+    from flexfmu.cosim.engine.files import RESULTS
+    from flexfmu.cosim.engine.results import Selection
+    from flexfmu.cosim.studies.sweep.files import write_files
+    from flexfmu.cosim.studies.sweep.sweep import sweep_scene
+
+    wanted = _cases(vary or [], sample, seed, cases)
+    if record_step is not None and not record:
+        raise InputError("--record-step goes with --record SIGNAL")
+    selection = Selection(list(dict.fromkeys(record)), step=record_step) if record else None
+    names = None if metrics is None else [each.strip() for text in metrics for each in text.split(",")]
+    robot = load_resolved(scene)
+    folder = out or RESULTS / f"{robot.name}-sweep"
+    done = [0, 0]
+    try:
+        with progress() as show:
+            report = _reporter(show, done)
+            result = sweep_scene(
+                robot,
+                wanted,
+                metrics=names,
+                record=selection,
+                processes=processes,
+                folder=folder,
+                restart=restart,
+                dask=dask,
+                show=report,
+            )
+            show("writing the results", None)
+            files = write_files(result, folder, plot=not json if plot is None else plot)
+    except KeyboardInterrupt:
+        show_note(f"interrupted: {done[0]} of {done[1]} cases are in {folder}; the same command continues")
+        return FAILURE
+    _print(result, files, as_json=json)
+    return FAILURE if len(result.messages) == len(result) else 0
+
+
+def _cases(vary: list[str], sample: str | None, seed: int, path: Path | None) -> Cases:
+    """The cases by the options; notes on standard error tell what is left out.
+
+    Raises:
+        InputError: the options contradict each other, or one is of another form.
+    """
+    from flexfmu.cosim.studies.sweep.vary import make_cases, parse_vary, read_cases
+
+    if path is not None:
+        if vary or sample is not None:
+            raise InputError("--cases has all cases: leave out --vary and --sample")
+        found, notes = read_cases(path)
+    else:
+        varied = [parse_vary(option) for option in vary]
+        twice = [key for i, (key, _) in enumerate(varied) if key in dict(varied[:i])]
+        if twice:
+            raise InputError(f"--vary {twice[0]} is there twice: give all of its values at once, {twice[0]}=1,2,3")
+        found, notes = make_cases(dict(varied), sample, seed)
+    for note in notes:
+        show_note(note)
+    return found
+
+
+def _reporter(show: Callable[[str, float | None], None], done: list[int]) -> Callable[[int, int], None]:
+    """Shows how much is finished and how long the rest takes, at the pace since the start."""
+    start: list[tuple[float, int]] = []
+
+    def report(finished: int, total: int) -> None:
+        done[:] = finished, total
+        if not start:
+            start.append((monotonic(), finished))
+        since, before = start[0]
+        left = ""
+        if finished > before:
+            left = f", {_duration((monotonic() - since) * (total - finished) / (finished - before))} left"
+        show(f"{finished} of {total} cases{left}", finished / total if total else 1.0)
+
+    return report
+
+
+def _duration(seconds: float) -> str:
+    """A duration for people."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def _print(result: SweepResult, files: list[Path], *, as_json: bool) -> None:
+    """The extremes of each metric, failed cases and files."""
+    from rich.text import Text
+
+    from flexfmu.cosim.reports.terminal import titled_table
+    from flexfmu.cosim.reports.text import to_json
+
+    summary, failed = result.summary(), result.failed
+    if as_json:
+        print_text(
+            to_json(
+                {
+                    "scene": result.name,
+                    "cases": len(result),
+                    "failed": [{"case": row["case"], "message": row["message"]} for row in failed],
+                    "metrics": summary,
+                    "files": [str(path) for path in files],
+                }
+            )
+        )
+        return
+    table = titled_table(f"{result.name}: {len(result)} cases over {', '.join(result.cases.keys)}")
+    table.add_column("metric", overflow="fold")
+    for head in ("unit", "smallest", "case", "median", "largest", "case"):
+        table.add_column(head, justify="left" if head == "unit" else "right", no_wrap=True)
+    for name, each in summary.items():
+        low, median, high = (f"{each[part]:.4g}" for part in ("min", "median", "max"))
+        table.add_row(name, each["unit"], low, str(each["min_case"]), median, high, str(each["max_case"]))
+    print_rich(table)
+    if failed:
+        print_rich(Text(f"{len(failed)} failed, the first is case {failed[0]['case']}: {failed[0]['message']}"))
+    print_rich(Text(f"results: {', '.join(str(path) for path in files)}"))

@@ -1,0 +1,177 @@
+"""The picture of a sweep: lines over one key, heat maps over two, parallel coordinates over more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS
+from flexfmu.cosim.studies.sweep.cases import Grid
+from flexfmu.cosim.studies.sweep.store import text_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from flexfmu.cosim.studies.sweep.result import SweepResult
+
+MOST_LINES = 2000
+"""Cases that parallel coordinates show; of more, equally many are left out between them."""
+
+AXES = 4
+"""Metrics that have an axis in parallel coordinates; the first gives the colours."""
+
+COLOURS = "viridis"
+"""From small to large values, also for those who don't see all colours, and in print."""
+
+
+def draw_sweep(result: SweepResult) -> Figure:
+    """The metrics over the varied keys.
+
+    One key: a panel with a line for each metric. Two: a heat map of each, or points where the cases are no grid. More: parallel
+    coordinates with an axis for each key and the first metrics; colours are those of the first. Failed cases are left out.
+    """
+    from flexfmu.cosim.reports.figure_style import draw, style
+
+    with style():
+        keys = [_Axis(key, result.units.get(key, ""), column) for key, column in _varied(result)]
+        shown = [i for i in range(len(result.metrics)) if not np.isnan(result.values[:, i]).all()]
+        if not shown or not keys:
+            figure = draw(6.0, 2.0)
+            figure.text(0.5, 0.5, "no case has a value to show" if not shown else "one case", ha="center", va="center")
+        elif len(keys) > 2:
+            figure = draw(max(7.0, 1.6 * (len(keys) + min(AXES, len(shown)))), 4.5)
+            _parallel(figure, result, keys, shown[:AXES])
+        else:
+            columns = min(3, len(shown))
+            rows = ceil(len(shown) / columns)
+            figure = draw(0.5 + 3.6 * columns, 0.3 + 2.7 * rows)
+            for place, i in enumerate(shown, start=1):
+                axes = figure.add_subplot(rows, columns, place)
+                (_lines if len(keys) == 1 else _map)(axes, result, keys, i)
+        figure.suptitle(f"{result.name}: {len(result)} cases" + _failures(result))
+    return figure
+
+
+def _varied(result: SweepResult) -> list[tuple[str, list[Any]]]:
+    """The keys that have more than one value, with the value of each case."""
+    columns = zip(result.cases.keys, result.columns(), strict=True)
+    return [(key, column) for key, column in columns if len({repr(each) for each in column}) > 1]
+
+
+def _failures(result: SweepResult) -> str:
+    return f", {len(result.messages)} failed" if result.messages else ""
+
+
+class _Axis:
+    """The values of a key as numbers: themselves, or places in the list of its texts.
+
+    Args:
+        key: of the scene.
+        unit: of its values.
+        column: value of each case.
+
+    Attributes:
+        label: key and unit.
+        values: (N,) positions.
+        names: texts of the positions 0, 1, ...; None for numbers.
+    """
+
+    def __init__(self, key: str, unit: str, column: Sequence[Any]) -> None:
+        self.label = f"{key} [{unit}]" if unit else key
+        self.names: list[str] | None = None
+        if all(isinstance(each, Real) and not isinstance(each, bool) for each in column):
+            self.values: RealArray = np.array(column, dtype=float)
+            return
+        texts = [text_of(each) or "as in the scene" for each in column]
+        self.names = [*dict.fromkeys(texts)]
+        places = {name: i for i, name in enumerate(self.names)}
+        self.values = np.array([places[each] for each in texts], dtype=float)
+
+    def mark(self, axis: Any) -> None:
+        """Write texts at an axis of Matplotlib."""
+        if self.names is not None:
+            axis.set_ticks(
+                range(len(self.names)), [name if len(name) < 19 else f"{name[:16]}..." for name in self.names]
+            )
+
+
+def _title(result: SweepResult, i: int) -> str:
+    """Label of a metric with its unit."""
+    name = result.metrics[i]
+    label = ALL_METRICS[name].label if name in ALL_METRICS else name
+    return f"{label} [{result.units.get(name, '')}]"
+
+
+def _lines(axes: Axes, result: SweepResult, keys: Sequence[_Axis], i: int) -> None:
+    """A metric over one key."""
+    order = np.argsort(keys[0].values, kind="stable")
+    axes.plot(keys[0].values[order], result.values[order, i], marker="o" if len(result) <= 60 else "", markersize=3)
+    axes.set_title(_title(result, i), fontsize=8.5)
+    axes.set_xlabel(keys[0].label)
+    keys[0].mark(axes.xaxis)
+
+
+def _map(axes: Axes, result: SweepResult, keys: Sequence[_Axis], i: int) -> None:
+    """A metric over two keys, as colours."""
+    x, y = keys
+    shape = [np.unique(each.values) for each in keys]
+    if isinstance(result.cases, Grid) and len(shape[0]) * len(shape[1]) == len(result):
+        table = np.full((len(shape[1]), len(shape[0])), np.nan)
+        table[np.searchsorted(shape[1], y.values), np.searchsorted(shape[0], x.values)] = result.values[:, i]
+        picture: Any = axes.pcolormesh(shape[0], shape[1], table, cmap=COLOURS, shading="nearest", rasterized=True)
+    else:
+        some = _some(result, i)
+        picture = axes.scatter(x.values[some], y.values[some], c=result.values[some, i], cmap=COLOURS, s=9)
+    axes.grid(False)
+    axes.figure.colorbar(picture, ax=axes)
+    axes.set_title(_title(result, i), fontsize=8.5)
+    axes.set_xlabel(x.label)
+    axes.set_ylabel(y.label)
+    x.mark(axes.xaxis)
+    y.mark(axes.yaxis)
+
+
+def _some(result: SweepResult, i: int) -> Any:
+    """Cases that have a metric, at most `MOST_LINES` of them."""
+    there = np.flatnonzero(~np.isnan(result.values[:, i]))
+    return there[:: ceil(len(there) / MOST_LINES)]
+
+
+def _parallel(figure: Figure, result: SweepResult, keys: Sequence[_Axis], metrics: Sequence[int]) -> None:
+    """A line for each case through the axes of all keys and some metrics."""
+    from matplotlib import colormaps
+    from matplotlib.collections import LineCollection
+
+    some = _some(result, metrics[0])
+    found = [(axis.label, axis.values[some], axis.names) for axis in keys]
+    found += [(_title(result, i), result.values[some, i], None) for i in metrics]
+    axes = figure.add_subplot()
+    axes.set_axis_off()
+    axes.set_xlim(-0.3, len(found) - 0.5)
+    axes.set_ylim(-0.12, 1.12)
+    # every axis from its smallest to its largest value
+    scaled = []
+    for place, (label, values, names) in enumerate(found):
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        scaled.append((values - low) / (high - low) if high > low else np.full(len(values), 0.5))
+        axes.plot([place, place], [0.0, 1.0], color="0.4", linewidth=1.0)
+        axes.text(place, 1.06, label.replace(" [", "\n["), ha="center", fontsize=7)
+        marks = (
+            [(each, name) for each, name in enumerate(names)]
+            if names
+            else [(v, f"{v:.4g}") for v in np.linspace(low, high, 5)]
+        )
+        for value, text in marks:
+            height = (value - low) / (high - low) if high > low else 0.5
+            axes.text(place + 0.03, height, text[:18], fontsize=6.5, va="center")
+    lines = np.stack([np.column_stack([np.arange(len(found)), each]) for each in np.array(scaled).T])
+    colours = colormaps[COLOURS](scaled[len(keys)])
+    axes.add_collection(LineCollection([*lines], colors=colours, linewidths=0.8, alpha=0.6))
+    if len(some) < len(result) - len(result.messages):
+        axes.text(0.0, -0.1, f"{len(some)} of the cases are drawn", fontsize=7)

@@ -1,0 +1,168 @@
+"""The result of a sweep: its cases with their metrics, as a table, a data frame or a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.slave import RealArray
+from flexfmu.cosim.studies.sweep.cases import Cases
+from flexfmu.cosim.studies.sweep.store import signal_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+SHOWN = 10
+"""Number of cases that a notebook shows."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SweepResult(Sequence[dict[str, Any]]):
+    """The cases of a sweep with their metrics, in SI units: a sequence of rows, each a dict from key or metric to value.
+
+    Attributes:
+        name: of the scene.
+        cases: what was varied.
+        metrics: names of the metrics.
+        values: (N, M) the metrics of each case; NaN where one has no value, or where the case failed.
+        messages: number of a failed case → why it failed.
+        units: key or metric → unit; empty for none.
+        recordings: number of a case → recorded signals, where they are in memory.
+        folder: where the results are; None where they are in memory alone.
+    """
+
+    name: str
+    cases: Cases
+    metrics: tuple[str, ...]
+    values: RealArray
+    messages: Mapping[int, str]
+    units: Mapping[str, str]
+    recordings: Mapping[int, Recording]
+    folder: Path | None = None
+
+    def __len__(self) -> int:
+        return len(self.cases)
+
+    def __getitem__(self, number: Any) -> Any:
+        """The row of a case: ``case``, the keys, the metrics (None for no value) and ``message``."""
+        if isinstance(number, slice):
+            return [self[i] for i in range(*number.indices(len(self)))]
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"the sweep has {len(self)} cases, there is no number {number}")
+        number %= len(self)
+        found = [None if value != value else value for value in self.values[number].tolist()]
+        return {
+            "case": number,
+            **dict(zip(self.cases.keys, self.cases[number], strict=True)),
+            **dict(zip(self.metrics, found, strict=True)),
+            "message": self.messages.get(number, ""),
+        }
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return (self[number] for number in range(len(self)))
+
+    @property
+    def failed(self) -> list[dict[str, Any]]:
+        """The rows of the cases that failed."""
+        return [self[number] for number in sorted(self.messages)]
+
+    def recording(self, number: int) -> Recording:
+        """The recorded signals of a case.
+
+        Raises:
+            InputError: nothing was recorded of it.
+            ResultsError: its file can't be read.
+        """
+        if number in self.recordings:
+            return self.recordings[number]
+        if self.folder is None or not signal_file(self.folder, number).exists():
+            raise InputError(
+                f"nothing was recorded of case {number}: ask for signals by `record`, and see its `message`"
+            )
+        return Recording.read_csv(signal_file(self.folder, number))
+
+    def to_pandas(self) -> DataFrame:
+        """The table as a data frame, indexed by ``case``; its ``attrs["units"]`` has the units.
+
+        Raises:
+            InputError: pandas isn't installed.
+        """
+        try:
+            from pandas import DataFrame, RangeIndex
+        except ImportError:
+            raise InputError('a data frame needs pandas: pip install "flexfmu[pandas]"') from None
+        columns: dict[str, Any] = dict(zip(self.cases.keys, self.columns(), strict=True))
+        columns |= {name: self.values[:, i] for i, name in enumerate(self.metrics)}
+        columns["message"] = [self.messages.get(number, "") for number in range(len(self))]
+        frame = DataFrame(columns, index=RangeIndex(len(self), name="case"))
+        frame.attrs["units"] = {name: unit for name, unit in self.units.items() if unit}
+        return frame
+
+    def columns(self) -> list[list[Any]]:
+        """The values of each key, one for each case."""
+        return [list(each) for each in zip(*(self.cases[number] for number in range(len(self))), strict=True)]
+
+    def plot(self) -> Figure:
+        """The metrics over the varied keys: lines for one key, heat maps for two, parallel coordinates for more."""
+        from flexfmu.cosim.studies.sweep.picture import draw_sweep
+
+        return draw_sweep(self)
+
+    def summary(self) -> dict[str, dict[str, Any]]:
+        """Smallest, median and largest value of each metric, the cases of the extremes, and the number of values."""
+        found = {}
+        for i, name in enumerate(self.metrics):
+            column = self.values[:, i]
+            there = np.flatnonzero(~np.isnan(column))
+            if not there.size:
+                continue
+            low, high = (int(there[pick(column[there])]) for pick in (np.argmin, np.argmax))
+            found[name] = {
+                "unit": self.units.get(name, ""),
+                "min": float(column[low]),
+                "min_case": low,
+                "median": float(np.median(column[there])),
+                "max": float(column[high]),
+                "max_case": high,
+                "count": int(there.size),
+            }
+        return found
+
+    def __repr__(self) -> str:
+        shown = ", ".join(self.metrics[:3]) + (f" and {len(self.metrics) - 3} more" if len(self.metrics) > 3 else "")
+        first = f", first case {min(self.messages)}" if self.messages else ""
+        return (
+            f"Sweep of {self.name}: {len(self)} cases, {len(self.messages)} failed{first}\n"
+            f"  varied:  {', '.join(self.cases.keys)}\n"
+            f"  metrics: {shown}\n"
+            f"  results: {self.folder or 'in memory'}\n"
+            f"  see .to_pandas(), .plot(), .failed, .summary(), [number]"
+        )
+
+    def _repr_html_(self) -> str:
+        """The first cases as a table."""
+        names = [*self.cases.keys, *self.metrics]
+        head = "".join(f"<th>{escape(_titled(name, self.units))}</th>" for name in ("case", *names))
+        rows = ["".join(f"<td>{escape(_shown(row[name]))}</td>" for name in ("case", *names)) for row in self[:SHOWN]]
+        more = f"<p>{len(self) - SHOWN} more</p>" if len(self) > SHOWN else ""
+        title = f"Sweep of {self.name}: {len(self)} cases, {len(self.messages)} failed"
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        return f"<p>{escape(title)}</p><table><tr>{head}</tr>{body}</table>{more}"
+
+
+def _titled(name: str, units: Mapping[str, str]) -> str:
+    """A name with its unit."""
+    return f"{name} [{units[name]}]" if units.get(name) else name
+
+
+def _shown(value: Any) -> str:
+    """A value of a row, rounded."""
+    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,205 @@
+"""Sweeps a scene: values of its keys → cases → metrics of each, kept case by case."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import closing
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from flexfmu.cosim.engine.errors import InputError
+from flexfmu.cosim.engine.results import Selection
+from flexfmu.cosim.metrics.chosen import ChosenMetrics, measuring
+from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS
+from flexfmu.cosim.studies.sweep.cases import Cases, Grid, Sample, Span, changes_of, digest
+from flexfmu.cosim.studies.sweep.groups import Share, groups_of, shares_of
+from flexfmu.cosim.studies.sweep.result import SweepResult
+from flexfmu.cosim.studies.sweep.store import FolderStore, MemoryStore, read_results
+from flexfmu.cosim.studies.sweep.work import Job
+from flexfmu.cosim.studies.sweep.workers import DaskWorkers, LocalWorkers, Workers, processors
+from flexfmu.model.scene.errors import SceneError
+from flexfmu.model.scene.keys import location
+from flexfmu.model.scene.messages import unit_of
+from flexfmu.model.scene.schema import Scene
+
+ShowDone = Callable[[int, int], None]
+"""Called with the number of finished cases and of all."""
+
+CHECKED = 50
+"""Number of values of a key that are checked before the sweep begins; of more, the first, the last and some between."""
+
+NAMED = 20
+"""Values of a key that the manifest lists; of more it has the ends and a hash."""
+
+
+def sweep_scene(
+    scene: Scene,
+    cases: Cases,
+    *,
+    metrics: Collection[str] | None = None,
+    record: Selection | None = None,
+    processes: int | None = None,
+    folder: Path | None = None,
+    restart: bool = False,
+    dask: str | None = None,
+    show: ShowDone = lambda done, total: None,
+) -> SweepResult:
+    """Simulate all cases and measure each; with a folder continue where an earlier call was interrupted.
+
+    A case is the scene with its changes: cases that differ in parameters of the FMU or in the motion alone share an FMU, and many
+    of them are simulated side by side, within the tolerance of a run of their own.
+
+    Args:
+        scene: the scene, its effects chosen.
+        cases: what varies.
+        metrics: names of the metrics; None for all.
+        record: signals that are kept for each case, and their interval; None for none.
+        processes: number of processes; None for one on each processor.
+        folder: where results are kept; None for memory.
+        restart: whether results of another sweep in the folder are discarded.
+        dask: address of a Dask scheduler, whose workers simulate instead of processes.
+        show: told how much is finished.
+
+    Raises:
+        SceneError: a key is unknown, or a value invalid in every case.
+        InputError: a metric is unknown, the number of processes isn't positive, or the folder has another sweep.
+        ResultsError: the folder can't be written or read.
+    """
+    count = processors() if processes is None else processes
+    if not isinstance(count, int) or count < 1:
+        raise InputError(f"a sweep needs a whole number of processes from 1 on, got {processes}")
+    check_values(scene, cases)
+    measure = measuring(default_metrics(scene) if metrics is None else list(dict.fromkeys(metrics)))
+    units = _units(scene, cases, measure)
+    job = Job(scene, cases, groups_of(scene, cases), measure, record)
+    workers: Workers = LocalWorkers(count) if dask is None else DaskWorkers(dask)
+    # in memory
+    if folder is None:
+        memory = MemoryStore(len(cases), len(measure.names))
+        _fill(memory, job, workers, show)
+        return _result(job, memory, units, None)
+    # in a folder
+    head = ["case", *(_titled(name, units) for name in (*cases.keys, *measure.names)), "message"]
+    with FolderStore(folder, cases, head, _manifest(job, units), restart=restart) as store:
+        _fill(store, job, workers, show)
+        store.finish()
+        return _result(job, read_results(folder, len(cases), len(measure.names)), units, folder)
+
+
+def _fill(store: MemoryStore | FolderStore, job: Job, workers: Workers, show: ShowDone) -> None:
+    """Simulate what isn't finished."""
+    total, done = len(job.cases), store.done
+    show(done, total)
+    if done == total:
+        return
+
+    def missing() -> Iterator[Share]:
+        for share in shares_of(job.groups, job.cases, job.metrics, together=job.record is None):
+            if not store.has(share.numbers):
+                yield share
+
+    with closing(workers.results(job, missing())) as results:
+        for rows in results:
+            store.add(rows)
+            show(store.done, total)
+
+
+def _result(job: Job, found: MemoryStore, units: Mapping[str, str], folder: Path | None) -> SweepResult:
+    return SweepResult(
+        job.scene.name, job.cases, job.metrics.names, found.values, found.messages, units, found.recordings, folder
+    )
+
+
+def default_metrics(scene: Scene) -> Collection[str]:
+    """All metrics that the scene's robot has."""
+    return ALL_METRICS if scene.cosimulation.drive == "torque" else METRICS
+
+
+def check_values(scene: Scene, cases: Cases) -> None:
+    """Check each key and its values before anything is simulated; what only a combination makes invalid is the case's own error.
+
+    Raises:
+        SceneError: a key is unknown, or a value is invalid by itself and in the cases that have it.
+    """
+    for place, key in enumerate(cases.keys):
+        for value, numbers in _some_values(cases, place):
+            try:
+                scene.replace({key: value})
+            except SceneError as error:
+                if not any(_is_valid(scene, cases, number) for number in numbers):
+                    raise SceneError(str(error)) from None
+
+
+def _is_valid(scene: Scene, cases: Cases, number: int) -> bool:
+    try:
+        scene.replace(changes_of(cases, number))
+    except SceneError:
+        return False
+    return True
+
+
+def _some_values(cases: Cases, place: int) -> list[tuple[Any, list[int]]]:
+    """Values of a key, and some cases that have each."""
+    if isinstance(cases, Sample) and isinstance(span := cases.values[place], Span):
+        return [(span.low, []), (span.high, [])]
+    if isinstance(cases, Grid):
+        level = cases.levels[place]
+        inner = len(Grid(cases.keys[place + 1 :], cases.levels[place + 1 :]))
+        block = inner * len(level)
+        found = [
+            (each, [i * inner, i * inner + inner - 1, len(cases) - block + i * inner + inner // 2])
+            for i, each in enumerate(level)
+        ]
+    else:
+        where: dict[str, tuple[Any, list[int]]] = {}
+        for number in range(len(cases)):
+            value = cases[number][place]
+            if value is not None:
+                where.setdefault(repr(value), (value, []))[1].append(number)
+        found = [(value, [*numbers[:2], numbers[-1]]) for value, numbers in where.values()]
+    step = max(1, len(found) // CHECKED)
+    return [*found[::step], *found[-1:]]
+
+
+def _units(scene: Scene, cases: Cases, measure: ChosenMetrics) -> dict[str, str]:
+    """Key or metric → unit."""
+    data = scene.replace(changes_of(cases, 0)).model_dump() if _is_valid(scene, cases, 0) else scene.model_dump()
+    found = {key: unit_of(location(data, key), Scene) for key in cases.keys}
+    return found | {name: ALL_METRICS[name].unit for name in measure.names}
+
+
+def _titled(name: str, units: Mapping[str, str]) -> str:
+    """A heading with its unit."""
+    return f"{name} [{units[name]}]" if units[name] else name
+
+
+def _manifest(job: Job, units: Mapping[str, str]) -> dict[str, Any]:
+    """What is swept: a sweep with another one doesn't continue this one."""
+    return {
+        "flexfmu": version("flexfmu"),
+        "scene": job.scene.model_dump(mode="json", exclude_none=True),
+        "cases": _described(job.cases),
+        "metrics": list(job.metrics.names),
+        "record": None if job.record is None else {"signals": list(job.record.names or ()), "step": job.record.step},
+        "units": dict(units),
+    }
+
+
+def _described(cases: Cases) -> dict[str, Any]:
+    """The cases for the manifest."""
+    found: dict[str, Any] = {"count": len(cases), "keys": list(cases.keys)}
+    if isinstance(cases, Grid):
+        found["values"] = {key: _listed(level) for key, level in zip(cases.keys, cases.levels, strict=True)}
+    if isinstance(cases, Sample):
+        found |= {"sample": cases.method, "seed": cases.seed}
+        found["values"] = {
+            key: f"{each.low!r}:{each.high!r}" if isinstance(each, Span) else _listed(each)
+            for key, each in zip(cases.keys, cases.values, strict=True)
+        }
+    return found | {"hash": digest(cases)}
+
+
+def _listed(values: Sequence[Any]) -> Any:
+    """A list of values, or the ends of a long one."""
+    return list(values) if len(values) <= NAMED else f"{len(values)} values from {values[0]!r} to {values[-1]!r}"
