@@ -145,6 +145,7 @@ def _cases(vary: list[str], sample: str | None, seed: int, path: Path | None) ->
     if path is not None:
         if vary or sample is not None:
             raise InputError("--cases has all cases: leave out --vary and --sample")
+        found: Cases
         found, notes = read_cases(path)
     else:
         varied = [parse_vary(option) for option in vary]

@@ -124,9 +124,7 @@ def run_variants(
     ]
 
 
-def _shared(
-    task: VariantTask[T], variants: Sequence[Variant], report: _Report, processes: int
-) -> Sequence[T | Exception]:
+def _shared(task: VariantTask[T], variants: Sequence[Variant], report: _Report, processes: int) -> list[T | Exception]:
     """The outcomes of variants by several processes, in shares of equal size: a few for each, so that all finish at about the same time."""
     size = max(1, min(LARGEST_SHARE, ceil(len(variants) / (SHARES * processes))))
     shares = [variants[first : first + size] for first in range(0, len(variants), size)]

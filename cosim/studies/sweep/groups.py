@@ -83,7 +83,8 @@ def _components(scene: Scene, key: str) -> tuple[float, ...]:
 
 def groups_of(scene: Scene, cases: Cases) -> list[Group]:
     """The groups of cases that share an FMU."""
-    known = {each.key for each in scene_values(scene).values()}
+    values = scene_values(scene).values()
+    known, has = {each.key for each in values}, {each.key for each in values if each.value}
     whole = [key.partition("[")[0] for key in cases.keys]
     # keys that are parameters of the FMU, and keys that need another FMU
     settable = [i for i, key in enumerate(whole) if key in known and depends_on(key)]
@@ -93,8 +94,9 @@ def groups_of(scene: Scene, cases: Cases) -> list[Group]:
         for number in range(len(cases)):
             values = cases[number]
             members.setdefault(repr([values[i] for i in building]), []).append(number)
-    # an effect that some case has must be in the FMU of all
-    present = {cases.keys[i]: value for i in settable if (value := _some_value(cases, i)) is not None}
+    # an effect that some case has must be in the FMU of all, also where the scene lacks it
+    lacking = [i for i in settable if whole[i] not in has]
+    present = {cases.keys[i]: value for i in lacking if (value := _some_value(cases, i)) is not None}
     found = []
     for numbers in members.values() if building else [range(len(cases))]:
         changes = changes_of(cases, numbers[0])

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import ceil
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
 from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS
-from flexfmu.cosim.studies.sweep.cases import Grid
+from flexfmu.cosim.reports.figure_style import draw, style
+from flexfmu.cosim.studies.sweep.cases import Cases, Grid
 from flexfmu.cosim.studies.sweep.store import text_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from flexfmu.cosim.studies.sweep.result import SweepResult
 
 MOST_LINES = 2000
 """Cases that parallel coordinates show; of more, equally many are left out between them."""
@@ -30,14 +29,31 @@ COLOURS = "viridis"
 """From small to large values, also for those who don't see all colours, and in print."""
 
 
-def draw_sweep(result: SweepResult) -> Figure:
+class Swept(Protocol):
+    """What is drawn of a sweep: the attributes of `flexfmu.cosim.studies.sweep.result.SweepResult`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def cases(self) -> Cases: ...
+    @property
+    def metrics(self) -> Sequence[str]: ...
+    @property
+    def values(self) -> RealArray: ...
+    @property
+    def messages(self) -> Mapping[int, str]: ...
+    @property
+    def units(self) -> Mapping[str, str]: ...
+
+    def columns(self) -> list[list[Any]]: ...
+
+
+def draw_sweep(result: Swept) -> Figure:
     """The metrics over the varied keys.
 
     One key: a panel with a line for each metric. Two: a heat map of each, or points where the cases are no grid. More: parallel
     coordinates with an axis for each key and the first metrics; colours are those of the first. Failed cases are left out.
     """
-    from flexfmu.cosim.reports.figure_style import draw, style
-
     with style():
         keys = [_Axis(key, result.units.get(key, ""), column) for key, column in _varied(result)]
         shown = [i for i in range(len(result.metrics)) if not np.isnan(result.values[:, i]).all()]
@@ -54,17 +70,17 @@ def draw_sweep(result: SweepResult) -> Figure:
             for place, i in enumerate(shown, start=1):
                 axes = figure.add_subplot(rows, columns, place)
                 (_lines if len(keys) == 1 else _map)(axes, result, keys, i)
-        figure.suptitle(f"{result.name}: {len(result)} cases" + _failures(result))
+        figure.suptitle(f"{result.name}: {len(result.cases)} cases" + _failures(result))
     return figure
 
 
-def _varied(result: SweepResult) -> list[tuple[str, list[Any]]]:
+def _varied(result: Swept) -> list[tuple[str, list[Any]]]:
     """The keys that have more than one value, with the value of each case."""
     columns = zip(result.cases.keys, result.columns(), strict=True)
     return [(key, column) for key, column in columns if len({repr(each) for each in column}) > 1]
 
 
-def _failures(result: SweepResult) -> str:
+def _failures(result: Swept) -> str:
     return f", {len(result.messages)} failed" if result.messages else ""
 
 
@@ -101,27 +117,29 @@ class _Axis:
             )
 
 
-def _title(result: SweepResult, i: int) -> str:
+def _title(result: Swept, i: int) -> str:
     """Label of a metric with its unit."""
     name = result.metrics[i]
     label = ALL_METRICS[name].label if name in ALL_METRICS else name
     return f"{label} [{result.units.get(name, '')}]"
 
 
-def _lines(axes: Axes, result: SweepResult, keys: Sequence[_Axis], i: int) -> None:
+def _lines(axes: Axes, result: Swept, keys: Sequence[_Axis], i: int) -> None:
     """A metric over one key."""
     order = np.argsort(keys[0].values, kind="stable")
-    axes.plot(keys[0].values[order], result.values[order, i], marker="o" if len(result) <= 60 else "", markersize=3)
+    axes.plot(
+        keys[0].values[order], result.values[order, i], marker="o" if len(result.cases) <= 60 else "", markersize=3
+    )
     axes.set_title(_title(result, i), fontsize=8.5)
     axes.set_xlabel(keys[0].label)
     keys[0].mark(axes.xaxis)
 
 
-def _map(axes: Axes, result: SweepResult, keys: Sequence[_Axis], i: int) -> None:
+def _map(axes: Axes, result: Swept, keys: Sequence[_Axis], i: int) -> None:
     """A metric over two keys, as colours."""
     x, y = keys
     shape = [np.unique(each.values) for each in keys]
-    if isinstance(result.cases, Grid) and len(shape[0]) * len(shape[1]) == len(result):
+    if isinstance(result.cases, Grid) and len(shape[0]) * len(shape[1]) == len(result.cases):
         table = np.full((len(shape[1]), len(shape[0])), np.nan)
         table[np.searchsorted(shape[1], y.values), np.searchsorted(shape[0], x.values)] = result.values[:, i]
         picture: Any = axes.pcolormesh(shape[0], shape[1], table, cmap=COLOURS, shading="nearest", rasterized=True)
@@ -137,17 +155,14 @@ def _map(axes: Axes, result: SweepResult, keys: Sequence[_Axis], i: int) -> None
     y.mark(axes.yaxis)
 
 
-def _some(result: SweepResult, i: int) -> Any:
+def _some(result: Swept, i: int) -> Any:
     """Cases that have a metric, at most `MOST_LINES` of them."""
     there = np.flatnonzero(~np.isnan(result.values[:, i]))
     return there[:: ceil(len(there) / MOST_LINES)]
 
 
-def _parallel(figure: Figure, result: SweepResult, keys: Sequence[_Axis], metrics: Sequence[int]) -> None:
+def _parallel(figure: Figure, result: Swept, keys: Sequence[_Axis], metrics: Sequence[int]) -> None:
     """A line for each case through the axes of all keys and some metrics."""
-    from matplotlib import colormaps
-    from matplotlib.collections import LineCollection
-
     some = _some(result, metrics[0])
     found = [(axis.label, axis.values[some], axis.names) for axis in keys]
     found += [(_title(result, i), result.values[some, i], None) for i in metrics]
@@ -173,5 +188,5 @@ def _parallel(figure: Figure, result: SweepResult, keys: Sequence[_Axis], metric
     lines = np.stack([np.column_stack([np.arange(len(found)), each]) for each in np.array(scaled).T])
     colours = colormaps[COLOURS](scaled[len(keys)])
     axes.add_collection(LineCollection([*lines], colors=colours, linewidths=0.8, alpha=0.6))
-    if len(some) < len(result) - len(result.messages):
+    if len(some) < len(result.cases) - len(result.messages):
         axes.text(0.0, -0.1, f"{len(some)} of the cases are drawn", fontsize=7)

@@ -25,6 +25,11 @@ from flexfmu.cosim.engine.slave import RealArray
 from flexfmu.cosim.studies.sweep.cases import Cases
 from flexfmu.cosim.studies.sweep.work import Row
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 MANIFEST, JOURNAL, TABLE, SIGNALS = "sweep.json", "journal.csv", "sweep.csv", "signals"
 """What is swept, finished cases while the sweep runs, all of them at its end, and the folder of recorded signals."""
 
@@ -218,7 +223,7 @@ class FolderStore:
         """Yield the lines of the journal in the order of the cases."""
         yield self._head
         with open(self.folder / JOURNAL, "rb") as journal:
-            for offset in self._offsets:
+            for offset in self._offsets.tolist():
                 journal.seek(offset)
                 yield journal.readline().decode()
 
@@ -314,9 +319,7 @@ def _locked(folder: Path) -> Any:
     Raises:
         ResultsError: another process holds it.
     """
-    try:
-        import fcntl
-    except ImportError:
+    if fcntl is None:
         return None
     file = open(folder / ".lock", "a")  # noqa: SIM115 - held until the end
     try:

@@ -25,6 +25,11 @@ from flexfmu.fmu_build.errors import BuildError
 from flexfmu.model.scene.errors import SceneError
 from flexfmu.model.scene.schema import Scene
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 
 class Row(NamedTuple):
     """The result of a case.
@@ -187,9 +192,9 @@ def _one_builder(key: str) -> Iterator[None]:
     """
     path = cache_folder() / f"building-{content_hash([key.encode()])[:1]}.lock"
     with contextlib.ExitStack() as stack:
-        with contextlib.suppress(ImportError, OSError):
-            import fcntl
-
+        with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            fcntl.flock(stack.enter_context(path.open("a")), fcntl.LOCK_EX)
+            file = stack.enter_context(path.open("a"))
+            if fcntl is not None:
+                fcntl.flock(file, fcntl.LOCK_EX)
         yield

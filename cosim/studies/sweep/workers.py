@@ -8,12 +8,12 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from multiprocessing.connection import Connection, wait
 from threading import Lock
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.studies.sweep.groups import Share
@@ -26,7 +26,7 @@ TRIALS = 2
 class Workers(Protocol):
     """Whatever simulates the shares of a job."""
 
-    def results(self, job: Job, shares: Iterable[Share]) -> Iterator[list[Row]]:
+    def results(self, job: Job, shares: Iterable[Share]) -> Generator[list[Row], None, None]:
         """Yield the results of each share, in the order in which they are finished."""
         ...
 
@@ -55,7 +55,7 @@ class LocalWorkers:
     count: int
     _retries: list[tuple[Share, int]] = field(default_factory=list, init=False)
 
-    def results(self, job: Job, shares: Iterable[Share]) -> Iterator[list[Row]]:
+    def results(self, job: Job, shares: Iterable[Share]) -> Generator[list[Row], None, None]:
         """Yield the results of each share, in the order in which they are finished."""
         left, busy = iter(shares), dict[Connection, _Process]()
         idle: list[_Process] = []
@@ -71,7 +71,7 @@ class LocalWorkers:
                 if not busy:
                     return
                 for pipe in wait([*busy]):
-                    worker = busy.pop(pipe)  # type: ignore[arg-type]
+                    worker = busy.pop(cast(Connection, pipe))
                     try:
                         found = worker.pipe.recv()
                     except (EOFError, OSError):
@@ -166,7 +166,7 @@ class DaskWorkers:
 
     address: str
 
-    def results(self, job: Job, shares: Iterable[Share]) -> Iterator[list[Row]]:
+    def results(self, job: Job, shares: Iterable[Share]) -> Generator[list[Row], None, None]:
         """Yield the results of each share, in the order in which they are finished.
 
         Raises:

@@ -1,0 +1,286 @@
+"""Sweeps in this process's own folders: what a case is, what is kept, and how it continues."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexfmu
+from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.metrics.chosen import measuring
+from flexfmu.cosim.metrics.metrics import metrics_of
+from flexfmu.cosim.studies.sweep.cases import Grid
+from flexfmu.cosim.studies.sweep.groups import groups_of, shares_of
+from flexfmu.cosim.studies.sweep.result import SweepResult
+from flexfmu.cosim.studies.sweep.store import FolderStore
+from flexfmu.cosim.studies.sweep.work import Job, Row
+from flexfmu.model.scene.errors import SceneError
+
+SCENE = flexfmu.load_scene("barnard2012-6kg").replace(
+    {"trajectory.duration": 0.2, "trajectory.dwell": 0.02, "cosimulation.step": 1e-3, "cosimulation.tolerance": 1e-4}
+)
+LOOP = SCENE.replace(
+    {
+        "cosimulation.drive": "torque",
+        "controller": [{"kind": "pd", "proportional": 5e3, "derivative": 20.0, "sample_time": 1e-3}],
+    }
+)
+PEAK = ["peak_torque_1"]
+
+
+def alone(changes: dict[str, Any], names: list[str] = PEAK, scene: flexfmu.Scene = SCENE) -> dict[str, float | None]:
+    """Metrics of the changed scene's own run, by an FMU with the same effects."""
+    return metrics_of(flexfmu.run(scene.replace(changes), fmu=flexfmu.build(scene)), names)
+
+
+def test_a_case_is_the_changed_scene() -> None:
+    """Parameters of the FMU, geometry that the motion is planned with, texts, other effects: as a scene of its own."""
+    varied: dict[str, Any] = {
+        "payload.mass": [0.0, 3.0],
+        "mechanism.proximal.length": [0.24, 0.25],
+        "trajectory.profile.kind": ["poly7", "bang-bang"],
+    }
+    found = flexfmu.sweep(SCENE, varied, metrics=PEAK, processes=2)
+    assert found.failed == []
+    for row in found:
+        expected = alone({key: row[key] for key in varied})
+        assert row["peak_torque_1"] == pytest.approx(expected["peak_torque_1"], rel=1e-4)
+
+
+def test_many_cases_side_by_side_are_the_changed_scenes() -> None:
+    """Shares in lanes, among them an invalid case, agree with own runs within the tolerance, for peaks and for all metrics."""
+    masses = [float(each) for each in np.linspace(0.0, 8.0, 40)]
+    cases = [{"payload.mass": mass, "trajectory.duration": 0.2} for mass in masses]
+    cases.append({"trajectory.profile.kind": "trapezoidal", "trajectory.profile.ramp": 0.25})
+    cases.append({"trajectory.profile.ramp": 0.25})
+    for names in (PEAK, [*PEAK, "end_position_error"]):
+        found = flexfmu.sweep(SCENE, cases, metrics=names, processes=1)
+        assert [row["case"] for row in found.failed] == [41]
+        assert "`trajectory.profile`" in found.failed[0]["message"]
+        for number in (0, 17, 39, 40):
+            expected = alone(cases[number], names)
+            for name in names:
+                assert found[number][name] == pytest.approx(expected[name], rel=1e-3, abs=1e-7)
+
+
+def test_keys_of_controllers_by_index_kind_and_name() -> None:
+    """The loop changes, the FMU is shared."""
+    found = [
+        flexfmu.sweep(LOOP, {key: [10.0, 20.0]}, metrics=["peak_position_error"], processes=1)
+        for key in ("controller[0].derivative", "controller.pd.derivative")
+    ]
+    values = [[row["peak_position_error"] for row in each] for each in found]
+    assert values[0] == values[1]
+    assert values[0][0] != values[0][1]
+    assert (
+        values[0][1] == alone({"controller[0].derivative": 20.0}, ["peak_position_error"], LOOP)["peak_position_error"]
+    )
+    assert found[0].units["controller[0].derivative"] == "N.m.s/rad"
+
+
+def test_cases_share_fmus_where_they_can() -> None:
+    """One FMU for parameters, motions and loops; one for each number of modes. Every case is in one share."""
+    cases = Grid(
+        ("effects.proximal_bending", "payload.mass", "trajectory.duration", "effects.gravity[1]"),
+        ((1, 2), tuple(range(20)), (0.2, 0.19, 0.1), (-9.81, 0.0)),
+    )
+    groups = groups_of(SCENE, cases)
+    assert [len(each.numbers) for each in groups] == [120, 120]
+    assert all(each.parameters is not None for each in groups)
+    metrics = Job(SCENE, cases, groups, measuring(PEAK)).metrics
+    shares = [*shares_of(groups, cases, metrics, together=True)]
+    assert sorted(number for share in shares for number in share.numbers) == list(range(240))
+    # similar durations go together
+    assert all(len({cases[number][0] for number in share.numbers}) == 1 for share in shares)
+    durations = [{cases[number][2] for number in share.numbers} for share in shares]
+    assert {0.1} in durations
+    assert all(each <= {0.2, 0.19} or each == {0.1} for each in durations)
+    # controllers depend on everything
+    (group,) = groups_of(LOOP, Grid(("payload.mass", "controller[0].derivative"), ((1.0, 2.0), (100.0, 200.0))))
+    assert group.parameters is None
+
+
+@pytest.mark.parametrize(
+    ("varied", "message"),
+    [
+        ({"payload.mas": [1.0]}, "did you mean `mass`"),
+        ({"payload.mass": [1.0, -1.0]}, r"`payload.mass` must be at least 0"),
+        ({"payload.mass": "-1:8"}, "is an interval"),
+        ({"controller[0].derivative": [1.0]}, "no elements"),
+        ({"payload.mass.x": [1.0]}, "not a section"),
+    ],
+)
+def test_invalid_values_are_told_before_work_starts(varied: dict[str, Any], message: str, tmp_path: Path) -> None:
+    """Nothing is simulated and nothing written."""
+    with pytest.raises((SceneError, InputError), match=message):
+        flexfmu.sweep(SCENE, varied, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_invalid_combinations_are_cases_that_fail() -> None:
+    """`ramp` belongs to one profile alone."""
+    varied = {"trajectory.profile.kind": ["poly7", "trapezoidal"], "trajectory.profile.ramp": [0.2, 0.3]}
+    found = flexfmu.sweep(SCENE, varied, metrics=PEAK, processes=1)
+    assert [row["case"] for row in found.failed] == [0, 1]
+    assert found[3]["peak_torque_1"] > 0.0
+    assert found[0]["peak_torque_1"] is None
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished sweep with signals."""
+    path = tmp_path_factory.mktemp("sweep") / "out"
+    swept(path)
+    return path
+
+
+def swept(path: Path, **options: Any) -> SweepResult:
+    """The sweep of `folder`."""
+    arguments: dict[str, Any] = {
+        "metrics": PEAK,
+        "record": ["joint1.torque"],
+        "record_step": 0.0125,
+        "processes": 2,
+    } | options
+    return flexfmu.sweep(
+        SCENE, {"payload.mass": [1.0, 2.0], "trajectory.profile.kind": ["poly7"]}, out=path, **arguments
+    )
+
+
+def test_files(folder: Path) -> None:
+    """Units in the headings, exact numbers, types and units in Parquet, signals at their interval; no journal is left."""
+    with open(folder / "sweep.csv", encoding="utf-8", newline="") as file:
+        head, *lines = csv.reader(file)
+    assert head == ["case", "payload.mass [kg]", "trajectory.profile.kind", "peak_torque_1 [N.m]", "message"]
+    result = swept(folder)
+    assert [float(line[3]) for line in lines] == [row["peak_torque_1"] for row in result]
+    assert not (folder / "journal.csv").exists()
+    recording = result.recording(1)
+    assert recording.time[:3].tolist() == [0.0, 0.0125, 0.025]
+    assert recording.time[-1] == pytest.approx(0.22)
+    # between communication points as exact as these
+    run = flexfmu.run(SCENE.replace({"payload.mass": 2.0, "cosimulation.step": 1e-3 / 2.0}))
+    assert recording["joint1.torque"].values[1] == pytest.approx(
+        run.recording["joint1.torque"].values[run.recording.time == 0.0125][0], rel=1e-4
+    )
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = parquet.read_table(folder / "sweep.parquet")
+    assert table.schema.field("payload.mass").metadata == {b"unit": b"kg"}
+    assert table["peak_torque_1"].to_pylist() == [row["peak_torque_1"] for row in result]
+
+
+def test_the_result_in_a_notebook(folder: Path) -> None:
+    """A short text, a table, a data frame with units, and a picture."""
+    result = swept(folder)
+    assert len(repr(result).splitlines()) == 5
+    assert result._repr_html_().count("<tr>") == 3
+    frame = result.to_pandas()
+    assert frame.attrs["units"] == {"payload.mass": "kg", "peak_torque_1": "N.m"}
+    assert frame["peak_torque_1"].tolist() == [row["peak_torque_1"] for row in result]
+    assert result[-1] == result[1]
+    assert len(result.plot().axes) == 1
+    assert result.summary()["peak_torque_1"]["max_case"] == 1
+
+
+def test_another_sweep_in_the_folder_is_refused(folder: Path) -> None:
+    """The message says what differs; the results stay."""
+    before = (folder / "sweep.csv").read_bytes()
+    with pytest.raises(InputError, match=r'metrics was \["peak_torque_1"\], now \["peak_torque_2"\]'):
+        swept(folder, metrics=["peak_torque_2"])
+    with pytest.raises(InputError, match=r"cases.count was 2, now 1.*--restart"):
+        flexfmu.sweep(SCENE, {"payload.mass": [1.0]}, metrics=PEAK, out=folder)
+    with pytest.raises(InputError, match=r"scene.trajectory.duration was 0.2, now 0.3"):
+        flexfmu.sweep(
+            SCENE.replace({"trajectory.duration": 0.3}), {"payload.mass": [1.0, 2.0]}, metrics=PEAK, out=folder
+        )
+    assert (folder / "sweep.csv").read_bytes() == before
+
+
+def test_restart_discards(tmp_path: Path) -> None:
+    """The folder then has the new sweep alone."""
+    swept(tmp_path / "out")
+    found = swept(tmp_path / "out", metrics=["peak_torque_2"], record=None, record_step=None, restart=True)
+    assert found.metrics == ("peak_torque_2",)
+    assert not [*(tmp_path / "out" / "signals").iterdir()]
+
+
+ROWS = [Row(number, (number / 3.0, None), 'a, "b"\nc' if number == 4 else "") for number in range(9)]
+HEAD = ["case", "a", "m1", "m2", "message"]
+CASES = Grid(("a",), (tuple(range(9)),))
+
+
+def written(folder: Path, order: list[int]) -> bytes:
+    """The table after adding rows in some order."""
+    with FolderStore(folder, CASES, HEAD, {}) as store:
+        for number in order:
+            store.add([ROWS[number]])
+        store.finish()
+    return (folder / "sweep.csv").read_bytes()
+
+
+def test_the_table_does_not_depend_on_the_order(tmp_path: Path) -> None:
+    """Sorted by case, whoever was first."""
+    assert written(tmp_path / "a", list(range(9))) == written(tmp_path / "b", [4, 8, 0, 1, 7, 2, 6, 3, 5])
+
+
+def test_torn_lines_are_cut_off(tmp_path: Path) -> None:
+    """Wherever the last line is torn, the same table results; a line that is no case is an error."""
+    whole = written(tmp_path / "whole", list(range(9)))
+    with FolderStore(tmp_path / "out", CASES, HEAD, {}) as store:
+        store.add(ROWS[:5])
+    journal = tmp_path / "out" / "journal.csv"
+    data = journal.read_bytes()
+    ends = [i + 1 for i, sign in enumerate(data) if sign == ord("\n")]
+    for low, high in pairwise(ends[-2:]):
+        for end in range(low, high):
+            folder = tmp_path / f"out{end}"
+            with FolderStore(folder, CASES, HEAD, {}):
+                pass
+            (folder / "journal.csv").write_bytes(data[:end])
+            with FolderStore(folder, CASES, HEAD, {}) as store:
+                assert store.done == 4
+                assert not store.has([4])
+            assert written(folder, [4, 5, 6, 7, 8]) == whole
+    journal.write_bytes(data.replace(b"\n3,", b"\nx,"))
+    with pytest.raises(ResultsError, match="no case"):
+        FolderStore(tmp_path / "out", CASES, HEAD, {})
+
+
+def test_a_process_that_dies_is_replaced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A case that kills its process twice is a row with its message; one that does so once has its result."""
+    flag = tmp_path / "flag"
+    rows = Job.rows
+
+    def deadly(job: Job, share: Any) -> list[Row]:
+        mass = job.cases[share.numbers[0]][0]
+        if mass == 2.0 or (mass == 3.0 and not flag.exists()):
+            flag.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return rows(job, share)
+
+    monkeypatch.setattr(Job, "rows", deadly)
+    found = flexfmu.sweep(SCENE, {"payload.mass": [3.0, 2.0, 1.0]}, metrics=PEAK, processes=2)
+    assert [row["message"] for row in found] == ["", "the process that simulated it ended with SIGKILL", ""]
+    assert found[0]["peak_torque_1"] > found[2]["peak_torque_1"] > 0.0
+
+
+def test_one_sweep_at_a_time_in_a_folder(tmp_path: Path) -> None:
+    """Two processes would write the same journal."""
+    pytest.importorskip("fcntl")
+    with FolderStore(tmp_path, CASES, HEAD, {}) as store:
+        pid = os.fork()
+        if not pid:
+            try:
+                FolderStore(tmp_path, CASES, HEAD, {})
+            except ResultsError as error:
+                os._exit(7 if "another sweep works" in str(error) else 1)
+            os._exit(0)
+        assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 7
+        assert store.done == 0
