@@ -83,8 +83,8 @@ def _components(scene: Scene, key: str) -> tuple[float, ...]:
 
 def groups_of(scene: Scene, cases: Cases) -> list[Group]:
     """The groups of cases that share an FMU."""
-    values = scene_values(scene).values()
-    known, has = {each.key for each in values}, {each.key for each in values if each.value}
+    own = scene_values(scene).values()
+    known, has = {each.key for each in own}, {each.key for each in own if each.value}
     whole = [key.partition("[")[0] for key in cases.keys]
     # keys that are parameters of the FMU, and keys that need another FMU
     settable = [i for i, key in enumerate(whole) if key in known and depends_on(key)]
@@ -100,8 +100,8 @@ def groups_of(scene: Scene, cases: Cases) -> list[Group]:
     found = []
     for numbers in members.values() if building else [range(len(cases))]:
         changes = changes_of(cases, numbers[0])
-        own = {cases.keys[i]: changes[cases.keys[i]] for i in building if cases.keys[i] in changes}
-        found.append(_group(scene, cases, numbers, own, present, [whole[i] for i in settable]))
+        other = {cases.keys[i]: changes[cases.keys[i]] for i in building if cases.keys[i] in changes}
+        found.append(_group(scene, cases, numbers, other, present, [whole[i] for i in settable]))
     return found
 
 
