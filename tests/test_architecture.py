@@ -44,7 +44,7 @@ UNKNOWN: Mapping[str, tuple[str, ...]] = {
 TYPES = ("model.symbolic",)
 """All that `fmu_build` knows of the model: the types of what it is given."""
 
-OPTIONAL = ("control", "distributed", "exudyn", "pandas", "plotly", "pyarrow")
+OPTIONAL = ("control", "distributed", "exudyn", "mcap", "pandas", "plotly", "pyarrow", "xarray")
 """Libraries that a user may not have or seldom needs: they may be imported within functions."""
 
 HEAVY = (*OPTIONAL, "casadi", "matplotlib", "fmpy", "lief")
@@ -143,6 +143,12 @@ def test_imports_run_one_way(modules: Mapping[str, Module]) -> None:
             if ROOMS.index(other) > ROOMS.index(room) or other in may_not or (room == "fmu_build" and other == "model"):
                 wrong.append(f"{module.name} imports {known}")
     assert wrong == []
+
+
+def test_one_file_uses_the_front_door(modules: Mapping[str, Module]) -> None:
+    """`Run.metrics` finds its class, which is above the runs' room, by its public name; nothing else looks up that way."""
+    users = [each.name for each in modules.values() if "!flexfmu" in each.top | each.late | each.types]
+    assert users == ["cosim.experiment.scene_run"]
 
 
 def test_no_circles_between_files(modules: Mapping[str, Module]) -> None:

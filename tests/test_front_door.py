@@ -59,7 +59,7 @@ def test_completion_knows_every_name_before_it_is_used() -> None:
     assert set(flexfmu.__all__) <= set(names.split())
 
 
-@pytest.mark.parametrize("name", sorted(set(flexfmu.__all__) - {"__version__", "Scene"}))
+@pytest.mark.parametrize("name", sorted(set(flexfmu.__all__) - {"__version__", "Scene", "RunMetrics"}))
 def test_functions_are_documented(name: str) -> None:
     """Every function has its arguments and errors in its docstring, and types for what it takes and returns."""
     function = getattr(flexfmu, name)
@@ -73,7 +73,7 @@ def test_functions_are_documented(name: str) -> None:
 
 def test_misspelt_name_tells_the_names() -> None:
     """An unknown attribute is an AttributeError that lists what there is."""
-    with pytest.raises(AttributeError, match=r"no attribute 'simulate'; it has Scene, .* run"):
+    with pytest.raises(AttributeError, match=r"no attribute 'simulate'; it has .*Scene, .* run"):
         _ = flexfmu.simulate  # type: ignore[attr-defined]
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class CosimError(Exception):
     """Base of all errors of this package."""
@@ -9,6 +12,25 @@ class CosimError(Exception):
 
 class InputError(CosimError, ValueError):
     """The user's input is wrong (a file, a name or a value); nothing has been simulated."""
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Turn the failing import of an optional library in this context into one line.
+
+    Args:
+        name: the extra of the package that brings the library.
+
+    Raises:
+        InputError: the library isn't installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing in ("", "flexfmu"):
+            raise
+        raise InputError(f'{missing} isn\'t installed; run: pip install "flexfmu[{name}]"') from None
 
 
 class FmuFileError(InputError):

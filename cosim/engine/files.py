@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,7 +60,15 @@ def write_whole(path: Path, text: str) -> Path:
 
 
 def write_pieces(path: Path, pieces: Iterable[str]) -> Path:
-    """Write a file atomically (temporary file, then rename) and return its path; creates its folder if needed.
+    """Write a text file atomically and return its path; see `replacing`."""
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(pieces)
+    return path
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside ``path``, which it replaces when the context ends without an error; creates the folder if needed.
 
     Raises:
         ResultsError: the file can't be written, with the system's reason.
@@ -68,9 +76,8 @@ def write_pieces(path: Path, pieces: Iterable[str]) -> Path:
     temporary = path.parent / f".{path.name}.{os.getpid()}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("w", encoding="utf-8", newline="\n") as file:
-            file.writelines(pieces)
-        return temporary.replace(path)
+        yield temporary
+        temporary.replace(path)
     except OSError as error:
         raise _cannot_write(path, error) from error
     finally:

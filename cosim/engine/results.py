@@ -1,4 +1,4 @@
-"""Results of a co-simulation: signals over time, in memory and as CSV files in fmpy's format."""
+"""Results of a co-simulation: signals over time, in memory, as files, and in the forms of other tools."""
 
 from __future__ import annotations
 
@@ -6,124 +6,38 @@ import csv
 import io
 import itertools
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic_core import to_json
 
-from flexfmu.cosim.engine.errors import InputError, ResultsError
+from flexfmu.cosim.engine.columns import Column, LazyColumns, Table, chosen, csv_cells
+from flexfmu.cosim.engine.errors import InputError, ResultsError, extra
 from flexfmu.cosim.engine.files import write_pieces
+from flexfmu.cosim.engine.showing import few_lines, html_table
 from flexfmu.cosim.engine.slave import RealArray
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+__all__ = ["EVERYTHING", "FORMATS", "Column", "LazyColumns", "Recording", "Selection", "Table", "check_format"]
+
+FORMATS = ("csv", "parquet", "mat", "mcap")
+"""Suffixes of the files that `Recording.write` writes."""
+
+Names = str | Collection[str] | None
+"""Names of signals, in which ``*`` stands for any characters; None for all."""
 
 LINES = 96
 """Number of lines of a CSV file that are written at once: few enough for memory that is used again instead of new pages."""
 
 
-@dataclass(frozen=True)
-class Column:
-    """One recorded signal.
-
-    Attributes:
-        unit: unit of the values, for example ``N.m``; empty when unknown.
-        values: (N,) values at the recording's times.
-        first: (N,) first time derivatives [unit/s]; None if not available.
-        second: (N,) second time derivatives [unit/s²]; None if not available.
-        texts: for a signal of type String, the texts that its values index; None for numbers.
-    """
-
-    unit: str
-    values: RealArray
-    first: RealArray | None = None
-    second: RealArray | None = None
-    texts: Sequence[str] | None = None
-
-    def text_at(self, index: int) -> str:
-        """Return the text at the instant ``index``; empty if the value is no index of a text.
-
-        Raises:
-            ResultsError: the signal isn't of type String.
-        """
-        if self.texts is None:
-            raise ResultsError("the signal has numbers, no texts; take its `values`")
-        code = int(self.values[index])
-        return self.texts[code] if 0 <= code < len(self.texts) else ""
-
-    def shown(self) -> list[str]:
-        """Return the N values as CSV cells: shortest numbers that read back exactly, or quoted texts (RFC 4180)."""
-        if self.texts is None:
-            return [] if self.values.size == 0 else _cells(self.values[None]).split(",")
-        known = ['"' + text.replace('"', '""') + '"' for text in self.texts]
-        return [known[code] if 0 <= code < len(known) else '""' for code in self.values.astype(int).tolist()]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Signals as rows of an array.
-
-    Attributes:
-        rows: (n, N) values and derivatives at N instants.
-        places: name of a signal → unit, and indices of the rows with its value and derivatives.
-    """
-
-    rows: RealArray
-    places: Mapping[str, tuple[str, range]]
-
-    @classmethod
-    def of(cls, columns: Mapping[str, Column]) -> Table:
-        """Return these columns as a table."""
-        if isinstance(columns, LazyColumns) and columns.table is not None:
-            return columns.table
-        rows, places = list[RealArray](), {}
-        for name, column in columns.items():
-            own = [each for each in (column.values, column.first, column.second) if each is not None]
-            places[name] = column.unit, range(len(rows), len(rows) + len(own))
-            rows += own
-        return cls(np.array(rows), places)
-
-
-class LazyColumns(Mapping[str, Column]):
-    """Columns that are made when they are first asked for: making all of them takes longer than short runs should.
-
-    Args:
-        names: their names in order.
-        make: makes the column of a name; its arrays must have the length of the recording's times.
-        table: the array that they come from.
-
-    Attributes:
-        table: the array that the columns come from; None if there are others.
-    """
-
-    def __init__(self, names: Collection[str], make: Callable[[str], Column], table: Table | None = None) -> None:
-        self._names, self._make, self._made = names, make, dict[str, Column]()
-        self.table = table
-
-    def __getitem__(self, name: str) -> Column:
-        """Return the column of that name."""
-        found = self._made.get(name)
-        if found is None:
-            if name not in self._names:
-                raise KeyError(name)
-            found = self._made[name] = self._make(name)
-        return found
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._names
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Copies and pickles have all columns."""
-        return dict, (dict(self),)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """Signals over time. An instant at which signals jump appears twice: left limits first, then right limits.
 
@@ -144,6 +58,19 @@ class Recording:
             for values in (column.values, column.first, column.second):
                 if values is not None and values.shape != shape:
                     raise ResultsError(f"{name!r} has {values.size} values for {self.time.size} instants")
+
+    def __repr__(self) -> str:
+        """Return at most five lines: instants, and names of signals."""
+        return few_lines(f"{self._head()}:", [*self.columns])
+
+    def _head(self) -> str:
+        span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if self.time.size else ""
+        return f"Recording of {self.time.size} instants{span}, {len(self.columns)} signals"
+
+    def _repr_html_(self) -> str:
+        rows = [(name, column.unit, *_extremes(column)) for name, column in self.columns.items()]
+        table = html_table(("signal", "unit", "smallest", "largest"), rows)
+        return f"<details><summary>{self._head()}</summary>{table}</details>"
 
     def __getitem__(self, name: str) -> Column:
         """Return the column of that name; the KeyError lists the recorded signals."""
@@ -168,6 +95,87 @@ class Recording:
     def only(self, keeps: Callable[[str], bool]) -> Recording:
         """Return the recording with only those signals for whose names ``keeps`` is true."""
         return Recording(self.time, {name: self.columns[name] for name in self.columns if keeps(name)})
+
+    def to_pandas(self, names: Names = None) -> pandas.DataFrame:
+        """Return signals as a data frame with the index ``time`` [s], and their units in ``frame.attrs["units"]``.
+
+        Args:
+            names: names of the signals, in which ``*`` stands for any characters (``joint*.torque``); None for all.
+
+        Raises:
+            InputError: a signal doesn't exist, or pandas isn't installed (``pip install "flexfmu[pandas]"``).
+        """
+        columns = chosen(self.columns, names)
+        with extra("pandas"):
+            from flexfmu.cosim.engine.formats.frames import data_frame
+        return data_frame(self.time, columns)
+
+    def to_xarray(self, names: Names = None) -> xarray.Dataset:
+        """Return signals as a data set with the coordinate ``time`` [s]; each has its unit as ``attrs["units"]``.
+
+        Arguments and errors: as for `to_pandas`; ``pip install "flexfmu[xarray]"``.
+        """
+        columns = chosen(self.columns, names)
+        with extra("xarray"):
+            from flexfmu.cosim.engine.formats.arrays import data_set
+        return data_set(self.time, columns)
+
+    def plot(self, names: Names = None, title: str = "") -> Figure:
+        """Return a Matplotlib figure of signals over time, a pair of axes for each unit.
+
+        Notebooks show it; elsewhere ``figure.savefig("plot.png")`` writes it.
+
+        Args:
+            names: as for `to_pandas`; None for torques, end-effector positions and tip deflections, or for all if there
+                are none of these.
+            title: heading.
+
+        Raises:
+            InputError: a signal doesn't exist.
+        """
+        usual = [name for name in USUAL if name in self.columns] if names is None else names
+        columns = {name: each for name, each in chosen(self.columns, usual or None).items() if each.texts is None}
+        from flexfmu.cosim.engine.formats.drawing import draw_signals
+
+        return draw_signals(self.time, columns, title)
+
+    def write(self, path: str | os.PathLike[str], about: Mapping[str, str] | None = None) -> Path:
+        """Write time and values (not the derivatives) in the format that the suffix says; return the path.
+
+        ``.csv``: see `write_csv`, without units. ``.parquet``: units in the fields' metadata. ``.mat``: for MATLAB, with the
+        structs ``names`` and ``units``. ``.mcap``: for Foxglove and PlotJuggler, with log times from simulation time.
+
+        Args:
+            path: of the file, which is written atomically.
+            about: key → text for the metadata of the file; CSV files have none.
+
+        Raises:
+            InputError: there is no such format, or its library isn't installed (``pip install "flexfmu[parquet]"``, for example).
+            ResultsError: the file can't be written, with the system's reason.
+        """
+        target = Path(path)
+        return check_format(target.suffix.removeprefix("."))(self, target, about or {})
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Recording:
+        """Read a ``.csv``, ``.parquet`` or ``.mat`` file by `write`; it has no derivatives, and in CSV no units.
+
+        Raises:
+            InputError: there is no such format, or its library isn't installed.
+            ResultsError: the file can't be read, or isn't a table of signals.
+        """
+        source = Path(path)
+        if source.suffix == ".csv":
+            return cls.read_csv(source)
+        if source.suffix == ".parquet":
+            with extra("parquet"):
+                from flexfmu.cosim.engine.formats.parquet import read_parquet
+            return cls(*read_parquet(source))
+        if source.suffix == ".mat":
+            from flexfmu.cosim.engine.formats.mat import read_mat
+
+            return cls(*read_mat(source))
+        raise InputError(f"can't read {source}: results are read from .csv, .parquet and .mat files")
 
     def write_csv(self, path: str | os.PathLike[str]) -> Path:
         """Write time and values (not the derivatives) in the format of `fmpy.util.read_csv`; return the path.
@@ -195,7 +203,7 @@ class Recording:
             piece = slice(begin, begin + LINES)
             # numbers alone in whole lines, texts cell by cell
             if are_numbers:
-                yield _cells(np.stack([each.values[piece] for each in columns], axis=1)) + "\n"
+                yield csv_cells(np.stack([each.values[piece] for each in columns], axis=1)) + "\n"
                 continue
             table = [Column(each.unit, each.values[piece], texts=each.texts).shown() for each in columns]
             yield "".join(",".join(row) + "\n" for row in zip(*table, strict=True))
@@ -225,11 +233,49 @@ class Recording:
         return cls(table[:, 0], columns)
 
 
-def _cells(table: RealArray) -> str:
-    """Lines of numbers (N, n) with commas between them, the shortest that read back exactly."""
-    # the JSON writer of pydantic is ten times faster than `repr`, and writes NaN and Infinity where `repr` writes nan and inf
-    text = b"\n".join([to_json(row, inf_nan_mode="constants")[1:-1] for row in table.tolist()]).decode()
-    return text if np.isfinite(table).all() else text.replace("NaN", "nan").replace("Infinity", "inf")
+USUAL = (
+    "joint1.torque",
+    "joint2.torque",
+    "end_effector.position.x",
+    "end_effector.position.y",
+    "link11.tip_deflection",
+    "link21.tip_deflection",
+)
+"""Signals that `Recording.plot` shows by default."""
+
+Writer = Callable[[Recording, Path, Mapping[str, str]], Path]
+"""Writes a recording into a file with metadata."""
+
+
+def check_format(name: str) -> Writer:
+    """Return what writes a format of `FORMATS`, with its library loaded, so that no run is lost by a missing one.
+
+    Raises:
+        InputError: there is no such format, or its library isn't installed.
+    """
+    if name == "csv":
+        return lambda recording, path, about: recording.write_csv(path)
+    if name == "parquet":
+        with extra("parquet"):
+            from flexfmu.cosim.engine.formats.parquet import write_parquet
+        return lambda recording, path, about: write_parquet(path, recording.time, recording.columns, about)
+    if name == "mat":
+        from flexfmu.cosim.engine.formats.mat import write_mat
+
+        return lambda recording, path, about: write_mat(path, recording.time, recording.columns, about)
+    if name == "mcap":
+        with extra("mcap"):
+            from flexfmu.cosim.engine.formats.mcap import write_mcap
+        return lambda recording, path, about: write_mcap(path, recording.time, recording.columns, about)
+    raise InputError(f"there is no format {name!r} of results; choose from {', '.join(FORMATS)}")
+
+
+def _extremes(column: Column) -> tuple[str, str]:
+    """Return smallest and largest finite value as texts; empty if there is none."""
+    known = column.values[np.isfinite(column.values)]
+    if column.texts is not None or not known.size:
+        return "", ""
+    return f"{known.min():.6g}", f"{known.max():.6g}"
 
 
 def _with_texts(body: str) -> tuple[RealArray, set[int], list[str]]:

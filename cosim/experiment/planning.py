@@ -77,7 +77,7 @@ class Tabulated:
         return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MotionPlan:
     """The planned motion of a scene; during the dwell it stands still at the end point.
 
@@ -96,6 +96,14 @@ class MotionPlan:
     task: Trajectory
     joints: Trajectory
     repetition: Repetition | None = None
+
+    def __repr__(self) -> str:
+        """Return a line: whose motion, and how long it and the dwell take."""
+        cycles = "" if self.repetition is None else f", {self.repetition.cycles} cycles"
+        return (
+            f"MotionPlan of {self.scene.name}: {self.duration:g} s of motion{cycles}, "
+            f"{self.stop_time - self.duration:g} s of dwell"
+        )
 
     @property
     def once(self) -> MotionPlan:

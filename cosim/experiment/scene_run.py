@@ -6,10 +6,12 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+import flexfmu  # the front door, which finds what is above this room: `Run.metrics`
 from flexfmu.cosim.engine.errors import CosimError
 from flexfmu.cosim.engine.fmu.file import open_fmu
 from flexfmu.cosim.engine.fmu.slave import FmuSlave
@@ -17,13 +19,21 @@ from flexfmu.cosim.engine.fmu.variables import parameter_names
 from flexfmu.cosim.engine.master.delays import SignalDelay
 from flexfmu.cosim.engine.master.outcome import Outcome
 from flexfmu.cosim.engine.master.simulation_loop import Progress
-from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.results import Names, Recording
+from flexfmu.cosim.engine.showing import shorten
 from flexfmu.cosim.experiment.parameters import parameters_for, scene_parameters, scene_with_parameters
 from flexfmu.cosim.experiment.planning import MotionPlan
 from flexfmu.cosim.experiment.recording import SlaveFacts
 from flexfmu.fmu_build.choices import INITIAL
 from flexfmu.model.scene.schema import Scene
 from flexfmu.trajectories.jets import RealArray
+
+if TYPE_CHECKING:
+    import os
+
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
 
 END_EFFECTOR = ("end_effector.position.x", "end_effector.position.y")
 
@@ -67,9 +77,13 @@ class Companion:
     run: Callable[[Progress | None], Run]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """A simulated scene.
+
+        run.metrics.peak_torque_1  # a number with a unit and an error
+        run.to_pandas("joint*.torque")  # a data frame; all signals without an argument
+        run.write("run.mat")  # also .csv, .parquet, .mcap
 
     Attributes:
         plan: the scene and its planned motion.
@@ -123,6 +137,55 @@ class Run:
     def completed(self) -> bool:
         """Whether the run reached its stop time."""
         return self.outcome is Outcome.COMPLETED
+
+    @cached_property
+    def metrics(self) -> flexfmu.RunMetrics:
+        """The metrics as numbers with units and errors: ``run.metrics.peak_torque_1``; see `flexfmu.RunMetrics`."""
+        return flexfmu.RunMetrics(self)
+
+    def to_pandas(self, names: Names = None) -> pandas.DataFrame:
+        """Return recorded signals as a data frame; see `flexfmu.cosim.engine.results.Recording.to_pandas`."""
+        return self.recording.to_pandas(names)
+
+    def to_xarray(self, names: Names = None) -> xarray.Dataset:
+        """Return recorded signals as a data set; see `flexfmu.cosim.engine.results.Recording.to_xarray`."""
+        return self.recording.to_xarray(names)
+
+    def plot(self, names: Names = None) -> Figure:
+        """Return a figure of recorded signals; see `flexfmu.cosim.engine.results.Recording.plot`."""
+        return self.recording.plot(names, self.scene.name)
+
+    def write(self, path: str | os.PathLike[str]) -> Path:
+        """Write the recorded signals as .csv, .parquet, .mat or .mcap; see `flexfmu.cosim.engine.results.Recording.write`."""
+        return self.recording.write(path, self.about)
+
+    @property
+    def about(self) -> Mapping[str, str]:
+        """Scene and outcome, for the metadata of files."""
+        return {"scene": self.scene.name, "outcome": " ".join(self.message.split())}
+
+    def __repr__(self) -> str:
+        """Return five lines: how it went, what was simulated and recorded, and where the rest is."""
+        time = self.recording.time
+        changes = "".join(f", {name} = {value:g}" for name, value in self.parameters.items())
+        return "\n".join(
+            [
+                f"Run of {self.scene.name}{changes}: {shorten(self.message, 79)}",
+                f"  {time[-1] if time.size else 0.0:g} s in steps of {self.communication_step:g} s, tolerance "
+                f"{self.tolerance:g}, simulated in {self.timing.simulate:.3g} s",
+                f"  slaves: {shorten(', '.join(slave.name for slave in self.slaves) or 'unknown', 69)}",
+                f"  {len(self.recording.columns)} signals at {time.size} instants: .recording, .to_pandas(), .plot(), .write()",
+                "  metrics: .metrics.peak_torque_1, ...",
+            ]
+        )
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        head, *lines = repr(self).splitlines()[:3]
+        facts = "<br>".join(escape(line.strip()) for line in lines)
+        parts = [each._repr_html_() for each in (self.metrics, self.recording)]
+        return f"<p><b>{escape(head)}</b><br>{facts}</p>{''.join(parts)}"
 
 
 class RestPositions:

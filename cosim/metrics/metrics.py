@@ -19,6 +19,7 @@ import numpy as np
 
 from flexfmu.cosim.engine.errors import InputError, ResultsError
 from flexfmu.cosim.engine.results import Recording
+from flexfmu.cosim.engine.showing import few_lines
 from flexfmu.cosim.experiment.scene_run import Run, rest_position
 from flexfmu.cosim.metrics.metric_table import ALL_METRICS, METRICS, Measurement
 from flexfmu.cosim.metrics.recorded_solution import RecordedSolution, Settings
@@ -40,10 +41,21 @@ class Metrics(dict[str, T]):
     basis: str = "no errors were estimated"
     failure: str = ""
 
+    def __repr__(self) -> str:
+        """Return at most five lines, with as many metrics as fit; `dict` has all."""
+        return few_lines(f"Metrics ({self.basis}):", [f"{name}: {_shown(each)}" for name, each in self.items()])
+
     def __missing__(self, name: str) -> T:
         if self.failure:
             raise KeyError(f"there is no metric {name!r}, since the run failed: {self.failure}")
         raise KeyError(f"this run has no metric {name!r}; there are: {', '.join(self)}")
+
+
+def _shown(metric: object) -> str:
+    """Return a metric as a short text."""
+    value, error = (metric.value, metric.error) if isinstance(metric, Measurement) else (metric, None)
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{text} ± {error:.1g}" if error is not None else text
 
 
 SAFETY = 4.0

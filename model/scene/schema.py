@@ -44,6 +44,17 @@ class Scene(Section):
     shaper: Annotated[tuple[ShaperSection, ...], BeforeValidator(as_tuple)] = ()
     imperfection: Annotated[tuple[ImperfectionSection, ...], BeforeValidator(as_tuple)] = ()
 
+    def __repr__(self) -> str:
+        """Return five lines with the beginning of each section; `print` shows all keys."""
+        sections = {
+            key: self.model_dump(mode="json", include={key}, exclude_unset=True) for key in type(self).model_fields
+        }
+        lines = [f"Scene {self.name}, payload {self.payload.mass:g} kg"]
+        for key in ("mechanism", "effects", "trajectory", "cosimulation"):
+            text = f"  {key}: " + ", ".join(f"{name} = {value}" for name, value in sections[key].get(key, {}).items())
+            lines.append(text if len(text) < 80 else text[:78] + "…")
+        return "\n".join(lines)
+
     @model_validator(mode="before")
     @classmethod
     def _fill_in_for_choice(cls, data: Any) -> Any:

@@ -4,7 +4,7 @@
 
     scene = flexfmu.load_scene("barnard2012-6kg").replace({"payload.mass": 3.0})
     run = flexfmu.run(scene)
-    print(flexfmu.measure_run(run)["peak_torque_1"].value, "N.m")
+    print(run.metrics.peak_torque_1, run.metrics.peak_torque_1.unit)
 
 Every argument ``scene`` is a `Scene`, the path of a scene file, or the name of a shipped scene. Further functions and classes
 are in `flexfmu.trajectories`, `flexfmu.model`, `flexfmu.fmu_build` and `flexfmu.cosim`. Names are imported at their first use,
@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from flexfmu.api import build, linearize, modes, plan, run, sweep
     from flexfmu.cosim.metrics.metric_table import display
     from flexfmu.cosim.metrics.metrics import measure_run
+    from flexfmu.cosim.metrics.run_metrics import RunMetrics
     from flexfmu.model.scene.file import load_scene
     from flexfmu.model.scene.schema import Scene
 
     __version__: str
 
 __all__ = [
+    "RunMetrics",
     "Scene",
     "__version__",
     "build",
@@ -39,6 +41,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "RunMetrics": "flexfmu.cosim.metrics.run_metrics",
     "Scene": "flexfmu.model.scene.schema",
     "build": "flexfmu.api",
     "display": "flexfmu.cosim.metrics.metric_table",

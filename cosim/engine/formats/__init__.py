@@ -1,0 +1,1 @@
+"""Recordings in other tools' forms: pandas, xarray, Parquet, MATLAB, MCAP, Matplotlib; each module needs one library."""

@@ -1,0 +1,43 @@
+"""Objects as a user sees them: a few lines on a terminal, a table in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+WIDTH = 79
+"""Columns of a line; the narrowest terminals have 80."""
+
+
+def few_lines(head: str, items: Sequence[str], lines: int = 4) -> str:
+    """Return a line and below it the items in at most this many lines; where not all fit, the last line counts the others."""
+    from textwrap import wrap
+
+    if not items:
+        return shorten(head, WIDTH)
+    # no line has more items than this
+    shown = min(len(items), lines * WIDTH // 3)
+    while True:
+        rest = "" if shown == len(items) else f", … {len(items) - shown} more"
+        # spaces within an item don't break it
+        text = ", ".join(item.replace(" ", "\0") for item in items[:shown]) + rest
+        found = wrap(
+            text, WIDTH, initial_indent="  ", subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        )
+        if len(found) <= lines or shown == 1:
+            return "\n".join([shorten(head, WIDTH), *found]).replace("\0", " ")
+        shown -= 1
+
+
+def shorten(text: str, most: int) -> str:
+    """Return a text in one line of at most this many characters; what is cut off is an ellipsis."""
+    line = " ".join(text.split())
+    return line if len(line) <= most else line[: most - 1].rstrip() + "…"
+
+
+def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in HTML for a notebook; all cells are texts."""
+    from html import escape
+
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -1,0 +1,94 @@
+"""`run.metrics`: numbers with units and errors, as `measure_run` has them."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+
+import pandas
+import pytest
+
+from flexfmu.cosim.engine.master.outcome import Outcome
+from flexfmu.cosim.experiment.scene_run import Companion, Run
+from flexfmu.cosim.metrics.metric_table import METRICS
+from flexfmu.cosim.metrics.metrics import measure_run
+from flexfmu.cosim.metrics.run_metrics import Quantity
+
+MakeRun = Callable[..., Run]
+
+
+@pytest.fixture
+def run(make_run: MakeRun) -> Run:
+    """A run with a companion of half its step, which counts how often it is simulated."""
+    return replace(make_run(), companion=Companion(5e-4, 1e-8, lambda progress: make_run(step=5e-4)))
+
+
+def test_values_and_errors_are_those_of_measure_run(run: Run) -> None:
+    """Attributes and items are the same numbers, with the units of the table and the errors of one companion."""
+    for name, measured in measure_run(run).items():
+        number = getattr(run.metrics, name)
+        assert number == run.metrics[name] == measured.value
+        assert number.unit == METRICS[name].unit
+        assert number.error == measured.error
+    assert list(run.metrics) == list(METRICS)
+
+
+def test_errors_are_estimated_only_when_asked_for(make_run: MakeRun) -> None:
+    """Values cost no simulation; the first error costs one for all."""
+    runs = []
+
+    def again(progress: object) -> Run:
+        runs.append(make_run(step=5e-4))
+        return runs[-1]
+
+    run = replace(make_run(), companion=Companion(5e-4, 1e-8, again))
+    assert run.metrics.peak_torque_1 > 0.0
+    assert "peak_torque_1" in str(run.metrics)
+    assert not runs
+    assert all(number.error is not None for number in run.metrics.values())
+    assert len(runs) == 1
+    assert "±" in repr(run.metrics)
+    assert make_run().metrics.peak_torque_1.error is None
+
+
+def test_a_quantity_is_a_number(run: Run) -> None:
+    """It calculates, is formatted and written like the float that it is; `repr` alone has the unit."""
+    number = Quantity(2.5, "N.m", error=0.1)
+    assert (number * 2, number == 2.5, f"{number:.2f} {number}", json.dumps(number)) == (5.0, True, "2.50 2.5", "2.5")
+    assert repr(number) == "2.5 N.m"
+    again = pickle.loads(pickle.dumps(number))
+    assert (again, again.unit, again.error) == (2.5, "N.m", 0.1)
+    assert pandas.DataFrame([run.metrics, run.metrics]).dtypes["peak_torque_1"] == "float64"
+
+
+def test_no_value(make_run: MakeRun) -> None:
+    """A metric without a value is NaN; a failed run says why."""
+    failed = make_run(outcome=Outcome.STEP_FAILED, end=0.2)
+    assert math.isnan(failed.metrics.peak_torque_1)
+    assert repr(failed.metrics.peak_torque_1) == "nan N.m (step failed at 0.2 s)"
+    still = make_run(changes={"trajectory.dwell": 0.0})
+    assert math.isnan(still.metrics.settling_time)
+
+
+def test_names(run: Run) -> None:
+    """Completion knows the names, and a misspelt one is told the right one."""
+    assert {"peak_torque_1", "settling_time"} <= set(dir(run.metrics))
+    with pytest.raises(AttributeError, match="no metric 'peak_torqe_1'; did you mean 'peak_torque_1'"):
+        _ = run.metrics.peak_torqe_1
+    with pytest.raises(KeyError, match="did you mean 'settling_time'"):
+        _ = run.metrics["setling_time"]
+    assert not hasattr(run.metrics, "_ipython_display_")
+
+
+def test_reprs_are_short(run: Run) -> None:
+    """At most five lines of at most 80 characters, for all that a run consists of; a notebook shows tables."""
+    for shown in (run, run.recording, run.plan, run.scene, run.metrics, measure_run(run), run.metrics.peak_torque_1):
+        lines = repr(shown).splitlines()
+        assert len(lines) <= 5, lines
+        assert max(map(len, lines)) <= 80, lines
+    assert len(str(run.metrics).splitlines()) == 1 + len(METRICS)
+    assert "<td>peak_torque_1</td>" in run._repr_html_()
+    assert "<td>joint1.torque</td>" in run._repr_html_()
