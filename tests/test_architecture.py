@@ -50,7 +50,7 @@ OPTIONAL = ("control", "distributed", "exudyn", "mcap", "pandas", "plotly", "pya
 HEAVY = (*OPTIONAL, "casadi", "matplotlib", "fmpy", "lief")
 """What a light module may put off loading, by an import within a function of what needs it."""
 
-SLOW = ("scipy", "concurrent")
+SLOW = ("scipy", "concurrent", "html")
 """What takes as long to load as a scene takes to read, or loads `logging`: functions that runs don't need may import it."""
 
 SELDOM = ("trajectories.shapers", "cosim.control", "cosim.experiment.cycles", "model.symbolic")

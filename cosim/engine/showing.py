@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from textwrap import wrap
 
 WIDTH = 79
 """Columns of a line; the narrowest terminals have 80."""
@@ -10,8 +11,6 @@ WIDTH = 79
 
 def few_lines(head: str, items: Sequence[str], lines: int = 4) -> str:
     """Return a line and below it the items in at most this many lines; where not all fit, the last line counts the others."""
-    from textwrap import wrap
-
     if not items:
         return shorten(head, WIDTH)
     # no line has more items than this
